@@ -1,0 +1,58 @@
+"""The one configuration of a solve, and its three presets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+PresetName = Literal["draft", "balanced", "final"]
+
+
+@dataclass(frozen=True)
+class SolveConfig:
+    """Everything a person may turn about a solve.
+
+    Attributes:
+        preset: name of the preset the values come from.
+        response: "auto" estimates the curve, "gamma" is z = x^(1/2.2), a path names a file with a curve.
+        exposures: "auto" takes what the capture knows, "none" withholds it, a path names a file.
+        hdr: folder with one EXR of linear radiance per photo, in place of the photos.
+        device: where torch runs.
+        seed: of all randomness.
+        max_patches: upper bound on surface patches; the patch size adapts to it.
+        gather_rays: cosine-distributed rays per patch for light that arrives from other patches.
+        shadow_rays: rays per patch over all emitters.
+        specular_rays: rays per glossy pixel.
+        atlas_size: side of the texture atlas in texels.
+        rounds: passes of emission and reflectance, each with the materials of the one before.
+        refine_iterations: iterations of the final joint refinement; 0 leaves it out.
+    """
+
+    preset: PresetName = "balanced"
+    response: str | Path = "auto"
+    exposures: str | Path = "auto"
+    hdr: Path | None = None
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    seed: int = 0
+    max_patches: int = 120_000
+    gather_rays: int = 128
+    shadow_rays: int = 96
+    specular_rays: int = 16
+    atlas_size: int = 2048
+    rounds: int = 3
+    refine_iterations: int = 0
+
+
+PRESETS: dict[PresetName, SolveConfig] = {
+    "draft": SolveConfig("draft", max_patches=30_000, gather_rays=64, shadow_rays=48, specular_rays=8, atlas_size=1024, rounds=2),
+    "balanced": SolveConfig(),
+    "final": SolveConfig(
+        "final", max_patches=250_000, gather_rays=256, shadow_rays=128, specular_rays=32, atlas_size=4096, refine_iterations=40
+    ),
+}
+
+
+def preset(name: PresetName, **changes: object) -> SolveConfig:
+    """The preset ``name`` with some fields replaced."""
+    return replace(PRESETS[name], **changes)  # type: ignore[arg-type]

@@ -1,0 +1,55 @@
+"""The camera response as a table: display value z = f(x) of relative exposure x in [0, 1].
+
+f is monotone with f(0) = 0 and f(1) = 1; exposures above 1 saturate. Photos are stored as floor(255 z), so the best
+estimate of z behind a byte b is (b + 0.5) / 255.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+N_SAMPLES = 1024
+
+
+@dataclass(frozen=True)
+class Response:
+    """A monotone response per channel.
+
+    Attributes:
+        samples: (3, 1024) float64, f at x = linspace(0, 1, 1024) for R, G, B.
+        family: how it was found ("power-polynomial", "identity", "gamma", "file").
+        coefficients: parameters of the family, for the record.
+    """
+
+    samples: NDArray[np.float64]
+    family: str
+    coefficients: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.samples.shape != (3, N_SAMPLES):
+            raise ValueError(f"response samples have shape {self.samples.shape}, expected (3, {N_SAMPLES})")
+
+    def apply(self, exposure: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Display value in [0, 1] of ``exposure`` (..., 3) = radiance x exposure factor; clips at 1."""
+        x = np.linspace(0.0, 1.0, N_SAMPLES)
+        return np.stack([np.interp(exposure[..., c], x, self.samples[c]) for c in range(3)], -1)
+
+    def invert(self, z: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Relative exposure in [0, 1] of display values ``z`` (..., 3) in [0, 1]."""
+        x = np.linspace(0.0, 1.0, N_SAMPLES)
+        # A flat stretch of the curve has no unique inverse; a vanishing slope makes np.interp pick its middle.
+        ramp = np.linspace(0.0, 1e-9, N_SAMPLES)
+        return np.stack([np.interp(z[..., c], self.samples[c] + ramp, x) for c in range(3)], -1)
+
+
+def identity() -> Response:
+    """The response of HDR input."""
+    return Response(np.tile(np.linspace(0.0, 1.0, N_SAMPLES), (3, 1)), "identity")
+
+
+def gamma(exponent: float = 1 / 2.2) -> Response:
+    """z = x ** exponent for all channels."""
+    return Response(np.tile(np.linspace(0.0, 1.0, N_SAMPLES) ** exponent, (3, 1)), "gamma", (exponent,))

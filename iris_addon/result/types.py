@@ -1,0 +1,89 @@
+"""What a solve gives: textures on the mesh's atlas, emitters, light from outside, the camera response."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..capture.types import Mesh
+from ..response.curve import Response
+
+
+@dataclass(frozen=True)
+class Emitter:
+    """One light: a set of faces that share a radiance.
+
+    Attributes:
+        faces: (n,) int64 indices into the mesh's faces.
+        radiance: (3,) float64, scene-linear Rec.709, both sides emit.
+        area: square metres.
+        confidence: 0 (guess) ... 1 (its light explains the shading of much that was seen).
+    """
+
+    id: int
+    faces: NDArray[np.int64]
+    radiance: NDArray[np.float64]
+    area: float
+    confidence: float
+
+
+@dataclass(frozen=True)
+class OutsideLight:
+    """Radiance that arrives from beyond the mesh, real spherical harmonics up to order 2.
+
+    Attributes:
+        sh: (n, 3) float64 coefficients, n in {1, 4, 9}, basis order (l, m) = (0,0), (1,-1), (1,0), (1,1), (2,-2) ...
+            in the capture's world axes; evaluated radiance is clamped at zero.
+    """
+
+    sh: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Textures:
+    """Principled BSDF maps on one square atlas; row 0 of an array is the top of the image (v = 1).
+
+    Attributes:
+        base_color: (N, N, 3) float32 scene-linear Rec.709.
+        roughness: (N, N) float32, the Principled parameter (alpha = roughness squared).
+        metallic: (N, N) float32.
+        confidence: (N, N) float32, 0 where filled in, 1 where many photos agree.
+    """
+
+    base_color: NDArray[np.float32]
+    roughness: NDArray[np.float32]
+    metallic: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Result:
+    """A solved room.
+
+    Attributes:
+        mesh: as read; ``mesh.uv`` is set and addresses ``textures``.
+        parts: (F,) int32 part label per face.
+        exposures: per training photo, keyed by view name, (3,) factor with white balance.
+        report: the content of report.json.
+        up: unit up vector of the capture.
+    """
+
+    mesh: Mesh
+    parts: NDArray[np.int32]
+    textures: Textures
+    emitters: tuple[Emitter, ...]
+    outside: OutsideLight | None
+    response: Response
+    exposures: dict[str, NDArray[np.float64]]
+    report: dict[str, Any] = field(default_factory=dict)
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    def face_emission(self) -> NDArray[np.float64]:
+        """(F, 3) radiance each face emits."""
+        emission = np.zeros((len(self.mesh.faces), 3))
+        for emitter in self.emitters:
+            emission[emitter.faces] = emitter.radiance
+        return emission
