@@ -1,0 +1,1 @@
+"""The demo room, modelled in Python: shapes, textures, materials, furniture, cameras."""
