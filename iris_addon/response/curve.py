@@ -44,6 +44,12 @@ class Response:
         ramp = np.linspace(0.0, 1e-9, N_SAMPLES)
         return np.stack([np.interp(z[..., c], self.samples[c] + ramp, x) for c in range(3)], -1)
 
+    def slope(self, exposure: NDArray[np.floating]) -> NDArray[np.float64]:
+        """f'(x) at relative exposures (..., 3)."""
+        x = np.linspace(0.0, 1.0, N_SAMPLES)
+        gradient = np.gradient(self.samples, x[1], axis=1)
+        return np.stack([np.interp(exposure[..., c], x, gradient[c]) for c in range(3)], -1)
+
 
 def identity() -> Response:
     """The response of HDR input."""

@@ -1,0 +1,78 @@
+"""What the photos say about each patch: one observation per patch and view.
+
+An observation is the mean over the pixels of one view that fall on one patch. It is the unit of every later stage:
+some 10^5 to 10^6 of them stand for all pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+SATURATED = 254.5 / 255.0
+"""Display values at or above this are clipped: floor(255 z) = 255 only for z = 1."""
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Means over the pixels of one view on one patch, sorted by patch and then by view.
+
+    Attributes:
+        patch: (M,) int32.
+        view: (M,) int16.
+        count: (M,) float32 pixels.
+        z: (M, 3) float32 mean display value in [0, 1] (HDR input: radiance).
+        spread: (M, 3) float32 standard deviation of the display value over the pixels.
+        saturated: (M, 3) float32 share of pixels clipped.
+        sample: (M,) int64 one pixel of the observation, index into the pixel samples.
+        sample_to_observation: (n,) int32 observation of every pixel sample.
+    """
+
+    patch: NDArray[np.int32]
+    view: NDArray[np.int16]
+    count: NDArray[np.float32]
+    z: NDArray[np.float32]
+    spread: NDArray[np.float32]
+    saturated: NDArray[np.float32]
+    sample: NDArray[np.int64]
+    sample_to_observation: NDArray[np.int32]
+
+
+def group_means(values: NDArray[np.floating], group: NDArray[np.integer], n_groups: int) -> NDArray[np.float64]:
+    """(n_groups, C) mean of ``values`` (n, C) per group; zero where a group is empty."""
+    count = np.maximum(np.bincount(group, minlength=n_groups), 1)
+    return np.stack([np.bincount(group, values[:, c], minlength=n_groups) for c in range(values.shape[1])], -1) / count[:, None]
+
+
+def observe(
+    patch: NDArray[np.int32], view: NDArray[np.int16], z: NDArray[np.float32], hdr: bool, rng: np.random.Generator
+) -> Observations:
+    """Group pixel samples by patch and view.
+
+    Args:
+        patch: (n,) patch of each pixel.
+        view: (n,) view of each pixel.
+        z: (n, 3) display values of the pixels; radiance for HDR input, which never saturates.
+    """
+    n_views = int(view.max()) + 1
+    key = patch.astype(np.int64) * n_views + view
+    order = rng.permutation(len(key))
+    unique, first, inverse, count = np.unique(key[order], return_index=True, return_inverse=True, return_counts=True)
+    group = np.empty(len(key), np.int32)
+    group[order] = inverse
+    m = len(unique)
+    mean = group_means(z, group, m)
+    square = group_means(z.astype(np.float64) ** 2, group, m)
+    clipped = np.zeros((m, 3)) if hdr else group_means((z >= SATURATED).astype(np.float32), group, m)
+    return Observations(
+        (unique // n_views).astype(np.int32),
+        (unique % n_views).astype(np.int16),
+        count.astype(np.float32),
+        mean.astype(np.float32),
+        np.sqrt(np.maximum(square - mean**2, 0.0)).astype(np.float32),
+        clipped.astype(np.float32),
+        order[first],
+        group,
+    )

@@ -1,0 +1,186 @@
+"""The response from overlap: the same patch in photos of different exposure (Debevec & Malik 1997, Mitsunaga & Nayar 1999).
+
+Unknowns are the curve, log radiance per patch and channel, and, where they are not given, the exposures. The residual
+is taken in display values, ``z - f(L t)``, where quantisation noise is uniform; saturated observations enter as the
+inequality ``L t >= 1``. With the exposures unknown the data fix the curve only up to (f^g, t^g, L^g); that exponent is
+left at the prior's here and chosen later by light transport.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scipy.optimize import least_squares
+
+from . import family
+from .curve import Response
+from .observations import Observations
+
+MAX_PATCHES = 4_000
+ROBUST_SCALE = 0.02
+"""Display-value residual at which an observation starts to count as an outlier (a highlight, a moved object)."""
+PRIOR_WEIGHT = 3.0
+"""The prior over curves counts as much as nine observations that are off by ROBUST_SCALE."""
+MONOTONICITY_WEIGHT = 1e4
+
+
+@dataclass(frozen=True)
+class OverlapFit:
+    """Curve, exposures and how well they explain held-out patches.
+
+    Attributes:
+        exposures: (V,) factor per view.
+        residual: robust RMS of the display-value residual on held-out patches.
+        per_channel: whether three curves earned their place over one.
+    """
+
+    response: Response
+    exposures: NDArray[np.float64]
+    residual: float
+    per_channel: bool
+
+
+def _select(observations: Observations, exposures: NDArray[np.floating] | None, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Indices of flat observations of patches that at least two useful views share."""
+    o = observations
+    flat = (o.spread.max(1) < 0.04) & (o.count >= 2)
+    usable = flat & ((o.saturated.max(1) == 0) | (o.saturated.min(1) == 1))
+    open_count = np.bincount(o.patch[usable & (o.saturated.max(1) == 0)], minlength=int(o.patch.max()) + 1)
+    index = np.flatnonzero(usable & (open_count[o.patch] >= 2))
+    patches = np.unique(o.patch[index])
+    if len(patches) > MAX_PATCHES:
+        chosen = np.zeros(int(o.patch.max()) + 1, bool)
+        chosen[rng.choice(patches, MAX_PATCHES, replace=False, p=_spread_over_brightness(observations, index, patches))] = True
+        index = index[chosen[o.patch[index]]]
+    return index
+
+
+def _spread_over_brightness(o: Observations, index: NDArray[np.int64], patches: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Probability per patch that evens out display values, so that a white wall does not crowd out the shadows."""
+    level = np.zeros(int(o.patch.max()) + 1)
+    np.maximum.at(level, o.patch[index], o.z[index].mean(1))
+    bins = np.minimum((level[patches] * 16).astype(int), 15)
+    weight = 1.0 / np.bincount(bins, minlength=16)[bins]
+    return weight / weight.sum()
+
+
+def fit_overlap(
+    observations: Observations,
+    exposures: NDArray[np.floating] | None,
+    n_views: int,
+    rng: np.random.Generator,
+) -> OverlapFit:
+    """Recover the response, and the exposures where ``exposures`` is None.
+
+    Args:
+        exposures: (V,) known factors, or None.
+    """
+    index = _select(observations, exposures, rng)
+    problem = _Problem.build(observations, index, exposures, n_views)
+    held_out = rng.random(problem.n_patches) < 0.2
+    training, testing = problem.restrict(~held_out), problem.restrict(held_out)
+    shared = training.minimise(1)
+    separate = training.minimise(3)
+    # One curve is the null hypothesis: cameras apply the same curve to all channels far more often than not.
+    scores = [testing.disagreement(knots) for knots in (shared, separate)]
+    per_channel = scores[1] < 0.97 * scores[0]
+    best = separate if per_channel else shared
+    return OverlapFit(family.to_response(best), problem.exposures(best), min(scores), per_channel)
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """m observations of n patches. ``log_t`` is (V,), or None where exposures are unknown."""
+
+    z: NDArray[np.float64]  # (m, 3)
+    clipped: NDArray[np.bool_]  # (m,)
+    weight: NDArray[np.float64]  # (m,)
+    patch: NDArray[np.int64]  # (m,)
+    view: NDArray[np.int64]  # (m,)
+    n_patches: int
+    n_views: int
+    log_t: NDArray[np.float64] | None
+
+    @staticmethod
+    def build(
+        o: Observations, index: NDArray[np.int64], exposures: NDArray[np.floating] | None, n_views: int
+    ) -> _Problem:
+        patches, patch = np.unique(o.patch[index], return_inverse=True)
+        return _Problem(
+            np.clip(o.z[index].astype(np.float64) + 0.5 / 255, 0, 1),
+            o.saturated[index].min(1) > 0.5,
+            np.minimum(o.count[index], 25.0).astype(np.float64) ** 0.25,
+            patch,
+            o.view[index].astype(np.int64),
+            len(patches),
+            n_views,
+            None if exposures is None else np.log(np.asarray(exposures, np.float64)),
+        )
+
+    def restrict(self, keep: NDArray[np.bool_]) -> _Problem:
+        """The same problem over some of the patches."""
+        rows = keep[self.patch]
+        return replace(self, z=self.z[rows], clipped=self.clipped[rows], weight=self.weight[rows], patch=self.patch[rows], view=self.view[rows])
+
+    def _solve_radiance(self, response: Response) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Exposures (V,) and radiance (n, 3) that fit best under a given curve."""
+        x = np.maximum(response.invert(self.z), 1e-5)
+        slope = response.slope(x)
+        log_t = self.log_t
+        if log_t is None:
+            log_t = _chain_exposures(np.log(x).mean(1), self.patch, self.view, ~self.clipped, self.n_views)
+        t = np.exp(log_t)[self.view][:, None]
+        # Quantisation noise is uniform in z, so the precision of x / t is (f'(x) t)^2.
+        weight = np.where(self.clipped, 0.0, self.weight)[:, None] * (slope * t) ** 2 + 1e-12
+        total = [np.bincount(self.patch, (weight * x / t)[:, c], self.n_patches) for c in range(3)]
+        norm = [np.bincount(self.patch, weight[:, c], self.n_patches) for c in range(3)]
+        return log_t, np.stack(total, -1) / np.stack(norm, -1)
+
+    def exposures(self, knots: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+        """(V,) exposure factors under a curve: the known ones, or those that the overlap asks for."""
+        return np.exp(self._solve_radiance(family.to_response(knots))[0])
+
+    def residual(self, parameters: NDArray[np.float64], n_curves: int) -> NDArray[np.float64]:
+        """Display-value residuals, saturation hinges and prior, one flat vector."""
+        knots = list(parameters.reshape(n_curves, -1))
+        response = family.to_response(knots)
+        log_t, radiance = self._solve_radiance(response)
+        x = radiance[self.patch] * np.exp(log_t)[self.view][:, None]
+        mismatch = np.where(self.clipped[:, None], np.clip(1.0 - x, 0, None), response.apply(x) - self.z)
+        data = (self.weight[:, None] * mismatch / ROBUST_SCALE).ravel()
+        prior = [PRIOR_WEIGHT * family.prior_residual(k) for k in knots]
+        bends = [MONOTONICITY_WEIGHT * family.downhill(k) for k in knots]
+        return np.concatenate([data, *prior, *bends])
+
+    def minimise(self, n_curves: int) -> list[NDArray[np.float64]]:
+        """Knots of ``n_curves`` curves; radiance and exposures are eliminated (variable projection)."""
+        start = np.concatenate([family.PRIOR_MEAN] * n_curves)
+        fit = least_squares(self.residual, start, args=(n_curves,), loss="cauchy", method="trf", max_nfev=25, x_scale=0.3)
+        return list(fit.x.reshape(n_curves, -1))
+
+    def disagreement(self, knots: list[NDArray[np.float64]]) -> float:
+        """Median absolute residual of unclipped observations, display values."""
+        mismatch = self.residual(np.concatenate(knots), len(knots))[: self.z.size].reshape(-1, 3) / self.weight[:, None]
+        return float(np.median(np.abs(mismatch[~self.clipped])) * ROBUST_SCALE)
+
+
+def _chain_exposures(
+    log_x: NDArray[np.float64],
+    patch: NDArray[np.int64],
+    view: NDArray[np.int64],
+    use: NDArray[np.bool_],
+    n_views: int,
+) -> NDArray[np.float64]:
+    """Log exposures under a given curve: patch means and view means of log exposure in turn until they agree."""
+    log_x, patch, view = log_x[use], patch[use], view[use]
+    log_t = np.zeros(n_views)
+    per_patch = np.maximum(np.bincount(patch), 1)
+    per_view = np.maximum(np.bincount(view, minlength=n_views), 1)
+    for _ in range(40):
+        log_l = np.bincount(patch, log_x - log_t[view]) / per_patch
+        log_t = np.bincount(view, log_x - log_l[patch], n_views) / per_view
+        log_t -= log_t.mean()
+    return log_t

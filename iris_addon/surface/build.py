@@ -1,0 +1,84 @@
+"""From pixels on the mesh to patches: the surface that all later rooms speak about."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..capture.types import Mesh
+from ..response.observations import group_means
+from ..transport.gather import Origins
+from .patches import PatchGrid, cell_keys, choose_levels
+from .samples import PixelSamples
+
+FIRST_PIXELS_PER_PATCH = 3.0
+ORIGINS_PER_PATCH = 8
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Patches that photos see.
+
+    Attributes:
+        grid: surface point to patch.
+        sample_patch: (n,) int32 patch of every pixel sample.
+        position, normal: (P, 3) float32 mean over the patch's pixels; the normal has unit length.
+        footprint: (P,) float32 metres, median pixel footprint.
+        part: (P,) int32.
+        count: (P,) int64 pixels.
+        origins: points on each patch from which rays start.
+        pixels_per_patch: edge length of a patch in pixels that met the patch budget.
+    """
+
+    grid: PatchGrid
+    sample_patch: NDArray[np.int32]
+    position: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    footprint: NDArray[np.float32]
+    part: NDArray[np.int32]
+    count: NDArray[np.int64]
+    origins: Origins
+    pixels_per_patch: float
+
+
+def build_surface(
+    mesh: Mesh, samples: PixelSamples, parts: NDArray[np.int32], max_patches: int, rng: np.random.Generator
+) -> Surface:
+    """Patches as fine as ``max_patches`` allows.
+
+    Args:
+        parts: (F,) part per face.
+    """
+    used = mesh.vertices[np.unique(mesh.faces)]
+    extent = float(np.ptp(used, axis=0).max())
+    scale = max(extent / 300.0, 1e-6) if extent > 300.0 else 1.0
+    origin = used.min(0) - scale * np.array([0.1234, 0.2345, 0.3456])
+    part = parts[samples.face]
+    pixels_per_patch = FIRST_PIXELS_PER_PATCH
+    while True:
+        blocks = choose_levels(samples.position, samples.footprint, origin, scale, pixels_per_patch)
+        keys = cell_keys(samples.position, samples.normal, part, origin, scale, *blocks)
+        unique, inverse, count = np.unique(keys, return_inverse=True, return_counts=True)
+        if len(unique) <= max_patches or pixels_per_patch > 100:
+            break
+        pixels_per_patch *= max(1.1, min(2.0, (len(unique) / max_patches) ** 0.5))
+    patch = inverse.astype(np.int32)
+    grid = PatchGrid(origin, scale, *blocks, unique, np.arange(len(unique), dtype=np.int32))
+    order = np.argsort(patch, kind="stable")
+    first = np.concatenate([[0], np.cumsum(count)[:-1]])
+    pick = order[first[:, None] + (rng.random((len(unique), ORIGINS_PER_PATCH)) * count[:, None]).astype(np.int64)]
+    normal = group_means(samples.normal, patch, len(unique))
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+    return Surface(
+        grid,
+        patch,
+        group_means(samples.position, patch, len(unique)).astype(np.float32),
+        normal.astype(np.float32),
+        samples.footprint[order[first + count // 2]],
+        part[order[first]],
+        count,
+        Origins(samples.position[pick], samples.normal[pick]),
+        pixels_per_patch,
+    )

@@ -1,0 +1,46 @@
+"""Parts: faces that one would call one object or one material.
+
+A capture may bring them (objects, materials). If not, faces that are joined edge to edge are a part; a scan fuses
+everything into one component, which :mod:`iris_addon.reflectance.segment` later splits by the albedo it found.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from ..capture.types import Mesh
+
+
+def weld(vertices: NDArray[np.floating]) -> NDArray[np.int64]:
+    """(V,) label per vertex, equal for vertices at the same place up to 1e-6 of the mesh's size."""
+    extent = float(np.ptp(vertices, axis=0).max())
+    quantised = np.round((vertices - vertices.min(0)) / (extent * 1e-6)).astype(np.int64)
+    _, label = np.unique(quantised, axis=0, return_inverse=True)
+    return label.ravel()
+
+
+def edge_adjacency(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs of faces that share an edge of the welded mesh, two arrays (n,); an edge of k faces gives a chain of k - 1."""
+    corner = weld(mesh.vertices)[mesh.faces]
+    edges = np.sort(np.stack([corner[:, [0, 1]], corner[:, [1, 2]], corner[:, [2, 0]]], 1).reshape(-1, 2), axis=1)
+    face = np.repeat(np.arange(len(mesh.faces)), 3)
+    key = edges[:, 0] * (corner.max() + 1) + edges[:, 1]
+    order = np.argsort(key, kind="stable")
+    same = (key[order][1:] == key[order][:-1]) & (edges[order][1:, 0] != edges[order][1:, 1])
+    return face[order][:-1][same], face[order][1:][same]
+
+
+def component_labels(n_faces: int, a: NDArray[np.integer], b: NDArray[np.integer]) -> NDArray[np.int32]:
+    """(n_faces,) connected component of each face under the links a - b."""
+    graph = coo_matrix((np.ones(len(a), np.int8), (a, b)), shape=(n_faces, n_faces))
+    return connected_components(graph, directed=False)[1].astype(np.int32)
+
+
+def initial_parts(mesh: Mesh) -> NDArray[np.int32]:
+    """(F,) part per face: the capture's own, else connected components."""
+    if mesh.parts is not None:
+        return mesh.parts
+    return component_labels(len(mesh.faces), *edge_adjacency(mesh))

@@ -1,0 +1,86 @@
+"""Where the pixels of the photos land on the mesh: the primary rays, traced once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..capture.types import Camera
+from ..progress import Progress
+from ..transport.tracer import Tracer, points_on_faces
+
+
+@dataclass(frozen=True)
+class PixelSamples:
+    """Pixels that see the mesh, all views one after the other.
+
+    Attributes:
+        view: (n,) int16 index of the view.
+        pixel: (n,) int32 row-major pixel index in the photo.
+        face: (n,) int32 face of the mesh.
+        barycentric: (n, 2) float32.
+        position: (n, 3) float32 metres.
+        normal: (n, 3) float32 geometric normal on the camera's side.
+        direction: (n, 3) float32 unit vector from the surface to the camera.
+        footprint: (n,) float32 metres on the surface spanned by one pixel, without foreshortening.
+    """
+
+    view: NDArray[np.int16]
+    pixel: NDArray[np.int32]
+    face: NDArray[np.int32]
+    barycentric: NDArray[np.float32]
+    position: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    direction: NDArray[np.float32]
+    footprint: NDArray[np.float32]
+
+    @property
+    def cosine(self) -> NDArray[np.float32]:
+        """(n,) cosine between the normal and the direction to the camera, in (0, 1]."""
+        return np.clip((self.normal * self.direction).sum(1), 1e-3, 1.0)
+
+
+def pixel_lattice(camera: Camera, stride: int, phase: int) -> NDArray[np.int32]:
+    """Row-major indices of one pixel in ``stride`` x ``stride``; ``phase`` shifts the lattice from view to view."""
+    row, column = divmod(phase % (stride * stride), stride)
+    rows = np.arange(row, camera.height, stride)
+    columns = np.arange(column, camera.width, stride)
+    return (rows[:, None] * camera.width + columns[None, :]).astype(np.int32).ravel()
+
+
+def stride_for_budget(cameras: Sequence[Camera], budget: int) -> int:
+    """Smallest lattice spacing that keeps the pixels of all cameras within ``budget``."""
+    total = sum(camera.width * camera.height for camera in cameras)
+    return max(1, int(np.ceil(np.sqrt(total / budget) - 1e-9)))
+
+
+def trace_pixels(tracer: Tracer, cameras: Sequence[Camera], stride: int, progress: Progress) -> PixelSamples:
+    """Primary rays through the centres of a lattice of pixels of every camera."""
+    columns: list[tuple[NDArray, ...]] = []
+    for index, camera in enumerate(cameras):
+        pixel = pixel_lattice(camera, stride, index)
+        origin, direction = camera.rays()
+        origin, direction = origin[pixel], direction[pixel]
+        hits = tracer.closest(origin, direction)
+        kept = np.flatnonzero(hits.face >= 0)
+        face, barycentric = hits.face[kept], hits.barycentric[kept]
+        toward = -direction[kept].astype(np.float32)
+        normal = tracer.normals[face].astype(np.float32)
+        normal *= np.where((normal * toward).sum(1, keepdims=True) < 0, -1, 1).astype(np.float32)
+        columns.append(
+            (
+                np.full(len(kept), index, np.int16),
+                pixel[kept],
+                face,
+                barycentric,
+                points_on_faces(tracer.corners, face, barycentric).astype(np.float32),
+                normal,
+                toward,
+                hits.distance[kept] / np.float32(np.sqrt(camera.fx * camera.fy)),
+            )
+        )
+        progress.update((index + 1) / len(cameras))
+    return PixelSamples(*(np.concatenate(column) for column in zip(*columns, strict=True)))

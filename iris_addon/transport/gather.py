@@ -1,0 +1,172 @@
+"""Light that arrives at patches: gather rays to other patches, and area sampling of emitters with shadow rays.
+
+With L the radiance per patch and e the radiance per emitter, irradiance / pi is ``Ld = G L + B e`` (+ light from
+outside through the rays that escape). ``G`` is kept as the hit patch of every ray. ``B`` combines both ways to find an
+emitter, the gather rays that happened to hit it and points sampled on it, with the balance heuristic (Veach 1997,
+eq. 9.8): area sampling alone is noisy next to a large window, cosine sampling alone misses small lamps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..progress import Progress
+from .sampling import cosine_directions, r2_sequence
+from .tracer import Tracer, points_on_faces
+
+ROWS_AT_ONCE = 8192
+
+
+@dataclass(frozen=True)
+class Origins:
+    """Points on patches from which rays start: ``k`` per patch, picked among the pixels that saw the patch.
+
+    Attributes:
+        position: (P, k, 3) float32 metres.
+        normal: (P, k, 3) float32 unit, on the visible side.
+    """
+
+    position: NDArray[np.float32]
+    normal: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class GatherRays:
+    """Cosine-distributed rays from every patch and what they hit.
+
+    Attributes:
+        face: (P, R) int32 face, -1 where the ray escaped.
+        point: (P, R, 3) float32 hit point (undefined where escaped).
+        direction: (P, R, 3) float16 unit direction, away from the patch.
+        distance: (P, R) float32 metres.
+    """
+
+    face: NDArray[np.int32]
+    point: NDArray[np.float32]
+    direction: NDArray[np.float16]
+    distance: NDArray[np.float32]
+
+
+def ray_origins(origins: Origins, start: int, stop: int, n_rays: int, epsilon: float) -> tuple[NDArray, NDArray]:
+    """Positions off the surface and normals, each ((stop - start)·n_rays, 3), cycling over a patch's points."""
+    k = origins.position.shape[1]
+    which = np.arange(n_rays) % k
+    normal = origins.normal[start:stop, which].reshape(-1, 3)
+    return origins.position[start:stop, which].reshape(-1, 3) + epsilon * normal, normal
+
+
+def gather(
+    tracer: Tracer, origins: Origins, n_rays: int, rng: np.random.Generator, progress: Progress
+) -> GatherRays:
+    """Trace ``n_rays`` cosine-distributed rays from every patch."""
+    n = len(origins.position)
+    face = np.empty((n, n_rays), np.int32)
+    point = np.empty((n, n_rays, 3), np.float32)
+    direction = np.empty((n, n_rays, 3), np.float16)
+    distance = np.empty((n, n_rays), np.float32)
+    for start in range(0, n, ROWS_AT_ONCE):
+        stop = min(start + ROWS_AT_ONCE, n)
+        position, normal = ray_origins(origins, start, stop, n_rays, tracer.epsilon)
+        d = cosine_directions(normal, r2_sequence(stop - start, n_rays, rng).reshape(-1, 2))
+        hits = tracer.closest(position, d)
+        escaped = hits.face < 0
+        face[start:stop] = hits.face.reshape(-1, n_rays)
+        reach = np.where(escaped, 0, hits.distance)
+        point[start:stop] = (position + d * reach[:, None]).reshape(-1, n_rays, 3)
+        direction[start:stop] = d.reshape(-1, n_rays, 3)
+        distance[start:stop] = hits.distance.reshape(-1, n_rays)
+        progress.update(stop / n)
+    return GatherRays(face, point, direction, distance)
+
+
+def _choose_faces(areas: NDArray[np.floating], u: NDArray[np.floating]) -> NDArray[np.int64]:
+    """Index into ``areas`` for each random number, in proportion to area."""
+    cumulative = np.cumsum(areas) / areas.sum()
+    return np.minimum(np.searchsorted(cumulative, u, side="right"), len(areas) - 1)
+
+
+def emitter_form_factors(
+    tracer: Tracer,
+    origins: Origins,
+    rays: GatherRays,
+    emitters: Sequence[NDArray[np.integer]],
+    n_samples: int,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> NDArray[np.float32]:
+    """``B`` (P, E): the share of a patch's cosine-weighted hemisphere that each emitter fills, with visibility.
+
+    Args:
+        emitters: face indices of each emitter.
+        n_samples: points sampled on each emitter per patch, before patches that cannot see it are left out.
+    """
+    n, n_rays = rays.face.shape
+    result = np.zeros((n, len(emitters)), np.float32)
+    label = np.full(len(tracer.areas), -1, np.int32)
+    for index, faces in enumerate(emitters):
+        label[faces] = index
+    area = np.array([tracer.areas[faces].sum() for faces in emitters], np.float32)
+    _add_gathered(result, tracer, origins, rays, label, area, n_samples)
+    for index, faces in enumerate(emitters):
+        _add_sampled(result[:, index], tracer, origins, faces, float(area[index]), n_rays, n_samples, rng)
+        progress.update((index + 1) / len(emitters))
+    return result
+
+
+def _add_gathered(
+    result: NDArray[np.float32],
+    tracer: Tracer,
+    origins: Origins,
+    rays: GatherRays,
+    label: NDArray[np.int32],
+    area: NDArray[np.float32],
+    n_samples: int,
+) -> None:
+    """Add the gather rays that hit an emitter, weighted against the area samples they compete with."""
+    n_rays = rays.face.shape[1]
+    row, column = np.nonzero((rays.face >= 0) & (label[rays.face] >= 0))
+    face = rays.face[row, column]
+    k = label[face]
+    direction = rays.direction[row, column].astype(np.float32)
+    cos_light = np.abs((tracer.normals[face] * direction).sum(1))
+    cos_surface = np.abs((origins.normal[row, column % origins.normal.shape[1]] * direction).sum(1))
+    per_area = cos_surface * cos_light / np.maximum(np.pi * rays.distance[row, column] ** 2, 1e-9)
+    weight = n_rays * per_area / (n_rays * per_area + n_samples / area[k])
+    np.add.at(result, (row, k), weight / n_rays)
+
+
+def _add_sampled(
+    column: NDArray[np.float32],
+    tracer: Tracer,
+    origins: Origins,
+    faces: NDArray[np.integer],
+    area: float,
+    n_rays: int,
+    n_samples: int,
+    rng: np.random.Generator,
+) -> None:
+    """Add shadow rays to ``n_samples`` points on one emitter."""
+    for start in range(0, len(column), ROWS_AT_ONCE):
+        stop = min(start + ROWS_AT_ONCE, len(column))
+        position, normal = ray_origins(origins, start, stop, n_samples, tracer.epsilon)
+        u = r2_sequence(stop - start, n_samples, rng).reshape(-1, 2)
+        pick = faces[_choose_faces(tracer.areas[faces], rng.permuted(
+            (np.arange(n_samples) + rng.random((stop - start, n_samples))) / n_samples, axis=1).ravel())]
+        fold = u.sum(1) > 1
+        u[fold] = 1 - u[fold]
+        target = points_on_faces(tracer.corners, pick, u).astype(np.float32)
+        offset = target - position
+        square = np.maximum((offset**2).sum(1), 1e-9)
+        direction = offset / np.sqrt(square)[:, None]
+        cos_surface = (direction * normal).sum(1)
+        cos_light = np.abs((direction * tracer.normals[pick]).sum(1))
+        live = np.flatnonzero((cos_surface > 1e-4) & (cos_light > 1e-4))
+        live = live[tracer.visible(position[live], target[live])]
+        per_area = cos_surface[live] * cos_light[live] / (np.pi * square[live])
+        weight = (n_samples / area) / (n_samples / area + n_rays * per_area)
+        value = weight * per_area * area / n_samples
+        column[start:stop] += np.bincount(live // n_samples, value, minlength=stop - start).astype(np.float32)

@@ -1,0 +1,172 @@
+"""The cached light transport between patches: where every gather ray ends, traced once and never again.
+
+Rows 0 ... P-1 are the patches that photos see; rows P ... N-1 are surfaces that no photo sees but that light bounces
+off, found because gather rays ended there. Their radiance is not observed and follows from transport.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..progress import Progress
+from ..surface.build import Surface
+from ..surface.patches import PatchGrid, cell_keys
+from .gather import GatherRays, Origins, gather
+from .tracer import Tracer
+
+UNKNOWN, ESCAPED = -1, -2
+UNSEEN_RAYS_SHARE = 4
+"""Unseen patches get this fraction's inverse of the rays: their radiance is second-hand anyway."""
+
+
+@dataclass(frozen=True)
+class Transport:
+    """Gather rays of all N patches.
+
+    Attributes:
+        n_seen: patches that photos see.
+        origins: where the rays of each patch start.
+        rays: of the seen patches; ``unseen_rays`` of the others.
+        target, unseen_target: (P, R) and (N - P, R') int32 patch hit, UNKNOWN or ESCAPED.
+        part: (N,) part of each patch.
+    """
+
+    n_seen: int
+    origins: Origins
+    unseen_origins: Origins
+    rays: GatherRays
+    unseen_rays: GatherRays
+    target: NDArray[np.int32]
+    unseen_target: NDArray[np.int32]
+    part: NDArray[np.int32]
+    grids: tuple[PatchGrid, PatchGrid]
+
+    @property
+    def n_patches(self) -> int:
+        """All patches, seen and unseen."""
+        return self.n_seen + len(self.unseen_target)
+
+    def escaped(self) -> NDArray[np.float64]:
+        """(N,) share of each patch's rays that leave the mesh."""
+        return np.concatenate([(self.target == ESCAPED).mean(1), (self.unseen_target == ESCAPED).mean(1)])
+
+    def gather_radiance(
+        self, radiance: NDArray[np.floating], unknown: NDArray[np.floating], emitter_faces: NDArray[np.bool_]
+    ) -> NDArray[np.float32]:
+        """``G L``: mean radiance over each patch's rays.
+
+        Args:
+            radiance: (N, 3) per patch.
+            unknown: (3,) for rays that end on a surface without a patch.
+            emitter_faces: (F,) faces whose light is counted elsewhere; rays that end there carry nothing.
+
+        Returns:
+            (N, 3) irradiance / pi, without emitters and without light from outside.
+        """
+        table = torch.from_numpy(
+            np.concatenate([radiance, np.asarray(unknown)[None], np.zeros((1, 3))]).astype(np.float32)
+        )
+        rows = [
+            _mean_of_targets(table, target, rays.face, emitter_faces, self.n_patches)
+            for target, rays in ((self.target, self.rays), (self.unseen_target, self.unseen_rays))
+        ]
+        return np.concatenate(rows)
+
+
+def _mean_of_targets(
+    table: torch.Tensor, target: NDArray[np.int32], face: NDArray[np.int32], emitters: NDArray[np.bool_], n: int
+) -> NDArray[np.float32]:
+    dark = (target == ESCAPED) | ((face >= 0) & emitters[face])
+    index = np.where(dark, n + 1, np.where(target == UNKNOWN, n, target)).astype(np.int32)
+    return torch.nn.functional.embedding_bag(torch.from_numpy(index), table, mode="mean").numpy()
+
+
+def facing_normals(tracer: Tracer, face: NDArray[np.integer], direction: NDArray[np.floating]) -> NDArray[np.float32]:
+    """(n, 3) normals of hit faces, turned against the directions the rays came along."""
+    normal = tracer.normals[face].astype(np.float32)
+    normal[(normal * direction).sum(1) > 0] *= -1
+    return normal
+
+
+def find_patches(
+    tracer: Tracer,
+    grids: tuple[PatchGrid, ...],
+    parts: NDArray[np.int32],
+    face: NDArray[np.int32],
+    point: NDArray[np.float32],
+    direction: NDArray[np.floating],
+) -> NDArray[np.int32]:
+    """(n,) patch of each hit, tried grid by grid; UNKNOWN or ESCAPED where there is none."""
+    result = np.where(face < 0, ESCAPED, UNKNOWN).astype(np.int32)
+    for start in range(0, len(face), 1 << 20):
+        part = slice(start, start + (1 << 20))
+        normal = facing_normals(tracer, face[part], direction[part].astype(np.float32))
+        block = result[part]
+        for grid in grids:
+            open_ = np.flatnonzero(block == UNKNOWN)
+            at = point[part][open_]
+            block[open_] = grid.lookup(at, normal[open_], parts[face[part][open_]])
+    return result
+
+
+def _targets(tracer: Tracer, grids: tuple[PatchGrid, ...], parts: NDArray[np.int32], rays: GatherRays) -> NDArray[np.int32]:
+    flat = find_patches(
+        tracer, grids, parts, rays.face.ravel(), rays.point.reshape(-1, 3), rays.direction.reshape(-1, 3)
+    )
+    return flat.reshape(rays.face.shape)
+
+
+def _unseen_patches(
+    tracer: Tracer, surface: Surface, parts: NDArray[np.int32], rays: GatherRays, target: NDArray[np.int32], limit: int
+) -> tuple[PatchGrid, Origins, NDArray[np.int32]]:
+    """Coarse patches where rays ended on surfaces that no photo sees; the ``limit`` most often hit."""
+    row, column = np.nonzero(target == UNKNOWN)
+    face = rays.face[row, column]
+    point = rays.point[row, column]
+    normal = facing_normals(tracer, face, rays.direction[row, column].astype(np.float32))
+    none = np.zeros(0, np.uint64), np.zeros(0, np.int8)
+    keys = cell_keys(point, normal, parts[face], surface.grid.origin, surface.grid.scale, *none)
+    unique, first, count = np.unique(keys, return_index=True, return_counts=True)
+    kept = np.sort(np.argsort(-count, kind="stable")[:limit])
+    unique, first = unique[kept], first[kept]
+    number = np.arange(len(unique), dtype=np.int32) + np.int32(len(surface.part))
+    grid = PatchGrid(surface.grid.origin, surface.grid.scale, *none, unique, number)
+    return grid, Origins(point[first][:, None], normal[first][:, None]), parts[face[first]]
+
+
+def build_transport(
+    tracer: Tracer,
+    surface: Surface,
+    parts: NDArray[np.int32],
+    n_rays: int,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> Transport:
+    """Trace the gather rays of all patches and name the patch that each one hits."""
+    rays = gather(tracer, surface.origins, n_rays, rng, progress)
+    target = _targets(tracer, (surface.grid,), parts, rays)
+    unseen_grid, unseen_origins, unseen_part = _unseen_patches(
+        tracer, surface, parts, rays, target, limit=len(surface.part) // 2
+    )
+    row, column = np.nonzero(target == UNKNOWN)
+    target[row, column] = find_patches(
+        tracer, (unseen_grid,), parts, rays.face[row, column], rays.point[row, column], rays.direction[row, column]
+    )
+    unseen_rays = gather(tracer, unseen_origins, max(16, n_rays // UNSEEN_RAYS_SHARE), rng, progress)
+    grids = (surface.grid, unseen_grid)
+    unseen_target = _targets(tracer, grids, parts, unseen_rays)
+    return Transport(
+        len(surface.part),
+        surface.origins,
+        unseen_origins,
+        rays,
+        unseen_rays,
+        target,
+        unseen_target,
+        np.concatenate([surface.part, unseen_part]),
+        grids,
+    )
