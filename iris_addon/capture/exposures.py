@@ -1,0 +1,145 @@
+"""Exposure factors of photos: from EXIF, from keys of a transforms file, or from a file the user gives.
+
+A factor takes scene radiance to the argument of the response, up to one scale common to a capture.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import ExifTags, Image
+
+from ..errors import BadInput
+from ..imaging import HDR_SUFFIXES
+from .files import load_array, number, read_json_object
+from .types import View
+
+MAX_CSV_BYTES = 16 * 1024 * 1024
+
+
+def factor(seconds: float, iso: float = 100.0, f_number: float = 1.0) -> float:
+    """Relative exposure t · ISO/100 / N² of a photo."""
+    return seconds * iso / 100.0 / f_number**2
+
+
+def checked(value: float, label: str, path: Path) -> float:
+    """``value`` if it is finite and positive; raises BadInput."""
+    if not np.isfinite(value) or value <= 0:
+        raise BadInput(f"{label}: exposure {value:g}", "give a finite number above zero", path)
+    return float(value)
+
+
+def from_frame(frame: Mapping[str, Any], label: str, path: Path) -> float | None:
+    """Exposure of a frame by its keys "exposure", or "exposure_time" with "iso" and "f_number"; None without them."""
+    if "exposure" in frame:
+        return checked(number(frame, "exposure", path), label, path)
+    if "exposure_time" in frame:
+        settings = {key: number(frame, key, path) for key in ("iso", "f_number") if key in frame}
+        if settings.get("f_number", 1.0) == 0:
+            raise BadInput(f"{label}: f_number 0", "give the f-number of the lens, or leave it out", path)
+        return checked(factor(number(frame, "exposure_time", path), **settings), label, path)
+    return None
+
+
+# ---- EXIF ----------------------------------------------------------------------------------------------------------
+
+_TAGS = {"seconds": ExifTags.Base.ExposureTime, "f_number": ExifTags.Base.FNumber, "iso": ExifTags.Base.ISOSpeedRatings}
+
+
+def exif_settings(photo: Path) -> dict[str, float]:
+    """Those of "seconds", "f_number" and "iso" that the EXIF block of ``photo`` gives as positive numbers."""
+    settings = {}
+    try:
+        with Image.open(photo, formats=("PNG", "JPEG")) as image:
+            block = image.getexif().get_ifd(ExifTags.IFD.Exif)
+    except (OSError, SyntaxError, ValueError):  # a damaged EXIF block says nothing; the pixels are checked elsewhere
+        return {}
+    for name, tag in _TAGS.items():
+        value = block.get(tag)
+        value = value[0] if isinstance(value, tuple) and value else value
+        try:
+            number_ = float(value)  # type: ignore[arg-type]
+        except (TypeError, ValueError, ZeroDivisionError):
+            continue
+        if np.isfinite(number_) and number_ > 0:
+            settings[name] = number_
+    return settings
+
+
+def from_exif(photos: Mapping[str, Path]) -> dict[str, float]:
+    """Exposure by view name, for the photos whose EXIF gives the time and every setting that any photo gives.
+
+    A photo that lacks the ISO or f-number others have cannot be compared with them, so it stays unknown.
+    """
+    settings = {
+        name: exif_settings(photo) for name, photo in photos.items() if photo.suffix.lower() not in HDR_SUFFIXES
+    }
+    used = {key for found in settings.values() for key in found}
+    if "seconds" not in used:
+        return {}
+    return {name: factor(**found) for name, found in settings.items() if used <= found.keys()}
+
+
+# ---- a file given by the user --------------------------------------------------------------------------------------
+
+
+def apply_file(path: Path, views: Sequence[View], val_views: Sequence[View]) -> tuple[list[View], list[View]]:
+    """Views with exposures from ``path``.
+
+    JSON: object of name: factor. CSV: lines of name, factor. Both may name held-out views too. .npy: one factor per
+    training view, in order. A name is that of the view or the file name of its photo, with or without extension.
+
+    Raises:
+        BadInput: unreadable, a factor is not positive, or a training photo is missing.
+    """
+    if not path.is_file():
+        raise BadInput("no such exposure file", "check --exposures", path)
+    if path.suffix.lower() == ".npy":
+        values = load_array(path, len(views), "training photo")
+        known = [
+            replace(view, exposure=checked(value, view.name, path)) for view, value in zip(views, values, strict=True)
+        ]
+        return known, list(val_views)
+    table = _read_csv(path) if path.suffix.lower() == ".csv" else _read_json(path)
+    for view in views:
+        if not any(alias in table for alias in _aliases(view)):
+            raise BadInput(f"has no exposure for {view.name}", "add a line for every training photo", path)
+    return _look_up(views, table, path), _look_up(val_views, table, path)
+
+
+def _look_up(views: Iterable[View], table: Mapping[str, float], path: Path) -> list[View]:
+    found = []
+    for view in views:
+        value = next((table[alias] for alias in _aliases(view) if alias in table), None)
+        found.append(view if value is None else replace(view, exposure=checked(value, view.name, path)))
+    return found
+
+
+def _aliases(view: View) -> tuple[str, ...]:
+    return (view.name,) if view.photo is None else (view.name, view.photo.name, view.photo.stem)
+
+
+def _read_json(path: Path) -> dict[str, float]:
+    values = read_json_object(path)
+    return {name: number(values, name, path) for name in values}
+
+
+def _read_csv(path: Path) -> dict[str, float]:
+    if path.stat().st_size > MAX_CSV_BYTES:
+        raise BadInput(f"is larger than {MAX_CSV_BYTES >> 20} MiB", "give one line per photo", path)
+    table = {}
+    with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
+        for line, row in enumerate(csv.reader(file)):
+            if not row or row[0].startswith("#"):
+                continue
+            try:
+                table[row[0].strip()] = float(row[1])
+            except (IndexError, ValueError) as error:
+                if line > 0:  # the first line may be a heading
+                    raise BadInput(f"line {line + 1} is not name,exposure", "correct the line", path) from error
+    return table

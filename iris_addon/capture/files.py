@@ -1,0 +1,93 @@
+"""Reading what a capture folder names, without trusting it: sizes, types and paths are checked here."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import BadInput
+from ..imaging import IMAGE_SUFFIXES
+
+MAX_JSON_BYTES = 64 * 1024 * 1024
+MAX_ARRAY_BYTES = 16 * 1024 * 1024
+
+
+def read_json_object(path: Path) -> dict[str, Any]:
+    """The JSON object in ``path``; raises BadInput when missing, too large or anything else than an object."""
+    if not path.is_file():
+        raise BadInput("no such file", "check the path of the capture", path)
+    if path.stat().st_size > MAX_JSON_BYTES:
+        raise BadInput(f"is larger than {MAX_JSON_BYTES >> 20} MiB", "split the capture into smaller ones", path)
+    try:
+        value = json.loads(path.read_text(encoding="utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise BadInput(f"is not valid JSON ({error})", "export it again", path) from error
+    if not isinstance(value, dict):
+        raise BadInput("does not hold a JSON object", "export it again", path)
+    return value
+
+
+def frames_of(meta: Mapping[str, Any], path: Path) -> list[dict[str, Any]]:
+    """The "frames" of a transforms file, at least one; raises BadInput."""
+    frames = meta.get("frames")
+    if not isinstance(frames, list) or not frames or not all(isinstance(frame, dict) for frame in frames):
+        raise BadInput('has no list of "frames"', "export the poses again", path)
+    return frames
+
+
+def number(values: Mapping[str, Any], key: str, path: Path) -> float:
+    """``values[key]`` as a finite float; raises BadInput."""
+    value = values[key]
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
+        raise BadInput(f'"{key}" is {value!r}', "give it a finite number", path)
+    return float(value)
+
+
+def inside(root: Path, named: str, source: Path) -> Path:
+    """The file that ``source`` calls ``named``, relative to ``root``.
+
+    Raises:
+        BadInput: the path is absolute or leaves the capture folder, by ".." or through a symbolic link.
+    """
+    relative = Path(named.replace("\\", "/"))
+    path = root / relative
+    try:
+        escapes = relative.is_absolute() or not path.resolve().is_relative_to(root.resolve())
+    except (OSError, ValueError, RuntimeError) as error:  # over-long name, NUL byte, loop of links
+        raise BadInput(f"names {named!r}, which is not a usable path ({error})", "correct the path", source) from error
+    if escapes:
+        raise BadInput(f"names {named!r}, outside the capture folder", "move the file into the folder", source)
+    return path
+
+
+def find_image(root: Path, named: str, source: Path) -> Path | None:
+    """The image called ``named`` with or without its extension, or None when there is none; raises BadInput."""
+    path = inside(root, named, source)
+    if path.suffix.lower() in IMAGE_SUFFIXES:
+        return path if path.is_file() else None
+    for suffix in IMAGE_SUFFIXES:
+        for candidate in (suffix, suffix.upper()):
+            with_suffix = path.with_name(path.name + candidate)
+            if with_suffix.is_file():
+                return inside(root, str(with_suffix.relative_to(root)), source)
+    return None
+
+
+def load_array(path: Path, length: int, what: str) -> NDArray[np.float64]:
+    """(length,) float64 from a .npy file; raises BadInput for another length or content."""
+    if not path.is_file():
+        raise BadInput("no such file", "check the path", path)
+    if path.stat().st_size > MAX_ARRAY_BYTES:
+        raise BadInput(f"is larger than {MAX_ARRAY_BYTES >> 20} MiB", f"give one number per {what}", path)
+    try:
+        values = np.asarray(np.load(path, allow_pickle=False), np.float64).ravel()
+    except (ValueError, TypeError, OSError, EOFError) as error:
+        raise BadInput(f"is not a .npy file of numbers ({error})", "write it again with numpy.save", path) from error
+    if len(values) != length:
+        raise BadInput(f"has {len(values)} values for {length} {what}s", f"give one number per {what}", path)
+    return values

@@ -1,0 +1,157 @@
+"""Captures as nerfstudio writes them: a transforms.json with poses, intrinsics and paths.
+
+Format: https://docs.nerf.studio/quickstart/data_conventions.html. On top of it "mesh" may name the mesh, and a frame
+may carry "split", "exposure" or "exposure_time" (with "iso", "f_number").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from ..errors import BadInput
+from ..imaging import check_image
+from .cameras import read_camera, read_distortion
+from .exposures import from_frame
+from .files import find_image, frames_of, inside, number, read_json_object
+from .listing import Listing, check_unique, is_point_cloud, only_mesh, safe_name, up_axis
+from .types import Split, View
+
+UP = (0.0, 0.0, 1.0)
+
+
+def read_nerfstudio(transforms: Path) -> Listing:
+    """List the capture around ``transforms``; raises BadInput."""
+    meta, root = read_json_object(transforms), transforms.parent
+    frames = frames_of(meta, transforms)
+    views = [view for view in _views(meta, frames, root, transforms, photos=True) if view is not None]
+    warnings = []
+    if len(views) < len(frames):
+        warnings.append(f"{len(frames) - len(views)} frames are in no split and are left out")
+    if any("mask_path" in frame for frame in frames):
+        warnings.append("masks (mask_path) are not used")
+    mesh_file, mesh_named = _mesh_file(meta, root, transforms)
+    warnings += _check_applied(meta, mesh_named, transforms)
+    return Listing(
+        name=root.resolve().name or "capture",
+        root=root,
+        source=transforms,
+        views=tuple(view for view in views if view.split == "train"),
+        val_views=tuple(view for view in views if view.split == "val"),
+        mesh_file=mesh_file,
+        up=up_axis(root, UP),
+        warnings=tuple(warnings),
+    )
+
+
+def read_nerfstudio_views(transforms: Path) -> tuple[View, ...]:
+    """Every view of ``transforms``, whatever its split, photo or not: cameras to render from; raises BadInput."""
+    meta = read_json_object(transforms)
+    views = _views(meta, frames_of(meta, transforms), transforms.parent, transforms, photos=False)
+    return tuple(view for view in views if view is not None)
+
+
+# ---- frames --------------------------------------------------------------------------------------------------------
+
+
+def _views(
+    meta: Mapping[str, Any], frames: Sequence[Mapping[str, Any]], root: Path, source: Path, *, photos: bool
+) -> list[View | None]:
+    """One view per frame, None where the file's split lists leave it out. ``photos`` demands that every photo exists."""
+    names = _view_names(frames, source)
+    split_of = _split_lists(meta, source)
+    views: list[View | None] = []
+    for frame, name in zip(frames, names, strict=True):
+        split = _split(frame, name, split_of, source)
+        photo = find_image(root, str(frame["file_path"]), source)
+        if photo is None and photos:
+            raise BadInput(
+                f"{name}: photo {frame['file_path']!r} is missing", "add the photo or remove its frame", source
+            )
+        values = {**meta, **frame}
+        sized = "w" in values and "h" in values
+        view = View(
+            name=name,
+            camera=read_camera(values, None if sized or photo is None else check_image(photo), name, source),
+            photo=photo,
+            exposure=from_frame(frame, name, source),
+            distortion=read_distortion(values, name, source),
+            split=split or "train",
+        )
+        views.append(view if split is not None else None)
+    check_unique([view for view in views if view is not None], source)
+    return views
+
+
+def _view_names(frames: Sequence[Mapping[str, Any]], source: Path) -> list[str]:
+    """File stems where they are unique, otherwise whole paths."""
+    for number_, frame in enumerate(frames):
+        if not isinstance(frame.get("file_path"), str) or not frame["file_path"]:
+            raise BadInput(f'frame {number_} has no "file_path"', "export the poses again", source)
+    paths = [PurePosixPath(frame["file_path"].replace("\\", "/")) for frame in frames]
+    stems = [safe_name(path.stem) for path in paths]
+    if len(set(stems)) == len(stems):
+        return stems
+    return [safe_name(str(path.with_suffix(""))) for path in paths]
+
+
+_SPLITS: dict[str, Split] = {"train": "train", "val": "val", "test": "val"}
+
+
+def _split_lists(meta: Mapping[str, Any], source: Path) -> dict[str, Split] | None:
+    """Split by file_path from train_filenames, val_filenames, test_filenames; None when the file has none of them."""
+    table: dict[str, Split] = {}
+    for key, split in _SPLITS.items():
+        listed = meta.get(f"{key}_filenames", [])
+        if not isinstance(listed, list):
+            raise BadInput(f'"{key}_filenames" is not a list', "export the splits again", source)
+        table.update({str(name): split for name in listed})
+    return table or None
+
+
+def _split(frame: Mapping[str, Any], name: str, lists: Mapping[str, Split] | None, source: Path) -> Split | None:
+    if "split" in frame:
+        if frame["split"] not in _SPLITS:
+            raise BadInput(f"{name}: split {frame['split']!r}", "use train, val or test", source)
+        return _SPLITS[frame["split"]]
+    return "train" if lists is None else lists.get(str(frame["file_path"]))
+
+
+# ---- mesh and frame of reference -----------------------------------------------------------------------------------
+
+
+def _mesh_file(meta: Mapping[str, Any], root: Path, source: Path) -> tuple[Path, bool]:
+    """The mesh, and whether the file names it. nerfstudio's ply_file_path is mostly a point cloud: then it is not it."""
+    if "mesh" in meta:
+        return inside(root, str(meta["mesh"]), source), True
+    if "ply_file_path" in meta:
+        named = inside(root, str(meta["ply_file_path"]), source)
+        if named.is_file() and not is_point_cloud(named):
+            return named, True
+    return only_mesh(root, source), False
+
+
+def _check_applied(meta: Mapping[str, Any], mesh_named: bool, source: Path) -> list[str]:
+    """Refuse a capture whose poses were moved away from its mesh; warn when its unit may not be the metre.
+
+    "applied_transform" and "applied_scale" tell what was done to the poses in the file, and to the geometry it names.
+    A mesh that merely lies in the folder may still be where it was before.
+    """
+    transform = np.eye(4)
+    if "applied_transform" in meta:
+        try:
+            given = np.array(meta["applied_transform"], np.float64)
+            transform[: len(given)] = given
+        except (TypeError, ValueError) as error:
+            raise BadInput('"applied_transform" is not 3x4', "export the poses again", source) from error
+    scale = number(meta, "applied_scale", source) if "applied_scale" in meta else 1.0
+    if not mesh_named and (scale != 1.0 or not np.allclose(transform, np.eye(4), atol=1e-6)):
+        raise BadInput(
+            '"applied_transform" or "applied_scale" moved the poses, and nothing says whether the mesh moved along',
+            'bring the mesh into the frame of the poses and name it with "mesh"',
+            source,
+        )
+    return [] if scale == 1.0 else [f'"applied_scale" is {scale:g}: one unit of the file is taken as one metre']

@@ -1,0 +1,113 @@
+"""Pixels of a view: decoding, and lens distortion taken out.
+
+The distortion models are OpenCV's (https://docs.opencv.org/4.x/d9/d0c/group__calib3d.html and, for the fisheye,
+group__calib3d__fisheye.html); both say where a pinhole direction lands in the photo, which is the direction needed to
+resample the photo onto the pinhole, so nothing has to be inverted. k4 of the perspective model multiplies r^8, as in
+nerfstudio.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+
+from ..errors import BadInput
+from ..imaging import HDR_SUFFIXES, read_exr, read_image
+from .types import Camera, Distortion, FloatArray, Photo, View
+
+
+def load_photo(view: View) -> Photo:
+    """Decode and undistort the photo of ``view``.
+
+    8-bit photos come as bytes / 255 (half a quantisation step is the response's business), EXR as linear radiance
+    with negative values set to zero.
+
+    Raises:
+        BadInput: the file is missing, damaged, not RGB, or its size is not that of the camera.
+        ValueError: the view has no photo.
+    """
+    if view.photo is None:
+        raise ValueError(f"view {view.name} has no photo")
+    hdr = view.photo.suffix.lower() in HDR_SUFFIXES
+    pixels = read_exr(view.photo)[..., :3] if hdr else read_image(view.photo)
+    if pixels.shape[2] != 3:
+        raise BadInput("has one channel", "save the photo as RGB", view.photo)
+    check_photo_size(view, (pixels.shape[1], pixels.shape[0]))
+
+    values = pixels.astype(np.float32) if hdr else pixels.astype(np.float32) / np.float32(255)
+    valid: NDArray[np.bool_] = np.isfinite(values).all(axis=-1, keepdims=True)[..., 0]
+    values = np.maximum(np.where(valid[..., None], values, 0), 0).astype(np.float32)
+    if view.distortion is not None:
+        values, valid = undistort(values, valid, view.camera, view.distortion)
+    return Photo(values, valid, hdr)
+
+
+def check_photo_size(view: View, size: tuple[int, int]) -> None:
+    """Raise BadInput unless ``size`` (width, height) of the file is that of the camera."""
+    camera = view.camera
+    if size != (camera.width, camera.height):
+        raise BadInput(
+            f"is {size[0]}x{size[1]} pixels, the intrinsics are for {camera.width}x{camera.height}",
+            "scale the intrinsics or the photo, so that both have one size",
+            view.photo,
+        )
+
+
+def undistort(
+    values: NDArray[np.float32], valid: NDArray[np.bool_], camera: Camera, distortion: Distortion
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Resample a distorted photo onto the pinhole ``camera``, bilinear.
+
+    Args:
+        values: (H, W, 3) pixels of the file.
+        valid: (H, W) pixels that may be used.
+
+    Returns:
+        (H, W, 3) values and (H, W) valid, False where the lens saw nothing or an invalid pixel would mix in.
+    """
+    i, j = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    x, y = (i - camera.cx) / camera.fx, (j - camera.cy) / camera.fy
+    x_distorted, y_distorted, unique = distort(x, y, distortion)
+    u, v = x_distorted * camera.fx + camera.cx, y_distorted * camera.fy + camera.cy
+    with np.errstate(invalid="ignore"):
+        seen = unique & (u >= 0) & (u <= camera.width) & (v >= 0) & (v <= camera.height)
+
+    # map_coordinates counts from pixel centres; its "nearest" mode serves the half pixel along the border.
+    where = np.stack([np.where(seen, v, 0.5) - 0.5, np.where(seen, u, 0.5) - 0.5])
+    resampled = np.stack([map_coordinates(values[..., c], where, order=1, mode="nearest") for c in range(3)], -1)
+    invalid = map_coordinates((~valid).astype(np.float32), where, order=1, mode="nearest")
+    seen &= invalid == 0
+    return np.where(seen[..., None], resampled, 0).astype(np.float32), seen
+
+
+def distort(x: FloatArray, y: FloatArray, lens: Distortion) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Where the lens puts pinhole coordinates x = X/Z, y = Y/Z (image axes: x right, y down).
+
+    Returns:
+        Distorted x and y, and whether the radial mapping is still one-to-one there: beyond its turning point a
+        polynomial folds the image back and would show a second, false copy of its centre.
+    """
+    r = np.hypot(x, y)
+    if lens.fisheye:
+        angle = np.arctan(r)
+        distorted_angle = _odd_polynomial(angle, lens)
+        scale = np.where(r > 1e-9, distorted_angle / np.maximum(r, 1e-9), 1.0)
+        return x * scale, y * scale, angle < _turning_point(lens, np.pi / 2)
+    radial = np.where(r > 1e-9, _odd_polynomial(r, lens) / np.maximum(r, 1e-9), 1.0)
+    x_distorted = x * radial + 2 * lens.p1 * x * y + lens.p2 * (r**2 + 2 * x**2)
+    y_distorted = y * radial + lens.p1 * (r**2 + 2 * y**2) + 2 * lens.p2 * x * y
+    return x_distorted, y_distorted, r < _turning_point(lens, float(r.max()) + 1.0)
+
+
+def _odd_polynomial(t: FloatArray, lens: Distortion) -> FloatArray:
+    """t + k1 t^3 + k2 t^5 + k3 t^7 + k4 t^9: the radius for the perspective model, the angle for the fisheye."""
+    t2 = t * t
+    return t * (1 + t2 * (lens.k1 + t2 * (lens.k2 + t2 * (lens.k3 + t2 * lens.k4))))
+
+
+def _turning_point(lens: Distortion, limit: float) -> float:
+    """First t in (0, limit] where the radial mapping stops growing; a little beyond ``limit`` when it never does."""
+    t = np.linspace(0, limit, 4097)
+    falling = np.flatnonzero(np.diff(_odd_polynomial(t, lens)) <= 0)
+    return float(t[falling[0]]) if len(falling) else limit * (1 + 1e-9)
