@@ -6,6 +6,7 @@ Plain data, no bpy: written by the readers of lights.json and objects.json, carr
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,22 @@ class Sphere:
 
 
 @dataclass(frozen=True)
+class ObjectFile:
+    """Objects of a .blend, .glb or .obj file put into the room, standing upright along the room's up vector.
+
+    Attributes:
+        location: metres, capture axes, of the file's origin.
+        scale: factor per axis of the file.
+        rotation: XYZ Euler angles in degrees about the file's axes, +Z being up.
+    """
+
+    file: Path
+    location: tuple[float, float, float]
+    scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
 class SceneEdit:
     """What differs from the room as solved.
 
@@ -40,7 +57,8 @@ class SceneEdit:
         face_emission: (F, 3) radiance per face in place of the recovered one, or None to keep it.
         black_faces: (F,) bool, faces rendered with base colour 0 and roughness 1, or None.
         lights: lights added.
-        spheres: objects added.
+        spheres: balls added.
+        objects: objects from files added.
         outside_scale: factor on the light from outside the mesh.
     """
 
@@ -48,4 +66,10 @@ class SceneEdit:
     black_faces: NDArray[np.bool_] | None = None
     lights: tuple[Quad, ...] = ()
     spheres: tuple[Sphere, ...] = ()
+    objects: tuple[ObjectFile, ...] = ()
     outside_scale: float = 1.0
+
+    @property
+    def adds_nothing(self) -> bool:
+        """Whether the edit puts neither a light nor an object into the room."""
+        return not (self.lights or self.spheres or self.objects)

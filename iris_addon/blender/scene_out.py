@@ -1,0 +1,194 @@
+"""A solved room as Blender data: mesh, materials, lamps, world, and what an edit adds to it.
+
+Everything is made from the plain arrays of a :class:`~iris_addon.result.types.Result`, in its own scene, so that nothing the
+user has open is touched; :meth:`BuiltScene.free` takes all of it away again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import bmesh
+import bpy
+import numpy as np
+from mathutils import Matrix
+from numpy.typing import NDArray
+
+from ..capture.types import Mesh
+from ..result.edits import Quad, SceneEdit, Sphere
+from ..result.types import Result
+from .materials import (
+    UV_MAP,
+    black_material,
+    lamp_material,
+    one_sided_lamp_material,
+    sphere_material,
+    surface_material,
+)
+from .object_files import load_objects
+from .world import make_world
+
+
+@dataclass
+class BuiltScene:
+    """What :func:`build_scene` made.
+
+    Attributes:
+        room: the room's mesh, faces in the order of the result.
+        lights: quads added by the edit.
+        inserted: balls and objects added by the edit.
+    """
+
+    scene: bpy.types.Scene
+    room: bpy.types.Object
+    lights: list[bpy.types.Object] = field(default_factory=list)
+    inserted: list[bpy.types.Object] = field(default_factory=list)
+    owned: set[bpy.types.ID] = field(default_factory=set)
+
+    def free(self) -> None:
+        """Remove the scene and every datablock that was made for it."""
+        bpy.data.batch_remove(self.owned)
+        self.owned = set()
+
+
+def build_scene(result: Result, edit: SceneEdit | None = None) -> BuiltScene:
+    """A new scene with the room of ``result`` as changed by ``edit``, in the capture's axes and metres.
+
+    Args:
+        result: ``mesh.uv`` must be set.
+        edit: None leaves the room as recovered.
+    """
+    edit = edit or SceneEdit()
+    before = set(_datablocks())
+    scene = bpy.data.scenes.new("IRIS")
+    room = add_room(result, edit, scene.collection)
+    built = BuiltScene(scene, room)
+    scene.world = make_world(result.outside, edit.outside_scale, np.eye(3))
+    for number, quad in enumerate(edit.lights):
+        built.lights.append(add_quad(quad, f"IRIS Light {number:02d}", scene.collection))
+    for number, sphere in enumerate(edit.spheres):
+        built.inserted.append(add_sphere(sphere, f"IRIS Ball {number:02d}", scene.collection))
+    for placed in edit.objects:
+        built.inserted += load_objects(placed, result.up, scene.collection)
+    built.owned = set(_datablocks()) - before
+    return built
+
+
+def add_room(result: Result, edit: SceneEdit, collection: bpy.types.Collection) -> bpy.types.Object:
+    """The room as one mesh object named "IRIS Room": UV map "IRIS", flat shaded, a material slot per lamp."""
+    data = room_mesh(result.mesh, "IRIS Room")
+    slots, slot_of_face = _face_materials(result, edit)
+    for material in slots:
+        data.materials.append(material)
+    data.polygons.foreach_set("material_index", slot_of_face)
+    room = bpy.data.objects.new("IRIS Room", data)
+    collection.objects.link(room)
+    return room
+
+
+def room_mesh(mesh: Mesh, name: str) -> bpy.types.Mesh:
+    """``mesh`` as a flat-shaded Blender mesh with face order kept and ``mesh.uv`` as UV map "IRIS"."""
+    if mesh.uv is None:
+        raise ValueError("the mesh of a result must have UVs")
+    vertices, faces = _separate_awkward_faces(mesh)
+    n = len(faces)
+    data = bpy.data.meshes.new(name)
+    data.vertices.add(len(vertices))
+    data.vertices.foreach_set("co", vertices.astype(np.float32).ravel())
+    data.loops.add(3 * n)
+    data.loops.foreach_set("vertex_index", faces.astype(np.int32).ravel())
+    data.polygons.add(n)
+    data.polygons.foreach_set("loop_start", np.arange(0, 3 * n, 3, dtype=np.int32))
+    layer = data.uv_layers.new(name=UV_MAP, do_init=False)
+    layer.uv.foreach_set("vector", np.ascontiguousarray(mesh.uv, np.float32).ravel())
+    data.update(calc_edges=True)
+    data.shade_flat()
+    return data
+
+
+def add_quad(quad: Quad, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
+    """A one-sided rectangular light; its winding is made to agree with ``quad.normal``."""
+    corners = np.asarray(quad.corners, float)
+    if np.cross(corners[1] - corners[0], corners[2] - corners[0]) @ quad.normal < 0:
+        corners = corners[::-1]
+    data = bpy.data.meshes.new(name)
+    data.from_pydata(corners.tolist(), [], [(0, 1, 2, 3)])
+    if np.max(quad.radiance) > 0:
+        data.materials.append(one_sided_lamp_material(name, quad.radiance))
+    else:
+        data.materials.append(black_material(name))
+    light = bpy.data.objects.new(name, data)
+    collection.objects.link(light)
+    return light
+
+
+def add_sphere(sphere: Sphere, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
+    """A smooth ball, round to 0.03 % of its radius."""
+    data = bpy.data.meshes.new(name)
+    mesh = bmesh.new()
+    bmesh.ops.create_uvsphere(mesh, u_segments=128, v_segments=64, radius=sphere.radius)
+    mesh.to_mesh(data)
+    mesh.free()
+    data.shade_smooth()
+    data.materials.append(sphere_material(name, sphere))
+    ball = bpy.data.objects.new(name, data)
+    ball.matrix_world = Matrix.Translation(tuple(sphere.center))
+    collection.objects.link(ball)
+    return ball
+
+
+def _face_materials(result: Result, edit: SceneEdit) -> tuple[list[bpy.types.Material], NDArray[np.int32]]:
+    """The materials of the room's slots, and (F,) the slot of each face: 0 the surface, then lamps, then black."""
+    emission = result.face_emission() if edit.face_emission is None else np.asarray(edit.face_emission, float)
+    slot_of_face = np.zeros(len(emission), np.int32)
+    slots = [surface_material(result.textures)]
+
+    lit = np.flatnonzero(emission.max(axis=1) > 0)
+    emitter_of_face = np.full(len(emission), -1)
+    for emitter in result.emitters:
+        emitter_of_face[emitter.faces] = emitter.id
+    lamps, lamp_of_face = np.unique(np.c_[emitter_of_face[lit], emission[lit]], axis=0, return_inverse=True)
+    slot_of_face[lit] = len(slots) + lamp_of_face.ravel()
+    for emitter_id, *radiance in lamps:
+        name = f"IRIS Lamp {int(emitter_id):02d}" if emitter_id >= 0 else "IRIS Lamp"
+        slots.append(lamp_material(name, radiance))
+
+    if edit.black_faces is not None:
+        black = edit.black_faces & (slot_of_face == 0)  # a lamp is black already
+        if black.any():
+            slot_of_face[black] = len(slots)
+            slots.append(black_material())
+    return slots, slot_of_face
+
+
+def _separate_awkward_faces(mesh: Mesh) -> tuple[NDArray[np.floating], NDArray[np.int64]]:
+    """Vertices and faces in which faces Blender calls invalid (a repeated corner, the same corners as another face) have
+    vertices of their own, because it would drop them and so shift the face indices that emitters refer to."""
+    faces = mesh.faces
+    corners = np.sort(faces, axis=1)
+    awkward = (corners[:, 0] == corners[:, 1]) | (corners[:, 1] == corners[:, 2])
+    _, first = np.unique(corners, axis=0, return_index=True)
+    duplicate = np.ones(len(faces), bool)
+    duplicate[first] = False
+    awkward |= duplicate
+    own = mesh.vertices[faces[awkward]].reshape(-1, 3)
+    faces = faces.copy()
+    faces[awkward] = len(mesh.vertices) + np.arange(len(own)).reshape(-1, 3)
+    return np.concatenate([mesh.vertices, own]), faces
+
+
+def _datablocks() -> Iterator[bpy.types.ID]:
+    for kind in (
+        "scenes",
+        "worlds",
+        "objects",
+        "meshes",
+        "materials",
+        "images",
+        "node_groups",
+        "collections",
+        "cameras",
+        "lights",
+    ):
+        yield from getattr(bpy.data, kind)

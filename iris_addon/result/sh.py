@@ -1,0 +1,32 @@
+"""Real spherical harmonics up to order 2, the basis of light from outside the mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def sh_basis(directions: NDArray[np.floating], n: int = 9) -> NDArray[np.float64]:
+    """(..., n) values of the first ``n`` in {1, 4, 9} orthonormal real harmonics at unit ``directions`` (..., 3).
+
+    Order (l, m) = (0,0), (1,-1), (1,0), (1,1), (2,-2), ... and signs as in Ramamoorthi & Hanrahan 2001 (no
+    Condon-Shortley phase): the band-1 functions are +y, +z, +x.
+    """
+    x, y, z = np.moveaxis(np.asarray(directions, np.float64), -1, 0)
+    functions = [
+        np.full_like(x, 0.28209479177387814),
+        0.4886025119029199 * y,
+        0.4886025119029199 * z,
+        0.4886025119029199 * x,
+        1.0925484305920792 * x * y,
+        1.0925484305920792 * y * z,
+        0.31539156525252005 * (3 * z * z - 1),
+        1.0925484305920792 * x * z,
+        0.5462742152960396 * (x * x - y * y),
+    ]
+    return np.stack(functions[:n], -1)
+
+
+def sh_radiance(sh: NDArray[np.floating], directions: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(..., 3) radiance at unit ``directions`` (..., 3) of the expansion ``sh`` (n, 3), clamped at zero."""
+    return np.maximum(sh_basis(directions, len(sh)) @ sh, 0.0)
