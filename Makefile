@@ -1,0 +1,55 @@
+# Everything runs from the repository root through .venv; nothing is installed into the system.
+
+.PHONY: help setup demo test test-all lint format clean
+.DEFAULT_GOAL := help
+
+VENV := .venv
+STAMP := $(VENV)/.installed
+SUPPORTED := import sys; sys.exit(sys.version_info[:2] not in ((3, 11), (3, 13)))
+# A name on PATH may be a shim that does not run, so each candidate is asked.
+PYTHON ?= $(shell for p in python3.11 python3.13 python3 python; do \
+	if $$p -c '$(SUPPORTED)' 2>/dev/null; then echo $$p; break; fi; done)
+
+help:
+	@echo "make setup      create $(VENV) with everything pinned in pyproject.toml"
+	@echo "make demo       solve, relight and report the bundled room into out/demo"
+	@echo "make test       unit tests;  make test-all  the slow ones too"
+	@echo "make lint       ruff and pyright;  make format  let ruff format"
+
+setup: $(STAMP)
+
+# pip has no way to install the dependencies of a project without the project, hence the list written first.
+$(STAMP): pyproject.toml
+	@if [ ! -x $(VENV)/bin/python ]; then \
+		if ! "$(PYTHON)" -c '$(SUPPORTED)' 2>/dev/null; then \
+			echo "error: Python 3.11 or 3.13 is needed, Blender's bpy exists for no other —" \
+				"install one of them, or name it: make setup PYTHON=/path/to/python3.11" >&2; exit 4; fi; \
+		"$(PYTHON)" -m venv $(VENV); fi
+	@$(VENV)/bin/python -c '$(SUPPORTED)' || { \
+		echo "error: $(VENV) has another Python than 3.11 or 3.13 — remove $(VENV) and run make setup again" >&2; exit 4; }
+	@echo "Installing Blender, torch and the rest into $(VENV); the first time takes some minutes."
+	@$(VENV)/bin/python -c 'import tomllib; p = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
+		print(*p["dependencies"], *p["optional-dependencies"]["dev"], sep="\n")' > $(VENV)/requirements.txt
+	@$(VENV)/bin/python -m pip install -qq --disable-pip-version-check -r $(VENV)/requirements.txt
+	@touch $@
+
+demo: $(STAMP)
+	@$(VENV)/bin/python headless/run.py demo
+
+test: $(STAMP)
+	@$(VENV)/bin/python -m pytest
+
+test-all: $(STAMP)
+	@$(VENV)/bin/python -m pytest -m ""
+
+lint: $(STAMP)
+	@$(VENV)/bin/ruff check --quiet
+	@$(VENV)/bin/ruff format --check --quiet
+	@$(VENV)/bin/pyright --warnings
+
+format: $(STAMP)
+	@$(VENV)/bin/ruff check --fix --quiet
+	@$(VENV)/bin/ruff format --quiet
+
+clean:
+	rm -rf out dist .pytest_cache .ruff_cache
