@@ -1,10 +1,8 @@
 """Cycles renders of a hand-made room: the physics, the pixel grid, and what an edit changes."""
 
+import bpy
 import numpy as np
 import pytest
-from blender_room import box, camera, room
-
-bpy = pytest.importorskip("bpy")
 
 from iris_addon.blender.camera import add_camera, look_through, read_camera
 from iris_addon.blender.render import render_linear, render_views, set_cycles
@@ -13,6 +11,7 @@ from iris_addon.capture.types import Mesh
 from iris_addon.result.edits import Quad, SceneEdit, Sphere
 from iris_addon.result.sh import sh_radiance
 from iris_addon.result.types import OutsideLight, Result
+from tests.blender_room import box, camera, room
 
 pytestmark = pytest.mark.bpy
 

@@ -1,7 +1,7 @@
 """Pinhole cameras in and out of Blender, exactly: fx ≠ fy becomes pixel aspect, cx and cy become lens shift.
 
-Blender projects a pixel i of W onto the sensor as ``(sensor / lens) · (i − W/2 + shift_x · fit) / fit`` where ``fit`` is the
-fitted side in pixels, and does the same vertically with pixels ``aspect_y / aspect_x`` as high as they are wide.
+Blender projects a pixel i of W onto the sensor as ``(sensor / lens) · (i − W/2 + shift_x · fit) / fit`` where ``fit``
+is the fitted side in pixels, and does the same vertically with pixels ``aspect_y / aspect_x`` as high as they are wide.
 """
 
 from __future__ import annotations

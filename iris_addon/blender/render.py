@@ -38,8 +38,8 @@ def render_views(
 ) -> list[NDArray[np.float32]]:
     """Path-trace ``result`` as changed by ``edit`` from ``cameras``.
 
-    Same arguments, same pixels. With ``denoise`` the image passes through OpenImageDenoise guided by albedo and normal where
-    the build has it (:func:`iris_addon.blender.version.can_denoise`); where not, it stays noisy.
+    Same arguments, same pixels. With ``denoise`` the image passes through OpenImageDenoise guided by albedo and normal
+    where the build has it (:func:`iris_addon.blender.version.can_denoise`); where not, it stays noisy.
 
     Args:
         cameras: in the capture's axes; each image has its camera's size.
@@ -65,7 +65,7 @@ def render_views(
 def set_cycles(
     scene: bpy.types.Scene, *, samples: int, denoise: bool, seed: int, max_bounces: int, gpu: bool = False
 ) -> None:
-    """Settings for an unbiased and repeatable image: no clamping, no glossy blur, no light left out, fixed sample count."""
+    """Unbiased and repeatable settings: no clamping, no glossy blur, no light left out, a fixed sample count."""
     scene.render.engine = "CYCLES"
     scene.render.use_persistent_data = True  # one BVH for all views
     scene.render.use_compositing = scene.render.use_sequencer = False
@@ -101,7 +101,7 @@ def render_linear(scene: bpy.types.Scene) -> NDArray[np.float32]:
 
 
 def render_coverage(scene: bpy.types.Scene) -> NDArray[np.float32]:
-    """(H, W) alpha of ``scene`` from its active camera; where film is transparent, the share of each pixel that is covered."""
+    """(H, W) alpha of ``scene`` from its active camera: the covered share of each pixel if the film is transparent."""
     return np.ascontiguousarray(_render(scene, "RGBA")[..., 3])
 
 

@@ -1,7 +1,7 @@
 """A solved room as Blender data: mesh, materials, lamps, world, and what an edit adds to it.
 
-Everything is made from the plain arrays of a :class:`~iris_addon.result.types.Result`, in its own scene, so that nothing the
-user has open is touched; :meth:`BuiltScene.free` takes all of it away again.
+Everything is made from the plain arrays of a :class:`~iris_addon.result.types.Result`, in its own scene, so that
+nothing the user has open is touched; :meth:`BuiltScene.free` takes all of it away again.
 """
 
 from __future__ import annotations
@@ -163,8 +163,10 @@ def _face_materials(result: Result, edit: SceneEdit) -> tuple[list[bpy.types.Mat
 
 
 def _separate_awkward_faces(mesh: Mesh) -> tuple[NDArray[np.floating], NDArray[np.int64]]:
-    """Vertices and faces in which faces Blender calls invalid (a repeated corner, the same corners as another face) have
-    vertices of their own, because it would drop them and so shift the face indices that emitters refer to."""
+    """``mesh`` with own vertices for faces that Blender calls invalid: a repeated corner, or another face's corners.
+
+    It would drop them, and so shift the face indices that emitters refer to.
+    """
     faces = mesh.faces
     corners = np.sort(faces, axis=1)
     awkward = (corners[:, 0] == corners[:, 1]) | (corners[:, 1] == corners[:, 2])

@@ -8,7 +8,7 @@ from ..errors import IrisError
 
 
 def node_tree(owner: bpy.types.Material | bpy.types.World) -> bpy.types.NodeTree:
-    """The emptied shader node tree of a material or world. Since 5.0 every new one has a tree and ``use_nodes`` warns."""
+    """The emptied shader node tree of a material or world; since 5.0 each is born with one and ``use_nodes`` warns."""
     if bpy.app.version < (5, 0, 0):
         owner.use_nodes = True
     owner.node_tree.nodes.clear()
@@ -16,7 +16,7 @@ def node_tree(owner: bpy.types.Material | bpy.types.World) -> bpy.types.NodeTree
 
 
 def can_denoise() -> bool:
-    """Whether Cycles of this build has OpenImageDenoise; distributions that package Blender themselves often lack it."""
+    """Whether Cycles of this build has OpenImageDenoise; builds from a distribution often lack it."""
     import _cycles  # the extension module exists only inside Blender
 
     return bool(_cycles.with_openimagedenoise)

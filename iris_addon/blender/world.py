@@ -17,9 +17,9 @@ WIDTH, HEIGHT = 512, 256  # far finer than order 2 needs: Cycles wraps rows too,
 def make_world(outside: OutsideLight | None, scale: float, to_blender: NDArray[np.floating]) -> bpy.types.World:
     """A world that shines ``scale`` times ``outside``; black without it.
 
-    A constant becomes a plain background, higher orders an equirectangular float image. The image is laid out in Blender's
-    own world axes: ``to_blender`` (3, 3) is the rotation from the capture's axes to them, so that turning the room later
-    means turning the panorama by a Mapping node.
+    A constant becomes a plain background, higher orders an equirectangular float image. The image is laid out in
+    Blender's own world axes: ``to_blender`` (3, 3) is the rotation from the capture's axes to them, so that turning
+    the room later means turning the panorama by a Mapping node.
     """
     world = bpy.data.worlds.new("IRIS Outside")
     tree = node_tree(world)
@@ -43,7 +43,7 @@ def make_world(outside: OutsideLight | None, scale: float, to_blender: NDArray[n
 
 
 def equirect_directions(width: int, height: int) -> NDArray[np.float64]:
-    """(height, width, 3) unit directions in Blender's axes that Cycles looks up at the texels of a panorama, +Z on top."""
+    """(height, width, 3) unit directions in Blender's axes of the texels of a panorama in Cycles, +Z on top."""
     azimuth = -2 * np.pi * ((np.arange(width) + 0.5) / width - 0.5)
     polar = np.pi * (np.arange(height) + 0.5) / height
     azimuth, polar = np.meshgrid(azimuth, polar)

@@ -1,0 +1,102 @@
+"""Relighting and insertion jobs in JSON: what they change and what they refuse."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from iris_addon.errors import BadInput
+from iris_addon.result.edits_json import insertion_edits, new_lights_edit, one_emitter_edit, relight_edit
+from tests.blender_room import room
+
+CAPTURE = Path(__file__).parents[2] / "shared/captures/staircase2"
+QUAD = {"corners": [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "normal": [0, 0, -2], "radiance": [1, 2, 3]}
+
+
+@pytest.fixture
+def lit():
+    return room(emission={4: (9, 9, 9), 3: (2, 1, 0)})
+
+
+def test_new_lights_replace_every_lamp_by_the_quads(lit):
+    edit = new_lights_edit(lit, {"new_lights": {"lights": [QUAD]}})
+    assert not edit.face_emission.any()
+    assert np.flatnonzero(edit.black_faces).tolist() == [6, 7, 8, 9]
+    assert edit.outside_scale == 0
+    np.testing.assert_allclose(edit.lights[0].normal, [0, 0, -1])
+
+
+def test_one_emitter_keeps_the_listed_faces_only(lit):
+    edit = one_emitter_edit(lit, {"one_emitter": {"kept_faces_of_scene_ply": [6, 8, 0]}})
+    np.testing.assert_allclose(edit.face_emission[[0, 6, 7, 8, 9]], [[0] * 3, [2, 1, 0], [0] * 3, [9] * 3, [0] * 3])
+    assert np.flatnonzero(edit.black_faces).tolist() == [7, 9]
+    assert edit.outside_scale == 0
+
+
+def test_a_relighting_job_changes_lamps_by_id_after_all(lit):
+    edit = relight_edit(lit, {"recovered": {"all": {"off": True}}, "lights": [QUAD], "outside": 0.25})
+    assert not edit.face_emission.any()
+    assert edit.outside_scale == 0.25
+    edit = relight_edit(lit, {"recovered": {"all": {"scale": 2}, "1": {"color": [0, 0, 1], "scale": 0.5}}})
+    np.testing.assert_allclose(edit.face_emission[8], [18, 18, 18])
+    luminance = 0.2126 * 2 + 0.7152
+    np.testing.assert_allclose(edit.face_emission[6], [0, 0, luminance / 0.0722])
+    assert not edit.black_faces.any()
+    assert relight_edit(lit, {}).face_emission is None
+
+
+def test_parts_of_the_reference_files_are_jobs(lit):
+    part = {"poses": "val/transforms.json", "original_emitters": "off", "lights": [QUAD]}
+    assert not relight_edit(lit, part).face_emission.any()
+    assert relight_edit(lit, {"kept_faces_of_scene_ply": [6]}).face_emission.any(axis=1).sum() == 1
+
+
+def test_insertion_jobs_name_their_view(lit, tmp_path):
+    ball = {"shape": "sphere", "center": [0, 1, 2], "radius": 0.1, "roughness": 0.3}
+    job = {"views": [{"view": 3, "objects": [ball, {"file": "chair.glb", "location": [1, 2, 3], "scale": 2}]}]}
+    ((view, edit),) = insertion_edits(lit, job, tmp_path)
+    assert view == 3
+    assert edit.spheres[0].roughness == 0.3
+    assert edit.objects[0].file == tmp_path / "chair.glb"
+    assert edit.objects[0].scale == (2.0, 2.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("spec", "names"),
+    [
+        ({"recovered": {"7": {"off": True}}}, "'7'"),
+        ({"recovered": {"0": {"on": True}}}, "'on'"),
+        ({"recovered": {"0": {"scale": -1}}}, "recovered.0.scale"),
+        ({"recovered": {"0": {"color": [0, 0]}}}, "recovered.0.color"),
+        ({"lights": [{**QUAD, "corners": [[0, 0, 0]]}]}, "corners"),
+        ({"lights": [{**QUAD, "radiance": [1, 2, float("nan")]}]}, "radiance"),
+        ({"lights": {}}, "lights"),
+        ({"light": []}, "'light'"),
+        ({"kept_faces_of_scene_ply": [99]}, "kept_faces"),
+        ([], "relighting job"),
+    ],
+)
+def test_a_wrong_job_is_refused_by_the_key_that_is_wrong(lit, spec, names):
+    with pytest.raises(BadInput, match=names) as error:
+        relight_edit(lit, spec)
+    assert error.value.fix
+
+
+def test_wrong_objects_are_refused(lit):
+    for thing in ({"center": [0, 0, 0], "radius": 0}, {"shape": "cube"}, {"file": 3}, 7):
+        with pytest.raises(BadInput, match="objects"):
+            insertion_edits(lit, {"objects": [thing]})
+
+
+def test_the_reference_files_of_a_capture_are_read():
+    if not CAPTURE.is_dir():
+        pytest.skip("shared capture staircase2 is not here")
+    result = room(emission={4: (9, 9, 9)})
+    lights = json.loads((CAPTURE / "relight/lights.json").read_text())
+    assert len(new_lights_edit(result, lights).lights) == 2
+    with pytest.raises(BadInput, match="beyond the 12"):
+        one_emitter_edit(result, lights)
+    views = insertion_edits(result, json.loads((CAPTURE / "insert/objects.json").read_text()))
+    assert [view for view, _ in views] == [0, 1, 2, 3]
+    assert all(len(edit.spheres) == 2 for _, edit in views)
