@@ -1,0 +1,204 @@
+"""Ground-truth maps: what the Principled inputs are at the centre of each pixel, exactly.
+
+Every material gets AOV outputs that tap its base colour, roughness and metallic, and Cycles evaluates them with one
+sample per pixel through a filter so narrow that the sample lies in the pixel's centre. Textures and procedural nodes
+need no reimplementation, and the maps agree with rays through pixel centres traced against the exported mesh.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+
+from ..capture.types import Camera
+from ..errors import BadInput, IrisError
+from ..reflectance.ggx import directional_albedo
+from .camera import look_through
+from .render import set_cycles
+from .synth_scene import surface_shader
+
+FloatArray = NDArray[np.floating]
+
+AOVS = {"iris_base_color": "COLOR", "iris_roughness": "VALUE", "iris_metallic": "VALUE"}
+
+
+@dataclass(frozen=True)
+class Maps:
+    """Maps of one view, row 0 on top. Pixels that see nothing are 0.
+
+    Attributes:
+        base_color: (H, W, 3) scene-linear Rec.709; 0 on emitters.
+        roughness: (H, W) Principled roughness; 1 on emitters.
+        metallic: (H, W).
+        emission: (H, W, 3) radiance emitted by the surface seen.
+        material: (H, W) index of the material, from 1; 0 is nothing.
+        normal: (H, W, 3) unit shading normal, world space, towards the viewer.
+        depth: (H, W) metres along the ray.
+        cosine: (H, W) between normal and direction to the viewer.
+        object_index: (H, W) ``pass_index`` of the object seen.
+    """
+
+    base_color: FloatArray
+    roughness: FloatArray
+    metallic: FloatArray
+    emission: FloatArray
+    material: NDArray[np.int64]
+    normal: FloatArray
+    depth: FloatArray
+    cosine: FloatArray
+    object_index: NDArray[np.int64]
+
+    @property
+    def diffuse_albedo(self) -> FloatArray:
+        """(H, W, 3) kd = a (1 − m)."""
+        return self.base_color * (1 - self.metallic[..., None])
+
+    @property
+    def albedo(self) -> FloatArray:
+        """(H, W, 3) directional albedo a' at the view; 0 on emitters and where nothing is seen."""
+        seen = (self.material > 0) & ~(self.emission > 0).any(-1)
+        return directional_albedo(self.base_color, self.roughness, self.metallic, self.cosine) * seen[..., None]
+
+
+# ---- tapping the materials ------------------------------------------------------------------------------------------
+
+Source = bpy.types.NodeSocket | tuple[float, float, float] | float
+
+
+def add_outputs(scene: bpy.types.Scene, materials: Sequence[bpy.types.Material]) -> None:
+    """Give ``materials`` their AOV outputs and ``pass_index`` 1, 2, …, and switch the passes on.
+
+    Raises:
+        BadInput: a surface that the Principled parameters cannot describe.
+    """
+    layer = scene.view_layers[0]
+    layer.use_pass_z = layer.use_pass_normal = layer.use_pass_emit = True
+    layer.use_pass_material_index = layer.use_pass_object_index = True
+    for name, kind in AOVS.items():
+        aov = layer.aovs.get(name) or layer.aovs.add()
+        aov.name, aov.type = name, kind
+    for index, material in enumerate(materials, start=1):
+        material.pass_index = index
+        sources = _principled_inputs(material, surface_shader(material))
+        for (name, kind), source in zip(AOVS.items(), sources, strict=True):
+            output = material.node_tree.nodes.new("ShaderNodeOutputAOV")
+            output.aov_name = name
+            _feed(material.node_tree, source, output.inputs["Color" if kind == "COLOR" else "Value"])
+
+
+def _principled_inputs(material: bpy.types.Material, node: bpy.types.Node | None) -> tuple[Source, Source, Source]:
+    """Base colour, roughness and metallic of the shader tree below ``node``."""
+
+    def source(name: str) -> Source:
+        socket = node.inputs[name]
+        if socket.is_linked:
+            return socket.links[0].from_socket
+        return tuple(socket.default_value[:3]) if socket.type == "RGBA" else socket.default_value
+
+    black = ((0.0, 0.0, 0.0), 1.0, 0.0)
+    kind = node.bl_idname if node is not None else ""
+    if kind in ("", "ShaderNodeEmission"):
+        return black
+    if kind == "ShaderNodeBsdfPrincipled":
+        return source("Base Color"), source("Roughness"), source("Metallic")
+    if kind == "ShaderNodeBsdfDiffuse":
+        return source("Color"), 1.0, 0.0
+    if kind == "ShaderNodeBsdfAnisotropic":  # the Glossy BSDF
+        return source("Color"), source("Roughness"), 1.0
+    if kind == "ShaderNodeMixShader":
+        sides = [_principled_inputs(material, s.links[0].from_node if s.is_linked else None) for s in node.inputs[1:3]]
+        return tuple(_mix(material.node_tree, node.inputs[0], a, b) for a, b in zip(*sides, strict=True))
+    raise BadInput(
+        f"material '{material.name}' has a {node.bl_label} surface, for which there is no ground truth",
+        "use a Principled BSDF there",
+        bpy.data.filepath or None,
+    )
+
+
+def _mix(tree: bpy.types.NodeTree, factor: bpy.types.NodeSocket, a: Source, b: Source) -> Source:
+    mix = tree.nodes.new("ShaderNodeMixRGB")
+    _feed(tree, factor.links[0].from_socket if factor.is_linked else factor.default_value, mix.inputs[0])
+    _feed(tree, a, mix.inputs[1])
+    _feed(tree, b, mix.inputs[2])
+    return mix.outputs[0]
+
+
+def _feed(tree: bpy.types.NodeTree, source: Source, target: bpy.types.NodeSocket) -> None:
+    if isinstance(source, bpy.types.NodeSocket):
+        tree.links.new(source, target)
+    elif target.type == "RGBA":
+        target.default_value = (*source, 1.0) if isinstance(source, tuple) else (source, source, source, 1.0)
+    else:
+        target.default_value = source
+
+
+# ---- rendering ------------------------------------------------------------------------------------------------------
+
+
+def render_maps(scene: bpy.types.Scene, camera: Camera, camera_object: bpy.types.Object) -> Maps:
+    """Maps of ``scene``, whose materials went through :func:`add_outputs`, as ``camera`` sees it."""
+    set_cycles(scene, samples=1, denoise=False, seed=0, max_bounces=0)
+    scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BLACKMAN_HARRIS", 0.01
+    look_through(scene, camera, camera_object)
+    passes = render_passes(scene)
+
+    _, directions = camera.rays()
+    directions = directions.reshape(camera.height, camera.width, 3)
+    material = np.rint(passes["Material Index"][..., 0]).astype(int)
+    seen = material > 0
+    forward = -camera.c2w[:3, 2]
+    depth = np.where(seen, passes["Depth"][..., 0] / (directions @ forward), 0.0)
+    normal = passes["Normal"] * seen[..., None]
+    cosine = -np.sum(normal * directions, -1)
+    emission = passes["Emission"][..., :3]
+    lit = (emission > 0).any(-1)
+    return Maps(
+        base_color=np.where(lit[..., None], 0.0, passes["iris_base_color"][..., :3]),
+        roughness=np.where(lit, 1.0, passes["iris_roughness"][..., 0]),
+        metallic=np.where(lit, 0.0, passes["iris_metallic"][..., 0]),
+        emission=emission,
+        material=material,
+        normal=normal * np.where(cosine < 0, -1, 1)[..., None],
+        depth=depth,
+        cosine=np.abs(cosine),
+        object_index=np.rint(passes["Object Index"][..., 0]).astype(int),
+    )
+
+
+PASS_ALIASES = {"IndexMA": "Material Index", "IndexOB": "Object Index", "Emit": "Emission"}  # names before Blender 5.0
+
+
+def render_passes(scene: bpy.types.Scene) -> dict[str, NDArray[np.float32]]:
+    """Render ``scene`` from its active camera; (H, W, C) per pass by the pass's name in Blender 5."""
+    settings = scene.render.image_settings
+    with tempfile.TemporaryDirectory(prefix="iris-") as folder:
+        path = Path(folder) / "passes.exr"
+        if hasattr(settings, "media_type"):  # Blender 5.0
+            settings.media_type = "MULTI_LAYER_IMAGE"
+        settings.file_format = "OPEN_EXR_MULTILAYER"
+        settings.color_depth, settings.exr_codec = "32", "NONE"
+        scene.render.filepath = str(path)
+        try:
+            bpy.ops.render.render(scene=scene.name, write_still=True)
+        finally:
+            if hasattr(settings, "media_type"):
+                settings.media_type = "IMAGE"
+        if not path.is_file():
+            raise IrisError("Cycles gave no image", "look at Blender's console for the reason, often memory")
+        channels: dict[str, dict[str, NDArray]] = {}
+        for part in OpenEXR.File(str(path), separate_channels=True).parts:
+            for name, channel in part.channels.items():
+                *_layer, pass_name, component = name.split(".")
+                channels.setdefault(PASS_ALIASES.get(pass_name, pass_name), {})[component] = channel.pixels
+    order = "RGBAXYZWV"
+    return {
+        name: np.stack([found[c] for c in sorted(found, key=order.index)], -1).astype(np.float32)
+        for name, found in channels.items()
+    }
