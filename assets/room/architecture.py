@@ -26,7 +26,9 @@ def shell(m: SimpleNamespace) -> None:
     x0, x1, z0, z1 = WINDOW
     xs, zs = (0, x0, x1, w), (0, z0, z1, h)
     vertices = [(x, d, z) for z in zs for x in xs]
-    faces = [(4 * r + c, 4 * r + c + 1, 4 * r + c + 5, 4 * r + c + 4) for r in range(3) for c in range(3) if (r, c) != (1, 1)]
+    faces = [
+        (4 * r + c, 4 * r + c + 1, 4 * r + c + 5, 4 * r + c + 4) for r in range(3) for c in range(3) if (r, c) != (1, 1)
+    ]
     start = len(vertices)
     corners = [(x0, z0), (x1, z0), (x1, z1), (x0, z1)]
     vertices += [(x, y, z) for y in (d, d + REVEAL) for x, z in corners]
@@ -57,9 +59,24 @@ def window(m: SimpleNamespace) -> None:
     cylinder("curtain rail", (0.95, rail, 2.36), (4.05, rail, 2.36), 0.012, m.steel)
     for x in (0.95, 4.05):
         ball(f"curtain finial {x}", (x, rail, 2.36), 0.028, m.steel, subdivisions=2)
-        cylinder(f"curtain bracket {x}", (x + math.copysign(0.06, 2.5 - x), rail, 2.36), (x + math.copysign(0.06, 2.5 - x), DEPTH, 2.36), 0.008, m.steel)
+        cylinder(
+            f"curtain bracket {x}",
+            (x + math.copysign(0.06, 2.5 - x), rail, 2.36),
+            (x + math.copysign(0.06, 2.5 - x), DEPTH, 2.36),
+            0.008,
+            m.steel,
+        )
     for name, start, end in (("left", 1.04, 1.6), ("right", 3.4, 3.96)):
-        sheet(f"curtain {name}", (start, rail - 0.035), (end, rail - 0.035), (0.03, 2.345), m.curtain, waves=6, depth=0.07, side=(0, 1))
+        sheet(
+            f"curtain {name}",
+            (start, rail - 0.035),
+            (end, rail - 0.035),
+            (0.03, 2.345),
+            m.curtain,
+            waves=6,
+            depth=0.07,
+            side=(0, 1),
+        )
 
 
 def door(m: SimpleNamespace) -> None:
@@ -106,11 +123,30 @@ def radiator(m: SimpleNamespace) -> None:
 def lamps(m: SimpleNamespace) -> None:
     """A ceiling lamp and a floor lamp with an opal globe."""
     centre = (2.55, 1.95)
-    rim = [(0.0, 2.7), (0.29, 2.7), (0.30, 2.69), (0.30, 2.615), (0.295, 2.61), (0.275, 2.61), (0.27, 2.615), (0.27, 2.64), (0.0, 2.645)]
+    rim = [
+        (0.0, 2.7),
+        (0.29, 2.7),
+        (0.30, 2.69),
+        (0.30, 2.615),
+        (0.295, 2.61),
+        (0.275, 2.61),
+        (0.27, 2.615),
+        (0.27, 2.64),
+        (0.0, 2.645),
+    ]
     lathe("ceiling lamp rim", rim, (*centre, 0), m.brass, segments=48)
     lathe("ceiling lamp disc", [(0.0, 2.622), (0.266, 2.622)], (*centre, 0), m.pendant, segments=48)
     foot = (0.42, 3.52)
-    profile = [(0.0, 0.0), (0.15, 0.0), (0.155, 0.006), (0.155, 0.018), (0.14, 0.026), (0.03, 0.034), (0.016, 0.06), (0.0125, 0.09)]
+    profile = [
+        (0.0, 0.0),
+        (0.15, 0.0),
+        (0.155, 0.006),
+        (0.155, 0.018),
+        (0.14, 0.026),
+        (0.03, 0.034),
+        (0.016, 0.06),
+        (0.0125, 0.09),
+    ]
     profile += [(0.0125, 1.36), (0.02, 1.375), (0.055, 1.39), (0.06, 1.41), (0.0, 1.412)]
     lathe("floor lamp stand", profile, (*foot, 0), m.steel, segments=32)
     ball("floor lamp globe", (*foot, 1.528), 0.135, m.globe, subdivisions=3)

@@ -1,4 +1,4 @@
-"""What stands in the room. Coordinates are those of architecture.py."""
+"""Sofa, tables, chairs and shelf, with what lies on them. Coordinates are those of architecture.py."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from .shapes import ball, box, cushion, cylinder, from_arrays, lathe, panel, tube
+from .shapes import ball, box, cushion, cylinder, lathe, panel, tube
 
 
 def sofa(m: SimpleNamespace) -> None:
@@ -16,7 +16,9 @@ def sofa(m: SimpleNamespace) -> None:
     box("sofa base", (x0, y0, 0.14), (0.92, y1, 0.30), m.linen, bevel=0.02, segments=3)
     box("sofa back", (x0, y0, 0.30), (0.24, y1, 0.80), m.linen, bevel=0.05, segments=4)
     for name, a, b in (("near", y0, y0 + 0.18), ("far", y1 - 0.18, y1)):
-        box(f"sofa arm {name}", (x0 + 0.005, a - 0.005, 0.145), (0.93, b + 0.005, 0.60), m.linen, bevel=0.05, segments=4)
+        box(
+            f"sofa arm {name}", (x0 + 0.005, a - 0.005, 0.145), (0.93, b + 0.005, 0.60), m.linen, bevel=0.05, segments=4
+        )
     span = (y1 - y0 - 0.36) / 3
     for k in range(3):
         y = y0 + 0.18 + span * (k + 0.5)
@@ -38,14 +40,38 @@ def coffee_table(m: SimpleNamespace) -> None:
     for x in (1.42, 1.955):
         for y in (1.24, 2.375):
             box(f"coffee table leg {x} {y}", (x, y, 0.012), (x + 0.025, y + 0.025, 0.385), m.graphite, bevel=0.003)
-    bowl = [(0.0, 0.002), (0.055, 0.0), (0.06, 0.012), (0.1, 0.03), (0.145, 0.065), (0.172, 0.105), (0.168, 0.107), (0.14, 0.071), (0.095, 0.038), (0.05, 0.022), (0.0, 0.02)]
+    bowl = [
+        (0.0, 0.002),
+        (0.055, 0.0),
+        (0.06, 0.012),
+        (0.1, 0.03),
+        (0.145, 0.065),
+        (0.172, 0.105),
+        (0.168, 0.107),
+        (0.14, 0.071),
+        (0.095, 0.038),
+        (0.05, 0.022),
+        (0.0, 0.02),
+    ]
     lathe("brass bowl", bowl, (1.68, 1.98, 0.42), m.brass, segments=48)
     for k, (x, y, z) in enumerate(((1.645, 1.96, 0.478), (1.722, 1.99, 0.480), (1.672, 2.04, 0.489))):
         ball(f"lemon {k}", (x, y, z), 0.037, m.lemon)
     box("book on table", (1.56, 1.38, 0.42), (1.78, 1.68, 0.448), m.books[1], bevel=0.002, turn=0.2)
     box("upper book on table", (1.585, 1.42, 0.448), (1.765, 1.66, 0.471), m.books[2], bevel=0.002, turn=-0.12)
     box("magazine", (1.5, 1.7, 0.168), (1.72, 2.0, 0.176), m.books[0], bevel=0.001, turn=0.35)
-    vase = [(0.0, 0.0), (0.038, 0.0), (0.05, 0.02), (0.062, 0.07), (0.055, 0.12), (0.03, 0.17), (0.022, 0.21), (0.03, 0.235), (0.025, 0.235), (0.017, 0.21), (0.0, 0.2)]
+    vase = [
+        (0.0, 0.0),
+        (0.038, 0.0),
+        (0.05, 0.02),
+        (0.062, 0.07),
+        (0.055, 0.12),
+        (0.03, 0.17),
+        (0.022, 0.21),
+        (0.03, 0.235),
+        (0.025, 0.235),
+        (0.017, 0.21),
+        (0.0, 0.2),
+    ]
     lathe("table vase", vase, (1.86, 2.27, 0.42), m.clay)
 
 
@@ -78,13 +104,44 @@ def chair(m: SimpleNamespace, name: str, x: float, y: float, turn: float) -> Non
 def dining_table(m: SimpleNamespace) -> None:
     """Round oak table with two chairs, a kettle, cups and a plate."""
     cx, cy = 3.78, 2.62
-    lathe("dining table top", [(0.0, 0.71), (0.46, 0.71), (0.475, 0.722), (0.475, 0.735), (0.465, 0.745), (0.0, 0.745)], (cx, cy, 0), m.cream, segments=56)
-    stem = [(0.0, 0.0), (0.26, 0.0), (0.265, 0.012), (0.25, 0.022), (0.06, 0.045), (0.035, 0.09), (0.035, 0.66), (0.12, 0.71), (0.0, 0.71)]
+    lathe(
+        "dining table top",
+        [(0.0, 0.71), (0.46, 0.71), (0.475, 0.722), (0.475, 0.735), (0.465, 0.745), (0.0, 0.745)],
+        (cx, cy, 0),
+        m.cream,
+        segments=56,
+    )
+    stem = [
+        (0.0, 0.0),
+        (0.26, 0.0),
+        (0.265, 0.012),
+        (0.25, 0.022),
+        (0.06, 0.045),
+        (0.035, 0.09),
+        (0.035, 0.66),
+        (0.12, 0.71),
+        (0.0, 0.71),
+    ]
     lathe("dining table stem", stem, (cx, cy, 0), m.graphite, segments=40)
     chair(m, "chair near", 3.62, 1.98, 0.1)
     chair(m, "chair far", 4.44, 2.9, 1.95)
     z = 0.745
-    body = [(0.0, 0.0), (0.092, 0.0), (0.102, 0.012), (0.104, 0.05), (0.092, 0.1), (0.066, 0.138), (0.05, 0.146), (0.048, 0.15), (0.02, 0.16), (0.008, 0.165), (0.008, 0.172), (0.017, 0.178), (0.017, 0.19), (0.0, 0.196)]
+    body = [
+        (0.0, 0.0),
+        (0.092, 0.0),
+        (0.102, 0.012),
+        (0.104, 0.05),
+        (0.092, 0.1),
+        (0.066, 0.138),
+        (0.05, 0.146),
+        (0.048, 0.15),
+        (0.02, 0.16),
+        (0.008, 0.165),
+        (0.008, 0.172),
+        (0.017, 0.178),
+        (0.017, 0.19),
+        (0.0, 0.196),
+    ]
     lathe("copper kettle", body, (3.7, 2.75, z), m.copper, segments=48)
     s = np.linspace(0, 1, 12)
     spout = np.stack([3.7 + 0.085 + 0.095 * s, 2.75 + 0.02 * s, z + 0.06 + 0.085 * s**1.5], -1)
@@ -116,79 +173,39 @@ def bookshelf(m: SimpleNamespace) -> None:
             thickness, height, deep = random.uniform(0.02, 0.05), random.uniform(0.2, 0.31), random.uniform(0.16, 0.22)
             cover = m.books[int(random.integers(len(m.books)))]
             z = levels[level] + 0.024
-            box(f"book {level} {x:.3f}", (x, 0.2 + 0.05 - deep, z), (x + thickness, 0.25, z + height), cover, bevel=0.002, segments=1)
+            box(
+                f"book {level} {x:.3f}",
+                (x, 0.2 + 0.05 - deep, z),
+                (x + thickness, 0.25, z + height),
+                cover,
+                bevel=0.002,
+                segments=1,
+            )
             x += thickness + 0.0015
     ball("shelf ball", (2.35, 0.17, levels[1] + 0.024 + 0.085), 0.085, m.steel)
-    jar = [(0.0, 0.0), (0.06, 0.0), (0.085, 0.03), (0.095, 0.09), (0.075, 0.16), (0.045, 0.185), (0.052, 0.205), (0.046, 0.205), (0.038, 0.185), (0.0, 0.175)]
+    jar = [
+        (0.0, 0.0),
+        (0.06, 0.0),
+        (0.085, 0.03),
+        (0.095, 0.09),
+        (0.075, 0.16),
+        (0.045, 0.185),
+        (0.052, 0.205),
+        (0.046, 0.205),
+        (0.038, 0.185),
+        (0.0, 0.175),
+    ]
     lathe("shelf jar", jar, (1.56, 0.16, levels[2] + 0.024), m.clay)
-    lathe("shelf pot", [(0.0, 0.0), (0.07, 0.0), (0.085, 0.13), (0.078, 0.13), (0.065, 0.01), (0.0, 0.01)], (2.3, 0.16, levels[3] + 0.024), m.terracotta)
+    lathe(
+        "shelf pot",
+        [(0.0, 0.0), (0.07, 0.0), (0.085, 0.13), (0.078, 0.13), (0.065, 0.01), (0.0, 0.01)],
+        (2.3, 0.16, levels[3] + 0.024),
+        m.terracotta,
+    )
     box("shelf box", (2.45, 0.06, levels[3] + 0.024), (2.69, 0.26, levels[3] + 0.17), m.graphite, bevel=0.006)
-
-
-def plant(m: SimpleNamespace) -> None:
-    """Pot on a side table, arching blades."""
-    at = np.array([0.42, 0.46, 0.0])
-    lathe("side table top", [(0.0, 0.48), (0.235, 0.48), (0.24, 0.488), (0.24, 0.50), (0.235, 0.505), (0.0, 0.505)], at, m.walnut, segments=48)
-    for k in range(3):
-        a = 2 * math.pi * k / 3 + 0.4
-        foot, head = (0.22, 0.09)
-        cylinder(f"side table leg {k}", at + (foot * math.cos(a), foot * math.sin(a), 0), at + (head * math.cos(a), head * math.sin(a), 0.482), 0.013, m.walnut)
-    pot = [(0.0, 0.0), (0.08, 0.0), (0.115, 0.15), (0.12, 0.17), (0.11, 0.17), (0.105, 0.15), (0.0, 0.148)]
-    lathe("plant pot", pot, at + (0, 0, 0.505), m.terracotta)
-    lathe("plant soil", [(0.0, 0.158), (0.106, 0.1545)], at + (0, 0, 0.505), m.soil)
-    random = np.random.default_rng(11)
-    for k in range(18):
-        turn, length, droop = 2.4 * k, random.uniform(0.38, 0.62), random.uniform(0.35, 1.1)
-        lean = random.uniform(0.25, 0.75)
-        s = np.linspace(0, 1, 9)
-        out = length * np.sin(lean) * s + 0.16 * droop * s**2 * length
-        up = length * np.cos(lean) * s - 0.55 * droop * s**2.2 * length
-        width = 0.032 * np.sin(np.pi * np.clip(s * 0.93 + 0.07, 0, 1)) ** 0.8
-        direction, across = np.array([math.cos(turn), math.sin(turn), 0]), np.array([-math.sin(turn), math.cos(turn), 0])
-        spine = at + (0, 0, 0.655) + 0.03 * direction + out[:, None] * direction + up[:, None] * np.array([0, 0, 1.0])
-        spine[:, :2] = np.maximum(spine[:, :2], 0.05)
-        fold = np.array([0, 0, 1.0]) * (0.25 * width)[:, None]
-        points = np.concatenate([spine - width[:, None] * across + fold, spine, spine + width[:, None] * across + fold])
-        faces = [(r * 9 + i, r * 9 + i + 1, (r + 1) * 9 + i + 1, (r + 1) * 9 + i) for r in range(2) for i in range(8)]
-        from_arrays(f"leaf {k}", points, faces, m.leaf, smooth=True)
-
-
-def picture(m: SimpleNamespace) -> None:
-    """Framed landscape above the sofa, a clock on the right wall."""
-    y0, y1, z0, z1, bar = 1.42, 2.58, 1.2, 2.0, 0.04
-    panel("picture", [(0.016, y0, z0), (0.016, y1, z0), (0.016, y1, z1), (0.016, y0, z1)], m.picture)
-    box("picture backing", (0.0, y0, z0), (0.014, y1, z1), m.graphite, bevel=0.0)
-    box("picture frame bottom", (0.0, y0 - bar, z0 - bar), (0.032, y1 + bar, z0), m.walnut)
-    box("picture frame top", (0.0, y0 - bar, z1), (0.032, y1 + bar, z1 + bar), m.walnut)
-    box("picture frame near", (0.0, y0 - bar, z0), (0.032, y0, z1), m.walnut)
-    box("picture frame far", (0.0, y1, z0), (0.032, y1 + bar, z1), m.walnut)
-    x, y, z = 4.998, 2.45, 1.72
-    face = lathe("clock", [(0.0, 0.0), (0.15, 0.0), (0.155, 0.01), (0.155, 0.032), (0.145, 0.034), (0.14, 0.022), (0.0, 0.022)], (0, 0, 0), m.trim, segments=48)
-    face.rotation_euler, face.location = (0, -math.pi / 2, 0), (x, y, z)
-    box("clock hour hand", (x - 0.03, y - 0.006, z), (x - 0.026, y + 0.006, z + 0.08), m.graphite, bevel=0.0)
-    box("clock minute hand", (x - 0.034, y, z - 0.005), (x - 0.031, y + 0.115, z + 0.005), m.graphite, bevel=0.0)
-
-
-def odds_and_ends(m: SimpleNamespace) -> None:
-    """Pouf, floor vase, sideboard with a ball and a bowl."""
-    pouf = [(0.0, 0.0), (0.22, 0.0), (0.25, 0.02), (0.265, 0.08), (0.27, 0.19), (0.265, 0.3), (0.25, 0.35), (0.2, 0.378), (0.1, 0.388), (0.0, 0.39)]
-    lathe("pouf", pouf, (2.55, 0.95, 0.0125), m.terracotta, segments=48)
-    vase = [(0.0, 0.0), (0.1, 0.0), (0.13, 0.03), (0.165, 0.15), (0.17, 0.26), (0.14, 0.4), (0.085, 0.52), (0.065, 0.58), (0.08, 0.63), (0.072, 0.63), (0.055, 0.58), (0.0, 0.56)]
-    lathe("floor vase", vase, (4.62, 3.66, 0), m.clay, segments=48)
-    box("sideboard", (3.25, 0.02, 0.12), (4.45, 0.42, 0.70), m.walnut, bevel=0.005)
-    for k in range(3):
-        x = 3.27 + 0.39 * k
-        box(f"sideboard front {k}", (x, 0.42, 0.14), (x + 0.38, 0.436, 0.68), m.trim, bevel=0.003)
-        ball(f"sideboard knob {k}", (x + 0.335, 0.447, 0.43), 0.013, m.brass, subdivisions=2)
-    for x in (3.33, 4.33):
-        for y in (0.07, 0.34):
-            box(f"sideboard leg {x} {y}", (x, y, 0.0), (x + 0.04, y + 0.04, 0.12), m.walnut)
-    ball("sideboard ball", (3.5, 0.2, 0.70 + 0.11), 0.11, m.cream)
-    dish = [(0.0, 0.0), (0.07, 0.0), (0.08, 0.01), (0.15, 0.055), (0.19, 0.07), (0.185, 0.074), (0.14, 0.06), (0.07, 0.018), (0.0, 0.015)]
-    lathe("steel dish", dish, (4.1, 0.22, 0.70), m.steel, segments=48)
 
 
 def build(m: SimpleNamespace) -> None:
     """All furniture."""
-    for piece in (sofa, coffee_table, dining_table, bookshelf, plant, picture, odds_and_ends):
+    for piece in (sofa, coffee_table, dining_table, bookshelf):
         piece(m)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -32,7 +33,14 @@ def from_arrays(
 
 
 def box(
-    name: str, low: Vec, high: Vec, material: bpy.types.Material, *, bevel: float = 0.004, segments: int = 2, turn: float = 0.0
+    name: str,
+    low: Vec,
+    high: Vec,
+    material: bpy.types.Material,
+    *,
+    bevel: float = 0.004,
+    segments: int = 2,
+    turn: float = 0.0,
 ) -> bpy.types.Object:
     """Axis-aligned box with rounded edges, turned by ``turn`` radians about the vertical through its centre.
 
@@ -44,7 +52,9 @@ def box(
     bmesh.ops.scale(bm, vec=Vector(size), verts=bm.verts)
     if bevel > 0:
         width = min(bevel, 0.45 * float(size.min()))
-        bmesh.ops.bevel(bm, geom=bm.edges[:], offset=width, segments=segments, profile=0.5, affect="EDGES", clamp_overlap=True)
+        bmesh.ops.bevel(
+            bm, geom=bm.edges[:], offset=width, segments=segments, profile=0.5, affect="EDGES", clamp_overlap=True
+        )
     box_uv(bm, along=int(size.argmax()), origin=centre)
     mesh = bpy.data.meshes.new(name)
     bm.to_mesh(mesh)
@@ -65,7 +75,9 @@ def box_uv(bm: bmesh.types.BMesh, along: int, origin: Vec) -> None:
             loop[layer].uv = (loop.vert.co[u] + origin[u], loop.vert.co[v] + origin[v])
 
 
-def panel(name: str, corners: Sequence[Vec], material: bpy.types.Material, size: tuple[float, float] | None = None) -> bpy.types.Object:
+def panel(
+    name: str, corners: Sequence[Vec], material: bpy.types.Material, size: tuple[float, float] | None = None
+) -> bpy.types.Object:
     """Flat quad; UVs span [0, 1]², or metres when ``size`` is given. Corners counter-clockwise from bottom left."""
     thing = from_arrays(name, np.array(corners), [(0, 1, 2, 3)], material)
     u, v = size or (1.0, 1.0)
@@ -84,11 +96,15 @@ def lathe(
     rings: list[list[int]] = []
     for radius, height in profile:
         start = len(vertices)
-        ring = [(0.0, 0.0, height)] if radius == 0 else [(radius * math.cos(a), radius * math.sin(a), height) for a in angles]
+        ring = (
+            [(0.0, 0.0, height)]
+            if radius == 0
+            else [(radius * math.cos(a), radius * math.sin(a), height) for a in angles]
+        )
         vertices += ring
         rings.append(list(range(start, start + len(ring))) * (segments if len(ring) == 1 else 1))
     faces = []
-    for lower, upper in zip(rings, rings[1:], strict=False):
+    for lower, upper in itertools.pairwise(rings):
         for k in range(segments):
             n = (k + 1) % segments
             corners = [lower[k], lower[n], upper[n], upper[k]]
@@ -99,7 +115,14 @@ def lathe(
 
 
 def cylinder(
-    name: str, start: Vec, end: Vec, radius: float, material: bpy.types.Material, *, segments: int = 16, top: float | None = None
+    name: str,
+    start: Vec,
+    end: Vec,
+    radius: float,
+    material: bpy.types.Material,
+    *,
+    segments: int = 16,
+    top: float | None = None,
 ) -> bpy.types.Object:
     """Closed cylinder (or cone, with another radius at its end) between two points."""
     axis = Vector(np.subtract(end, start))
@@ -110,7 +133,9 @@ def cylinder(
     return thing
 
 
-def tube(name: str, path: NDArray, radius: float, material: bpy.types.Material, *, segments: int = 10) -> bpy.types.Object:
+def tube(
+    name: str, path: NDArray, radius: float, material: bpy.types.Material, *, segments: int = 10
+) -> bpy.types.Object:
     """Round tube along (n, 3) points, ends closed."""
     path = np.asarray(path, dtype=float)
     tangent = np.gradient(path, axis=0)
@@ -128,7 +153,9 @@ def tube(name: str, path: NDArray, radius: float, material: bpy.types.Material, 
     return from_arrays(name, np.array(vertices), faces, material, smooth=True)
 
 
-def ball(name: str, centre: Vec, radius: float, material: bpy.types.Material, *, subdivisions: int = 3) -> bpy.types.Object:
+def ball(
+    name: str, centre: Vec, radius: float, material: bpy.types.Material, *, subdivisions: int = 3
+) -> bpy.types.Object:
     """Icosphere."""
     bm = bmesh.new()
     bmesh.ops.create_icosphere(bm, subdivisions=subdivisions, radius=radius)
@@ -141,7 +168,14 @@ def ball(name: str, centre: Vec, radius: float, material: bpy.types.Material, *,
 
 
 def cushion(
-    name: str, centre: Vec, size: Vec, material: bpy.types.Material, *, turn: float = 0.0, tilt: float = 0.0, square: float = 0.45
+    name: str,
+    centre: Vec,
+    size: Vec,
+    material: bpy.types.Material,
+    *,
+    turn: float = 0.0,
+    tilt: float = 0.0,
+    square: float = 0.45,
 ) -> bpy.types.Object:
     """Soft pillow: a superellipsoid (``square`` → 0 is a box, 1 an ellipsoid), tilted about y, then turned about z."""
     n = 20
@@ -167,12 +201,22 @@ def cushion(
     box_uv(bm, along=int(np.argmax(size)), origin=(0, 0, 0))
     bm.to_mesh(thing.data)
     bm.free()
-    thing.matrix_world = Matrix.Translation(Vector(centre)) @ Matrix.Rotation(turn, 4, "Z") @ Matrix.Rotation(tilt, 4, "Y")
+    thing.matrix_world = (
+        Matrix.Translation(Vector(centre)) @ Matrix.Rotation(turn, 4, "Z") @ Matrix.Rotation(tilt, 4, "Y")
+    )
     return thing
 
 
 def sheet(
-    name: str, start: Vec, end: Vec, z: tuple[float, float], material: bpy.types.Material, *, waves: int, depth: float, side: Vec
+    name: str,
+    start: Vec,
+    end: Vec,
+    z: tuple[float, float],
+    material: bpy.types.Material,
+    *,
+    waves: int,
+    depth: float,
+    side: Vec,
 ) -> bpy.types.Object:
     """Hanging curtain between two points of the plan: folds of ``depth`` towards ``side``, wider at the hem."""
     columns, rows = waves * 12 + 1, 8

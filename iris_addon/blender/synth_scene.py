@@ -87,7 +87,9 @@ def read_geometry(scene: bpy.types.Scene) -> SceneGeometry:
     """
     pieces = sorted(_pieces(scene), key=lambda piece: bool(piece.radiance.any()))  # stable: lamps go last
     if not pieces:
-        raise BadInput("the scene has no visible mesh", "make its objects visible in renders", bpy.data.filepath or None)
+        raise BadInput(
+            "the scene has no visible mesh", "make its objects visible in renders", bpy.data.filepath or None
+        )
     materials = tuple({piece.material.name: piece.material for piece in pieces}.values())
     index = {material.name: k + 1 for k, material in enumerate(materials)}
     emitters: list[SceneEmitter] = []
@@ -161,7 +163,10 @@ def emitted_radiance(material: bpy.types.Material) -> NDArray[np.float64]:
             continue
         if node.bl_idname in ("ShaderNodeMixShader", "ShaderNodeAddShader"):
             pending += [link.from_node for socket in node.inputs if socket.type == "SHADER" for link in socket.links]
-        names = {"ShaderNodeEmission": ("Color", "Strength"), "ShaderNodeBsdfPrincipled": ("Emission Color", "Emission Strength")}
+        names = {
+            "ShaderNodeEmission": ("Color", "Strength"),
+            "ShaderNodeBsdfPrincipled": ("Emission Color", "Emission Strength"),
+        }
         if node.bl_idname not in names:
             continue
         color, strength = (node.inputs[name] for name in names[node.bl_idname])
