@@ -1,0 +1,263 @@
+"""A result on disk: the folder every later command starts from.
+
+::
+
+    report.json      schema_version and Result.report
+    response.json    family, coefficients, samples, exposures and white balance per photo
+    emitters.json    id, faces, radiance, area, confidence; light from outside as spherical harmonics
+    materials/       base_color.exr, roughness.png, metallic.png, confidence.png, emission.exr, mesh.glb
+
+Saving moves finished files in place, report.json last: a folder without report.json is no result. Loading trusts
+nothing it reads, and needs numpy alone if it is handed a reader of images, because Blender's Python has no more.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import struct
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..capture.types import Mesh
+from ..errors import BadInput, IrisError
+from ..response.curve import N_SAMPLES, Response
+from .glb import encode_glb, read_glb
+from .json_files import MEND, dump_json, from_ranges, json_object, numbers, read_json, to_ranges
+from .types import Emitter, OutsideLight, Result, Textures
+
+SCHEMA_VERSION = 1
+MAX_TEXTURE_SIDE = 16384
+EMISSION_SIDE = 1024
+"""Side of the emission picture in texels; what emits is said exactly by emitters.json."""
+
+MAPS = {"roughness": "roughness.png", "metallic": "metallic.png", "confidence": "confidence.png"}
+
+ReadImage = Callable[[Path], NDArray[np.floating]]
+"""(H, W) or (H, W, C) of an image file: floats of an EXR, PNG code values divided by their maximum; row 0 on top."""
+
+
+# ---- saving --------------------------------------------------------------------------------------------------------
+
+
+def save_result(result: Result, folder: Path) -> None:
+    """Write ``result`` as the result folder ``folder``.
+
+    Base colour keeps half precision, the other textures 16 bit; everything else is exact.
+
+    Raises:
+        IrisError: the disk is full or the folder not writable. What was in the folder before is untouched.
+    """
+    folder = Path(folder)
+    staging: Path | None = None
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        staging = Path(tempfile.mkdtemp(prefix=".tmp-", dir=folder))
+        _write_all(result, staging)
+        (folder / "materials").mkdir(exist_ok=True)
+        # Between the first and the last move the folder is a mixture, which must not pass for a result.
+        (folder / "report.json").unlink(missing_ok=True)
+        names = sorted(str(path.relative_to(staging)) for path in staging.rglob("*") if path.is_file())
+        for name in sorted(names, key=lambda name: name == "report.json"):
+            os.replace(staging / name, folder / name)
+    except OSError as error:
+        fix = "free some space and run again" if error.errno == errno.ENOSPC else "check the folder and its permissions"
+        raise IrisError(f"the result cannot be written ({error.strerror or error})", fix, folder) from error
+    finally:
+        if staging is not None:
+            shutil.rmtree(staging, ignore_errors=True)
+
+
+def _write_all(result: Result, folder: Path) -> None:
+    from ..imaging import write_exr, write_png  # not needed to load, and not there in Blender
+
+    materials = folder / "materials"
+    materials.mkdir()
+    write_exr(materials / "base_color.exr", result.textures.base_color, half=True)
+    for name, file in MAPS.items():
+        values = np.clip(getattr(result.textures, name), 0.0, 1.0)
+        write_png(materials / file, np.round(values * 65535.0).astype(np.uint16))
+    write_exr(materials / "emission.exr", emission_texture(result), half=True)
+    (materials / "mesh.glb").write_bytes(encode_glb(result.mesh, result.parts, result.up))
+    dump_json(folder / "response.json", _response_json(result))
+    dump_json(folder / "emitters.json", _emitters_json(result))
+    dump_json(folder / "report.json", {"schema_version": SCHEMA_VERSION, **result.report})
+
+
+def emission_texture(result: Result) -> NDArray[np.float32]:
+    """(N, N, 3) radiance on the atlas, N at most 1024: a picture of the lights for people and other programs."""
+    from PIL import Image, ImageDraw
+
+    side = min(EMISSION_SIDE, len(result.textures.base_color))
+    emission = np.zeros((side, side, 3), np.float32)
+    uv = result.mesh.uv
+    assert uv is not None
+    for emitter in result.emitters:
+        mask = Image.new("1", (side, side))
+        draw = ImageDraw.Draw(mask)
+        for corners in uv[emitter.faces]:
+            # Pixel centres stand at whole numbers for ImageDraw.
+            draw.polygon([(u * side - 0.5, (1 - v) * side - 0.5) for u, v in corners.tolist()], fill=1, outline=1)
+        emission[np.asarray(mask)] = emitter.radiance
+    return emission
+
+
+def _response_json(result: Result) -> dict[str, Any]:
+    samples = result.response.samples
+    same = bool((samples == samples[0]).all())
+    return {
+        "family": result.response.family,
+        "coefficients": list(result.response.coefficients),
+        "samples": samples[0] if same else samples,
+        "exposures": {
+            name: {"factor": value, "exposure": value[1], "white_balance": value / value[1] if value[1] else value}
+            for name, value in ((name, np.asarray(value, float)) for name, value in result.exposures.items())
+        },
+    }
+
+
+def _emitters_json(result: Result) -> dict[str, Any]:
+    return {
+        "emitters": [
+            {
+                "id": emitter.id,
+                "faces": to_ranges(emitter.faces),
+                "radiance": emitter.radiance,
+                "area": emitter.area,
+                "confidence": emitter.confidence,
+            }
+            for emitter in result.emitters
+        ],
+        "outside": None if result.outside is None else {"sh": result.outside.sh},
+    }
+
+
+# ---- loading -------------------------------------------------------------------------------------------------------
+
+
+def load_result(folder: Path, read_image: ReadImage | None = None) -> Result:
+    """Read a result folder.
+
+    Args:
+        read_image: reader for EXR and PNG (see :data:`ReadImage`); None uses OpenEXR and Pillow.
+
+    Raises:
+        BadInput: no result there, made by another version, or a file of it is missing, damaged or contradicts itself.
+    """
+    folder = Path(folder)
+    if not (folder / "report.json").is_file():
+        raise BadInput("is not a finished result (it has no report.json)", "give the folder that solve wrote", folder)
+    report = read_json(folder / "report.json")
+    if report.get("schema_version") != SCHEMA_VERSION:
+        raise BadInput(
+            f"has schema_version {report.get('schema_version')!r}, this program reads {SCHEMA_VERSION}",
+            "solve again, or use the version of the program that wrote it",
+            folder / "report.json",
+        )
+    mesh, parts, up = read_glb(folder / "materials" / "mesh.glb")
+    response, exposures = _read_response(folder / "response.json")
+    emitters, outside = _read_emitters(folder / "emitters.json", mesh)
+    textures = _read_textures(folder / "materials", read_image or _read_image)
+    return Result(mesh, parts, textures, emitters, outside, response, exposures, report, up)
+
+
+def _read_response(path: Path) -> tuple[Response, dict[str, NDArray[np.float64]]]:
+    content = read_json(path)
+    samples = content.get("samples")
+    if isinstance(samples, list) and len(samples) == 3:
+        table = numbers(samples, (3, N_SAMPLES), "samples", path)
+    else:
+        table = np.tile(numbers(samples, (N_SAMPLES,), "samples", path), (3, 1))
+    coefficients = numbers(content.get("coefficients", []), (None,), "coefficients", path)
+    exposures = {
+        name: numbers(json_object(value, name, path).get("factor"), (3,), f"exposures of {name}", path)
+        for name, value in json_object(content.get("exposures"), "exposures", path).items()
+    }
+    return Response(table, str(content.get("family", "")), tuple(coefficients.tolist())), exposures
+
+
+def _read_emitters(path: Path, mesh: Mesh) -> tuple[tuple[Emitter, ...], OutsideLight | None]:
+    content = read_json(path)
+    listed = content.get("emitters")
+    if not isinstance(listed, list):
+        raise BadInput("'emitters' is missing or not a list", MEND, path)
+    emitters = []
+    for number, entry in enumerate(listed):
+        entry = json_object(entry, f"emitters[{number}]", path)
+        where = f"emitters[{number}]"
+        radiance = numbers(entry.get("radiance"), (3,), f"{where}.radiance", path)
+        if radiance.min() < 0:
+            raise BadInput(f"'{where}.radiance' is negative", MEND, path)
+        emitters.append(
+            Emitter(
+                int(numbers(entry.get("id"), (), f"{where}.id", path)),
+                from_ranges(entry.get("faces"), len(mesh.faces), f"{where}.faces", path),
+                radiance,
+                float(numbers(entry.get("area"), (), f"{where}.area", path)),
+                float(numbers(entry.get("confidence"), (), f"{where}.confidence", path)),
+            )
+        )
+    outside = content.get("outside")
+    if outside is None:
+        return tuple(emitters), None
+    sh = numbers(json_object(outside, "outside", path).get("sh"), (None, 3), "outside.sh", path)
+    if len(sh) not in (1, 4, 9):
+        raise BadInput(f"'outside.sh' has {len(sh)} coefficients, not 1, 4 or 9", MEND, path)
+    return tuple(emitters), OutsideLight(sh)
+
+
+def _read_textures(folder: Path, read_image: ReadImage) -> Textures:
+    base_color = _read_texture(folder / "base_color.exr", read_image)
+    if base_color.ndim != 3 or base_color.shape[2] < 3:
+        raise BadInput("has no RGB", MEND, folder / "base_color.exr")
+    maps = {}
+    for name, file in MAPS.items():
+        values = _read_texture(folder / file, read_image)
+        maps[name] = np.ascontiguousarray(values if values.ndim == 2 else values[..., 0])
+        if maps[name].shape != base_color.shape[:2]:
+            raise BadInput(f"is {values.shape[1]}x{values.shape[0]}, unlike base_color.exr", MEND, folder / file)
+    return Textures(np.ascontiguousarray(base_color[..., :3]), **maps)
+
+
+def _read_texture(path: Path, read_image: ReadImage) -> NDArray[np.float32]:
+    width, height = _image_size(path)
+    if width != height or not 0 < width <= MAX_TEXTURE_SIDE:
+        raise BadInput(f"is {width}x{height} pixels, not square or too large", MEND, path)
+    values = np.asarray(read_image(path), dtype=np.float32)
+    if values.shape[:2] != (height, width) or not np.isfinite(values).all():
+        raise BadInput("does not have the size of its header, or is not finite", MEND, path)
+    return values
+
+
+def _image_size(path: Path) -> tuple[int, int]:
+    """(width, height) from the header of a PNG or EXR file, before anybody allocates its pixels."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(1 << 16)
+    except OSError as error:
+        raise BadInput(f"cannot be read ({error.strerror})", MEND, path) from error
+    try:
+        if path.suffix == ".png" and head[:8] == b"\x89PNG\r\n\x1a\n":
+            return struct.unpack_from(">II", head, 16)
+        tag = b"dataWindow\0box2i\0\x10\0\0\0"
+        if path.suffix == ".exr" and head[:4] == b"v/1\x01" and tag in head:
+            x0, y0, x1, y1 = struct.unpack_from("<4i", head, head.index(tag) + len(tag))
+            return x1 - x0 + 1, y1 - y0 + 1
+    except struct.error as error:
+        raise BadInput("is truncated", MEND, path) from error
+    raise BadInput(f"is not a {path.suffix[1:].upper()} file", MEND, path)
+
+
+def _read_image(path: Path) -> NDArray[np.floating]:
+    from ..imaging import read_exr, read_map
+
+    if path.suffix == ".exr":
+        return read_exr(path)
+    codes = read_map(path)
+    return codes.astype(np.float32) / np.float32(np.iinfo(codes.dtype).max)

@@ -1,0 +1,177 @@
+from __future__ import annotations
+
+import errno
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from iris_addon import imaging
+from iris_addon.errors import BadInput, IrisError
+from iris_addon.response.curve import Response, gamma
+from iris_addon.result.io import load_result, save_result
+from iris_addon.result.json_files import from_ranges, plain, to_ranges
+from tests.result_room import room
+
+
+@pytest.fixture
+def saved(tmp_path):
+    save_result(room(), tmp_path / "r")
+    return tmp_path / "r"
+
+
+def test_round_trip_reproduces_the_result(tmp_path):
+    result = room()
+    save_result(result, tmp_path)
+    loaded = load_result(tmp_path)
+
+    assert np.array_equal(loaded.mesh.vertices, result.mesh.vertices)
+    assert np.array_equal(loaded.mesh.faces, result.mesh.faces)
+    assert np.allclose(loaded.mesh.uv, result.mesh.uv, atol=1e-7, rtol=0) and loaded.mesh.uv.dtype == np.float32
+    assert loaded.mesh.parts is None
+    assert np.array_equal(loaded.parts, result.parts)
+    for mine, yours in zip(result.emitters, loaded.emitters, strict=True):
+        assert (mine.id, mine.area, mine.confidence) == (yours.id, yours.area, yours.confidence)
+        assert np.array_equal(mine.faces, yours.faces) and np.array_equal(mine.radiance, yours.radiance)
+    assert np.array_equal(loaded.outside.sh, result.outside.sh)
+    assert np.array_equal(loaded.response.samples, result.response.samples)
+    assert loaded.response.family == "gamma" and loaded.response.coefficients == result.response.coefficients
+    assert loaded.exposures.keys() == result.exposures.keys()
+    assert all(np.array_equal(loaded.exposures[k], result.exposures[k]) for k in result.exposures)
+    assert loaded.report == result.report and loaded.up == result.up
+    assert np.abs(loaded.textures.base_color - result.textures.base_color).max() <= 2**-11  # half precision in [0, 1]
+    for name in ("roughness", "metallic", "confidence"):
+        assert np.abs(getattr(loaded.textures, name) - getattr(result.textures, name)).max() <= 0.51 / 65535
+
+
+def test_channels_of_the_response_and_parts_of_the_file_survive(tmp_path):
+    curve = np.stack([gamma(g).samples[0] for g in (0.4, 0.5, 0.6)])
+    result = room(outside=False, response=Response(curve, "power-polynomial", (0.1, 0.2)))
+    result = replace(result, mesh=replace(result.mesh, parts=np.arange(12, dtype=np.int32)))
+    save_result(result, tmp_path)
+    loaded = load_result(tmp_path)
+    assert np.array_equal(loaded.response.samples, curve)
+    assert loaded.outside is None
+    assert np.array_equal(loaded.mesh.parts, result.mesh.parts)
+
+
+def test_other_programs_read_the_glb_with_faces_in_order_and_up_turned(saved):
+    mesh = trimesh.load(saved / "materials" / "mesh.glb", process=False).to_geometry()
+    result = room()
+    corners = result.mesh.vertices[result.mesh.faces]
+    assert np.allclose(mesh.vertices[mesh.faces], corners, atol=1e-6)  # up is +y already, so nothing turns
+    assert np.allclose(mesh.visual.uv[mesh.faces], result.mesh.uv, atol=1e-6)
+
+    save_result(replace(result, up=(0.0, 0.0, 1.0)), saved)
+    turned = trimesh.load(saved / "materials" / "mesh.glb", process=False).to_geometry()
+    assert np.allclose(turned.vertices[turned.faces][..., 1], corners[..., 2], atol=1e-6)
+
+
+def test_emission_picture_shows_each_lamp_where_its_faces_are(saved):
+    emission = imaging.read_exr(saved / "materials" / "emission.exr")
+    side = len(emission)
+    uv = room().mesh.uv
+    for emitter in room().emitters:
+        for face in emitter.faces:
+            u, v = uv[face].mean(0)
+            assert np.allclose(emission[int((1 - v) * side), int(u * side)], emitter.radiance, rtol=1e-3)
+    u, v = uv[6].mean(0)
+    assert not emission[int((1 - v) * side), int(u * side)].any()
+
+
+def test_an_injected_reader_is_the_only_one_used(saved, monkeypatch):
+    def reader(path: Path) -> np.ndarray:  # three channels for everything, as Blender gives
+        return np.full((16, 16, 3), 0.25, np.float32)
+
+    monkeypatch.setattr(imaging, "read_exr", None)
+    monkeypatch.setattr(imaging, "read_map", None)
+    loaded = load_result(saved, reader)
+    assert loaded.textures.base_color.shape == (16, 16, 3)
+    assert loaded.textures.roughness.shape == (16, 16) and (loaded.textures.roughness == 0.25).all()
+
+
+def test_a_full_disk_leaves_the_earlier_result_untouched(saved, monkeypatch):
+    before = {p: p.read_bytes() for p in saved.rglob("*") if p.is_file()}
+
+    def full(*_args, **_kwargs):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("iris_addon.result.io.encode_glb", full)
+    with pytest.raises(IrisError, match=r"No space left.*free some space") as caught:
+        save_result(room(seed=1), saved)
+    assert caught.value.exit_code == 1
+    assert {p: p.read_bytes() for p in saved.rglob("*") if p.is_file()} == before
+
+
+def _edit(path: Path, change) -> None:
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(content))
+
+
+DAMAGE = {
+    "report.json": [
+        lambda p: _edit(p, lambda c: c.update(schema_version=99)),
+        lambda p: p.write_text("{"),
+        lambda p: p.write_text("[1]"),
+        lambda p: p.unlink(),
+    ],
+    "response.json": [
+        lambda p: _edit(p, lambda c: c.update(samples=c["samples"][:-1])),
+        lambda p: _edit(p, lambda c: c["samples"].__setitem__(5, float("nan"))),
+        lambda p: _edit(p, lambda c: c["exposures"]["000_0001"].update(factor=["a", 1, 2])),
+        lambda p: _edit(p, lambda c: c.pop("exposures")),
+    ],
+    "emitters.json": [
+        lambda p: _edit(p, lambda c: c["emitters"][0].update(faces=[[10, 13]])),
+        lambda p: _edit(p, lambda c: c["emitters"][0].update(faces=[[0, 2], [1, 3]])),
+        lambda p: _edit(p, lambda c: c["emitters"][0].update(radiance=[1, -1, 1])),
+        lambda p: _edit(p, lambda c: c["emitters"][0].update(radiance=[1, 1])),
+        lambda p: _edit(p, lambda c: c["emitters"][0].pop("id")),
+        lambda p: _edit(p, lambda c: c["outside"].update(sh=[[1, 2, 3]] * 5)),
+    ],
+    "materials/mesh.glb": [
+        lambda p: p.write_bytes(p.read_bytes()[:-100]),
+        lambda p: p.write_bytes(b"glTF"),
+        lambda p: p.write_bytes(p.read_bytes().replace(b'"faces":3', b'"faces":9')),
+        lambda p: p.write_bytes(p.read_bytes().replace(b'"faces":3', b'"faces":2')),
+        lambda p: p.unlink(),
+    ],
+    "materials/base_color.exr": [
+        lambda p: p.write_bytes(p.read_bytes()[:400]),
+        lambda p: imaging.write_exr(p, np.full((16, 16, 3), np.nan)),
+        lambda p: imaging.write_exr(p, np.zeros((16, 8, 3))),
+        lambda p: p.unlink(),
+    ],
+    "materials/roughness.png": [
+        lambda p: p.write_bytes(p.read_bytes()[:60]),
+        lambda p: imaging.write_png(p, np.zeros((8, 8), np.uint16)),
+        lambda p: p.write_bytes(p.read_bytes()[:16] + b"\x00\x10\x00\x00" * 2 + p.read_bytes()[24:]),
+    ],
+}
+
+
+@pytest.mark.parametrize(("name", "number"), [(name, i) for name, all_ in DAMAGE.items() for i in range(len(all_))])
+def test_damage_is_bad_input_that_names_the_file(saved, name, number):
+    DAMAGE[name][number](saved / name)
+    with pytest.raises(BadInput) as caught:
+        load_result(saved)
+    named = str(saved) if name == "report.json" else str(saved / name)
+    assert named in str(caught.value) and " — " in str(caught.value)
+
+
+def test_ranges_are_compact_and_exact():
+    faces = np.array([7, 1, 2, 3, 9, 10])
+    assert to_ranges(faces) == [[1, 4], [7, 8], [9, 11]]
+    assert np.array_equal(from_ranges(to_ranges(faces), 11, "faces", Path("x")), np.sort(faces))
+    assert from_ranges([], 11, "faces", Path("x")).shape == (0,)
+
+
+def test_plain_leaves_nothing_json_cannot_say():
+    value = {1: np.float32(0.5), "a": (np.nan, np.arange(2)), "p": Path("x") / "y", "i": np.int64(3), "b": np.True_}
+    assert json.loads(json.dumps(plain(value), allow_nan=False)) == {
+        "1": 0.5, "a": [None, [0, 1]], "p": "x/y", "i": 3, "b": True,
+    }  # fmt: skip
