@@ -102,7 +102,7 @@ def read_exr(path: Path) -> NDArray[np.float32]:
         parts = OpenEXR.File(str(path), separate_channels=True).parts
     except (RuntimeError, ValueError, OSError) as error:
         raise _damaged(path, error) from error
-    if not all(part.channels for part in parts):  # the bindings drop what they fail to decode
+    if not parts or not all(part.channels for part in parts):  # the bindings drop what they fail to decode
         raise _damaged(path, EOFError("truncated pixel data"))
     candidates = [_select_channels(part.channels) for part in parts]
     found = max(candidates, key=len, default=[])
