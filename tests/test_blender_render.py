@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from iris_addon.blender.camera import add_camera, look_through, read_camera
-from iris_addon.blender.render import render_linear, render_views, set_cycles
+from iris_addon.blender.render import render_coverage, render_linear, render_views, set_cycles
 from iris_addon.blender.scene_out import build_scene
 from iris_addon.capture.types import Mesh
 from iris_addon.result.edits import Quad, SceneEdit, Sphere
@@ -84,19 +84,43 @@ def test_a_lamp_is_rendered_with_exactly_its_radiance():
 
 
 def test_radiance_in_a_uniform_furnace():
-    """In a closed box of albedo a with light from everywhere, L = Le / (1 - a)."""
-    result = room(albedo=(0.5, 0.25, 0.0))
-    material_edit = furnace(result, 0.8)
-    np.testing.assert_allclose(material_edit, [1.6, 0.8 / 0.75, 0.8], rtol=0.01)
+    """In a closed box that emits Le and reflects the share a of what arrives everywhere, L = Le / (1 - a)."""
+    albedo = np.array([0.5, 0.25, 0.0])
+    specular = 0.021  # of a dielectric of IOR 1.5 with roughness 1
+    seen = furnace(room(albedo=albedo), 0.8)
+    np.testing.assert_allclose(seen, 0.8 / (1 - albedo - specular), rtol=0.01)
+
+
+@pytest.mark.parametrize("roughness", [0.1, 0.45, 1.0])
+def test_the_diffuse_albedo_of_a_rendered_surface_is_the_recovered_one(roughness):
+    """A ball alone in a white world, with and without its base colour; their difference is the diffuse lobe."""
+    means = []
+    for base in (0.6, 0.0):
+        ball = Sphere(np.zeros(3), 1.0, np.full(3, base), roughness, 0.0)
+        built = build_scene(room(mesh=far_triangle(), outside=white_world()), SceneEdit(spheres=(ball,)))
+        built.scene.render.film_transparent = True
+        set_cycles(built.scene, samples=64, denoise=False, seed=0, max_bounces=4)
+        view = camera(32, 32, fx=960.0, fy=960.0, position=(0, 0, 60))
+        look_through(built.scene, view, add_camera(view, "view", built.scene.collection))
+        covered = render_coverage(built.scene).sum()
+        means.append(render_linear(built.scene).sum(axis=(0, 1)) / covered)
+    np.testing.assert_allclose(means[0] - means[1], 0.6, rtol=0.006)
+
+
+def far_triangle() -> Mesh:
+    return Mesh(np.array([[0, 0, 900], [1, 0, 900], [0, 1, 900]], float), np.array([[0, 1, 2]]), np.zeros((1, 3, 2)))
+
+
+def white_world() -> OutsideLight:
+    return OutsideLight(np.full((1, 3), 1 / 0.28209479))
 
 
 def furnace(result: Result, emitted: float) -> np.ndarray:
-    """Mean image of a box whose textured surface also emits, diffuse only."""
+    """Mean image of a box whose textured surface also emits."""
     built = build_scene(result)
     shader = built.room.data.materials[0].node_tree.nodes["Principled BSDF"]
     shader.inputs["Emission Color"].default_value = (1, 1, 1, 1)
     shader.inputs["Emission Strength"].default_value = emitted
-    shader.inputs["Specular IOR Level"].default_value = 0.0
     set_cycles(built.scene, samples=64, denoise=False, seed=0, max_bounces=40)
     view = camera()
     look_through(built.scene, view, add_camera(view, "view", built.scene.collection))
