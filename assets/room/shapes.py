@@ -90,7 +90,7 @@ def panel(
 def lathe(
     name: str, profile: Sequence[tuple[float, float]], at: Vec, material: bpy.types.Material, *, segments: int = 40
 ) -> bpy.types.Object:
-    """Surface of revolution of (radius, height) points about the vertical through ``at``; radius 0 closes with a fan."""
+    """Surface of revolution of (radius, height) points about the vertical through ``at``; a radius of 0 closes it."""
     angles = np.linspace(0, 2 * math.pi, segments, endpoint=False)
     vertices: list[tuple[float, float, float]] = []
     rings: list[list[int]] = []

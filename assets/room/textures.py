@@ -1,4 +1,4 @@
-"""Image textures painted with numpy: (H, W, 3) float arrays, scene-linear Rec.709 albedo, row 0 at the bottom (v = 0)."""
+"""Image textures painted with numpy: (H, W, 3) float arrays, linear Rec.709 albedo, row 0 at the bottom (v = 0)."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@
                  ─► gt/                radiance, Principled maps, emitters, response: for scoring only
 
 Limits: perspective cameras of one focal length without lens shift; surfaces that are Principled, Diffuse, Glossy or
-mixes of these; lamps that are meshes of constant emission. Lamp objects and the world do light the photos, but the ground
+mixes of these; lamps that are meshes of constant emission. Lamp objects and the world light the photos, but the ground
 truth of emitters cannot name them, and the relighting references switch them off.
 """
 

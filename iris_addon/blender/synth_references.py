@@ -174,7 +174,7 @@ def choose_spheres(seen: SeenPoints, camera: Camera, radius: float = SPHERE_RADI
 
 
 def _fits(seen: SeenPoints, camera: Camera, centre: FloatArray, radius: float) -> bool:
-    """Whether a ball touches nothing but its support and is seen whole, in front of everything, 8 to 40 px in radius."""
+    """Whether a ball touches nothing but its support and is seen whole, neither tiny nor filling the view."""
     local = (centre - camera.position) @ camera.c2w[:3, :3]
     if -local[2] < 2 * radius:
         return False
