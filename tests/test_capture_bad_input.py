@@ -128,6 +128,8 @@ def mirror(pose: np.ndarray) -> None:
         (lambda meta: meta["frames"][0].pop("file_path"), 'frame 0 has no "file_path"'),
         (lambda meta: meta["frames"][0].update(split="holdout"), "split 'holdout'"),
         (lambda meta: meta["frames"][0].update(exposure_time=-1), "exposure -1"),
+        (lambda meta: meta["frames"][0].update(file_path="a" * 5000), "not a usable path"),
+        (lambda meta: meta["frames"][0].update(file_path="a\0b"), "not a usable path"),
         (lambda meta: meta.update(mesh="room.fbx"), "room.fbx"),
         (lambda meta: meta.update(mesh="gone.ply"), "gone.ply: no such mesh"),
     ],
@@ -178,6 +180,10 @@ def test_pickled_arrays_are_not_opened(fipt_room: RoomCapture) -> None:
 
 
 def test_empty_mesh(nerfstudio_room: RoomCapture) -> None:
+    (nerfstudio_room.root / "mesh.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 0\nelement face 0\nend_header\n"
+    )
+    assert "mesh.ply: " in refused(nerfstudio_room)
     (nerfstudio_room.root / "mesh.ply").unlink()
     (nerfstudio_room.root / "mesh.obj").write_text("# nothing\n")
     assert "mesh.obj: has no faces" in refused(nerfstudio_room)

@@ -58,10 +58,11 @@ def inside(root: Path, named: str, source: Path) -> Path:
     path = root / relative
     try:
         escapes = relative.is_absolute() or not path.resolve().is_relative_to(root.resolve())
+        path.with_name(path.name + ".jpeg").is_file()  # the longest name anybody will look for
     except (OSError, ValueError, RuntimeError) as error:  # over-long name, NUL byte, loop of links
-        raise BadInput(f"names {named!r}, which is not a usable path ({error})", "correct the path", source) from error
+        raise BadInput(f"names {named[:80]!r}, which is not a usable path", "correct the path", source) from error
     if escapes:
-        raise BadInput(f"names {named!r}, outside the capture folder", "move the file into the folder", source)
+        raise BadInput(f"names {named[:80]!r}, outside the capture folder", "move the file into the folder", source)
     return path
 
 

@@ -37,7 +37,7 @@ def fipt_root(path: Path) -> Path | None:
 
 
 def read_fipt(root: Path, photos: PhotoSet = "Image") -> Listing:
-    """List the capture in ``root``; ``photos`` picks the set with varying or with constant exposure. Raises BadInput."""
+    """List the capture in ``root``; ``photos`` picks the set with varying or constant exposure. Raises BadInput."""
     source = root / "train" / "transforms.json"
     views = read_fipt_views(root, "train", photos)
     for view in views:

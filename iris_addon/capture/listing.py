@@ -48,11 +48,8 @@ def check_unique(views: Iterable[View], source: Path) -> None:
 
 def only_mesh(root: Path, source: Path) -> Path:
     """The one mesh file in ``root``; raises BadInput when there is none or a choice."""
-    found = sorted(
-        path
-        for path in root.iterdir()
-        if path.suffix.lower() in MESH_SUFFIXES and not path.name.startswith(".") and not is_point_cloud(path)
-    )
+    files = [path for path in root.iterdir() if path.suffix.lower() in MESH_SUFFIXES and path.name[0] != "."]
+    found = sorted([path for path in files if not is_point_cloud(path)] or files)
     if not found:
         raise BadInput("no mesh (PLY, OBJ or GLB) in the folder", "add the scan of the room", root)
     if len(found) > 1:

@@ -60,7 +60,7 @@ def read_nerfstudio_views(transforms: Path) -> tuple[View, ...]:
 def _views(
     meta: Mapping[str, Any], frames: Sequence[Mapping[str, Any]], root: Path, source: Path, *, photos: bool
 ) -> list[View | None]:
-    """One view per frame, None where the file's split lists leave it out. ``photos`` demands that every photo exists."""
+    """One view per frame, None where the file's split lists leave it out. ``photos`` demands that all photos exist."""
     names = _view_names(frames, source)
     split_of = _split_lists(meta, source)
     views: list[View | None] = []
@@ -124,7 +124,7 @@ def _split(frame: Mapping[str, Any], name: str, lists: Mapping[str, Split] | Non
 
 
 def _mesh_file(meta: Mapping[str, Any], root: Path, source: Path) -> tuple[Path, bool]:
-    """The mesh, and whether the file names it. nerfstudio's ply_file_path is mostly a point cloud: then it is not it."""
+    """The mesh, and whether the file names it. nerfstudio's ply_file_path is mostly a point cloud, so not always it."""
     if "mesh" in meta:
         return inside(root, str(meta["mesh"]), source), True
     if "ply_file_path" in meta:
