@@ -241,7 +241,7 @@ def test_a_surface_without_ground_truth_is_named(tmp_path: Path):
     glass = tree.nodes.new("ShaderNodeBsdfGlass")
     tree.links.new(glass.outputs[0], tree.nodes["Material Output"].inputs["Surface"])
     bpy.ops.wm.save_mainfile()
-    with pytest.raises(BadInput, match="paint.*Glass"):
+    with pytest.raises(BadInput, match=r"paint.*Glass"):
         synth(tmp_path / "room.blend", tmp_path / "out", resolution=(WIDTH, HEIGHT), samples=1)
     assert not (tmp_path / "out").exists()
 
