@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_erosion
 
+from iris_addon.blender.camera import read_camera
 from iris_addon.blender.synth import synth
+from iris_addon.blender.synth_maps import add_outputs, render_maps
 from iris_addon.blender.synth_photos import exposures, film, read_response
 from iris_addon.capture import read_capture
 from iris_addon.capture.types import Capture
@@ -149,6 +151,30 @@ def test_maps_hold_the_principled_inputs(capture: Path):
         assert (gt(capture, "Roughness", k)[on_block] == 1).all()
         assert (gt(capture, "albedo", k)[on_block] > gt(capture, "DiffCol", k)[on_block]).all()
     assert found
+
+
+def test_mixed_shaders_give_mixed_maps(tmp_path: Path):
+    build_room(tmp_path / "room.blend")
+    scene, paint = bpy.context.scene, bpy.data.materials["paint"]
+    tree = paint.node_tree
+    gloss, mix = tree.nodes.new("ShaderNodeBsdfAnisotropic"), tree.nodes.new("ShaderNodeMixShader")
+    gloss.inputs["Color"].default_value, gloss.inputs["Roughness"].default_value = (0.8, 0.4, 0.0, 1.0), 0.2
+    mix.inputs[0].default_value = 0.25
+    tree.links.new(tree.nodes["Principled BSDF"].outputs[0], mix.inputs[1])
+    tree.links.new(gloss.outputs[0], mix.inputs[2])
+    tree.links.new(mix.outputs[0], tree.nodes["Material Output"].inputs["Surface"])
+    scene.render.resolution_x, scene.render.resolution_y = WIDTH, HEIGHT
+    add_outputs(scene, [paint])
+    thing = bpy.data.objects["photo 2"]
+    maps = render_maps(scene, read_camera(scene, thing), thing)
+    on_block = maps.material == 1
+    assert on_block.any()
+    assert maps.base_color[on_block] == pytest.approx(
+        np.tile(0.75 * np.array(PAINT) + [0.2, 0.1, 0.0], (on_block.sum(), 1)), abs=1e-5
+    )
+    assert maps.roughness[on_block] == pytest.approx(0.8, abs=1e-5)
+    assert maps.metallic[on_block] == pytest.approx(0.25, abs=1e-5)
+    assert maps.diffuse_albedo[on_block] == pytest.approx(0.75 * maps.base_color[on_block], abs=1e-5)
 
 
 def test_emitter_faces_emit_the_radiance_that_is_rendered(capture: Path, read: Capture):

@@ -95,26 +95,28 @@ def add_outputs(scene: bpy.types.Scene, materials: Sequence[bpy.types.Material])
 
 def _principled_inputs(material: bpy.types.Material, node: bpy.types.Node | None) -> tuple[Source, Source, Source]:
     """Base colour, roughness and metallic of the shader tree below ``node``."""
+    if node is None or node.bl_idname == "ShaderNodeEmission":
+        return (0.0, 0.0, 0.0), 1.0, 0.0
+    inputs = node.inputs
 
     def source(name: str) -> Source:
-        socket = node.inputs[name]
+        socket = inputs[name]
         if socket.is_linked:
             return socket.links[0].from_socket
         return tuple(socket.default_value[:3]) if socket.type == "RGBA" else socket.default_value
 
-    black = ((0.0, 0.0, 0.0), 1.0, 0.0)
-    kind = node.bl_idname if node is not None else ""
-    if kind in ("", "ShaderNodeEmission"):
-        return black
-    if kind == "ShaderNodeBsdfPrincipled":
+    if node.bl_idname == "ShaderNodeBsdfPrincipled":
         return source("Base Color"), source("Roughness"), source("Metallic")
-    if kind == "ShaderNodeBsdfDiffuse":
+    if node.bl_idname == "ShaderNodeBsdfDiffuse":
         return source("Color"), 1.0, 0.0
-    if kind == "ShaderNodeBsdfAnisotropic":  # the Glossy BSDF
+    if node.bl_idname == "ShaderNodeBsdfAnisotropic":  # the Glossy BSDF
         return source("Color"), source("Roughness"), 1.0
-    if kind == "ShaderNodeMixShader":
-        sides = [_principled_inputs(material, s.links[0].from_node if s.is_linked else None) for s in node.inputs[1:3]]
-        return tuple(_mix(material.node_tree, node.inputs[0], a, b) for a, b in zip(*sides, strict=True))
+    if node.bl_idname == "ShaderNodeMixShader":
+        one, other = (_principled_inputs(material, s.links[0].from_node if s.is_linked else None) for s in inputs[1:3])
+        color, roughness, metallic = (
+            _mix(material.node_tree, inputs[0], *pair) for pair in zip(one, other, strict=True)
+        )
+        return color, roughness, metallic
     raise BadInput(
         f"material '{material.name}' has a {node.bl_label} surface, for which there is no ground truth",
         "use a Principled BSDF there",
@@ -196,7 +198,7 @@ def render_passes(scene: bpy.types.Scene) -> dict[str, NDArray[np.float32]]:
         for part in OpenEXR.File(str(path), separate_channels=True).parts:
             for name, channel in part.channels.items():
                 *_layer, pass_name, component = name.split(".")
-                channels.setdefault(PASS_ALIASES.get(pass_name, pass_name), {})[component] = channel.pixels
+                channels.setdefault(PASS_ALIASES.get(pass_name) or pass_name, {})[component] = channel.pixels
     order = "RGBAXYZWV"
     return {
         name: np.stack([found[c] for c in sorted(found, key=order.index)], -1).astype(np.float32)
