@@ -64,3 +64,13 @@ def image_from_array(
     image.pixels.foreach_set(pixels.ravel())
     image.update()
     return image
+
+
+def srgb_image(linear: bpy.types.Image) -> bpy.types.Image:
+    """An 8-bit sRGB copy of a linear float image, for formats that know no other base colour."""
+    width, height = linear.size
+    pixels = np.empty((height, width, 4), np.float32)
+    linear.pixels.foreach_get(pixels.ravel())
+    color = np.clip(pixels[::-1, :, :3], 0.0, 1.0)
+    codes = np.where(color <= 0.0031308, 12.92 * color, 1.055 * color ** (1 / 2.4) - 0.055)
+    return image_from_array(linear.name, codes, colorspace="sRGB")

@@ -60,29 +60,32 @@ def build_scene(result: Result, edit: SceneEdit | None = None) -> BuiltScene:
         edit: None leaves the room as recovered.
     """
     edit = edit or SceneEdit()
-    before = set(_datablocks())
-    scene = bpy.data.scenes.new("IRIS")
-    room = add_room(result, edit, scene.collection)
-    built = BuiltScene(scene, room)
-    scene.world = make_world(result.outside, edit.outside_scale, np.eye(3))
-    for number, quad in enumerate(edit.lights):
-        built.lights.append(add_quad(quad, f"IRIS Light {number:02d}", scene.collection))
-    for number, sphere in enumerate(edit.spheres):
-        built.inserted.append(add_sphere(sphere, f"IRIS Ball {number:02d}", scene.collection))
-    for placed in edit.objects:
-        built.inserted += load_objects(placed, result.up, scene.collection)
-    built.owned = set(_datablocks()) - before
+    before = set(datablocks())
+    try:
+        scene = bpy.data.scenes.new("IRIS")
+        built = BuiltScene(scene, add_room(result, edit, scene.collection))
+        scene.world = make_world(result.outside, edit.outside_scale, np.eye(3))
+        for number, quad in enumerate(edit.lights):
+            built.lights.append(add_quad(quad, f"IRIS Light {number:02d}", scene.collection))
+        for number, sphere in enumerate(edit.spheres):
+            built.inserted.append(add_sphere(sphere, f"IRIS Ball {number:02d}", scene.collection))
+        for placed in edit.objects:
+            built.inserted += load_objects(placed, result.up, scene.collection)
+    except BaseException:
+        bpy.data.batch_remove(set(datablocks()) - before)
+        raise
+    built.owned = set(datablocks()) - before
     return built
 
 
 def add_room(result: Result, edit: SceneEdit, collection: bpy.types.Collection) -> bpy.types.Object:
-    """The room as one mesh object named "IRIS Room": UV map "IRIS", flat shaded, a material slot per lamp."""
-    data = room_mesh(result.mesh, "IRIS Room")
+    """The room as one mesh object named "IRIS Room Mesh": UV map "IRIS", flat shaded, a material slot per lamp."""
+    data = room_mesh(result.mesh, "IRIS Room Mesh")
     slots, slot_of_face = _face_materials(result, edit)
     for material in slots:
         data.materials.append(material)
     data.polygons.foreach_set("material_index", slot_of_face)
-    room = bpy.data.objects.new("IRIS Room", data)
+    room = bpy.data.objects.new("IRIS Room Mesh", data)
     collection.objects.link(room)
     return room
 
@@ -180,17 +183,13 @@ def _separate_awkward_faces(mesh: Mesh) -> tuple[NDArray[np.floating], NDArray[n
     return np.concatenate([mesh.vertices, own]), faces
 
 
-def _datablocks() -> Iterator[bpy.types.ID]:
-    for kind in (
-        "scenes",
-        "worlds",
-        "objects",
-        "meshes",
-        "materials",
-        "images",
-        "node_groups",
-        "collections",
-        "cameras",
-        "lights",
-    ):
+BLOCK_KINDS = (
+    *("scenes", "collections", "objects", "meshes", "curves", "cameras", "lights", "armatures", "actions"),
+    *("materials", "node_groups", "images", "worlds"),
+)
+
+
+def datablocks() -> Iterator[bpy.types.ID]:
+    """Everything in the session of a kind that building or importing a scene adds to."""
+    for kind in BLOCK_KINDS:
         yield from getattr(bpy.data, kind)

@@ -70,6 +70,7 @@ class SceneEdit:
     outside_scale: float = 1.0
 
     @property
-    def adds_nothing(self) -> bool:
-        """Whether the edit puts neither a light nor an object into the room."""
-        return not (self.lights or self.spheres or self.objects)
+    def changes_nothing(self) -> bool:
+        """Whether the room stays as it was solved."""
+        added = self.lights or self.spheres or self.objects
+        return not added and self.face_emission is None and self.black_faces is None and self.outside_scale == 1.0

@@ -1,0 +1,132 @@
+"""A solved room for artists: into the open scene, or as a .blend, .glb or .usd of its own.
+
+The room, its lamps and the cameras of the photos are children of the empty "IRIS Room", which turns the capture's up
+axis to Blender's +Z; their own transforms stay those of the capture. The world is laid out in Blender's axes.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from ..capture.types import View
+from ..errors import IrisError
+from ..result.edits import SceneEdit
+from ..result.types import Result
+from .camera import add_camera, look_through
+from .images import srgb_image
+from .render import set_cycles
+from .scene_out import add_room, datablocks
+from .version import require_build_option
+from .world import make_world
+
+
+def apply(
+    result: Result, blend: Path, *, views: Sequence[View] = (), glb: Path | None = None, usd: Path | None = None
+) -> None:
+    """Write ``result`` as ``blend``, and as ``glb`` and ``usd`` where given; the open scene is left alone.
+
+    Files appear whole or not at all. Textures are packed into the .blend, lamps carry their radiance as emission
+    strength (KHR_materials_emissive_strength in glTF), cameras of ``views`` come along.
+
+    Raises:
+        IrisError: a file cannot be written, or this Blender was built without an exporter that is asked for.
+    """
+    if usd is not None:
+        require_build_option("usd", "USD export")
+    before = set(datablocks())
+    scene = bpy.data.scenes.new("IRIS")
+    try:
+        apply_to_scene(result, scene, views)
+        _write_whole(blend, lambda path: bpy.data.libraries.write(str(path), {scene}, compress=True))
+        if glb is not None or usd is not None:
+            _use_srgb_base_color(scene)
+        with _in_window(scene):
+            if glb is not None:
+                _write_whole(glb, lambda path: bpy.ops.export_scene.gltf(filepath=str(path), use_active_scene=True))
+            if usd is not None:
+                _write_whole(usd, lambda path: bpy.ops.wm.usd_export(filepath=str(path)))
+    finally:
+        bpy.data.batch_remove(set(datablocks()) - before)
+
+
+def apply_to_scene(result: Result, scene: bpy.types.Scene, views: Sequence[View] = ()) -> bpy.types.Object:
+    """Add the room to ``scene`` in a collection "IRIS", with its world, its cameras and settings that show it well.
+
+    The view exposure is that of the photos' median, in the Standard view transform: what the photos show at
+    mid-brightness is so in the viewport.
+
+    Returns:
+        The empty "IRIS Room", parent of everything that was added.
+    """
+    collection = bpy.data.collections.new("IRIS")
+    scene.collection.children.link(collection)
+    anchor = bpy.data.objects.new("IRIS Room", None)
+    upright = Vector(result.up).rotation_difference(Vector((0.0, 0.0, 1.0))).to_matrix()
+    anchor.matrix_world = upright.to_4x4()
+    collection.objects.link(anchor)
+
+    add_room(result, SceneEdit(), collection).parent = anchor
+    cameras = [add_camera(view.camera, f"IRIS {view.name}", collection) for view in views]
+    for camera_object in cameras:
+        camera_object.parent = anchor
+    if cameras:
+        look_through(scene, views[0].camera, cameras[0])
+    scene.world = make_world(result.outside, 1.0, np.array(upright))
+    for image in bpy.data.images:
+        if image.name.startswith("IRIS ") and image.source == "GENERATED":
+            image.pack()
+    _show_like_the_photos(result, scene)
+    return anchor
+
+
+def _show_like_the_photos(result: Result, scene: bpy.types.Scene) -> None:
+    set_cycles(scene, samples=128, denoise=True, seed=0, max_bounces=8)
+    scene.view_settings.view_transform = "Standard"
+    scene.view_settings.look = "None"
+    exposures = [float(np.mean(exposure)) for exposure in result.exposures.values()]
+    scene.view_settings.exposure = float(np.clip(np.log2(np.median(exposures)), -32, 32)) if exposures else 0.0
+
+
+def _use_srgb_base_color(scene: bpy.types.Scene) -> None:
+    # Exporters write the pixels of a linear float image as if they were sRGB codes.
+    materials = {slot.material for thing in scene.objects for slot in thing.material_slots}
+    for node in (node for material in materials for node in material.node_tree.nodes):
+        if node.bl_idname == "ShaderNodeTexImage" and node.image.is_float:
+            node.image = srgb_image(node.image)
+
+
+@contextmanager
+def _in_window(scene: bpy.types.Scene) -> Iterator[None]:
+    # Exporters take the scene of the window and glTF's leaves it set, which must not outlive the scene.
+    window = bpy.context.window
+    before, window.scene = window.scene, scene
+    try:
+        yield
+    finally:
+        window.scene = before
+
+
+def _write_whole(path: Path, write: Callable[[Path], object]) -> None:
+    """Let ``write`` make a file (and what lies beside it, textures) in a folder of its own, then move it to
+    ``path``."""
+    path = Path(path).absolute()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".iris-", dir=path.parent) as folder:
+            write(Path(folder) / path.name)
+            made = sorted(thing for thing in Path(folder).rglob("*") if thing.is_file())
+            for thing in sorted(made, key=lambda thing: thing.name == path.name):  # the file itself last
+                target = path.parent / thing.relative_to(folder)
+                target.parent.mkdir(exist_ok=True)
+                os.replace(thing, target)
+    except (RuntimeError, OSError) as error:
+        what = f"cannot be written ({str(error).strip()})"
+        raise IrisError(what, "free disk space or choose another place", path) from error
