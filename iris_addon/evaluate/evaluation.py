@@ -1,0 +1,114 @@
+"""All metrics of a result against a capture: one call for the command line, benchmarks and tests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..capture import read_capture
+from ..errors import BadInput
+from ..progress import Progress
+from ..result.types import Result
+from . import metrics
+from .ground_truth import GroundTruth, read_ground_truth
+from .held_out import score_held_out
+from .map_scores import score_maps
+from .maps import MapRenderer
+from .relighting import RenderViews, inserted_views, novel_views, relit_views, render_all, score_pictures
+
+RENDERED = ("nvs_psnr", "nvs_ssim", "relight_psnr", "relight_ssim", "insert_psnr", "insert_psnr_around")
+MAPPED = ("kd_psnr", "kd_psnr_all", "a_psnr", "roughness_psnr", "metallic_l2", "emission_iou", "emission_log_l2")
+LIGHT_AND_CAMERA = ("crf_l2", "exposure_log2_rmse")
+
+
+def evaluate(
+    result: Result,
+    gt_root: Path,
+    *,
+    render: RenderViews | None = None,
+    samples: int = 64,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Score ``result`` against the capture it was solved from.
+
+    With ground truth (FIPT layout, ``gt`` folder or maps beside the photos) every metric the files allow; without, the
+    held-out photos (``nvs_*``), an exposure and a white balance fitted to each.
+
+    Args:
+        gt_root: the capture, as :func:`iris_addon.capture.read_capture` takes it.
+        render: path tracer for novel views, relighting and insertion; None leaves those out.
+        samples: per pixel of each rendered view.
+
+    Returns:
+        Metric by name, ``per_view`` (metric, view name, value), and ``left_out`` (metric, reason).
+
+    Raises:
+        BadInput: the capture has neither ground truth nor held-out photos, or belongs to another mesh.
+    """
+    progress = progress or Progress()
+    truth = read_ground_truth(Path(gt_root))
+    if truth is None:
+        per_view, left_out = _held_out(result, Path(gt_root), render, samples, seed, progress), {}
+        numbers: dict[str, float] = {}
+    else:
+        per_view, numbers, left_out = _against_truth(result, truth, render, samples, seed, progress)
+    numbers |= {metric: metrics.combine(list(values.values())) for metric, values in per_view.items()}
+    left_out["lpips"] = "its weights are not installed"
+    return {**numbers, "per_view": per_view, "left_out": left_out}
+
+
+def _against_truth(
+    result: Result, truth: GroundTruth, render: RenderViews | None, samples: int, seed: int, progress: Progress
+) -> tuple[dict[str, dict[str, float]], dict[str, float], dict[str, str]]:
+    """Per-view values, numbers that have no views, and what is missing and why."""
+    with progress.stage("maps"):
+        per_view = score_maps(MapRenderer(result), truth, progress)
+    numbers = _camera_scores(result, truth)
+    if render is not None:
+        pictures = []
+        for name, views in (("novel views", novel_views), ("relighting", relit_views), ("insertion", inserted_views)):
+            with progress.stage(name):
+                pictures += views(result, truth, render, samples, seed, progress)
+        per_view |= score_pictures(pictures)
+    found = per_view.keys() | numbers.keys()
+    missing = "the capture has no reference for it"
+    left_out = {name: missing for name in (*MAPPED, *LIGHT_AND_CAMERA) if name not in found}
+    left_out |= {
+        name: missing if render is not None else "nothing was rendered" for name in RENDERED if name not in found
+    }
+    return per_view, numbers, left_out
+
+
+def _camera_scores(result: Result, truth: GroundTruth) -> dict[str, float]:
+    scores = {}
+    if truth.response is not None:
+        scores["crf_l2"] = metrics.crf_l2(result.response.samples, truth.response.samples)
+    pairs = [
+        (np.exp(np.mean(np.log(result.exposures[view.name]))), view.exposure)
+        for view in truth.views
+        if view.exposure is not None and view.name in result.exposures
+    ]
+    if pairs:
+        ours, true = np.array(pairs).T
+        scores["exposure_log2_rmse"] = metrics.exposure_log2_rmse(ours, true)
+    return scores
+
+
+def _held_out(
+    result: Result, root: Path, render: RenderViews | None, samples: int, seed: int, progress: Progress
+) -> dict[str, dict[str, float]]:
+    views = [view for view in read_capture(root).val_views if view.photo is not None]
+    if not views:
+        raise BadInput("has neither ground truth nor held-out photos", 'give some photos the split "val"', root)
+    if render is None:
+        raise BadInput(
+            "has no ground truth, and its held-out photos can only be scored by rendering",
+            "evaluate with rendering",
+            root,
+        )
+    with progress.stage("novel views"):
+        images = render_all(result, [view.camera for view in views], None, render, samples, seed, progress)
+    return score_held_out(result, views, images)

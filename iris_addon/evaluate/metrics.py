@@ -1,0 +1,107 @@
+"""The numbers of an evaluation as pure functions of arrays. Nothing here knows about files, meshes or renderers.
+
+Images are (H, W, 3) or (H, W) in [0, 1]; a mask is (H, W) bool.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from ..response.curve import Response
+
+FloatArray = NDArray[np.floating]
+Mask = NDArray[np.bool_]
+
+MIN_MSE = 1e-10
+"""Equal images score 100 dB, so that a mean over images stays finite."""
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+MIDDLE_GREY = 0.18
+
+
+# ---- images --------------------------------------------------------------------------------------------------------
+
+
+def quantise8(image: FloatArray) -> FloatArray:
+    """Clamped to [0, 1] and rounded to 8 bits, as values in [0, 1]."""
+    return np.round(np.clip(image, 0.0, 1.0) * 255.0) / 255.0
+
+
+def to_ldr(radiance: FloatArray, response: Response, exposure: float | FloatArray) -> FloatArray:
+    """floor(255 f(clip(radiance · exposure))) / 255, the photo a camera takes of ``radiance`` (H, W, 3)."""
+    return np.floor(255.0 * response.apply(np.clip(radiance * exposure, 0.0, 1.0)) + 1e-9) / 255.0
+
+
+def grey_exposure(radiance: FloatArray) -> float:
+    """The exposure that puts the median luminance of ``radiance`` (H, W, 3) at middle grey, 0.18."""
+    return MIDDLE_GREY / max(float(np.median(radiance @ LUMINANCE)), 1e-12)
+
+
+def mse(image: FloatArray, truth: FloatArray, mask: Mask | None = None) -> float:
+    """Mean squared error over all pixels and channels, or over those of ``mask``; NaN if the mask is empty."""
+    difference = np.asarray(image, np.float64) - truth
+    if mask is not None:
+        difference = difference[mask]
+    return float(np.mean(difference**2)) if difference.size else float("nan")
+
+
+def psnr(image: FloatArray, truth: FloatArray, mask: Mask | None = None) -> float:
+    """Peak signal-to-noise ratio in dB for a peak of 1; equal images give 100, an empty mask NaN."""
+    return float(-10.0 * np.log10(np.maximum(mse(image, truth, mask), MIN_MSE)))
+
+
+def ssim(image: FloatArray, truth: FloatArray) -> float:
+    """Structural similarity (Wang, Bovik, Sheikh, Simoncelli 2004, eq. 13), mean over pixels and channels.
+
+    The 11 x 11 Gaussian window of σ = 1.5, K1 = 0.01, K2 = 0.03, range 1; a border of 5 pixels is left out.
+    """
+    sigma = (1.5, 1.5) + (0.0,) * (image.ndim - 2)
+
+    def local_mean(x: FloatArray) -> FloatArray:
+        return gaussian_filter(x, sigma, truncate=5 / 1.5)[5:-5, 5:-5]
+
+    x, y = np.asarray(image, np.float64), np.asarray(truth, np.float64)
+    if min(x.shape[:2]) <= 10:
+        raise ValueError(f"images of {x.shape[1]}x{x.shape[0]} are smaller than the window of SSIM")
+    c1, c2 = 0.01**2, 0.03**2
+    mu_x, mu_y = local_mean(x), local_mean(y)
+    var_x, var_y = local_mean(x * x) - mu_x**2, local_mean(y * y) - mu_y**2
+    cov = local_mean(x * y) - mu_x * mu_y
+    similarity = (2 * mu_x * mu_y + c1) * (2 * cov + c2) / ((mu_x**2 + mu_y**2 + c1) * (var_x + var_y + c2))
+    return float(similarity.mean())
+
+
+# ---- light ---------------------------------------------------------------------------------------------------------
+
+
+def iou(mask: Mask, truth: Mask) -> float:
+    """Intersection over union of two masks; NaN if both are empty."""
+    union = np.count_nonzero(mask | truth)
+    return np.count_nonzero(mask & truth) / union if union else float("nan")
+
+
+def log_l2(emission: FloatArray, truth: FloatArray) -> float:
+    """Mean over pixels and channels of (log(e + 1) − log(e* + 1))²."""
+    return float(np.mean((np.log1p(np.maximum(emission, 0.0)) - np.log1p(np.maximum(truth, 0.0))) ** 2))
+
+
+# ---- camera --------------------------------------------------------------------------------------------------------
+
+
+def crf_l2(samples: FloatArray, truth: FloatArray) -> float:
+    """Frobenius norm of the difference of two responses (3, 1024)."""
+    return float(np.linalg.norm(samples - truth))
+
+
+def exposure_log2_rmse(exposures: FloatArray, truth: FloatArray) -> float:
+    """Stops between exposures (n,) and the true ones, after removing the mean offset."""
+    stops = np.log2(exposures) - np.log2(truth)
+    return float(np.sqrt(np.mean((stops - stops.mean()) ** 2)))
+
+
+def combine(values: list[float]) -> float:
+    """Mean of the per-image values, without images that have nothing to compare (NaN); NaN if none has."""
+    finite = [value for value in values if np.isfinite(value)]
+    return float(np.mean(finite)) if finite else float("nan")

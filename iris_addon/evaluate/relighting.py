@@ -1,0 +1,180 @@
+"""Scores of path-traced pictures: novel views, the two relighting references, inserted balls.
+
+The renderer is handed in (``iris_addon.blender.render_views`` in practice), so nothing here needs Blender.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+from scipy.optimize import minimize_scalar
+
+from ..capture.types import Camera
+from ..progress import Progress
+from ..response.curve import Response, gamma
+from ..result.edits import SceneEdit
+from ..result.edits_json import insertion_edits, new_lights_edit, one_emitter_edit
+from ..result.types import Result
+from . import metrics
+from .ground_truth import GroundTruth, read_lights, read_mask, read_objects, read_rgb
+from .metrics import FloatArray, Mask
+
+RING_PIXELS = 20
+"""How far around an inserted object its shadow and bounce are scored."""
+
+
+class RenderViews(Protocol):
+    """Path-traces a result: one (H, W, 3) image of linear radiance per camera."""
+
+    def __call__(
+        self,
+        result: Result,
+        cameras: Sequence[Camera],
+        *,
+        edit: SceneEdit | None = None,
+        samples: int = 64,
+        seed: int = 0,
+        on_view: Callable[[int, NDArray[np.float32]], None] | None = None,
+    ) -> list[NDArray[np.float32]]:
+        """Render ``cameras``; ``on_view`` hears of each finished image and may raise to stop."""
+        ...
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A rendered view and what it should look like.
+
+    Attributes:
+        radiance: (H, W, 3) linear, rendered.
+        truth: (H, W, 3) display values.
+        response, exposure: how ``radiance`` becomes a photo.
+        mask: pixels that count (insertion), or None for all.
+    """
+
+    metric: str
+    view: str
+    radiance: FloatArray
+    truth: FloatArray
+    response: Response
+    exposure: float
+    mask: Mask | None = None
+
+    def ldr(self, scale: float = 1.0) -> FloatArray:
+        """(H, W, 3) the photo of the rendering, all light multiplied by ``scale``."""
+        return metrics.to_ldr(self.radiance * scale, self.response, self.exposure)
+
+
+def score_pictures(pictures: Sequence[Picture]) -> dict[str, dict[str, float]]:
+    """Per-image values by metric and view: psnr, over whole images also ssim, and both with one common light scale."""
+    scores: dict[str, dict[str, float]] = {}
+    for metric in dict.fromkeys(picture.metric for picture in pictures):
+        mine = [picture for picture in pictures if picture.metric == metric]
+        stem = metric.removesuffix("_psnr")
+        for suffix, scale in (("", 1.0), ("_si", light_scale(mine))):
+            for picture in mine:
+                ldr = picture.ldr(scale)
+                scores.setdefault(metric + suffix, {})[picture.view] = metrics.psnr(ldr, picture.truth, picture.mask)
+                if picture.mask is None:
+                    scores.setdefault(f"{stem}_ssim{suffix}", {})[picture.view] = metrics.ssim(ldr, picture.truth)
+    return scores
+
+
+def light_scale(pictures: Sequence[Picture]) -> float:
+    """The one factor on all rendered radiance with the least squared error of the photos; within 2^±8."""
+
+    def error(log2_scale: float) -> float:
+        return sum(metrics.mse(p.ldr(2.0**log2_scale), p.truth, p.mask) for p in pictures)
+
+    # The error has one valley, but is flat where everything is black or blown: look around before walking down.
+    grid = np.arange(-8.0, 8.5, 0.5)
+    best = grid[int(np.argmin([error(x) for x in grid]))]
+    return float(2.0 ** minimize_scalar(error, bounds=(best - 0.5, best + 0.5), method="bounded").x)
+
+
+# ---- what is rendered ----------------------------------------------------------------------------------------------
+
+
+def novel_views(
+    result: Result, truth: GroundTruth, render: RenderViews, samples: int, seed: int, progress: Progress
+) -> list[Picture]:
+    """The held-out views with the recovered response and the recorded exposures, beside their photos."""
+    chosen = [
+        (view, photo)
+        for index, view in enumerate(truth.val_views)
+        if view.exposure is not None and (photo := truth.photo(index)) is not None
+    ]
+    images = render_all(result, [view.camera for view, _ in chosen], None, render, samples, seed, progress)
+    return [
+        Picture("nvs_psnr", view.name, image, photo, result.response, view.exposure or 1.0)
+        for (view, photo), image in zip(chosen, images, strict=True)
+    ]
+
+
+def relit_views(
+    result: Result, truth: GroundTruth, render: RenderViews, samples: int, seed: int, progress: Progress
+) -> list[Picture]:
+    """Both kinds of relighting references: new lights alone, and only the recorded faces on."""
+    lights = read_lights(truth)
+    pictures: list[Picture] = []
+    for kind, make_edit in (("new_lights", new_lights_edit), ("one_emitter", one_emitter_edit)):
+        if lights is None or kind not in lights:
+            continue
+        found = [
+            (view, read_rgb(path))
+            for index, view in enumerate(truth.val_views)
+            if (path := truth.path(f"relight/{kind}", index)) is not None
+        ]
+        edit = make_edit(result, lights)
+        images = render_all(result, [view.camera for view, _ in found], edit, render, samples, seed, progress)
+        for (view, reference), image in zip(found, images, strict=True):
+            pictures.append(_beside("relight_psnr", f"{kind}/{view.name}", image, reference, truth))
+    return pictures
+
+
+def inserted_views(
+    result: Result, truth: GroundTruth, render: RenderViews, samples: int, seed: int, progress: Progress
+) -> list[Picture]:
+    """Inserted balls in the original light: within the object and 20 pixels around it, and that ring alone."""
+    objects = read_objects(truth)
+    pictures: list[Picture] = []
+    for index, edit in [] if objects is None else insertion_edits(result, objects):
+        path, mask_path = truth.path("insert/Image", index), truth.path("insert/mask", index, ".png")
+        if path is None or mask_path is None or index >= len(truth.val_views):
+            continue
+        view, reference, inside = truth.val_views[index], read_rgb(path), read_mask(mask_path)
+        (image,) = render_all(result, [view.camera], edit, render, samples, seed, progress)
+        near = np.less_equal(np.asarray(distance_transform_edt(~inside)), RING_PIXELS)
+        pictures.append(_beside("insert_psnr", view.name, image, reference, truth, near))
+        pictures.append(_beside("insert_psnr_around", view.name, image, reference, truth, near & ~inside))
+    return pictures
+
+
+def _beside(
+    metric: str, view: str, image: FloatArray, reference: FloatArray, truth: GroundTruth, mask: Mask | None = None
+) -> Picture:
+    """Rendering and reference through the true response, exposed for the reference's median."""
+    response = truth.response or gamma()
+    exposure = metrics.grey_exposure(reference)
+    return Picture(metric, view, image, metrics.to_ldr(reference, response, exposure), response, exposure, mask)
+
+
+def render_all(
+    result: Result,
+    cameras: Sequence[Camera],
+    edit: SceneEdit | None,
+    render: RenderViews,
+    samples: int,
+    seed: int,
+    progress: Progress,
+) -> list[NDArray[np.float32]]:
+    """Render ``cameras`` and report each finished view to ``progress``, which may stop the work."""
+
+    def on_view(index: int, _image: NDArray[np.float32]) -> None:
+        progress.update((index + 1) / len(cameras))
+
+    return render(result, cameras, edit=edit, samples=samples, seed=seed, on_view=on_view) if cameras else []
