@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import errno
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +17,8 @@ from iris_addon.response.curve import Response, gamma
 from iris_addon.result.io import load_result, save_result
 from iris_addon.result.json_files import from_ranges, plain, to_ranges
 from tests.result_room import room
+
+ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture
@@ -175,3 +179,17 @@ def test_plain_leaves_nothing_json_cannot_say():
     assert json.loads(json.dumps(plain(value), allow_nan=False)) == {
         "1": 0.5, "a": [None, [0, 1]], "p": "x/y", "i": 3, "b": True,
     }  # fmt: skip
+
+
+def test_loading_needs_numpy_alone(saved):
+    code = f"""
+import sys
+for name in ("OpenEXR", "PIL", "torch", "scipy", "trimesh", "embreex", "xatlas"):
+    sys.modules[name] = None
+import numpy as np
+from pathlib import Path
+from iris_addon.result.io import load_result
+print(len(load_result(Path({str(saved)!r}), lambda path: np.zeros((16, 16, 3), np.float32)).emitters))
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=False)
+    assert run.stdout.strip() == "2", run.stderr

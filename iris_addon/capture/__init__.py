@@ -1,7 +1,25 @@
-"""Capture room: photos, poses, exposures and the mesh come in here, and nowhere else."""
+"""Capture room: photos, poses, exposures and the mesh come in here, and nowhere else.
 
-from .photos import load_photo
-from .reader import read_capture, read_views
+Readers are imported on first use: the types are needed inside Blender, whose Python lacks what decodes images.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from .types import Camera, Capture, Distortion, Mesh, Photo, View
 
+if TYPE_CHECKING:
+    from .photos import load_photo
+    from .reader import read_capture, read_views
+
 __all__ = ["Camera", "Capture", "Distortion", "Mesh", "Photo", "View", "load_photo", "read_capture", "read_views"]
+
+_LAZY = {"load_photo": ".photos", "read_capture": ".reader", "read_views": ".reader"}
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever the module has under that name
+    if name in _LAZY:
+        return getattr(import_module(_LAZY[name], __name__), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
