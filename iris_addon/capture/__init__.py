@@ -19,7 +19,7 @@ __all__ = ["Camera", "Capture", "Distortion", "Mesh", "Photo", "View", "load_pho
 _LAZY = {"load_photo": ".photos", "read_capture": ".reader", "read_views": ".reader"}
 
 
-def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever the module has under that name
+def __getattr__(name: str) -> Any:
     if name in _LAZY:
         return getattr(import_module(_LAZY[name], __name__), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
