@@ -74,9 +74,3 @@ def ggx_directions(
     local = 2 * cosine[:, None] * half - v
     world = tangent * local[:, :1] + bitangent * local[:, 1:2] + normal * local[:, 2:]
     return world.astype(np.float32), np.clip(cosine, 0, 1).astype(np.float32)
-
-
-def smith_g1(cosine: NDArray[np.floating], alpha: NDArray[np.floating] | float) -> NDArray[np.floating]:
-    """Smith masking of GGX for the cosine with the normal."""
-    c = np.clip(cosine, 1e-4, 1.0)
-    return 2 * c / (c + np.sqrt(alpha**2 + (1 - alpha**2) * c**2))

@@ -1,0 +1,205 @@
+"""Emission from the albedo it implies.
+
+For patches whose radiance L is known, the light balance says ``a = L / (I + B e)`` with I the irradiance / pi that
+comes from other patches and B e that of the emitters. The right radiances e make the albedo constant within each part.
+Minimised is a robust norm of log albedo about one value per part, over e and the parts' albedos together: every pair
+of patches of a part is thereby compared, however far apart (comparing neighbours alone leaves e undetermined by
+e^1.3). It is smooth in log e, so LBFGS takes a second. Saturated lamp pixels enter as ``e >= bound``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+MIN_PATCHES_PER_PART = 12
+MAX_PATCHES = 25_000
+MAX_ALBEDO = 0.95
+ROBUST_LOG = 0.15
+"""Log-albedo deviation at which a patch starts to count as an outlier (texture, a contact shadow, a highlight)."""
+EFFECTIVE_PATCHES = 2000
+"""Neighbouring patches err together; the shading counts as at most this many independent observations."""
+TINT_STD = 0.25
+MEASURED_STD = 0.05
+BOUND_STD = 0.02
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What photos say about the emitters themselves.
+
+    Attributes:
+        bound: (E, 3) lower bound on radiance from saturated pixels, 0 where there is none.
+        measured: (E, 3) radiance from unsaturated pixels, NaN where there are none.
+        tie: (E,) fixtures with the same label share one radiance.
+    """
+
+    bound: NDArray[np.float64]
+    measured: NDArray[np.float64]
+    tie: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Balance:
+    """A solved light balance.
+
+    Attributes:
+        radiance: (E, 3) per emitter.
+        log_std: (E,) standard deviation of log radiance from the curvature of the loss.
+        part_albedo: (n_parts, 3); ``part_ids`` (n_parts,) names the rows.
+        loss: mean robust loss per patch.
+    """
+
+    radiance: NDArray[np.float64]
+    log_std: NDArray[np.float64]
+    part_ids: NDArray[np.int64]
+    part_albedo: NDArray[np.float64]
+    loss: float
+
+
+def solve_balance(
+    radiance: NDArray[np.floating],
+    indirect: NDArray[np.floating],
+    form_factors: NDArray[np.floating],
+    part: NDArray[np.integer],
+    weight: NDArray[np.floating],
+    evidence: Evidence,
+    start: NDArray[np.floating],
+    iterations: int = 80,
+) -> Balance:
+    """Radiance of every emitter from the shading of everything else.
+
+    Args:
+        radiance: (P, 3) diffuse radiance of patches; rows with weight 0 are ignored.
+        indirect: (P, 3) ``G L`` (+ outside light), irradiance / pi.
+        form_factors: (P, E) ``B``.
+        part: (P,) part of each patch.
+        weight: (P,) say of each patch, >= 0.
+        start: (E, 3) radiance to start from, > 0.
+    """
+    rows, label, part_ids = _usable(radiance, part, weight)
+    n_tied = int(evidence.tie.max()) + 1
+    first = np.array([np.flatnonzero(evidence.tie == k)[0] for k in range(n_tied)])
+    problem = _Problem(
+        np.log(radiance[rows]),
+        np.maximum(indirect[rows], 1e-6),
+        np.stack([form_factors[rows][:, evidence.tie == k].sum(1) for k in range(n_tied)], -1).astype(np.float64),
+        weight[rows] / weight[rows].sum(),
+        label,
+        len(part_ids),
+        _DirectEvidence.of(evidence, n_tied),
+    )
+    log_e = np.log(start[first])
+    unknowns = np.concatenate([log_e.ravel(), problem.implied_albedo(log_e).ravel()])
+    fit = minimize(problem.loss, unknowns, jac=True, method="L-BFGS-B", options={"maxiter": iterations, "maxcor": 20})
+    log_e, log_albedo = problem.split(fit.x)
+    return Balance(
+        np.exp(log_e)[evidence.tie],
+        problem.log_std(log_e)[evidence.tie],
+        part_ids,
+        np.exp(log_albedo),
+        float(fit.fun),
+    )
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """The loss and its gradient: P patches, E' tied emitters, n parts."""
+
+    log_radiance: NDArray[np.float64]  # (P, 3)
+    indirect: NDArray[np.float64]  # (P, 3)
+    form_factors: NDArray[np.float64]  # (P, E')
+    weight: NDArray[np.float64]  # (P,) sums to 1
+    part: NDArray[np.int64]  # (P,)
+    n_parts: int
+    direct: _DirectEvidence
+
+    @property
+    def n_effective(self) -> int:
+        """Independent observations that the patches stand for."""
+        return min(len(self.part), EFFECTIVE_PATCHES)
+
+    def split(self, unknowns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Log radiance (E', 3) and log albedo (n, 3) in the flat vector of unknowns."""
+        n = 3 * self.form_factors.shape[1]
+        return unknowns[:n].reshape(-1, 3), unknowns[n:].reshape(-1, 3)
+
+    def implied_albedo(self, log_e: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n, 3) median log albedo of every part under given emitters."""
+        implied = self.log_radiance - np.log(self.indirect + self.form_factors @ np.exp(log_e))
+        order = np.argsort(self.part, kind="stable")
+        pieces = np.split(implied[order], np.cumsum(np.bincount(self.part, minlength=self.n_parts))[:-1])
+        return np.stack([np.median(piece, axis=0) for piece in pieces])
+
+    def loss(self, unknowns: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        """Robust loss and its gradient in log radiance and log albedo."""
+        log_e, albedo = self.split(unknowns)
+        emission = np.exp(log_e)
+        incoming = self.indirect + self.form_factors @ emission
+        r = (self.log_radiance - np.log(incoming) - albedo[self.part]) / ROBUST_LOG
+        value = float((self.weight @ np.log1p(r**2)).sum())
+        dr = 2 * r / (1 + r**2) * (self.weight / ROBUST_LOG)[:, None]
+        grad_e = -(self.form_factors.T @ (dr / incoming)) * emission
+        grad_a = -np.stack([np.bincount(self.part, dr[:, c], self.n_parts) for c in range(3)], -1)
+        too_white = np.clip(albedo - np.log(MAX_ALBEDO), 0.0, None)
+        share = np.bincount(self.part, self.weight, self.n_parts)[:, None]
+        value += 50.0 * float((share * too_white**2).sum())
+        grad_a += 100.0 * share * too_white
+        penalty, grad_penalty = self.direct.penalty(log_e)
+        value += penalty / self.n_effective
+        grad_e += grad_penalty / self.n_effective
+        return value, np.concatenate([grad_e.ravel(), grad_a.ravel()])
+
+    def log_std(self, log_e: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(E',) standard deviation of log radiance that the shading alone leaves, from the curvature of the loss."""
+        incoming = self.indirect + self.form_factors @ np.exp(log_e)
+        curvature = np.zeros(len(log_e))
+        for channel in range(3):
+            share = self.form_factors * np.exp(log_e[:, channel]) / incoming[:, channel : channel + 1]
+            curvature += self.weight @ share**2 / 3
+        return 1.0 / np.sqrt(np.maximum(curvature * self.n_effective / ROBUST_LOG**2, 1e-6))
+
+
+def _usable(
+    radiance: NDArray[np.floating], part: NDArray[np.integer], weight: NDArray[np.floating]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Rows that take part, their part as 0 ... n-1, and the parts' ids; tiny parts say nothing about light."""
+    rows = np.flatnonzero((weight > 0) & (radiance.min(1) > 1e-5))
+    if len(rows) > MAX_PATCHES:
+        # A regular subset is deterministic and keeps the mix of parts.
+        rows = rows[np.linspace(0, len(rows) - 1, MAX_PATCHES).astype(np.int64)]
+    ids, label, count = np.unique(part[rows], return_inverse=True, return_counts=True)
+    big = count >= min(MIN_PATCHES_PER_PART, count.max())
+    rows, label = rows[big[label]], label[big[label]]
+    kept, label = np.unique(label, return_inverse=True)
+    return rows, label, ids[kept].astype(np.int64)
+
+
+@dataclass(frozen=True)
+class _DirectEvidence:
+    """Bounds, measurements and a weak prior on colour, for tied emitters (E', 3)."""
+
+    log_bound: NDArray[np.float64]
+    log_measured: NDArray[np.float64]  # NaN where nothing was measured
+
+    @staticmethod
+    def of(evidence: Evidence, n_tied: int) -> _DirectEvidence:
+        bound = np.full((n_tied, 3), 1e-6)
+        np.maximum.at(bound, evidence.tie, evidence.bound)
+        measured = np.full((n_tied, 3), np.nan)
+        for k in range(n_tied):
+            values = evidence.measured[evidence.tie == k]
+            have = np.isfinite(values).any(0)
+            measured[k, have] = np.nanmedian(values[:, have], axis=0)
+        return _DirectEvidence(np.log(bound), np.log(np.maximum(measured, 1e-6)))
+
+    def penalty(self, log_e: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        """Sum of squared deviations in standard deviations, and its gradient."""
+        below = np.clip((self.log_bound - log_e) / BOUND_STD, 0.0, None)
+        off = np.nan_to_num((log_e - self.log_measured) / MEASURED_STD)
+        tint = (log_e - log_e.mean(1, keepdims=True)) / TINT_STD
+        value = float((below**2).sum() + (off**2).sum() + (tint**2).sum())
+        return value, 2 * (off / MEASURED_STD - below / BOUND_STD + tint / TINT_STD)

@@ -1,0 +1,131 @@
+"""Which faces emit: faces brighter, from every side, than any surface could be under the light that reaches it.
+
+Not a threshold on pixel values: a white wall in a long exposure is saturated too, and a dim lamp is not. What decides
+is the reflectance that a face would need, its observed radiance (or the bound that saturation gives) over the
+irradiance / pi at it. Above 1 nothing but emission explains it. Because the irradiance itself depends on the lamps
+found so far, the caller repeats the test, from the certain ones down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..response.observations import Observations
+from ..response.radiance import Linearised, group_radiance
+from ..surface.parts import component_labels
+
+WHOLE_PART_SHARE = 0.75
+"""A part of whose pixels this share emits is a lamp as a whole, the faces no photo sees included."""
+FACE_SHARE = 0.7
+MIN_PIXELS = 12
+"""Fewer pixels over all photos are no evidence for a lamp."""
+VIEW_QUANTILE = 0.25
+"""Emission is seen from everywhere; a highlight from few views. The test takes the view at this quantile."""
+
+
+@dataclass(frozen=True)
+class Brightness:
+    """Radiance of each patch as the photos show it, saturation included.
+
+    Attributes:
+        floor: (P, 3) radiance that nearly all views agree to be reached: a low quantile over open views, raised to the
+            highest lower bound where clipped views prevail.
+        measured: (P, 3) radiance from open views, NaN without one.
+        bound: (P, 3) lower bound from clipped views.
+    """
+
+    floor: NDArray[np.float64]
+    measured: NDArray[np.float64]
+    bound: NDArray[np.float64]
+
+
+def brightness(observations: Observations, linear: Linearised, n_patches: int) -> Brightness:
+    """Brightness of every patch that photos see."""
+    o = observations
+    group = group_radiance(linear, o.patch, o.count, n_patches)
+    value = np.where(linear.open, linear.radiance, linear.bound)
+    floor = [_low_quantile(value[:, c], linear.open[:, c], o.count, o.patch, n_patches) for c in range(3)]
+    return Brightness(np.stack(floor, -1), np.where(group.known, group.radiance, np.nan), group.bound)
+
+
+def _low_quantile(
+    value: NDArray[np.float64], open_: NDArray[np.bool_], count: NDArray[np.floating], face: NDArray[np.integer], n: int
+) -> NDArray[np.float64]:
+    """Low quantile over views of what each face is known to reach; a bound only ever raises what it is compared with."""
+    result = np.zeros(n)
+    bound = np.zeros(n)
+    np.maximum.at(bound, face, np.where(open_, 0.0, value))
+    use = np.flatnonzero(open_)
+    order = use[np.lexsort((value[use], face[use]))]
+    sorted_face = face[order]
+    weight = count[order].astype(np.float64)
+    total = np.bincount(sorted_face, weight, n)
+    running = np.cumsum(weight) - np.concatenate([[0], np.cumsum(total)])[sorted_face]
+    reached = running >= VIEW_QUANTILE * total[sorted_face]
+    chosen = np.flatnonzero(reached & np.concatenate([[True], (sorted_face[1:] != sorted_face[:-1]) | ~reached[:-1]]))
+    result[sorted_face[chosen]] = value[order][chosen]
+    open_share = total / np.maximum(np.bincount(face, count, n), 1e-9)
+    return np.where(open_share > VIEW_QUANTILE, result, np.maximum(result, bound))
+
+
+def reflectance_needed(seen: Brightness, irradiance: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(P,) reflectance that would explain each patch; ``irradiance`` (P, 3) is irradiance / pi at it."""
+    return (seen.floor / np.maximum(irradiance, 1e-6)).max(1)
+
+
+def emitting_faces(
+    passed: NDArray[np.bool_], sample_patch: NDArray[np.int32], sample_face: NDArray[np.int32], n_faces: int
+) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """Faces on which nearly every pixel lies on a patch that passed the test, and the pixels of every face.
+
+    A lamp's face shines all over; a large floor triangle with a window's reflection on it does not.
+    """
+    count = np.bincount(sample_face, minlength=n_faces)
+    bright = np.bincount(sample_face, passed[sample_patch], n_faces)
+    return (bright > FACE_SHARE * count) & (count > 0), count
+
+
+def whole_parts(emitting: NDArray[np.bool_], count: NDArray[np.int64], parts: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """(n_parts,) parts nearly all of whose seen pixels lie on emitting faces."""
+    n_parts = int(parts.max()) + 1
+    return np.bincount(parts, count * emitting, n_parts) > WHOLE_PART_SHARE * np.bincount(parts, count, n_parts)
+
+
+def group_emitters(
+    emitting: NDArray[np.bool_],
+    count: NDArray[np.int64],
+    areas: NDArray[np.floating],
+    parts: NDArray[np.int32],
+    adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
+) -> list[NDArray[np.int64]]:
+    """Emitting faces joined to lamps: whole parts where nearly all of a part emits, else faces joined by edges.
+
+    Args:
+        count: (F,) pixels that saw each face.
+    """
+    whole = whole_parts(emitting, count, parts)
+    member = emitting | whole[parts]
+    a, b = adjacency
+    link = member[a] & member[b]
+    label = component_labels(len(parts), a[link], b[link])
+    # Pieces of one part that emit as a whole belong together even where the mesh is not welded.
+    label = np.where(whole[parts], len(parts) + parts, label)
+    faces = np.flatnonzero(member & (areas > 0))
+    order = np.argsort(label[faces], kind="stable")
+    _, first = np.unique(label[faces][order], return_index=True)
+    pieces = np.split(faces[order], first[1:]) if len(faces) else []
+    return [piece.astype(np.int64) for piece in pieces if count[piece].sum() >= MIN_PIXELS]
+
+
+def tie_fixtures(emitters: Sequence[NDArray[np.int64]], areas: NDArray[np.floating]) -> NDArray[np.int64]:
+    """(E,) label per emitter; lamps built from the same number of faces with the same total area are the same model."""
+    keys = [(len(faces), float(areas[faces].sum())) for faces in emitters]
+    label = np.full(len(keys), -1, np.int64)
+    for index, (n, area) in enumerate(keys):
+        twins = [j for j in range(index) if keys[j][0] == n and n > 2 and abs(keys[j][1] / area - 1) < 0.01]
+        label[index] = label[twins[0]] if twins else label.max() + 1
+    return label

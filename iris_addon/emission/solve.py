@@ -1,0 +1,258 @@
+"""Find the lamps and their radiance: candidates, balance, and the test again under the light just found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..progress import Progress
+from ..surface.build import Surface
+from ..surface.samples import PixelSamples
+from ..transport.gather import emitter_form_factors
+from ..transport.tracer import Tracer
+from ..transport.transport import Transport
+from ..response.radiance import GroupRadiance
+from .balance import Evidence, solve_balance
+from .candidates import (
+    Brightness,
+    emitting_faces,
+    group_emitters,
+    reflectance_needed,
+    tie_fixtures,
+    whole_parts,
+)
+
+NEGLIGIBLE_POWER = 2e-4
+HYSTERESIS = 0.8
+THRESHOLDS = (3.0, 1.6, 1.25)
+"""Reflectance needed at which a face counts as a lamp, round by round, from the certain ones down."""
+
+
+@dataclass(frozen=True)
+class Lights:
+    """Emitters and the light they cast.
+
+    Attributes:
+        emitters: faces of each.
+        radiance: (E, 3).
+        log_std: (E,) uncertainty of log radiance.
+        form_factors: (N, E) ``B`` for all patches, seen and unseen.
+        mask: (F,) bool, faces that emit.
+        irradiance: (N, 3) irradiance / pi of every patch, all light.
+        patch_radiance: (N, 3) reflected radiance of every patch, observed or inferred.
+        part_albedo: albedo per part id, from the balance.
+    """
+
+    emitters: list[NDArray[np.int64]]
+    radiance: NDArray[np.float64]
+    log_std: NDArray[np.float64]
+    form_factors: NDArray[np.float32]
+    mask: NDArray[np.bool_]
+    irradiance: NDArray[np.float64]
+    patch_radiance: NDArray[np.float64]
+    part_albedo: dict[int, NDArray[np.float64]] = field(default_factory=dict)
+
+    def face_emission(self, n_faces: int) -> NDArray[np.float64]:
+        """(F, 3) radiance each face emits."""
+        emission = np.zeros((n_faces, 3))
+        for faces, radiance in zip(self.emitters, self.radiance, strict=True):
+            emission[faces] = radiance
+        return emission
+
+
+@dataclass(frozen=True)
+class LightProblem:
+    """All that does not change while lamps are searched for.
+
+    Attributes:
+        parts: (F,) part per face.
+        adjacency: pairs of faces that share an edge.
+        brightness: how bright each seen patch was.
+    """
+
+    tracer: Tracer
+    samples: PixelSamples
+    surface: Surface
+    transport: Transport
+    parts: NDArray[np.int32]
+    adjacency: tuple[NDArray[np.int64], NDArray[np.int64]]
+    brightness: Brightness
+    shadow_rays: int
+    seed: int
+
+
+def find_lights(problem: LightProblem, observed: GroupRadiance, progress: Progress) -> Lights:
+    """Search for lamps from nothing: certain ones first, then those that only stand out under the light of the first."""
+    lights = _without_lamps(problem, observed)
+    for threshold in THRESHOLDS:
+        emitters = _candidates(problem, lights, threshold)
+        if not same_emitters(emitters, lights.emitters):
+            lights = solve_lights(problem, observed, emitters, lights, progress)
+    return _without_negligible(problem, observed, lights, progress)
+
+
+def _candidates(problem: LightProblem, lights: Lights, threshold: float) -> list[NDArray[np.int64]]:
+    """Lamps at one threshold under the light known so far."""
+    n = problem.transport.n_seen
+    needed = reflectance_needed(problem.brightness, lights.irradiance[:n])
+    # What already counts as a lamp stays one unless the light found since explains it away.
+    needed = np.where(_patches_on(problem, lights.mask)[:n], needed / HYSTERESIS, needed)
+    patch, face, n_faces = problem.surface.sample_patch, problem.samples.face, len(problem.parts)
+    emitting, count = emitting_faces(needed > threshold, patch, face, n_faces)
+    certain, _ = emitting_faces(needed > THRESHOLDS[0], patch, face, n_faces)
+    # A bright region of a part that otherwise reflects is a highlight or a caustic until it is far too bright for one.
+    emitting &= certain | whole_parts(emitting, count, problem.parts)[problem.parts]
+    return group_emitters(emitting, count, problem.tracer.areas, problem.parts, problem.adjacency)
+
+
+def _without_negligible(
+    problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress
+) -> Lights:
+    """Leave out the lamps whose light nobody would miss: specks that mixed pixels at the edge of a real lamp make."""
+    power = np.array([problem.tracer.areas[f].sum() for f in lights.emitters]) * lights.radiance.mean(1)
+    kept = power > NEGLIGIBLE_POWER * power.sum()
+    if kept.all():
+        return lights
+    emitters = [faces for faces, keep in zip(lights.emitters, kept, strict=True) if keep]
+    return solve_lights(problem, observed, emitters, lights, progress, lights.form_factors[:, kept])
+
+
+def same_emitters(a: list[NDArray[np.int64]], b: list[NDArray[np.int64]]) -> bool:
+    """Whether two lists name the same lamps."""
+    return len(a) == len(b) and all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
+
+
+def solve_lights(
+    problem: LightProblem,
+    observed: GroupRadiance,
+    emitters: list[NDArray[np.int64]],
+    before: Lights,
+    progress: Progress,
+    form_factors: NDArray[np.float32] | None = None,
+    weight: NDArray[np.float64] | None = None,
+) -> Lights:
+    """Radiance of given emitters.
+
+    Args:
+        observed: diffuse radiance of the seen patches (specular part already taken off, if known).
+        before: lights of the previous pass, for the light that unseen patches reflect.
+        form_factors: ``B`` when it is already known for these emitters.
+        weight: (P,) say of each seen patch; by default the pixels behind it.
+    """
+    if not emitters:
+        return before
+    n_faces = len(problem.parts)
+    mask = np.zeros(n_faces, bool)
+    for faces in emitters:
+        mask[faces] = True
+    if form_factors is None:
+        form_factors = _form_factors(problem, emitters, progress)
+    evidence = _lamp_evidence(problem, emitters)
+    on_lamp = _patches_on(problem, mask)
+    radiance = _start_radiance(observed, before, on_lamp)
+    start = np.maximum(np.where(np.isfinite(evidence.measured), evidence.measured, 2.0 * evidence.bound), 1e-3)
+    usable = observed.known.all(1) & ~on_lamp[: problem.transport.n_seen]
+    say = usable * (np.sqrt(np.minimum(observed.weight, 50.0)) if weight is None else weight)
+    for _ in range(2):
+        unknown = _mean_radiance(radiance, problem)
+        indirect = problem.transport.gather_radiance(radiance, unknown, mask)
+        n = problem.transport.n_seen
+        balance = solve_balance(
+            radiance[:n], indirect[:n], form_factors[:n], problem.transport.part[:n], say, evidence, start
+        )
+        start = balance.radiance
+        irradiance = indirect + form_factors @ balance.radiance
+        albedo = dict(zip(balance.part_ids.tolist(), balance.part_albedo, strict=True))
+        radiance = _infer_unseen(problem, observed, radiance, irradiance, albedo, on_lamp)
+    return Lights(
+        emitters, balance.radiance, balance.log_std, form_factors, mask, irradiance, radiance, albedo
+    )
+
+
+def _without_lamps(problem: LightProblem, observed: GroupRadiance) -> Lights:
+    """The first guess of irradiance: everything glows as it was seen, lamps included."""
+    n = problem.transport.n_patches
+    radiance = np.zeros((n, 3))
+    radiance[: len(observed.radiance)] = observed.radiance
+    unknown = _mean_radiance(radiance, problem)
+    radiance[len(observed.radiance) :] = unknown
+    none = np.zeros(len(problem.parts), bool)
+    irradiance = problem.transport.gather_radiance(radiance, unknown, none)
+    return Lights([], np.zeros((0, 3)), np.zeros(0), np.zeros((n, 0), np.float32), none, irradiance, radiance)
+
+
+def _form_factors(problem: LightProblem, emitters: list[NDArray[np.int64]], progress: Progress) -> NDArray[np.float32]:
+    rng = np.random.default_rng([problem.seed, 17])
+    t = problem.transport
+    samples = int(np.clip(problem.shadow_rays // max(1, len(emitters)), 8, 64))
+    seen = emitter_form_factors(problem.tracer, t.origins, t.rays, emitters, samples, rng, progress)
+    unseen = emitter_form_factors(problem.tracer, t.unseen_origins, t.unseen_rays, emitters, max(4, samples // 4), rng, progress)
+    return np.concatenate([seen, unseen])
+
+
+def _lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> Evidence:
+    """Bounds and measurements per lamp, medians over the pixels on it."""
+    seen, face, patch = problem.brightness, problem.samples.face, problem.surface.sample_patch
+    label = np.full(len(problem.parts), -1)
+    for index, faces in enumerate(emitters):
+        label[faces] = index
+    on_lamp = np.flatnonzero(label[face] >= 0)
+    order = on_lamp[np.argsort(label[face[on_lamp]], kind="stable")]
+    pieces = np.split(patch[order], np.cumsum(np.bincount(label[face[order]], minlength=len(emitters)))[:-1])
+    bound = np.zeros((len(emitters), 3))
+    measured = np.full((len(emitters), 3), np.nan)
+    for index, piece in enumerate(pieces):
+        bound[index] = np.median(seen.bound[piece], axis=0)
+        for channel in range(3):
+            # An open pixel below what others saw clipped is the lamp's edge.
+            values = seen.measured[piece, channel]
+            open_ = values >= 0.98 * bound[index, channel]
+            if open_.mean() > 0.3:
+                measured[index, channel] = np.median(values[open_])
+    return Evidence(bound, measured, tie_fixtures(emitters, problem.tracer.areas))
+
+
+def _patches_on(problem: LightProblem, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(N,) patches that lie on emitting faces."""
+    on = np.zeros(problem.transport.n_patches, bool)
+    share = np.bincount(problem.surface.sample_patch, mask[problem.samples.face], problem.transport.n_seen)
+    on[: problem.transport.n_seen] = share > 0.5 * problem.surface.count
+    return on
+
+
+def _start_radiance(observed: GroupRadiance, before: Lights, on_lamp: NDArray[np.bool_]) -> NDArray[np.float64]:
+    radiance = before.patch_radiance.copy()
+    radiance[: len(observed.radiance)] = observed.radiance
+    radiance[on_lamp] = 0.0
+    return radiance
+
+
+def _mean_radiance(radiance: NDArray[np.float64], problem: LightProblem) -> NDArray[np.float64]:
+    """(3,) stand-in for surfaces that have no patch: the mean of what is seen, darkened as hidden places are."""
+    return 0.7 * np.median(radiance[: problem.transport.n_seen], axis=0)
+
+
+def _infer_unseen(
+    problem: LightProblem,
+    observed: GroupRadiance,
+    radiance: NDArray[np.float64],
+    irradiance: NDArray[np.float64],
+    albedo: dict[int, NDArray[np.float64]],
+    on_lamp: NDArray[np.bool_],
+) -> NDArray[np.float64]:
+    """Radiance of patches without an observation: the albedo of their part times the irradiance at them."""
+    typical = np.median(np.stack(list(albedo.values())), axis=0) if albedo else np.full(3, 0.5)
+    table = np.tile(np.clip(typical, 0.05, 0.9), (int(problem.parts.max()) + 1, 1))
+    for part, value in albedo.items():
+        table[part] = np.clip(value, 0.0, 0.95)
+    inferred = table[problem.transport.part] * irradiance
+    result = radiance.copy()
+    n = problem.transport.n_seen
+    result[n:] = inferred[n:]
+    # A clipped patch reflects at least its bound and about what its part does.
+    clipped = ~observed.known
+    result[:n] = np.where(clipped, np.maximum(observed.bound, inferred[:n]), result[:n])
+    result[on_lamp] = 0.0
+    return result

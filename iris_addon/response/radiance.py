@@ -1,0 +1,107 @@
+"""From display values to radiance: linearised observations, and their mean per patch with what saturation hides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .curve import Response
+from .observations import Observations
+
+MODEL_NOISE = 0.03
+"""Relative noise of an observation that no photo byte explains: interpolation, misregistration."""
+OUTLIER_LOG = 0.2
+"""Log distance from a patch's mean at which a view loses half its say (a highlight that only it sees)."""
+CLIPPED_SHARE = 0.5
+"""From this share of clipped pixels on, an observation is a lower bound."""
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """Observations in linear radiance.
+
+    Attributes:
+        radiance: (M, 3) float64; meaningless where not ``open``.
+        open: (M, 3) bool, no pixel of the observation is clipped in that channel.
+        bound: (M, 3) float64 lower bound on radiance where clipped, else 0.
+        precision: (M, 3) float64 inverse relative variance.
+    """
+
+    radiance: NDArray[np.float64]
+    open: NDArray[np.bool_]
+    bound: NDArray[np.float64]
+    precision: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class GroupRadiance:
+    """Radiance of patches (or faces) over all their views.
+
+    Attributes:
+        radiance: (P, 3) float64 robust mean; the lower bound where nothing else is known; 0 where nothing is.
+        known: (P, 3) bool, at least one open observation.
+        bound: (P, 3) float64 largest lower bound that a clipped observation gave.
+        weight: (P,) float64 effective number of pixels behind the mean.
+    """
+
+    radiance: NDArray[np.float64]
+    known: NDArray[np.bool_]
+    bound: NDArray[np.float64]
+    weight: NDArray[np.float64]
+
+
+def linearise(observations: Observations, response: Response, exposures: NDArray[np.floating]) -> Linearised:
+    """Radiance of every observation.
+
+    Args:
+        exposures: (V, 3) factor per view and channel.
+    """
+    o = observations
+    t = exposures[o.view]
+    hdr = response.family == "identity"
+    z = o.z.astype(np.float64)
+    if hdr:
+        shape = z.shape
+        return Linearised(z / t, np.ones(shape, bool), np.zeros(shape), np.full(shape, 1 / MODEL_NOISE**2))
+    x = response.invert(np.clip(z + 0.5 / 255, 0, 1))
+    slope = np.maximum(response.slope(x), 1e-3)
+    quantisation = (1 / 255 / np.sqrt(12)) / (slope * np.maximum(x, 1e-5))
+    # Pixels of one observation dither the quantisation step only where they differ; count it once.
+    precision = 1.0 / (MODEL_NOISE**2 + quantisation**2)
+    clipped = o.saturated > CLIPPED_SHARE
+    return Linearised(x / t, o.saturated == 0, np.where(clipped, 1.0 / t, 0.0), precision)
+
+
+def group_radiance(
+    linear: Linearised,
+    group: NDArray[np.integer],
+    count: NDArray[np.floating],
+    n_groups: int,
+    subtract: NDArray[np.floating] | None = None,
+) -> GroupRadiance:
+    """Robust mean radiance per group of observations.
+
+    Args:
+        group: (M,) patch or face of each observation.
+        count: (M,) pixels of each observation.
+        subtract: (M, 3) specular radiance to take off first, or None.
+    """
+    radiance = linear.radiance if subtract is None else np.maximum(linear.radiance - subtract, 0.02 * linear.radiance)
+    weight = linear.open * linear.precision * np.minimum(count, 25.0)[:, None]
+
+    def mean(w: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        norm = np.stack([np.bincount(group, w[:, c], n_groups) for c in range(3)], -1)
+        total = np.stack([np.bincount(group, (w * radiance)[:, c], n_groups) for c in range(3)], -1)
+        return total / np.maximum(norm, 1e-12), norm
+
+    first, norm = mean(weight)
+    distance = np.log(np.maximum(radiance, 1e-6) / np.maximum(first[group], 1e-6)).mean(1, keepdims=True)
+    robust, _ = mean(weight / (1 + (distance / OUTLIER_LOG) ** 2))
+    bound = np.zeros((n_groups, 3))
+    np.maximum.at(bound, group, linear.bound)
+    known = norm > 0
+    return GroupRadiance(
+        np.where(known, robust, bound), known, bound, norm.min(1) * MODEL_NOISE**2
+    )
