@@ -1,0 +1,1 @@
+"""The command line: arguments in, engine and Blender room called, exit code out."""

@@ -1,0 +1,219 @@
+"""Arguments, exit codes, signals and messages; what the commands do is in :mod:`headless.commands`.
+
+Exit codes: 0 done, 1 failed, 2 usage, 3 bad input, 4 solver environment missing, 130 cancelled. Errors are one line,
+``error: what is wrong — how to fix it``, on stderr. With ``--json`` stdout carries one JSON object per line: progress,
+then ``{"type": "done", "result": ...}`` or ``{"type": "error", "what": ..., "fix": ..., "exit_code": ...}``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import sys
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NoReturn
+
+from iris_addon.config import PRESETS
+from iris_addon.errors import Cancelled, IrisError
+from iris_addon.progress import Progress, console, json_lines
+
+from .environment import delegate, missing_packages, unusable
+
+USAGE_CODE = 2
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        self.exit(USAGE_CODE, f"error: {message} — see {self.prog} --help\n")
+
+
+def main(argv: list[str]) -> int:
+    """Run one command; returns its exit code."""
+    try:
+        args = make_parser().parse_args(argv)
+    except SystemExit as ended:  # argparse has said what it had to say
+        return int(ended.code or 0)
+    lines = args.json is True
+    progress = Progress(json_lines() if lines else console())
+    try:
+        missing = missing_packages(args.command)
+        if missing:
+            return delegate(argv, missing)
+        from . import commands
+
+        with _signals(progress):
+            outcome = getattr(commands, args.command)(args, progress)
+    except KeyboardInterrupt:
+        return _fail(Cancelled(), lines)
+    except IrisError as error:
+        if args.debug:
+            traceback.print_exc()
+        return _fail(error, lines)
+    except ImportError as error:
+        if args.debug:
+            traceback.print_exc()
+        return _fail(unusable(error), lines)
+    except Exception as error:
+        if args.debug:
+            traceback.print_exc()
+        what = f"{type(error).__name__}: {' '.join(str(error).split()) or 'no message'}"
+        return _fail(IrisError(what, "run again with --debug and report what it prints"), lines)
+    if lines:
+        from iris_addon.result.json_files import plain
+
+        print(json.dumps({"type": "done", "result": plain(outcome.data)}, allow_nan=False), flush=True)
+    else:
+        print(outcome.text, flush=True)
+    return outcome.exit_code
+
+
+def _fail(error: IrisError, lines: bool) -> int:
+    if lines:
+        message = {"type": "error", "what": error.what, "fix": error.fix, "exit_code": error.exit_code}
+        print(json.dumps(message), flush=True)
+    print(f"error: {error}", file=sys.stderr, flush=True)
+    return error.exit_code
+
+
+@contextmanager
+def _signals(progress: Progress) -> Iterator[None]:
+    """Let SIGINT and SIGTERM cancel ``progress``; a second one does not wait for the next checkpoint."""
+    asked = False
+
+    def stop(_number: int, _frame: object) -> None:
+        nonlocal asked
+        if asked:
+            raise KeyboardInterrupt
+        asked = True
+        progress.cancel()
+
+    names = ("SIGINT", "SIGTERM", "SIGBREAK")  # the last is how a process is asked to stop on Windows
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    before = {number: signal.signal(number, stop) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+# ---- arguments -----------------------------------------------------------------------------------------------------
+
+
+def make_parser() -> _Parser:
+    """The parser of the whole command line."""
+    common = _Parser(add_help=False)
+    common.add_argument("--debug", action="store_true", help="show a traceback with an error")
+    lines = _Parser(add_help=False)
+    lines.add_argument("--json", action="store_true", help="progress and result as JSON lines on stdout")
+    parser = _Parser(prog="run.py", description="Photos and mesh of a room in, a relightable .blend out.")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    def add(name: str, text: str, *parents: _Parser) -> _Parser:
+        return commands.add_parser(name, help=text, description=text, parents=list(parents or (common, lines)))
+
+    demo = add("demo", "the whole job on the bundled capture: solve, .blend, relit, inserted, report")
+    demo.add_argument("--out", type=Path, default=Path("out/demo"))
+
+    solve = add("solve", "capture folder (or file) to result folder")
+    solve.add_argument("capture", type=Path)
+    solve.add_argument("--out", type=Path, required=True)
+    solve.add_argument("--preset", choices=list(PRESETS), default="balanced")
+    solve.add_argument("--device", choices=["auto", "cpu", "cuda"], default="auto")
+    solve.add_argument("--response", type=_word_or_path("auto", "gamma"), default="auto", metavar="auto|gamma|FILE")
+    solve.add_argument("--exposures", type=_word_or_path("auto", "none"), default="auto", metavar="auto|none|FILE")
+    solve.add_argument("--hdr", type=Path, metavar="DIR", help="one EXR of radiance per photo, in place of the photos")
+    solve.add_argument("--resume", action="store_true", help="go on from the last finished stage")
+    solve.add_argument("--seed", type=_whole, default=0)
+
+    apply = add("apply", "Principled materials and emissive lights as a .blend")
+    apply.add_argument("result", type=Path)
+    apply.add_argument("--blend", type=Path, required=True)
+    apply.add_argument("--glb", type=Path)
+    apply.add_argument("--usd", type=Path)
+    apply.add_argument("--views", type=Path, metavar="CAPTURE", help="add the cameras of a transforms.json or capture")
+
+    render = add("render", "novel views in Cycles, as the photo's camera would see them, or linear EXR")
+    relight = add("relight", "recovered lights off, scaled or recoloured, new lights added")
+    relight.add_argument("--lights", type=Path, required=True, metavar="FILE")
+    insert = add("insert", "objects lit by the recovered light")
+    insert.add_argument("--objects", type=Path, required=True, metavar="FILE")
+    insert.add_argument("--onto-photos", action="store_true", help="differential rendering onto the views' photos")
+    for command, exposure in ((render, "photo"), (relight, "auto"), (insert, "photo")):
+        command.add_argument("result", type=Path)
+        command.add_argument("--views", type=Path, required=True, metavar="transforms.json")
+        command.add_argument("--out", type=Path, required=True)
+        command.add_argument("--linear", action="store_true", help="write EXR of radiance instead of PNG")
+        command.add_argument(
+            "--exposure",
+            type=_exposure,
+            default=exposure,
+            metavar="photo|auto|FACTOR",
+            help="that of the photos, one that puts the median of each picture at middle grey, or a factor "
+            f"(default: {exposure})",
+        )
+        _add_sampling(command)
+
+    evaluate = add("evaluate", "the metrics of a result against ground truth or held-out photos", common)
+    evaluate.add_argument("result", type=Path)
+    evaluate.add_argument("--gt", type=Path, required=True, metavar="CAPTURE")
+    evaluate.add_argument("--no-render", action="store_true", help="leave out what needs path tracing")
+    evaluate.add_argument(
+        "--json", nargs="?", const=True, type=Path, metavar="FILE", help="write FILE; without it JSON lines on stdout"
+    )
+    _add_sampling(evaluate)
+
+    synth = add("synth", "posed LDR capture with ground truth out of a Blender scene")
+    synth.add_argument("scene", type=Path, metavar="SCENE.blend")
+    synth.add_argument("--out", type=Path, required=True)
+    synth.add_argument("--cameras", nargs="+", metavar="NAME", help="camera objects to use; all without it")
+    synth.add_argument("--resolution", type=_resolution, default=(320, 240), metavar="WxH")
+    synth.add_argument("--response", default="film", metavar="film|gamma|linear|FILE")
+    synth.add_argument("--compact", action="store_true", help="leave out what no metric needs, compress with loss")
+    _add_sampling(synth, default=256)
+
+    batch = add("batch", "many jobs, one summary; a job that fails does not stop the rest")
+    batch.add_argument("jobs", type=Path, metavar="JOBS.toml")
+    return parser
+
+
+def _add_sampling(parser: argparse.ArgumentParser, default: int = 64) -> None:
+    parser.add_argument("--samples", type=_positive, default=default, help="per pixel")
+    parser.add_argument("--seed", type=_whole, default=0)
+
+
+def _whole(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 up")
+    return int(text)
+
+
+def _positive(text: str) -> int:
+    if _whole(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 up")
+    return int(text)
+
+
+def _resolution(text: str) -> tuple[int, int]:
+    width, _, height = text.partition("x")
+    return _positive(width), _positive(height)
+
+
+def _exposure(text: str) -> str | float:
+    if text in ("photo", "auto"):
+        return text
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is neither photo, auto nor a factor above 0")
+    return value
+
+
+def _word_or_path(*words: str) -> Callable[[str], str | Path]:
+    return lambda text: text if text in words else Path(text)

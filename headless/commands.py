@@ -1,0 +1,183 @@
+"""What each command does: read, call one room, write. Returns an :class:`Outcome`; errors are raised.
+
+Rooms are imported where they are called: a command needs no more packages than it uses.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from iris_addon.capture.types import View
+from iris_addon.config import preset
+from iris_addon.errors import BadInput
+from iris_addon.progress import Progress
+from iris_addon.result.edits import SceneEdit
+from iris_addon.result.edits_json import insertion_edits, relight_edit
+from iris_addon.result.io import load_result
+from iris_addon.result.json_files import read_json, write_json
+from iris_addon.result.types import Result
+
+from .outcome import Outcome, summarise
+
+
+def solve(args: argparse.Namespace, progress: Progress) -> Outcome:
+    """Capture folder to result folder."""
+    from iris_addon.capture import read_capture
+
+    config = preset(
+        args.preset, response=args.response, exposures=args.exposures, hdr=args.hdr, device=args.device, seed=args.seed
+    )
+    capture = read_capture(args.capture, exposures=config.exposures, hdr=config.hdr)
+    from iris_addon.solve import solve as run_solve  # slow to import; a capture that cannot be read is told at once
+
+    result = run_solve(capture, config, args.out, progress, resume=args.resume)
+    figures = {"result": args.out, "report": args.out / "report.html", **summarise(result)}
+    return Outcome.of(f"Solved {capture.name}", figures)
+
+
+def apply(args: argparse.Namespace, progress: Progress) -> Outcome:
+    """Result folder to .blend."""
+    from iris_addon.blender.apply import apply as write_blend
+    from iris_addon.blender.images import read_image
+
+    result = load_result(args.result, read_image)
+    views: Sequence[View] = ()
+    if args.views is not None:
+        from iris_addon.capture import read_views
+
+        views = read_views(args.views)
+    progress.check()
+    write_blend(result, args.blend, views=views, glb=args.glb, usd=args.usd)
+    written = [path for path in (args.blend, args.glb, args.usd) if path is not None]
+    return Outcome.of("Wrote the room", {"files": written})
+
+
+def render(args: argparse.Namespace, progress: Progress) -> Outcome:
+    """Novel views."""
+    return _render_edited(args, progress, load_result(args.result), None)
+
+
+def relight(args: argparse.Namespace, progress: Progress) -> Outcome:
+    """Views in other light."""
+    result = load_result(args.result)
+    job = read_json(args.lights)
+    try:
+        edit = relight_edit(result, job)
+    except BadInput as error:
+        raise BadInput(error.what, error.fix, args.lights) from error
+    return _render_edited(args, progress, result, edit)
+
+
+def insert(args: argparse.Namespace, progress: Progress) -> Outcome:
+    """Views with objects in them, rendered whole or onto their photos."""
+    from iris_addon.blender.insert import insert_onto_photo
+    from iris_addon.blender.render import render_views
+    from iris_addon.capture import load_photo, read_views
+
+    from .pictures import Developer, photo_exposure
+
+    result, views = load_result(args.result), read_views(args.views)
+    job = read_json(args.objects)
+    try:
+        edits = insertion_edits(result, job, args.objects.parent)
+    except BadInput as error:
+        raise BadInput(error.what, error.fix, args.objects) from error
+    beyond = [index for index, _ in edits if index >= len(views)]
+    if beyond:
+        raise BadInput(
+            f"names view {beyond[0]}, there are {len(views)}", f"count the views of {args.views}", args.objects
+        )
+    developer = Developer(result, args.out, args.exposure, args.linear)
+    written = []
+    with progress.stage("insert"):
+        for number, (index, edit) in enumerate(edits):
+            view = views[index]
+            if args.onto_photos:
+                if view.photo is None:
+                    raise BadInput(f"{view.name} has no photo", "leave out --onto-photos or add the photo", args.views)
+                exposure = photo_exposure(result, view)
+                photo = load_photo(view).values
+                values = insert_onto_photo(
+                    result, view.camera, photo, exposure, edit, samples=args.samples, seed=args.seed
+                )
+                written.append(developer.write_display(view, values))
+            else:
+                (radiance,) = render_views(result, [view.camera], edit=edit, samples=args.samples, seed=args.seed)
+                written.append(developer.write(view, radiance))
+            progress.update((number + 1) / len(edits))
+    return Outcome.of("Rendered", {"files": written})
+
+
+def _render_edited(args: argparse.Namespace, progress: Progress, result: Result, edit: SceneEdit | None) -> Outcome:
+    """Every view of ``args.views`` with ``edit``, each written as soon as it is there."""
+    from iris_addon.blender.render import render_views
+    from iris_addon.capture import read_views
+
+    from .pictures import Developer
+
+    views = read_views(args.views)
+    developer = Developer(result, args.out, args.exposure, args.linear)
+    written: list[Path] = []
+
+    def on_view(index: int, radiance: NDArray[np.float32]) -> None:
+        written.append(developer.write(views[index], radiance))
+        progress.update((index + 1) / len(views))
+
+    with progress.stage(args.command):
+        cameras = [view.camera for view in views]
+        render_views(result, cameras, edit=edit, samples=args.samples, seed=args.seed, on_view=on_view)
+    return Outcome.of("Rendered", {"files": written})
+
+
+def evaluate(args: argparse.Namespace, progress: Progress) -> Outcome:
+    """The metrics of a result."""
+    from iris_addon.evaluate import evaluate as score
+
+    render_views = None
+    if not args.no_render:
+        from iris_addon.blender.render import render_views
+    result = load_result(args.result)
+    scores = score(result, args.gt, render=render_views, samples=args.samples, seed=args.seed, progress=progress)
+    if isinstance(args.json, Path):
+        write_json(args.json, scores)
+    outcome = Outcome.of(f"{args.result} against {args.gt}", scores)
+    left_out = [f"  left out: {name} ({why})" for name, why in scores["left_out"].items()]
+    return Outcome("\n".join([outcome.text, *left_out]), scores)
+
+
+def synth(args: argparse.Namespace, progress: Progress) -> Outcome:
+    """Blender scene to capture with ground truth."""
+    from iris_addon.blender.synth import synth as write_capture
+
+    named = args.response in ("film", "gamma", "linear")
+    write_capture(
+        args.scene,
+        args.out,
+        cameras=args.cameras,
+        resolution=args.resolution,
+        response=args.response if named else Path(args.response),
+        samples=args.samples,
+        seed=args.seed,
+        compact=args.compact,
+        progress=progress,
+    )
+    return Outcome.of("Wrote the capture", {"capture": args.out})
+
+
+def batch(args: argparse.Namespace, progress: Progress) -> Outcome:
+    """Many jobs, one summary."""
+    from .batch import run_batch
+
+    return run_batch(args.jobs, progress)
+
+
+def demo(args: argparse.Namespace, progress: Progress) -> Outcome:
+    """The whole job on the bundled capture."""
+    from .demo import run_demo
+
+    return run_demo(args.out, progress)

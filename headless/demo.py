@@ -1,0 +1,100 @@
+"""The whole job on the bundled capture: what a newcomer runs first, and the shortest example of every room's use."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from iris_addon.capture import load_photo, read_capture
+from iris_addon.capture.types import Capture, View
+from iris_addon.config import preset
+from iris_addon.errors import BadInput
+from iris_addon.imaging import write_png
+from iris_addon.progress import Progress
+from iris_addon.result.edits import SceneEdit
+from iris_addon.result.edits_json import insertion_edits, new_lights_edit
+from iris_addon.result.json_files import read_json, write_json
+from iris_addon.result.types import Result
+
+from .outcome import Outcome, summarise
+from .pictures import Developer, FloatArray, photo_exposure, to_bytes
+
+CAPTURE = Path(__file__).resolve().parents[1] / "assets" / "demo_room"
+SAMPLES = 48
+WEIGHTS = {"scene": 0.05, "pictures": 1.0, "maps": 0.2}
+SHOWN_METRICS = ("kd_psnr", "kd_psnr_all", "emission_iou", "emission_log_l2", "crf_l2")
+
+
+def run_demo(out: Path, progress: Progress) -> Outcome:
+    """Solve the bundled room into ``out``; write scene.blend, pictures, report.html and evaluation.json there."""
+    from iris_addon.solve import solve
+
+    from iris_addon.blender.apply import apply
+    from iris_addon.evaluate import evaluate
+    from iris_addon.result.report_html import write_report
+
+    if not CAPTURE.is_dir():
+        raise BadInput("the bundled capture is missing", "make it with assets/make_demo_room.py", CAPTURE)
+    capture = read_capture(CAPTURE)
+    result = solve(capture, preset("balanced"), out, progress)
+    with progress.stage("scene"):
+        apply(result, out / "scene.blend", views=capture.views)
+    with progress.stage("pictures"):
+        view = capture.val_views[0]
+        shown, rerender = make_pictures(result, capture, view, progress)
+        files = [_write(out / "pictures" / f"{name}.png", image) for name, image in shown.items()]
+    scores = evaluate(result, CAPTURE, progress=progress)
+    write_json(out / "evaluation.json", scores)
+    gallery = {name.replace("_", " "): shown[name] for name in ("relit", "inserted")}
+    report = write_report(result, capture, out, {view.name: rerender}, gallery)
+    figures = {
+        **summarise(result),
+        **{name: scores[name] for name in SHOWN_METRICS if name in scores},
+        "report": report,
+        "scene": out / "scene.blend",
+        "pictures": files,
+    }
+    return Outcome.of("The bundled room is solved; look at", figures)
+
+
+def make_pictures(
+    result: Result, capture: Capture, view: View, progress: Progress
+) -> tuple[Mapping[str, FloatArray], FloatArray]:
+    """Pictures by name and the re-render of ``view`` alone, display values (H, W, 3)."""
+    from iris_addon.blender.insert import insert_onto_photo
+    from iris_addon.blender.render import render_views
+    from iris_addon.evaluate.maps import MapRenderer
+    from iris_addon.result.report_html import srgb
+
+    def rendered(edit: SceneEdit | None) -> FloatArray:
+        (radiance,) = render_views(result, [view.camera], edit=edit, samples=SAMPLES)
+        return radiance
+
+    photo = load_photo(view).values
+    rerender = Developer(result, Path(), "photo").develop(view, rendered(None))
+    progress.update(1 / 3)
+    lights = read_json(CAPTURE / "relight" / "lights.json")
+    relit = Developer(result, Path(), "auto").develop(view, rendered(new_lights_edit(result, lights)))
+    progress.update(2 / 3)
+    # The capture's insertion job lists views by number; take the first and show it on its own photo.
+    index, edit = insertion_edits(result, read_json(CAPTURE / "insert" / "objects.json"))[0]
+    host = capture.val_views[index]
+    exposure = photo_exposure(result, host)
+    inserted = insert_onto_photo(result, host.camera, load_photo(host).values, exposure, edit, samples=SAMPLES)
+    maps = MapRenderer(result).maps(view.camera)
+    peak = max(float(maps.emission.max()), 1e-9)
+    pictures = {
+        "photo_and_rerender": np.concatenate([photo, rerender], axis=1),
+        "relit": relit,
+        "inserted": inserted,
+        "albedo": srgb(maps.base_color),
+        "lights": np.log1p(maps.emission) / np.log1p(peak),  # decades apart: log keeps the dim ones visible
+    }
+    return pictures, rerender
+
+
+def _write(path: Path, image: FloatArray) -> Path:
+    write_png(path, to_bytes(image))
+    return path

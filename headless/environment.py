@@ -1,0 +1,82 @@
+"""Which Python a command needs, and handing it over where the one at hand will not do.
+
+Blender's Python changes with every release and has no torch; the solver's own Python is named by IRIS_PYTHON.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+from iris_addon.errors import IrisError, SolverEnvironmentMissing
+
+_IMAGES = ("numpy", "OpenEXR", "PIL")
+_SOLVER = (*_IMAGES, "torch", "scipy", "trimesh", "embreex", "xatlas")
+NEEDS = {
+    "demo": (*_SOLVER, "bpy"),
+    "solve": _SOLVER,
+    "batch": _SOLVER,
+    "apply": ("numpy", "bpy"),
+    "render": (*_IMAGES, "bpy"),
+    "relight": (*_IMAGES, "bpy"),
+    "insert": (*_IMAGES, "bpy"),
+    "synth": (*_IMAGES, "bpy"),
+    "evaluate": (*_IMAGES, "scipy", "embreex"),
+}
+RUN = Path(__file__).with_name("run.py")
+
+
+def missing_packages(command: str) -> list[str]:
+    """Packages that ``command`` needs and this Python lacks."""
+    return [name for name in NEEDS[command] if name not in sys.modules and find_spec(name) is None]
+
+
+def unusable(error: ImportError) -> IrisError:
+    """What to tell when a package was found but does not import, or an optional one is missing."""
+    return SolverEnvironmentMissing(
+        f"this Python ({sys.executable}) cannot import what it needs ({error})",
+        "run make setup and use .venv/bin/python",
+    )
+
+
+def delegate(argv: list[str], missing: list[str]) -> int:
+    """Run the same command line in the Python that IRIS_PYTHON names; returns its exit code.
+
+    Raises:
+        SolverEnvironmentMissing: IRIS_PYTHON is not set.
+        IrisError: it cannot be started.
+    """
+    python = os.environ.get("IRIS_PYTHON")
+    if not python:
+        raise SolverEnvironmentMissing(
+            f"this Python ({sys.executable}) lacks {', '.join(missing)}",
+            "run make setup and use .venv/bin/python, or name a Python that has everything in IRIS_PYTHON",
+        )
+    # Without IRIS_PYTHON, so that a Python that lacks the same says so instead of starting itself for ever; without
+    # PYTHON*, because Blender's PYTHONHOME would make another Python load Blender's library.
+    environment = {k: v for k, v in os.environ.items() if k != "IRIS_PYTHON" and not k.startswith("PYTHON")}
+    try:
+        process = subprocess.Popen([python, str(RUN), *argv], env=environment)
+    except OSError as error:
+        raise SolverEnvironmentMissing(
+            f"{python}: cannot be started ({error.strerror})", "correct IRIS_PYTHON"
+        ) from error
+
+    def forward(number: int, _frame: object) -> None:
+        if process.poll() is None:
+            process.send_signal(number)
+
+    # A terminal sends Ctrl-C to both processes, anybody else to this one alone.
+    before = {number: signal.signal(number, forward) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        code = process.wait()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if code < 0:
+        raise IrisError(f"the solver was killed by signal {-code}", "run again with --resume")
+    return code

@@ -1,0 +1,76 @@
+"""Rendered radiance as pictures: through the recovered response, with the exposure that was asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from iris_addon.capture.types import View
+from iris_addon.imaging import write_exr, write_png
+from iris_addon.result.types import Result
+
+FloatArray = NDArray[np.floating]
+
+MIDDLE_GREY = 0.18
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
+
+def photo_exposure(result: Result, view: View) -> FloatArray:
+    """(3,) the exposure of ``view``'s photo: as recovered, as recorded, or the median of the recovered ones."""
+    if view.split == "train" and view.name in result.exposures:
+        return result.exposures[view.name]
+    if view.exposure is not None:
+        return np.full(3, view.exposure)
+    if result.exposures:
+        return np.median(np.stack(list(result.exposures.values())), axis=0)
+    return np.ones(3)
+
+
+def auto_exposure(radiance: FloatArray) -> float:
+    """The exposure that puts the median luminance of ``radiance`` (H, W, 3) at middle grey."""
+    return MIDDLE_GREY / max(float(np.median(radiance @ LUMINANCE)), 1e-9)
+
+
+@dataclass(frozen=True)
+class Developer:
+    """Turns radiance into files in ``folder``.
+
+    Attributes:
+        exposure: "photo", "auto" or a factor.
+        linear: EXR of radiance instead of PNG.
+    """
+
+    result: Result
+    folder: Path
+    exposure: str | float = "photo"
+    linear: bool = False
+
+    def develop(self, view: View, radiance: FloatArray) -> FloatArray:
+        """(H, W, 3) display values in [0, 1] of ``radiance`` (H, W, 3)."""
+        if self.exposure == "photo":
+            factor = photo_exposure(self.result, view)
+        else:
+            factor = auto_exposure(radiance) if self.exposure == "auto" else float(self.exposure)
+        return self.result.response.apply(radiance * factor)
+
+    def write(self, view: View, radiance: FloatArray) -> Path:
+        """Write ``radiance`` under the view's name; raises IrisError if it cannot be written."""
+        if not self.linear:
+            return self.write_display(view, self.develop(view, radiance))
+        path = self.folder / f"{view.name}.exr"
+        write_exr(path, radiance)
+        return path
+
+    def write_display(self, view: View, values: FloatArray) -> Path:
+        """Write display values (H, W, 3) under the view's name; raises IrisError if it cannot be written."""
+        path = self.folder / f"{view.name}.png"
+        write_png(path, to_bytes(values))
+        return path
+
+
+def to_bytes(values: FloatArray) -> NDArray[np.uint8]:
+    """8-bit codes of display values in [0, 1]."""
+    return np.round(np.clip(values, 0.0, 1.0) * 255).astype(np.uint8)
