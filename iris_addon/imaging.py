@@ -25,6 +25,7 @@ from .errors import BadInput, IrisError
 
 MAX_PIXELS = 200_000_000
 HALF_MAX = 65504.0
+DWA_LEVEL = 120.0
 
 LDR_SUFFIXES = (".png", ".jpg", ".jpeg")
 HDR_SUFFIXES = (".exr",)
@@ -64,14 +65,15 @@ def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
 def write_exr(path: Path, values: NDArray[np.floating], *, half: bool = False, lossy: bool = False) -> None:
     """Write (H, W, 3) RGB or (H, W) single-channel "Y" linear values as float32, or float16 with ``half``.
 
-    ``lossy`` compresses by DWAA, which keeps a visually lossless picture in about a tenth of the space.
+    ``lossy`` compresses by DWAB to a fifth of the space; albedo and display values keep about 50 dB.
     """
     if values.ndim not in (2, 3) or (values.ndim == 3 and values.shape[2] != 3):
         raise ValueError(f"EXR values have shape {values.shape}, expected (H, W, 3) or (H, W)")
     pixels = np.ascontiguousarray(np.clip(values, -HALF_MAX, HALF_MAX) if half else values)
     pixels = pixels.astype(np.float16 if half else np.float32)
-    compression = OpenEXR.DWAA_COMPRESSION if lossy else OpenEXR.ZIP_COMPRESSION
-    header = {"compression": compression, "type": OpenEXR.scanlineimage}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    if lossy:
+        header |= {"compression": OpenEXR.DWAB_COMPRESSION, "dwaCompressionLevel": DWA_LEVEL}
     # Through memory, because OpenEXR reports a failed write to disk without its errno.
     encoded = io.BytesIO()
     OpenEXR.File(header, {"Y" if pixels.ndim == 2 else "RGB": pixels}).write(encoded)

@@ -13,7 +13,7 @@ from scipy.ndimage import binary_erosion
 from iris_addon.blender.camera import read_camera
 from iris_addon.blender.synth import synth
 from iris_addon.blender.synth_maps import add_outputs, render_maps
-from iris_addon.blender.synth_photos import exposures, film, read_response
+from iris_addon.blender.synth_photos import GREY, exposures, film, read_response
 from iris_addon.capture import read_capture
 from iris_addon.capture.types import Capture
 from iris_addon.errors import BadInput
@@ -234,7 +234,7 @@ def test_brightest_fifth_gets_the_lowest_level():
     assert [(level == x).sum() for x in (0.25, 0.5, 1, 2, 4)] == [5] * 5
     assert brightness[level == 0.25].min() > brightness[level == 0.5].max()
     assert val / scale == pytest.approx([4.0, 0.25])
-    assert np.median(brightness) * scale == pytest.approx(0.2)
+    assert np.median(brightness) * scale == pytest.approx(GREY)
 
 
 def test_film_is_a_response_unlike_a_power():

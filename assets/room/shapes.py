@@ -178,7 +178,7 @@ def cushion(
     square: float = 0.45,
 ) -> bpy.types.Object:
     """Soft pillow: a superellipsoid (``square`` → 0 is a box, 1 an ellipsoid), tilted about y, then turned about z."""
-    n = 20
+    n = 16
     theta = np.linspace(-math.pi / 2, math.pi / 2, n + 1)
     phi = np.linspace(-math.pi, math.pi, 2 * n, endpoint=False)
 

@@ -75,7 +75,7 @@ def rug(height: int = 400, width: int = 340) -> Image:
     color[edge < 0.10] = indigo
     color[edge < 0.045] = ochre
     color[edge < 0.03] = indigo
-    weave = 1 + 0.07 * noise(height, width, (100, 85), 12, 1) + 0.05 * noise(height, width, (9, 8), 13, 3)
+    weave = 1 + 0.06 * noise(height, width, (9, 8), 13, 2)
     return (color * weave[..., None]).clip(0.05, 0.8)
 
 
@@ -99,7 +99,7 @@ def landscape(height: int = 240, width: int = 352) -> Image:
 
 def weave(base: Image, seed: int, size: int = 256, strength: float = 0.12) -> Image:
     """Half a square metre of upholstery: threads and slow variation."""
-    threads = noise(size, size, (64, 64), seed, 2) * 0.7 + noise(size, size, (6, 6), seed + 1, 3) * 0.6
+    threads = noise(size, size, (64, 64), seed, 1) * 0.4 + noise(size, size, (5, 5), seed + 1, 2) * 0.6
     return (np.array(base) * (1 + strength * threads[..., None])).clip(0.05, 0.8)
 
 

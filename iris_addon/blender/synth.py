@@ -57,8 +57,8 @@ def synth(
         response: 'film', 'gamma', 'linear' or a file (see :func:`~iris_addon.blender.synth_photos.read_response`).
         levels: exposure levels; the brightest views get the lowest.
         samples: per pixel, before denoising.
-        compact: leave out what no metric needs (constant exposure, maps of validation views, Depth and Normal) and
-            store pictures with lossy compression.
+        compact: leave out what no metric needs (constant exposure, radiance of training views, maps of validation
+            views, BaseCol, Depth, Normal) and store pictures with lossy compression.
 
     Raises:
         BadInput: ``out`` is not empty, or the scene is outside the limits above.

@@ -15,7 +15,7 @@ from ..response.curve import N_SAMPLES, Response, gamma, identity
 FloatArray = NDArray[np.floating]
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-GREY = 0.2  # exposure of the median pixel of the median view
+GREY = 0.14  # exposure of the median pixel of the median view
 FILM_CONTRAST, FILM_SHOULDER = 1.05, 2.4
 
 

@@ -31,6 +31,7 @@ CEILING_GAP, CEILING_HALF = 0.03, 0.3  # metres
 STANDING_HEIGHT, STANDING_HALF = 1.1, (0.25, 0.4)
 CEILING_RADIANCE, STANDING_RADIANCE = (30.0, 25.8, 19.8), (15.0, 21.6, 30.0)
 CANDIDATES = 40
+IN_THE_WAY = 3.0  # how many lit points a light gives up to stay out of the pictures
 SPHERE_RADIUS, SPHERE_GAP = 0.11, 0.0003
 OFFSET = 1e-3
 INSERT_VIEWS = 4
@@ -88,15 +89,27 @@ class SeenPoints:
 def choose_lights(seen: SeenPoints) -> list[tuple[str, Quad, float]]:
     """(kind, light, share of seen points it lights): one quad under the ceiling, one standing panel."""
     floor = seen.points[seen.normals @ UP > 0.9]
-    best: dict[str, tuple[str, Quad, float]] = {}
+    best: dict[str, tuple[float, Quad, float]] = {}
     for point in floor[seen.random.permutation(len(floor))[:CANDIDATES]]:
         for kind, quad in (("ceiling", _ceiling_quad(seen, point)), ("standing", _standing_quad(seen, point))):
             if quad is None:
                 continue
             lit = float((seen.irradiance(quad.corners.mean(0), quad.normal, 1.0) > 0).mean())
-            if kind not in best or lit > best[kind][2]:
-                best[kind] = (kind, quad, lit)
-    return list(best.values())
+            score = lit - IN_THE_WAY * max(_covered(camera, quad) for camera in seen.cameras)
+            if kind not in best or score > best[kind][0]:
+                best[kind] = (score, quad, lit)
+    return [(kind, quad, lit) for kind, (_score, quad, lit) in best.items()]
+
+
+def _covered(camera: Camera, quad: Quad) -> float:
+    """Share of the picture that ``quad`` covers, on a coarse grid of rays and as if nothing stood before it."""
+    corner, across, along = quad.corners[0], quad.corners[1] - quad.corners[0], quad.corners[3] - quad.corners[0]
+    origins, directions = (rays[::41] for rays in camera.rays())
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = ((corner - origins) @ quad.normal) / (directions @ quad.normal)
+    local = origins + distance[:, None] * directions - corner
+    u, v = local @ across / (across @ across), local @ along / (along @ along)
+    return float(((distance > 0) & (u > 0) & (u < 1) & (v > 0) & (v < 1)).mean())
 
 
 def _ceiling_quad(seen: SeenPoints, floor: FloatArray) -> Quad | None:

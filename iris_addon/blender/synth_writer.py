@@ -24,6 +24,7 @@ FloatArray = NDArray[np.floating]
 
 # FIPT's camera columns are x left, y up, z forward.
 TO_FIPT = np.diag([-1.0, 1.0, -1.0, 1.0])
+COMPACT_LEAVES_OUT = ("Image_const", "gt/train: Image, BaseCol, Depth, Normal", "gt/val: all but Image")
 
 
 @dataclass(frozen=True)
@@ -67,13 +68,13 @@ class CaptureWriter:
         write_json(self.root / split / "transforms.json", content)
         for k, (image, m) in enumerate(zip(radiance, maps, strict=True)):
             folder = self.root / "gt" / split
-            self._exr(folder / "Image" / f"{k:03d}_0001.exr", image, lossy=True)
+            if split == "val" or not self.compact:
+                self._exr(folder / "Image" / f"{k:03d}_0001.exr", image, lossy=True)
             if split == "train" or not self.compact:
                 self._maps(folder, k, m)
 
     def _maps(self, folder: Path, k: int, m: Maps) -> None:
         stored = {
-            "BaseCol": (m.base_color, True),
             "DiffCol": (m.diffuse_albedo, True),
             "Roughness": (m.roughness, False),
             "Metallic": (m.metallic, False),
@@ -81,14 +82,15 @@ class CaptureWriter:
             "IndexMA": (m.material, False),
         }
         if not self.compact:
-            stored |= {"Depth": (m.depth, False), "Normal": (m.normal, False)}
+            stored |= {"BaseCol": (m.base_color, False), "Depth": (m.depth, False), "Normal": (m.normal, False)}
         for name, (values, lossy) in stored.items():
             self._exr(folder / name / f"{k:03d}_0001.exr", values, lossy=lossy)
         self._exr(folder / "albedo" / f"{k:03d}.exr", m.albedo, lossy=True)  # FIPT names these without the frame
 
     def _exr(self, path: Path, values: FloatArray, *, lossy: bool) -> None:
-        rgb = values if values.ndim == 3 else np.repeat(values[..., None], 3, axis=2)
-        imaging.write_exr(path, rgb, half=True, lossy=lossy and self.compact)
+        if values.ndim == 2 and not self.compact:  # FIPT has three equal channels
+            values = np.repeat(values[..., None], 3, axis=2)
+        imaging.write_exr(path, values, half=True, lossy=lossy and self.compact)
 
     def photos(self, radiance: list[FloatArray], maps: list[Maps], n_train: int, levels: Sequence[float]) -> float:
         """Photos and exposures of both splits; returns the global exposure scale."""
@@ -135,7 +137,7 @@ class CaptureWriter:
     def meta(self, name: str, train: list[Shot], val: list[Shot], scene: bpy.types.Scene, **how: float) -> None:
         """meta.json for whoever reads the capture, gt/meta_gt.json for whoever scores."""
         camera = train[0].camera
-        left_out = ["Image_const", "gt/val maps", "Depth", "Normal"] if self.compact else []
+        left_out = [*COMPACT_LEAVES_OUT] if self.compact else []
         content = {
             "name": name,
             "resolution": [camera.width, camera.height],
