@@ -23,6 +23,7 @@ from ..reflectance.ggx import directional_albedo
 from .camera import look_through
 from .render import set_cycles
 from .synth_scene import surface_shader
+from .version import multilayer_exr
 
 FloatArray = NDArray[np.floating]
 
@@ -179,19 +180,10 @@ PASS_ALIASES = {"IndexMA": "Material Index", "IndexOB": "Object Index", "Emit": 
 
 def render_passes(scene: bpy.types.Scene) -> dict[str, NDArray[np.float32]]:
     """Render ``scene`` from its active camera; (H, W, C) per pass by the pass's name in Blender 5."""
-    settings = scene.render.image_settings
-    with tempfile.TemporaryDirectory(prefix="iris-") as folder:
+    with tempfile.TemporaryDirectory(prefix="iris-") as folder, multilayer_exr(scene.render.image_settings):
         path = Path(folder) / "passes.exr"
-        if hasattr(settings, "media_type"):  # Blender 5.0
-            settings.media_type = "MULTI_LAYER_IMAGE"
-        settings.file_format = "OPEN_EXR_MULTILAYER"
-        settings.color_depth, settings.exr_codec = "32", "NONE"
         scene.render.filepath = str(path)
-        try:
-            bpy.ops.render.render(scene=scene.name, write_still=True)
-        finally:
-            if hasattr(settings, "media_type"):
-                settings.media_type = "IMAGE"
+        bpy.ops.render.render(scene=scene.name, write_still=True)
         if not path.is_file():
             raise IrisError("Cycles gave no image", "look at Blender's console for the reason, often memory")
         channels: dict[str, dict[str, NDArray]] = {}

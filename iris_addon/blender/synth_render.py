@@ -17,6 +17,7 @@ from .render import render_linear, set_cycles
 from .scene_out import add_quad, add_sphere
 from .synth_maps import Maps, render_maps
 from .synth_scene import SceneEmitter
+from .world import make_world
 
 MAX_BOUNCES = 16
 
@@ -65,10 +66,7 @@ class Studio:
         lamps = [thing for thing in self.scene.objects if thing.type == "LIGHT" and not thing.hide_render]
         for lamp in lamps:
             lamp.hide_render = True
-        world, self.scene.world = self.scene.world, bpy.data.worlds.new("synth dark")
-        self.scene.world.color = (0, 0, 0)
-        if (background := self.scene.world.node_tree) is not None:
-            background.nodes.clear()
+        world, self.scene.world = self.scene.world, make_world(None, 1.0, np.eye(3))
         added = [add_quad(quad, f"synth light {k}", self.scene.collection) for k, quad in enumerate(lights)]
         try:
             yield

@@ -19,6 +19,7 @@ from ..response.curve import Response
 from . import synth_photos as photos
 from .synth_maps import Maps
 from .synth_scene import SceneGeometry, surface_shader
+from .version import can_denoise
 
 FloatArray = NDArray[np.floating]
 
@@ -159,6 +160,7 @@ class CaptureWriter:
             "response": response,
             "global_scale": how["scale"],
             "samples": how["samples"],
+            "denoised": can_denoise(),
             "seed": how["seed"],
             "dielectric_f0": DIELECTRIC_F0,
             "maps": "one sample at the pixel centre; albedo by the formula of EVALUATION, emitters 0",

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import bpy
 
 from ..errors import IrisError
@@ -13,6 +16,22 @@ def node_tree(owner: bpy.types.Material | bpy.types.World) -> bpy.types.NodeTree
         owner.use_nodes = True
     owner.node_tree.nodes.clear()
     return owner.node_tree
+
+
+@contextmanager
+def multilayer_exr(settings: bpy.types.ImageFormatSettings) -> Iterator[None]:
+    """Renders written inside hold every pass in one 32-bit EXR; since 5.0 that is a media type besides a format."""
+    typed = bpy.app.version >= (5, 0, 0)
+    if typed:
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format = "OPEN_EXR_MULTILAYER"
+    settings.color_depth, settings.exr_codec = "32", "NONE"
+    try:
+        yield
+    finally:
+        if typed:
+            settings.media_type = "IMAGE"
+        settings.file_format = "OPEN_EXR"
 
 
 def can_denoise() -> bool:
