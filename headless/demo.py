@@ -23,7 +23,6 @@ from .pictures import Developer, FloatArray, photo_exposure, to_bytes
 
 CAPTURE = Path(__file__).resolve().parents[1] / "assets" / "demo_room"
 SAMPLES = 48
-WEIGHTS = {"scene": 0.05, "pictures": 1.0, "maps": 0.2}
 SHOWN_METRICS = ("kd_psnr", "kd_psnr_all", "emission_iou", "emission_log_l2", "crf_l2")
 
 
