@@ -38,7 +38,7 @@ def main(argv: list[str]) -> int:
     except SystemExit as ended:  # argparse has said what it had to say
         return int(ended.code or 0)
     lines = args.json is True
-    progress = Progress(json_lines() if lines else console())
+    progress = Progress(json_lines(sys.stdout) if lines else console(sys.stderr))
     try:
         missing = missing_packages(args.command)
         if missing:
