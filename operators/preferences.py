@@ -1,10 +1,11 @@
 """Preferences of the extension: the Python that solves."""
+# pyright: reportInvalidTypeForm=false - Blender's properties are annotations
 
 from __future__ import annotations
 
 import bpy
 
-ROOT_PACKAGE = __package__.rpartition(".")[0]
+ROOT_PACKAGE = str(__package__).rpartition(".")[0]
 
 
 class IrisPreferences(bpy.types.AddonPreferences):

@@ -1,4 +1,5 @@
 """What a scene remembers about its capture."""
+# pyright: reportInvalidTypeForm=false - Blender's properties are annotations
 
 from __future__ import annotations
 

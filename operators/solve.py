@@ -120,7 +120,8 @@ class IRIS_OT_cancel(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
     def execute(self, _context: bpy.types.Context) -> set[str]:
         """Ask the worker to stop; its end is noticed by the solve that watches it."""
-        _worker.interrupt()
+        if _worker is not None:
+            _worker.interrupt()
         return {"FINISHED"}
 
 

@@ -110,7 +110,8 @@ class Worker:
         for thread in self._threads:
             thread.join()
         for pipe in (self._process.stdout, self._process.stderr):
-            pipe.close()
+            if pipe is not None:
+                pipe.close()
 
     def raise_if_failed(self) -> None:
         """Raise what the ended process failed with.

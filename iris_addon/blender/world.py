@@ -44,7 +44,6 @@ def make_world(outside: OutsideLight | None, scale: float, to_blender: NDArray[n
 
 def equirect_directions(width: int, height: int) -> NDArray[np.float64]:
     """(height, width, 3) unit directions in Blender's axes of the texels of a panorama in Cycles, +Z on top."""
-    azimuth = -2 * np.pi * ((np.arange(width) + 0.5) / width - 0.5)
-    polar = np.pi * (np.arange(height) + 0.5) / height
-    azimuth, polar = np.meshgrid(azimuth, polar)
+    u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
+    azimuth, polar = -2 * np.pi * (u - 0.5), np.pi * v
     return np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], -1)
