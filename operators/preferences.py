@@ -1,5 +1,6 @@
 """Preferences of the extension: the Python that solves."""
-# pyright: reportInvalidTypeForm=false - Blender's properties are annotations
+# Blender declares properties as annotations.
+# pyright: reportInvalidTypeForm=false
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
 """What a scene remembers about its capture."""
-# pyright: reportInvalidTypeForm=false - Blender's properties are annotations
+# Blender declares properties as annotations.
+# pyright: reportInvalidTypeForm=false
 
 from __future__ import annotations
 
