@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +14,10 @@ from iris_addon.errors import BadInput
 from iris_addon.imaging import write_png
 from iris_addon.progress import Progress
 from iris_addon.result.edits import SceneEdit
-from iris_addon.result.edits_json import insertion_edits, new_lights_edit
+from iris_addon.result.edits_json import insertion_edits, relight_edit
 from iris_addon.result.json_files import read_json, write_json
 from iris_addon.result.types import Result
+from iris_addon.transport.tracer import Tracer
 
 from .outcome import Outcome, summarise
 from .pictures import Developer, FloatArray, photo_exposure, to_bytes
@@ -41,7 +42,7 @@ def run_demo(out: Path, progress: Progress) -> Outcome:
     with progress.stage("scene"):
         apply(result, out / "scene.blend", views=capture.views)
     with progress.stage("pictures"):
-        view = capture.val_views[0]
+        view = max(capture.views, key=midtones)
         shown, rerender = make_pictures(result, capture, view, progress)
         files = [_write(out / "pictures" / f"{name}.png", image) for name, image in shown.items()]
     scores = evaluate(result, CAPTURE, progress=progress)
@@ -74,12 +75,10 @@ def make_pictures(
     photo = load_photo(view).values
     rerender = Developer(result, Path(), "photo").develop(view, rendered(None))
     progress.update(1 / 3)
-    lights = read_json(CAPTURE / "relight" / "lights.json")
-    relit = Developer(result, Path(), "auto").develop(view, rendered(new_lights_edit(result, lights)))
+    relit = Developer(result, Path(), "auto").develop(view, rendered(night(result)))
     progress.update(2 / 3)
-    # The capture's insertion job lists views by number; take the first and show it on its own photo.
-    index, edit = insertion_edits(result, read_json(CAPTURE / "insert" / "objects.json"))[0]
-    host = capture.val_views[index]
+    edits = [edit for _, edit in insertion_edits(result, read_json(CAPTURE / "insert" / "objects.json"))]
+    edit, host = best_seen(edits, capture.views, Tracer(result.mesh))
     exposure = photo_exposure(result, host)
     inserted = insert_onto_photo(result, host.camera, load_photo(host).values, exposure, edit, samples=SAMPLES)
     maps = MapRenderer(result).maps(view.camera)
@@ -92,6 +91,37 @@ def make_pictures(
         "lights": np.log1p(maps.emission) / np.log1p(peak),  # decades apart: log keeps the dim ones visible
     }
     return pictures, rerender
+
+
+def midtones(view: View) -> float:
+    """The share of a photo that is neither dark nor blown: where a person can compare."""
+    values = load_photo(view).values
+    return float(((values > 0.1) & (values < 0.9)).mean())
+
+
+def night(result: Result) -> SceneEdit:
+    """The light that gives most (in the bundled room the window) and the light from outside off, the other lamps on."""
+    strongest = max(result.emitters, key=lambda lamp: lamp.area * float(lamp.radiance.mean()), default=None)
+    off = {} if strongest is None or len(result.emitters) == 1 else {str(strongest.id): {"off": True}}
+    return relight_edit(result, {"recovered": off, "outside": 0.0})
+
+
+def best_seen(edits: Sequence[SceneEdit], views: Sequence[View], tracer: Tracer) -> tuple[SceneEdit, View]:
+    """The edit and the photo that show most of inserted balls, by the area of their discs in pixels."""
+
+    def seen(edit: SceneEdit, view: View) -> float:
+        camera, area = view.camera, 0.0
+        for ball in edit.spheres:
+            x, y, z = camera.c2w[:3, :3].T @ (ball.center - camera.position)
+            if -z < ball.radius:
+                continue
+            i, j, radius = camera.cx - camera.fx * x / z, camera.cy + camera.fy * y / z, -camera.fx * ball.radius / z
+            inside = radius < i < camera.width - radius and radius < j < camera.height - radius
+            if inside and tracer.visible(camera.position[None], ball.center[None])[0]:
+                area += np.pi * radius**2
+        return area
+
+    return max(((edit, view) for edit in edits for view in views), key=lambda pair: seen(*pair))
 
 
 def _write(path: Path, image: FloatArray) -> Path:

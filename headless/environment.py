@@ -21,9 +21,9 @@ NEEDS = {
     "solve": _SOLVER,
     "batch": _SOLVER,
     "apply": ("numpy", "bpy"),
-    "render": (*_IMAGES, "bpy"),
-    "relight": (*_IMAGES, "bpy"),
-    "insert": (*_IMAGES, "bpy"),
+    "render": (*_IMAGES, "scipy", "bpy"),
+    "relight": (*_IMAGES, "scipy", "bpy"),
+    "insert": (*_IMAGES, "scipy", "bpy"),
     "synth": (*_IMAGES, "bpy"),
     "evaluate": (*_IMAGES, "scipy", "embreex"),
 }

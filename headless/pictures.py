@@ -9,13 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iris_addon.capture.types import View
+from iris_addon.evaluate.metrics import grey_exposure
 from iris_addon.imaging import write_exr, write_png
 from iris_addon.result.types import Result
 
 FloatArray = NDArray[np.floating]
-
-MIDDLE_GREY = 0.18
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 def photo_exposure(result: Result, view: View) -> FloatArray:
@@ -27,11 +25,6 @@ def photo_exposure(result: Result, view: View) -> FloatArray:
     if result.exposures:
         return np.median(np.stack(list(result.exposures.values())), axis=0)
     return np.ones(3)
-
-
-def auto_exposure(radiance: FloatArray) -> float:
-    """The exposure that puts the median luminance of ``radiance`` (H, W, 3) at middle grey."""
-    return MIDDLE_GREY / max(float(np.median(radiance @ LUMINANCE)), 1e-9)
 
 
 @dataclass(frozen=True)
@@ -53,7 +46,7 @@ class Developer:
         if self.exposure == "photo":
             factor = photo_exposure(self.result, view)
         else:
-            factor = auto_exposure(radiance) if self.exposure == "auto" else float(self.exposure)
+            factor = grey_exposure(radiance) if self.exposure == "auto" else float(self.exposure)
         return self.result.response.apply(radiance * factor)
 
     def write(self, view: View, radiance: FloatArray) -> Path:

@@ -62,7 +62,7 @@ def fit_gains(radiance: FloatArray, photo: Photo, response: Response) -> FloatAr
     )
 
     def residual(log_gains: FloatArray) -> FloatArray:
-        return (response.apply(np.clip(L * np.exp(log_gains), 0.0, 1.0)) - z).ravel()
+        return (response.apply(np.multiply(L, np.exp(log_gains))) - z).ravel()
 
     # The table of f is piecewise linear, so derivatives need steps that cross its knots.
     return np.exp(least_squares(residual, start, diff_step=1e-3, method="trf").x)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from ..response.curve import Response
+from ..result.edits_json import LUMINANCE
 
 FloatArray = NDArray[np.floating]
 Mask = NDArray[np.bool_]
@@ -17,7 +18,6 @@ Mask = NDArray[np.bool_]
 MIN_MSE = 1e-10
 """Equal images score 100 dB, so that a mean over images stays finite."""
 
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 MIDDLE_GREY = 0.18
 
 
