@@ -42,7 +42,7 @@ def run_demo(out: Path, progress: Progress) -> Outcome:
     with progress.stage("scene"):
         apply(result, out / "scene.blend", views=capture.views)
     with progress.stage("pictures"):
-        view = max(capture.views, key=midtones)
+        view = max(capture.views, key=visible_detail)
         shown, rerender = make_pictures(result, capture, view, progress)
         files = [_write(out / "pictures" / f"{name}.png", image) for name, image in shown.items()]
     scores = evaluate(result, CAPTURE, progress=progress)
@@ -93,10 +93,10 @@ def make_pictures(
     return pictures, rerender
 
 
-def midtones(view: View) -> float:
-    """The share of a photo that is neither dark nor blown: where a person can compare."""
-    values = load_photo(view).values
-    return float(((values > 0.1) & (values < 0.9)).mean())
+def visible_detail(view: View) -> float:
+    """How much a photo shows between black and blown: its mean gradient after clipping both away."""
+    grey = np.clip(load_photo(view).values.mean(-1), 0.1, 0.9)
+    return float(np.abs(np.diff(grey, axis=0)).mean() + np.abs(np.diff(grey, axis=1)).mean())
 
 
 def night(result: Result) -> SceneEdit:
