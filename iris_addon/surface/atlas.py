@@ -1,0 +1,259 @@
+"""The texture atlas: a place of its own for every face, as large as the photos can tell about it.
+
+Faces are grouped to charts (:mod:`.atlas_charts`), each chart is projected along its mean normal, turned to its
+tightest rectangle, scaled to the density its faces ask for, and the rectangles are packed (:mod:`.atlas_packing`). A
+general unwrapper would flatten curved surfaces with less stretch, but takes minutes on meshes of a few hundred
+thousand faces and thousands of pieces; rooms are mostly flat.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..capture.types import Mesh
+from ..transport.tracer import DEGENERATE_AREA
+from .atlas_charts import merge_faces
+from .atlas_packing import pack
+from .atlas_texels import fill_texels, rasterise_atlas, texel_centres, texel_index, uv_sheet
+from .parts import component_labels, edge_adjacency
+
+__all__ = [
+    "build_atlas",
+    "fill_texels",
+    "rasterise_atlas",
+    "texel_density_from_footprint",
+    "texel_index",
+]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+UNSEEN_SHARE = 0.25
+"""Texel density of unseen faces relative to the median of the seen ones."""
+DENSITY_RANGE = 8.0
+"""How far the density of a seen face may lie from the median, either way."""
+EXPECTED_FILL = 0.6
+"""Share of the atlas that charts cover, before it is known."""
+SPLIT_ROUNDS = 2
+OVERLAP_TEXELS = 2
+"""Overlaid texels from which a chart is split."""
+ROWS_AT_ONCE = 512
+
+
+def texel_density_from_footprint(
+    face: NDArray[np.integer], footprint: NDArray[np.floating], n_faces: int
+) -> NDArray[np.float64]:
+    """(n_faces,) texels per metre that the photos can fill: one per pixel at the lower quartile of the footprints.
+
+    Args:
+        face: (n,) face under each pixel.
+        footprint: (n,) metres on the surface spanned by that pixel.
+    """
+    # One sort of 64-bit keys: positive floats order like their bits.
+    keys = (face.astype(np.uint64) << np.uint64(32)) | footprint.astype(np.float32).view(np.uint32)
+    keys.sort()
+    bounds = np.searchsorted(keys >> np.uint64(32), np.arange(n_faces + 1, dtype=np.uint64))
+    count = np.diff(bounds)
+    seen = count > 0
+    quartile = keys[(bounds[:-1] + count // 4)[seen]] & np.uint64(0xFFFFFFFF)
+    density = np.zeros(n_faces)
+    density[seen] = 1 / np.maximum(quartile.astype(np.uint32).view(np.float32), 1e-9)
+    if seen.any():
+        median = np.median(density[seen])
+        density[seen] = np.clip(density[seen], median / DENSITY_RANGE, median * DENSITY_RANGE)
+    return _with_unseen(density)
+
+
+def build_atlas(mesh: Mesh, texel_density: NDArray[np.floating], size: int) -> NDArray[np.float32]:
+    """UVs that give every face its own texels.
+
+    One factor on all densities makes the charts fill the atlas. A chart has one density, that at which it gets as many
+    texels as its faces ask for in total; one longer than the atlas is shrunk to fit. Faces tilted against their chart
+    are stretched up to 1 / :data:`.atlas_charts.STEEPEST`. Charts keep a gutter of two texels, one where charts of a
+    few texels crowd the atlas.
+
+    Args:
+        texel_density: (F,) wanted texels per metre, 0 for unseen faces.
+        size: side of the atlas in texels.
+
+    Returns:
+        (F, 3, 2) float32 per corner in [0, 1]; all corners of degenerate faces at 0.
+
+    Raises:
+        ValueError: the charts do not fit even at one texel each.
+    """
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = 0.5 * np.linalg.norm(cross, axis=1)
+    kept = np.flatnonzero(areas > DEGENERATE_AREA)
+    uv = np.zeros((len(mesh.faces), 3, 2), np.float32)
+    if len(kept) == 0:
+        return uv
+    areas, corners = areas[kept], corners[kept]
+    faces = _Faces(corners, cross[kept] / (2 * areas[:, None]), areas, areas * _with_unseen(texel_density)[kept] ** 2)
+    pairs = edge_adjacency(Mesh(mesh.vertices, mesh.faces[kept]))
+    texels = faces.wanted * (EXPECTED_FILL * size**2 / faces.wanted.sum())
+    chart = merge_faces(faces.corners, texels, pairs, np.random.default_rng(0))
+    for _ in range(SPLIT_ROUNDS):
+        flat = _flatten(faces, chart)
+        placed = _place(flat, chart, size)
+        lower = _overlaid(placed, flat.depth, chart, size)
+        if not lower.any():
+            break
+        chart = _split(chart, lower, pairs)
+    else:
+        placed = _place(_flatten(faces, chart), chart, size)
+    uv[kept] = placed
+    return uv
+
+
+def _with_unseen(density: NDArray[np.floating]) -> NDArray[np.float64]:
+    """``density`` with a low one where it is 0."""
+    seen = density > 0
+    low = UNSEEN_SHARE * np.median(density[seen]) if seen.any() else 1.0
+    return np.where(seen, density, low).astype(np.float64)
+
+
+@dataclass(frozen=True)
+class _Faces:
+    """Faces that have an area: corners (F, 3, 3), unit normals, areas in m², wanted texels up to a factor."""
+
+    corners: FloatArray
+    normals: FloatArray
+    areas: FloatArray
+    wanted: FloatArray
+
+
+@dataclass(frozen=True)
+class _Flat:
+    """Charts before packing, in texels at scale 1.
+
+    Attributes:
+        corners: (F, 3, 2) in the rectangle of the face's chart, which starts at 0.
+        depth: (F, 3) metres along the chart's normal.
+        extent: (n, 2) rectangle per chart, wider than high.
+    """
+
+    corners: FloatArray
+    depth: FloatArray
+    extent: FloatArray
+
+
+def _flatten(faces: _Faces, chart: IntArray) -> _Flat:
+    """Project every chart along its mean normal, turn it to its tightest rectangle, scale it to its density."""
+    n = int(chart.max()) + 1
+    axes = _frames(np.stack([np.bincount(chart, faces.normals[:, k] * faces.wanted, n) for k in range(3)], 1))
+    # Relative to one corner of the chart: nothing is lost far from the origin.
+    some_face = np.zeros(n, np.int64)
+    some_face[chart] = np.arange(len(chart))
+    local = np.einsum("fij,fcj->fci", axes[chart], faces.corners - faces.corners[some_face[chart], :1])
+    flat, depth = local[..., :2], local[..., 2]
+    edges = flat[:, 1:] - flat[:, :1]
+    projected = 0.5 * np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
+    # A grain that closes on itself projects to nothing; its density must not explode.
+    covered = np.maximum(np.bincount(chart, projected, n), 0.1 * np.bincount(chart, faces.areas, n))
+    density = np.sqrt(np.bincount(chart, faces.wanted, n) / covered)
+
+    order = np.argsort(chart, kind="stable")
+    starts = 3 * np.searchsorted(chart[order], np.arange(n))
+    points = flat[order].reshape(-1, 2)
+    angle = _tightest_angle(points, starts)
+    cos, sin = np.cos(angle)[chart, None], np.sin(angle)[chart, None]
+    turned = np.stack([flat[..., 0] * cos - flat[..., 1] * sin, flat[..., 0] * sin + flat[..., 1] * cos], -1)
+    turned *= density[chart, None, None]
+    points = turned[order].reshape(-1, 2)
+    low = np.minimum.reduceat(points, starts)
+    return _Flat(turned - low[chart, None], depth, np.maximum.reduceat(points, starts) - low)
+
+
+def _frames(facing: FloatArray) -> FloatArray:
+    """(n, 3, 3) rows: two tangents and the normal, right-handed, for normals ``facing`` (n, 3) of any length.
+
+    The first tangent follows the world axis most at right angles to the normal, so that walls come out upright.
+    """
+    length = np.linalg.norm(facing, axis=1, keepdims=True)
+    normal = np.where(length > 1e-300, facing / np.maximum(length, 1e-300), [0.0, 0.0, 1.0])
+    axis = np.eye(3)[np.abs(normal).argmin(1)]
+    tangent = axis - normal * (axis * normal).sum(1, keepdims=True)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    return np.stack([tangent, np.cross(normal, tangent), normal], 1)
+
+
+def _tightest_angle(points: FloatArray, starts: IntArray) -> FloatArray:
+    """(n,) angle by which to turn each run of ``points`` (m, 2) to get its smallest rectangle, lying on its side."""
+    best_area = np.full(len(starts), np.inf)
+    best = np.zeros(len(starts))
+    run = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(points))))
+    # Coarse to fine; the first angle, 0, keeps its place unless another one is clearly better.
+    for step, offsets in ((7.5, np.arange(12)), (2.5, (-1, 1)), (1.0, (-1, 1)), (0.4, (-1, 1))):
+        base = best.copy()
+        for offset in offsets:
+            angle = base + np.radians(step * offset)
+            cos, sin = np.cos(angle)[run], np.sin(angle)[run]
+            x, y = points[:, 0] * cos - points[:, 1] * sin, points[:, 0] * sin + points[:, 1] * cos
+            width = np.maximum.reduceat(x, starts) - np.minimum.reduceat(x, starts)
+            height = np.maximum.reduceat(y, starts) - np.minimum.reduceat(y, starts)
+            better = width * height < 0.995 * best_area
+            best_area = np.where(better, width * height, best_area)
+            best = np.where(better, angle, best)
+            upright = np.where(better, height > width, upright) if offset or step < 7 else height > width
+    return best + np.where(upright, np.pi / 2, 0.0)
+
+
+def _place(flat: _Flat, chart: IntArray, size: int) -> NDArray[np.float32]:
+    """(F, 3, 2) UVs of packed charts."""
+    n = len(flat.extent)
+    gutter = 2 if 9 * n < size**2 / 8 else 1
+    corner, cell, scale = pack(flat.extent, size, gutter)
+    room = (cell - gutter).astype(np.float64)
+    factor = np.minimum(scale, (room / np.maximum(flat.extent, 1e-300)).min(1))
+    start = corner + 0.5 * (cell - flat.extent * factor[:, None])
+    return ((start[chart, None] + flat.corners * factor[chart, None, None]) / size).astype(np.float32)
+
+
+def _overlaid(uv: NDArray[np.float32], depth: FloatArray, chart: IntArray, size: int) -> NDArray[np.bool_]:
+    """(F,) faces that lie under another one of their chart.
+
+    A texel is overlaid where rays from above and from below meet different faces. Faces keep their depth, so that the
+    lower turn of a spiral comes off in one piece; coplanar ones are told apart by a small height in order of index.
+    """
+    tie = np.arange(len(uv))[:, None] / len(uv)
+    height = 1000 * depth / max(float(np.ptp(depth)), 1e-12) + 0.5 * tie
+    sheets = uv_sheet(uv, size, height)
+    balance = np.zeros(len(uv), np.int64)
+    overlaid = np.zeros(int(chart.max()) + 1, np.int64)
+    reach = float(np.abs(height).max()) + 1
+    for top in range(0, size, ROWS_AT_ONCE):
+        rows = np.arange(top, min(top + ROWS_AT_ONCE, size))
+        above, below = (
+            sheets.closest(
+                origins := texel_centres(rows, size, z), np.broadcast_to([0.0, 0.0, -np.sign(z)], origins.shape)
+            )
+            for z in (reach, -reach)
+        )
+        differ = np.flatnonzero((above.face != below.face) & (above.face >= 0) & (below.face >= 0))
+        inner = _inside(above.barycentric[differ]) & _inside(below.barycentric[differ])
+        upper, lower = above.face[differ[inner]], below.face[differ[inner]]
+        balance += np.bincount(lower, minlength=len(uv)) - np.bincount(upper, minlength=len(uv))
+        overlaid += np.bincount(chart[lower], minlength=len(overlaid))
+    return (balance > 0) & (overlaid[chart] >= OVERLAP_TEXELS)
+
+
+def _inside(barycentric: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Hits clear of the edges, where two neighbours may both be met."""
+    u, v = barycentric[:, 0], barycentric[:, 1]
+    return np.minimum(np.minimum(u, v), 1 - u - v) > 1e-3
+
+
+def _split(chart: IntArray, lower: NDArray[np.bool_], pairs: tuple[IntArray, IntArray]) -> IntArray:
+    """Charts with their ``lower`` faces taken off, each connected piece a chart."""
+    layer = 2 * chart + lower
+    split = np.zeros(int(chart.max()) + 1, bool)
+    split[chart[lower]] = True
+    a, b = pairs
+    joined = layer[a] == layer[b]
+    piece = component_labels(len(chart), a[joined], b[joined]).astype(np.int64)
+    return np.unique(np.where(split[chart], len(split) + piece, chart), return_inverse=True)[1]

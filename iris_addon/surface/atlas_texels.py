@@ -1,0 +1,152 @@
+"""Texels of an atlas: which one a surface point falls into, which face each shows, values for those nobody saw."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..capture.types import Mesh
+from ..transport.tracer import Tracer
+
+ROWS_AT_ONCE = 512
+
+
+def interpolate_uv(
+    uv: NDArray[np.floating], face: NDArray[np.integer], barycentric: NDArray[np.floating]
+) -> NDArray[np.floating]:
+    """(n, 2) UV of surface points: ``uv`` (F, 3, 2), weights (n, 2) of corners 1 and 2."""
+    u, v = barycentric[:, :1], barycentric[:, 1:]
+    corners = uv[face]
+    return corners[:, 0] * (1 - u - v) + corners[:, 1] * u + corners[:, 2] * v
+
+
+def texel_index(
+    uv: NDArray[np.floating], face: NDArray[np.integer], barycentric: NDArray[np.floating], size: int
+) -> NDArray[np.int64]:
+    """(n,) row * size + column of the texel under each surface point; row 0 is the top of the image (v = 1).
+
+    Args:
+        uv: (F, 3, 2) per corner.
+        face: (n,) face of each point.
+        barycentric: (n, 2) weights of corners 1 and 2.
+    """
+    point = interpolate_uv(uv, face, barycentric)
+    column = np.clip((point[:, 0] * size).astype(np.int64), 0, size - 1)
+    row = np.clip(((1 - point[:, 1]) * size).astype(np.int64), 0, size - 1)
+    return row * size + column
+
+
+def rasterise_atlas(uv: NDArray[np.floating], size: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """What each texel centre shows.
+
+    Rays are shot at the UV triangles, which lie in a plane: a ray tracer is at hand and costs the same for a wall of
+    two triangles as for a scan of a million.
+
+    Args:
+        uv: (F, 3, 2) per corner, charts without overlap.
+
+    Returns:
+        (size, size) int32 face, -1 outside all charts, and (size, size, 2) float32 weights of its corners 1 and 2.
+    """
+    flat = uv_sheet(uv, size, np.zeros(len(uv)))
+    face = np.empty((size, size), np.int32)
+    barycentric = np.empty((size, size, 2), np.float32)
+    for top in range(0, size, ROWS_AT_ONCE):
+        rows = np.arange(top, min(top + ROWS_AT_ONCE, size))
+        origins = texel_centres(rows, size, height=1.0)
+        hits = flat.closest(origins, np.broadcast_to(np.array([0, 0, -1], np.float32), origins.shape))
+        face[rows] = hits.face.reshape(len(rows), size)
+        barycentric[rows] = hits.barycentric.reshape(len(rows), size, 2)
+    return face, barycentric
+
+
+def uv_sheet(uv: NDArray[np.floating], size: int, height: NDArray[np.floating]) -> Tracer:
+    """Tracer of the UV triangles in texels, x to the right and y = v up, each at its own ``height``.
+
+    Args:
+        height: (F,) or (F, 3) per corner.
+    """
+    z = np.broadcast_to(np.reshape(height, (len(uv), -1)), (len(uv), 3))
+    corners = np.concatenate([uv.astype(np.float64) * size, z[..., None]], -1).reshape(-1, 3)
+    return Tracer(Mesh(corners, np.arange(len(corners)).reshape(-1, 3)))
+
+
+def texel_centres(rows: NDArray[np.integer], size: int, height: float) -> NDArray[np.float32]:
+    """(len(rows) * size, 3) centres of the texels of image rows ``rows`` in the frame of :func:`uv_sheet`."""
+    x, y = np.meshgrid(np.arange(size) + 0.5, size - 0.5 - rows)
+    return np.stack([x, y, np.full_like(x, height)], -1).reshape(-1, 3).astype(np.float32)
+
+
+def fill_texels(values: NDArray[np.floating], known: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Values for all texels: the known ones stay, gutters repeat the chart beside them, holes blend from around.
+
+    One step of dilation keeps neighbouring charts from bleeding into each other through a gutter of two texels; the
+    rest is pull-push (Gortler et al. 1996, section 3.4.1): averages of known texels at ever coarser levels, pushed
+    back down to where nothing finer is known.
+
+    Args:
+        values: (N, N, C) or (N, N).
+        known: (N, N).
+
+    Returns:
+        Array like ``values``, float32; unchanged zeros where nothing at all is known.
+    """
+    image = np.where(known[..., None], np.atleast_3d(values), 0).astype(np.float32)
+    weight = known.astype(np.float32)
+    _dilate(image, weight)
+    levels = [(image, weight)]
+    while levels[-1][1].shape[0] > 1 and not (levels[-1][1] > 0).all():
+        levels.append(_coarser(*levels[-1]))
+    for (fine, mask), (coarse, _) in zip(levels[-2::-1], levels[:0:-1], strict=True):
+        _push(fine, mask, coarse)
+    return image.reshape(values.shape)
+
+
+def _dilate(image: NDArray[np.float32], weight: NDArray[np.float32]) -> None:
+    """Give unknown texels beside known ones the mean of their known neighbours, in place."""
+    size = len(weight)
+    around = np.pad(weight > 0, 1)
+    near = np.zeros_like(weight, bool)
+    steps = [(i, j) for i in (0, 1, 2) for j in (0, 1, 2) if (i, j) != (1, 1)]
+    for i, j in steps:
+        near |= around[i : i + size, j : j + size]
+    row, column = np.nonzero(near & (weight == 0))
+    total = np.zeros((len(row), image.shape[-1]), np.float32)
+    count = np.zeros((len(row), 1), np.float32)
+    for i, j in steps:
+        known = around[row + i, column + j][:, None]
+        at = np.clip(row + i - 1, 0, size - 1), np.clip(column + j - 1, 0, size - 1)
+        total += known * image[at]
+        count += known
+    image[row, column] = total / count
+    weight[row, column] = 1
+
+
+def _coarser(
+    image: NDArray[np.float32], weight: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Half the resolution: means of the known texels of each 2 x 2 block, and how sure they are (0 to 1)."""
+    if len(weight) % 2:
+        image, weight = np.pad(image, ((0, 1), (0, 1), (0, 0))), np.pad(weight, ((0, 1), (0, 1)))
+    quarters = [(slice(i, None, 2), slice(j, None, 2)) for i in (0, 1) for j in (0, 1)]
+    total = sum(weight[q] for q in quarters)
+    mean = sum(image[q] * weight[q][..., None] for q in quarters) / np.maximum(total, 1e-12)[..., None]
+    return mean, np.minimum(total, 1)
+
+
+def _push(fine: NDArray[np.float32], weight: NDArray[np.float32], coarse: NDArray[np.float32]) -> None:
+    """Bilinear values of ``coarse`` into the texels of ``fine`` that know nothing, in place."""
+    row, column = np.nonzero(weight == 0)
+    last = len(coarse) - 1
+    # Centre of a fine texel in units of coarse ones: (row + 0.5) / 2 - 0.5, a quarter off its own block's centre.
+    near = row // 2, column // 2
+    far = (
+        np.clip(near[0] + np.where(row % 2, 1, -1), 0, last),
+        np.clip(near[1] + np.where(column % 2, 1, -1), 0, last),
+    )
+    fine[row, column] = (
+        9 * coarse[near[0], near[1]]
+        + 3 * coarse[near[0], far[1]]
+        + 3 * coarse[far[0], near[1]]
+        + coarse[far[0], far[1]]
+    ) / 16
