@@ -64,6 +64,10 @@ class Progress:
         """Ask the work to stop at its next :meth:`update`. Safe from signal handlers and other threads."""
         self._cancelled.set()
 
+    def expect(self, weights: Mapping[str, float]) -> None:
+        """Name the stages to come and their expected seconds, beside those already named."""
+        self._weights.update(weights)
+
     def check(self) -> None:
         """Raise :class:`Cancelled` if somebody asked to stop."""
         if self._cancelled.is_set():

@@ -7,7 +7,7 @@ direction is ``R @ [(i + 0.5 - cx) / fx, -(j + 0.5 - cy) / fy, -1]``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -112,6 +112,10 @@ class Mesh:
     faces: NDArray[np.int64]
     uv: NDArray[np.float32] | None = None
     parts: NDArray[np.int32] | None = None
+
+    def with_uv(self, uv: NDArray[np.float32]) -> Mesh:
+        """The same mesh with other texture coordinates."""
+        return replace(self, uv=uv)
 
 
 @dataclass(frozen=True)

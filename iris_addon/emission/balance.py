@@ -25,6 +25,7 @@ EFFECTIVE_PATCHES = 2000
 TINT_STD = 0.25
 MEASURED_STD = 0.05
 BOUND_STD = 0.02
+EXPECTED_STD = 1.5
 
 
 @dataclass(frozen=True)
@@ -35,11 +36,13 @@ class Evidence:
         bound: (E, 3) lower bound on radiance from saturated pixels, 0 where there is none.
         measured: (E, 3) radiance from unsaturated pixels, NaN where there are none.
         tie: (E,) fixtures with the same label share one radiance.
+        expected: (E, 3) radiance expected before the shading is looked at, NaN where nothing is.
     """
 
     bound: NDArray[np.float64]
     measured: NDArray[np.float64]
     tie: NDArray[np.int64]
+    expected: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -184,6 +187,7 @@ class _DirectEvidence:
 
     log_bound: NDArray[np.float64]
     log_measured: NDArray[np.float64]  # NaN where nothing was measured
+    log_expected: NDArray[np.float64]  # NaN where nothing is expected
 
     @staticmethod
     def of(evidence: Evidence, n_tied: int) -> _DirectEvidence:
@@ -194,12 +198,17 @@ class _DirectEvidence:
             values = evidence.measured[evidence.tie == k]
             have = np.isfinite(values).any(0)
             measured[k, have] = np.nanmedian(values[:, have], axis=0)
-        return _DirectEvidence(np.log(bound), np.log(np.maximum(measured, 1e-6)))
+        first = np.array([np.flatnonzero(evidence.tie == k)[0] for k in range(n_tied)])
+        expected = np.log(np.maximum(evidence.expected[first], 1e-6))
+        return _DirectEvidence(np.log(bound), np.log(np.maximum(measured, 1e-6)), expected)
 
     def penalty(self, log_e: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         """Sum of squared deviations in standard deviations, and its gradient."""
         below = np.clip((self.log_bound - log_e) / BOUND_STD, 0.0, None)
         off = np.nan_to_num((log_e - self.log_measured) / MEASURED_STD)
         tint = (log_e - log_e.mean(1, keepdims=True)) / TINT_STD
-        value = float((below**2).sum() + (off**2).sum() + (tint**2).sum())
-        return value, 2 * (off / MEASURED_STD - below / BOUND_STD + tint / TINT_STD)
+        surprise = np.nan_to_num((log_e - self.log_expected) / EXPECTED_STD)
+        value = float((below**2).sum() + (off**2).sum() + (tint**2).sum() + (surprise**2).sum())
+        return value, 2 * (
+            off / MEASURED_STD - below / BOUND_STD + tint / TINT_STD + surprise / EXPECTED_STD
+        )

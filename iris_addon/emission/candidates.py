@@ -43,11 +43,15 @@ class Brightness:
     bound: NDArray[np.float64]
 
 
-def brightness(observations: Observations, linear: Linearised, n_patches: int) -> Brightness:
-    """Brightness of every patch that photos see."""
+def brightness(
+    observations: Observations, linear: Linearised, n_patches: int, specular: NDArray[np.floating] | None = None
+) -> Brightness:
+    """Brightness of every patch that photos see; ``specular`` (M, 3) is what a glossy surface mirrors, if known."""
     o = observations
     group = group_radiance(linear, o.patch, o.count, n_patches)
     value = np.where(linear.open, linear.radiance, linear.bound)
+    if specular is not None:
+        value = np.maximum(value - specular, 0.0)
     floor = [_low_quantile(value[:, c], linear.open[:, c], o.count, o.patch, n_patches) for c in range(3)]
     return Brightness(np.stack(floor, -1), np.where(group.known, group.radiance, np.nan), group.bound)
 
@@ -123,6 +127,8 @@ def group_emitters(
 
 def tie_fixtures(emitters: Sequence[NDArray[np.int64]], areas: NDArray[np.floating]) -> NDArray[np.int64]:
     """(E,) label per emitter; lamps built from the same number of faces with the same total area are the same model."""
+    if not emitters:
+        return np.zeros(0, np.int64)
     keys = [(len(faces), float(areas[faces].sum())) for faces in emitters]
     label = np.full(len(keys), -1, np.int64)
     for index, (n, area) in enumerate(keys):

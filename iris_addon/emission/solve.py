@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..progress import Progress
+from ..response.radiance import GroupRadiance
 from ..surface.build import Surface
 from ..surface.samples import PixelSamples
 from ..transport.gather import emitter_form_factors
 from ..transport.tracer import Tracer
 from ..transport.transport import Transport
-from ..response.radiance import GroupRadiance
 from .balance import Evidence, solve_balance
+from .hidden import HiddenSources
 from .candidates import (
     Brightness,
     emitting_faces,
@@ -37,6 +38,7 @@ class Lights:
     Attributes:
         emitters: faces of each.
         radiance: (E, 3).
+        hidden_radiance: (H, 3) of the hidden sources (unseen parts, then directions of outside light).
         log_std: (E,) uncertainty of log radiance.
         form_factors: (N, E) ``B`` for all patches, seen and unseen.
         mask: (F,) bool, faces that emit.
@@ -47,12 +49,33 @@ class Lights:
 
     emitters: list[NDArray[np.int64]]
     radiance: NDArray[np.float64]
+    hidden_radiance: NDArray[np.float64]
     log_std: NDArray[np.float64]
     form_factors: NDArray[np.float32]
     mask: NDArray[np.bool_]
     irradiance: NDArray[np.float64]
     patch_radiance: NDArray[np.float64]
     part_albedo: dict[int, NDArray[np.float64]] = field(default_factory=dict)
+
+    def arrays(self) -> dict[str, NDArray]:
+        """Plain arrays for a checkpoint."""
+        names = ("radiance", "hidden_radiance", "log_std", "form_factors", "mask", "irradiance", "patch_radiance")
+        ids = np.array(list(self.part_albedo), np.int64)
+        return {
+            **{f"lights.{name}": getattr(self, name) for name in names},
+            "lights.sizes": np.array([len(faces) for faces in self.emitters], np.int64),
+            "lights.faces": np.concatenate([*self.emitters, np.zeros(0, np.int64)]),
+            "lights.part_ids": ids,
+            "lights.part_albedo": np.array(list(self.part_albedo.values())).reshape(len(ids), 3),
+        }
+
+    @staticmethod
+    def from_arrays(arrays: dict[str, NDArray]) -> Lights:
+        """Inverse of :meth:`arrays`."""
+        a = {name.removeprefix("lights."): value for name, value in arrays.items() if name.startswith("lights.")}
+        emitters = np.split(a.pop("faces"), np.cumsum(a.pop("sizes")))[:-1]
+        albedo = dict(zip(a.pop("part_ids").tolist(), a.pop("part_albedo"), strict=True))
+        return Lights(emitters=emitters, part_albedo=albedo, **a)
 
     def face_emission(self, n_faces: int) -> NDArray[np.float64]:
         """(F, 3) radiance each face emits."""
@@ -79,6 +102,7 @@ class LightProblem:
     parts: NDArray[np.int32]
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]]
     brightness: Brightness
+    hidden: HiddenSources
     shadow_rays: int
     seed: int
 
@@ -88,9 +112,36 @@ def find_lights(problem: LightProblem, observed: GroupRadiance, progress: Progre
     lights = _without_lamps(problem, observed)
     for threshold in THRESHOLDS:
         emitters = _candidates(problem, lights, threshold)
-        if not same_emitters(emitters, lights.emitters):
+        if threshold == THRESHOLDS[0] or not same_emitters(emitters, lights.emitters):
             lights = solve_lights(problem, observed, emitters, lights, progress)
     return _without_negligible(problem, observed, lights, progress)
+
+
+def refine_lights(
+    problem: LightProblem,
+    observed: GroupRadiance,
+    lights: Lights,
+    weight: NDArray[np.float64],
+    diffuse: NDArray[np.float64],
+    progress: Progress,
+) -> Lights:
+    """Test and solve the lamps again, now that gloss is known.
+
+    Args:
+        weight: (P,) say of each seen patch.
+        diffuse: (P, 3) radiance without its specular part.
+    """
+    emitters = _candidates(problem, lights, THRESHOLDS[-1])
+    known = {faces.tobytes(): k for k, faces in enumerate(lights.emitters)}
+    columns = [known.get(faces.tobytes(), -1) for faces in emitters]
+    fresh = [faces for faces, k in zip(emitters, columns, strict=True) if k < 0]
+    factors = np.empty((problem.transport.n_patches, len(emitters)), np.float32)
+    traced = _form_factors(problem, fresh, progress)
+    at = 0
+    for index, k in enumerate(columns):
+        factors[:, index] = lights.form_factors[:, k] if k >= 0 else traced[:, at]
+        at += k < 0
+    return solve_lights(problem, observed, emitters, lights, progress, factors, weight, diffuse)
 
 
 def _candidates(problem: LightProblem, lights: Lights, threshold: float) -> list[NDArray[np.int64]]:
@@ -102,6 +153,9 @@ def _candidates(problem: LightProblem, lights: Lights, threshold: float) -> list
     patch, face, n_faces = problem.surface.sample_patch, problem.samples.face, len(problem.parts)
     emitting, count = emitting_faces(needed > threshold, patch, face, n_faces)
     certain, _ = emitting_faces(needed > THRESHOLDS[0], patch, face, n_faces)
+    # Dimmer than what the room reflects anyway: unexplained light, but not a lamp.
+    level = np.median(lights.irradiance[:n].mean(1))
+    emitting &= emitting_faces(problem.brightness.floor.max(1) > level, patch, face, n_faces)[0]
     # A bright region of a part that otherwise reflects is a highlight or a caustic until it is far too bright for one.
     emitting &= certain | whole_parts(emitting, count, problem.parts)[problem.parts]
     return group_emitters(emitting, count, problem.tracer.areas, problem.parts, problem.adjacency)
@@ -111,6 +165,8 @@ def _without_negligible(
     problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress
 ) -> Lights:
     """Leave out the lamps whose light nobody would miss: specks that mixed pixels at the edge of a real lamp make."""
+    if not lights.emitters:
+        return lights
     power = np.array([problem.tracer.areas[f].sum() for f in lights.emitters]) * lights.radiance.mean(1)
     kept = power > NEGLIGIBLE_POWER * power.sum()
     if kept.all():
@@ -132,16 +188,18 @@ def solve_lights(
     progress: Progress,
     form_factors: NDArray[np.float32] | None = None,
     weight: NDArray[np.float64] | None = None,
+    diffuse: NDArray[np.float64] | None = None,
 ) -> Lights:
     """Radiance of given emitters.
 
     Args:
-        observed: diffuse radiance of the seen patches (specular part already taken off, if known).
+        observed: radiance of the seen patches, which is what they cast on others.
         before: lights of the previous pass, for the light that unseen patches reflect.
         form_factors: ``B`` when it is already known for these emitters.
         weight: (P,) say of each seen patch; by default the pixels behind it.
+        diffuse: (P, 3) radiance without its specular part, once materials are known.
     """
-    if not emitters:
+    if not emitters and not len(before.hidden_radiance):
         return before
     n_faces = len(problem.parts)
     mask = np.zeros(n_faces, bool)
@@ -149,25 +207,59 @@ def solve_lights(
         mask[faces] = True
     if form_factors is None:
         form_factors = _form_factors(problem, emitters, progress)
-    evidence = _lamp_evidence(problem, emitters)
+    hidden = problem.hidden
     on_lamp = _patches_on(problem, mask)
-    radiance = _start_radiance(observed, before, on_lamp)
-    start = np.maximum(np.where(np.isfinite(evidence.measured), evidence.measured, 2.0 * evidence.bound), 1e-3)
+    dark = on_lamp | hidden.on_hidden
+    radiance = _start_radiance(observed, before, dark)
+    evidence = _with_hidden(_lamp_evidence(problem, emitters), before.hidden_radiance)
+    all_factors = np.concatenate([form_factors, hidden.form_factors], 1)
+    start = np.maximum(_first_finite(evidence.measured, 2.0 * evidence.bound, evidence.expected), 1e-3)
     usable = observed.known.all(1) & ~on_lamp[: problem.transport.n_seen]
     say = usable * (np.sqrt(np.minimum(observed.weight, 50.0)) if weight is None else weight)
+    n = problem.transport.n_seen
     for _ in range(2):
         unknown = _mean_radiance(radiance, problem)
         indirect = problem.transport.gather_radiance(radiance, unknown, mask)
-        n = problem.transport.n_seen
+        shaded = radiance[:n] if diffuse is None else diffuse
         balance = solve_balance(
-            radiance[:n], indirect[:n], form_factors[:n], problem.transport.part[:n], say, evidence, start
+            shaded, indirect[:n], all_factors[:n], problem.transport.part[:n], say, evidence, start
         )
         start = balance.radiance
-        irradiance = indirect + form_factors @ balance.radiance
+        irradiance = indirect + all_factors @ balance.radiance
         albedo = dict(zip(balance.part_ids.tolist(), balance.part_albedo, strict=True))
-        radiance = _infer_unseen(problem, observed, radiance, irradiance, albedo, on_lamp)
+        radiance = _infer_unseen(problem, observed, radiance, irradiance, albedo, dark)
+    lamps = len(emitters)
     return Lights(
-        emitters, balance.radiance, balance.log_std, form_factors, mask, irradiance, radiance, albedo
+        emitters,
+        balance.radiance[:lamps],
+        balance.radiance[lamps:],
+        balance.log_std[:lamps],
+        form_factors,
+        mask,
+        irradiance,
+        radiance,
+        albedo,
+    )
+
+
+def _first_finite(*choices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Element-wise first choice that is finite and positive."""
+    result = choices[-1]
+    for choice in reversed(choices[:-1]):
+        result = np.where(np.isfinite(choice) & (choice > 0), choice, result)
+    return np.nan_to_num(result)
+
+
+def _with_hidden(lamps: Evidence, expected: NDArray[np.float64]) -> Evidence:
+    """Evidence on lamps and hidden sources together; nobody saw the latter, so they only have an expectation."""
+    n, h = len(lamps.tie), len(expected)
+    nothing = np.full((h, 3), np.nan)
+    first_free = int(lamps.tie.max()) + 1 if n else 0
+    return Evidence(
+        np.concatenate([lamps.bound, np.zeros((h, 3))]),
+        np.concatenate([lamps.measured, nothing]),
+        np.concatenate([lamps.tie, first_free + np.arange(h)]),
+        np.concatenate([lamps.expected, expected]),
     )
 
 
@@ -180,7 +272,8 @@ def _without_lamps(problem: LightProblem, observed: GroupRadiance) -> Lights:
     radiance[len(observed.radiance) :] = unknown
     none = np.zeros(len(problem.parts), bool)
     irradiance = problem.transport.gather_radiance(radiance, unknown, none)
-    return Lights([], np.zeros((0, 3)), np.zeros(0), np.zeros((n, 0), np.float32), none, irradiance, radiance)
+    hidden = np.tile(unknown, (problem.hidden.form_factors.shape[1], 1))
+    return Lights([], np.zeros((0, 3)), hidden, np.zeros(0), np.zeros((n, 0), np.float32), none, irradiance, radiance)
 
 
 def _form_factors(problem: LightProblem, emitters: list[NDArray[np.int64]], progress: Progress) -> NDArray[np.float32]:
@@ -211,7 +304,7 @@ def _lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> 
             open_ = values >= 0.98 * bound[index, channel]
             if open_.mean() > 0.3:
                 measured[index, channel] = np.median(values[open_])
-    return Evidence(bound, measured, tie_fixtures(emitters, problem.tracer.areas))
+    return Evidence(bound, measured, tie_fixtures(emitters, problem.tracer.areas), np.full_like(bound, np.nan))
 
 
 def _patches_on(problem: LightProblem, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -43,7 +43,7 @@ class OverlapFit:
     per_channel: bool
 
 
-def _select(observations: Observations, exposures: NDArray[np.floating] | None, rng: np.random.Generator) -> NDArray[np.int64]:
+def _select(observations: Observations, rng: np.random.Generator) -> NDArray[np.int64]:
     """Indices of flat observations of patches that at least two useful views share."""
     o = observations
     flat = (o.spread.max(1) < 0.04) & (o.count >= 2)
@@ -72,14 +72,18 @@ def fit_overlap(
     exposures: NDArray[np.floating] | None,
     n_views: int,
     rng: np.random.Generator,
+    fixed: Response | None = None,
 ) -> OverlapFit:
     """Recover the response, and the exposures where ``exposures`` is None.
 
     Args:
         exposures: (V,) known factors, or None.
+        fixed: a response that is given; only exposures are then looked for.
     """
-    index = _select(observations, exposures, rng)
+    index = _select(observations, rng)
     problem = _Problem.build(observations, index, exposures, n_views)
+    if fixed is not None:
+        return OverlapFit(fixed, np.exp(problem.solve_radiance(fixed)[0]), np.nan, False)
     held_out = rng.random(problem.n_patches) < 0.2
     training, testing = problem.restrict(~held_out), problem.restrict(held_out)
     shared = training.minimise(1)
@@ -125,7 +129,7 @@ class _Problem:
         rows = keep[self.patch]
         return replace(self, z=self.z[rows], clipped=self.clipped[rows], weight=self.weight[rows], patch=self.patch[rows], view=self.view[rows])
 
-    def _solve_radiance(self, response: Response) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def solve_radiance(self, response: Response) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Exposures (V,) and radiance (n, 3) that fit best under a given curve."""
         x = np.maximum(response.invert(self.z), 1e-5)
         slope = response.slope(x)
@@ -141,13 +145,13 @@ class _Problem:
 
     def exposures(self, knots: list[NDArray[np.float64]]) -> NDArray[np.float64]:
         """(V,) exposure factors under a curve: the known ones, or those that the overlap asks for."""
-        return np.exp(self._solve_radiance(family.to_response(knots))[0])
+        return np.exp(self.solve_radiance(family.to_response(knots))[0])
 
     def residual(self, parameters: NDArray[np.float64], n_curves: int) -> NDArray[np.float64]:
         """Display-value residuals, saturation hinges and prior, one flat vector."""
         knots = list(parameters.reshape(n_curves, -1))
         response = family.to_response(knots)
-        log_t, radiance = self._solve_radiance(response)
+        log_t, radiance = self.solve_radiance(response)
         x = radiance[self.patch] * np.exp(log_t)[self.view][:, None]
         mismatch = np.where(self.clipped[:, None], np.clip(1.0 - x, 0, None), response.apply(x) - self.z)
         data = (self.weight[:, None] * mismatch / ROBUST_SCALE).ravel()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,10 @@ class PixelSamples:
     def cosine(self) -> NDArray[np.float32]:
         """(n,) cosine between the normal and the direction to the camera, in (0, 1]."""
         return np.clip((self.normal * self.direction).sum(1), 1e-3, 1.0)
+
+    def take(self, rows: NDArray[np.integer]) -> PixelSamples:
+        """Some of the pixels."""
+        return PixelSamples(*(getattr(self, column.name)[rows] for column in fields(self)))
 
 
 def pixel_lattice(camera: Camera, stride: int, phase: int) -> NDArray[np.int32]:

@@ -40,13 +40,11 @@ class GatherRays:
 
     Attributes:
         face: (P, R) int32 face, -1 where the ray escaped.
-        point: (P, R, 3) float32 hit point (undefined where escaped).
         direction: (P, R, 3) float16 unit direction, away from the patch.
         distance: (P, R) float32 metres.
     """
 
     face: NDArray[np.int32]
-    point: NDArray[np.float32]
     direction: NDArray[np.float16]
     distance: NDArray[np.float32]
 
@@ -61,8 +59,12 @@ def ray_origins(origins: Origins, start: int, stop: int, n_rays: int, epsilon: f
 
 def gather(
     tracer: Tracer, origins: Origins, n_rays: int, rng: np.random.Generator, progress: Progress
-) -> GatherRays:
-    """Trace ``n_rays`` cosine-distributed rays from every patch."""
+) -> tuple[GatherRays, NDArray[np.float32]]:
+    """Trace ``n_rays`` cosine-distributed rays from every patch.
+
+    Returns:
+        The rays, and the points they hit, (P, R, 3) metres (the origin where a ray escaped).
+    """
     n = len(origins.position)
     face = np.empty((n, n_rays), np.int32)
     point = np.empty((n, n_rays, 3), np.float32)
@@ -80,7 +82,7 @@ def gather(
         direction[start:stop] = d.reshape(-1, n_rays, 3)
         distance[start:stop] = hits.distance.reshape(-1, n_rays)
         progress.update(stop / n)
-    return GatherRays(face, point, direction, distance)
+    return GatherRays(face, direction, distance), point
 
 
 def _choose_faces(areas: NDArray[np.floating], u: NDArray[np.floating]) -> NDArray[np.int64]:
@@ -109,6 +111,8 @@ def emitter_form_factors(
     label = np.full(len(tracer.areas), -1, np.int32)
     for index, faces in enumerate(emitters):
         label[faces] = index
+    if not emitters:
+        return result
     area = np.array([tracer.areas[faces].sum() for faces in emitters], np.float32)
     _add_gathered(result, tracer, origins, rays, label, area, n_samples)
     for index, faces in enumerate(emitters):

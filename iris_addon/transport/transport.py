@@ -113,20 +113,30 @@ def find_patches(
     return result
 
 
-def _targets(tracer: Tracer, grids: tuple[PatchGrid, ...], parts: NDArray[np.int32], rays: GatherRays) -> NDArray[np.int32]:
-    flat = find_patches(
-        tracer, grids, parts, rays.face.ravel(), rays.point.reshape(-1, 3), rays.direction.reshape(-1, 3)
-    )
+def _targets(
+    tracer: Tracer,
+    grids: tuple[PatchGrid, ...],
+    parts: NDArray[np.int32],
+    rays: GatherRays,
+    point: NDArray[np.float32],
+) -> NDArray[np.int32]:
+    flat = find_patches(tracer, grids, parts, rays.face.ravel(), point.reshape(-1, 3), rays.direction.reshape(-1, 3))
     return flat.reshape(rays.face.shape)
 
 
 def _unseen_patches(
-    tracer: Tracer, surface: Surface, parts: NDArray[np.int32], rays: GatherRays, target: NDArray[np.int32], limit: int
+    tracer: Tracer,
+    surface: Surface,
+    parts: NDArray[np.int32],
+    rays: GatherRays,
+    hit_point: NDArray[np.float32],
+    target: NDArray[np.int32],
+    limit: int,
 ) -> tuple[PatchGrid, Origins, NDArray[np.int32]]:
     """Coarse patches where rays ended on surfaces that no photo sees; the ``limit`` most often hit."""
     row, column = np.nonzero(target == UNKNOWN)
     face = rays.face[row, column]
-    point = rays.point[row, column]
+    point = hit_point[row, column]
     normal = facing_normals(tracer, face, rays.direction[row, column].astype(np.float32))
     none = np.zeros(0, np.uint64), np.zeros(0, np.int8)
     keys = cell_keys(point, normal, parts[face], surface.grid.origin, surface.grid.scale, *none)
@@ -147,18 +157,18 @@ def build_transport(
     progress: Progress,
 ) -> Transport:
     """Trace the gather rays of all patches and name the patch that each one hits."""
-    rays = gather(tracer, surface.origins, n_rays, rng, progress)
-    target = _targets(tracer, (surface.grid,), parts, rays)
+    rays, point = gather(tracer, surface.origins, n_rays, rng, progress)
+    target = _targets(tracer, (surface.grid,), parts, rays, point)
     unseen_grid, unseen_origins, unseen_part = _unseen_patches(
-        tracer, surface, parts, rays, target, limit=len(surface.part) // 2
+        tracer, surface, parts, rays, point, target, limit=len(surface.part) // 2
     )
     row, column = np.nonzero(target == UNKNOWN)
     target[row, column] = find_patches(
-        tracer, (unseen_grid,), parts, rays.face[row, column], rays.point[row, column], rays.direction[row, column]
+        tracer, (unseen_grid,), parts, rays.face[row, column], point[row, column], rays.direction[row, column]
     )
-    unseen_rays = gather(tracer, unseen_origins, max(16, n_rays // UNSEEN_RAYS_SHARE), rng, progress)
     grids = (surface.grid, unseen_grid)
-    unseen_target = _targets(tracer, grids, parts, unseen_rays)
+    unseen_rays, point = gather(tracer, unseen_origins, max(16, n_rays // UNSEEN_RAYS_SHARE), rng, progress)
+    unseen_target = _targets(tracer, grids, parts, unseen_rays, point)
     return Transport(
         len(surface.part),
         surface.origins,

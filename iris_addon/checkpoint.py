@@ -1,0 +1,84 @@
+"""Finished stages on disk, so that a solve that was stopped goes on where it was.
+
+A stage's file holds plain arrays and is only believed if it was written by the same solve: same photos, poses, mesh,
+settings and version of the format. Files appear whole or not at all.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .capture.types import Capture
+from .config import SolveConfig
+from .imaging import atomic_write
+
+FORMAT = 1
+Arrays = Mapping[str, NDArray]
+
+
+def fingerprint(capture: Capture, config: SolveConfig) -> str:
+    """Hash of everything a solve depends on; photos by name, size and time of change."""
+    digest = hashlib.sha256(repr((FORMAT, config)).encode())
+    digest.update(np.ascontiguousarray(capture.mesh.vertices).tobytes())
+    digest.update(np.ascontiguousarray(capture.mesh.faces).tobytes())
+    for view in capture.views:
+        camera = view.camera
+        digest.update(repr((view.name, view.exposure, camera.fx, camera.fy, camera.cx, camera.cy)).encode())
+        digest.update(camera.c2w.tobytes())
+        if view.photo is not None:
+            stat = view.photo.stat()
+            digest.update(repr((str(view.photo), stat.st_size, stat.st_mtime_ns)).encode())
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True)
+class Checkpoints:
+    """Stage files of one solve in ``folder``.
+
+    Attributes:
+        key: fingerprint of the solve.
+        resume: whether files of an earlier run may be used.
+    """
+
+    folder: Path
+    key: str
+    resume: bool
+
+    def stage(self, name: str, compute: Callable[[], Arrays]) -> dict[str, NDArray]:
+        """The arrays of stage ``name``: read back if the stage was finished before, else computed and written."""
+        path = self.folder / f"{name}.npz"
+        if self.resume:
+            known = self._read(path)
+            if known is not None:
+                return known
+        arrays = dict(compute())
+        self.folder.mkdir(parents=True, exist_ok=True)
+        atomic_write(path, lambda file: np.savez(file, key=np.array(self.key), **arrays))
+        # What the next stage sees must not depend on whether this run was resumed.
+        return arrays
+
+    def clear(self) -> None:
+        """Remove the stage files: the result stands."""
+        for path in self.folder.glob("*.npz"):
+            path.unlink()
+        if self.folder.is_dir() and not any(self.folder.iterdir()):
+            self.folder.rmdir()
+
+    def _read(self, path: Path) -> dict[str, NDArray] | None:
+        if not path.is_file():
+            return None
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                if str(file["key"]) != self.key:
+                    return None
+                return {name: file[name] for name in file.files if name != "key"}
+        except (ValueError, KeyError, OSError, zipfile.BadZipFile):
+            # A damaged stage file costs the time to compute it again and nothing else.
+            return None

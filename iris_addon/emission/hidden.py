@@ -1,0 +1,106 @@
+"""Light whose source no photo shows: surfaces behind a corner that glow, and light from beyond the mesh.
+
+Both enter the light balance as further emitters with form factors read off the gather rays: parts that no photo sees
+(one radiance each, expected to be what they would reflect), and directions in which rays escape the mesh.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..result.sh import sh_basis
+from ..transport.transport import ESCAPED, Transport
+
+MIN_SHARE = 2e-3
+"""A source that fills less than this share of the mean hemisphere is not worth an unknown."""
+MAX_PARTS = 8
+DIRECTIONAL_SHARE = 0.02
+"""From this share of escaping rays on, light from outside may depend on direction."""
+
+
+@dataclass(frozen=True)
+class HiddenSources:
+    """Unknowns beside the lamps.
+
+    Attributes:
+        parts: part ids that no photo sees.
+        on_hidden: (N,) bool, patches of those parts; their radiance is an unknown, not inferred.
+        directions: (D, 3) unit centres of the direction bins of outside light; D in {0, 1, 12}.
+        form_factors: (N, len(parts) + D) share of each patch's hemisphere.
+    """
+
+    parts: NDArray[np.int64]
+    on_hidden: NDArray[np.bool_]
+    directions: NDArray[np.float64]
+    form_factors: NDArray[np.float32]
+
+    def outside_sh(self, radiance: NDArray[np.floating]) -> NDArray[np.float64] | None:
+        """(1, 3) or (9, 3) spherical harmonics of the outside radiance (D, 3) per bin, None without bins."""
+        if len(self.directions) == 0:
+            return None
+        if len(self.directions) == 1:
+            return radiance / sh_basis(np.array([[0.0, 0.0, 1.0]]), 1)
+        basis = sh_basis(self.directions, 9)
+        # Twelve bins and nine functions: a little ridge keeps bins that few rays escape through from ringing.
+        return np.linalg.solve(basis.T @ basis + 0.05 * np.eye(9), basis.T @ radiance)
+
+
+def dodecahedron() -> NDArray[np.float64]:
+    """(12, 3) unit normals of a dodecahedron's faces: evenly spread directions."""
+    golden = (1 + 5**0.5) / 2
+    corners = [(0, s, t * golden) for s in (-1, 1) for t in (-1, 1)]
+    points = np.array([np.roll(c, k) for c in corners for k in range(3)])
+    return points / np.linalg.norm(points[0])
+
+
+def find_hidden(transport: Transport, n_parts: int) -> HiddenSources:
+    """Parts never seen and directions of escape that reach the seen surfaces."""
+    n_seen, part = transport.n_seen, transport.part
+    seen_part = np.zeros(n_parts, bool)
+    seen_part[part[:n_seen]] = True
+    unseen_patch = np.concatenate([np.zeros(n_seen, bool), ~seen_part[part[n_seen:]]])
+    ids, share = _shares(transport, unseen_patch, n_parts)
+    ids = ids[np.argsort(-share[ids])][:MAX_PARTS]
+    label = np.full(n_parts, -1, np.int64)
+    label[ids] = np.arange(len(ids))
+    patch_label = np.where(unseen_patch, label[part], -1)
+    escaped = float((transport.target == ESCAPED).mean())
+    directions = np.zeros((0, 3))
+    if escaped > MIN_SHARE:
+        directions = dodecahedron() if escaped > DIRECTIONAL_SHARE else np.array([[0.0, 0.0, 1.0]])
+    blocks = [
+        _form_factors(target, rays.direction, patch_label, len(ids), directions)
+        for target, rays in ((transport.target, transport.rays), (transport.unseen_target, transport.unseen_rays))
+    ]
+    return HiddenSources(ids, patch_label >= 0, directions, np.concatenate(blocks))
+
+
+def _shares(transport: Transport, unseen: NDArray[np.bool_], n_parts: int) -> tuple[NDArray[np.int64], NDArray]:
+    """Unseen parts worth an unknown, and the share of all gather rays that each part receives."""
+    target = transport.target[transport.target >= transport.n_seen]
+    hits = np.bincount(transport.part[target[unseen[target]]], minlength=n_parts) / transport.target.size
+    return np.flatnonzero(hits > MIN_SHARE), hits
+
+
+def _form_factors(
+    target: NDArray[np.int32],
+    direction: NDArray[np.float16],
+    patch_label: NDArray[np.int64],
+    n_parts: int,
+    directions: NDArray[np.float64],
+) -> NDArray[np.float32]:
+    """(rows, n_parts + D) share of each row's rays that end on a hidden part or leave in a direction's bin."""
+    rows, rays = target.shape
+    result = np.zeros((rows, n_parts + len(directions)), np.float32)
+    row, column = np.nonzero(target >= 0)
+    label = patch_label[target[row, column]]
+    hidden = label >= 0
+    np.add.at(result, (row[hidden], label[hidden]), 1.0 / rays)
+    if len(directions):
+        row, column = np.nonzero(target == ESCAPED)
+        bins = (direction[row, column].astype(np.float32) @ directions.T.astype(np.float32)).argmax(1)
+        np.add.at(result, (row, n_parts + bins), 1.0 / rays)
+    return result

@@ -1,0 +1,120 @@
+"""Response and exposures of a capture, measured or given."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .capture.types import Capture
+from .config import SolveConfig
+from .response import curve
+from .response.curve import Response
+from .response.files import read_response
+from .response.observations import SATURATED, Observations
+from .response.overlap import fit_overlap
+from .response.radiance import MODEL_NOISE, Linearised
+
+
+@dataclass(frozen=True)
+class Photometry:
+    """From display values to radiance.
+
+    Attributes:
+        exposures: (V, 3) factor per training photo and channel.
+        held_out: display-value disagreement between views of held-out patches, NaN where nothing was fitted.
+        per_channel: whether each channel has its own curve.
+        known_exposures: whether the capture gave the exposures.
+    """
+
+    response: Response
+    exposures: NDArray[np.float64]
+    held_out: float
+    per_channel: bool
+    known_exposures: bool
+
+    @property
+    def hdr(self) -> bool:
+        """Whether the photos are radiance already."""
+        return self.response.family == "identity"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should know."""
+        if self.hdr or self.known_exposures:
+            return ()
+        return ("exposures are unknown: the overall brightness of lights is relative",)
+
+    def linearise_pixels(self, z: NDArray[np.floating], view: NDArray[np.integer]) -> Linearised:
+        """Radiance of pixels (n, 3) with their precision; single pixels have no share of clipped ones, they are or not."""
+        t = self.exposures[view]
+        if self.hdr:
+            return Linearised(z / t, np.ones(z.shape, bool), np.zeros(z.shape), np.ones(z.shape))
+        x = self.response.invert(np.clip(z + 0.5 / 255, 0, 1))
+        quantisation = (1 / 255 / np.sqrt(12)) / (np.maximum(self.response.slope(x), 1e-3) * np.maximum(x, 1e-5))
+        clipped = z >= SATURATED
+        precision = MODEL_NOISE**2 / (MODEL_NOISE**2 + quantisation**2)
+        return Linearised(x / t, ~clipped, np.where(clipped, 1 / t, 0.0), precision)
+
+    def develop(self, radiance: NDArray[np.floating], view: NDArray[np.integer]) -> NDArray[np.float64]:
+        """Display values (n, 3) of radiance; the radiance itself for HDR input."""
+        exposed = radiance * self.exposures[view]
+        return exposed if self.hdr else self.response.apply(exposed)
+
+    def report(self) -> dict[str, Any]:
+        """What was switched on and how well it predicts."""
+        return {
+            "family": self.response.family,
+            "curves": 3 if self.per_channel else 1,
+            "exposures": "known" if self.known_exposures else "estimated",
+            "held_out_residual": None if np.isnan(self.held_out) else self.held_out,
+        }
+
+    def arrays(self) -> dict[str, NDArray]:
+        """Plain arrays for a checkpoint."""
+        return {
+            "samples": self.response.samples,
+            "family": np.array(self.response.family),
+            "coefficients": np.array(self.response.coefficients),
+            "exposures": self.exposures,
+            "held_out": np.array(self.held_out),
+            "flags": np.array([self.per_channel, self.known_exposures]),
+        }
+
+    @staticmethod
+    def from_arrays(arrays: dict[str, NDArray]) -> Photometry:
+        """Inverse of :meth:`arrays`."""
+        response = Response(arrays["samples"], str(arrays["family"]), tuple(arrays["coefficients"].tolist()))
+        per_channel, known = (bool(flag) for flag in arrays["flags"])
+        return Photometry(response, arrays["exposures"], float(arrays["held_out"]), per_channel, known)
+
+
+def measure_photometry(
+    capture: Capture, config: SolveConfig, observations: Observations, hdr: bool, rng: np.random.Generator
+) -> Photometry:
+    """Response and exposures as the configuration asks for them.
+
+    Raises:
+        BadInput: the response file cannot be used.
+    """
+    known = capture.exposures_known
+    given = np.array([view.exposure for view in capture.views], np.float64) if known else None
+    n = len(capture.views)
+    if hdr:
+        factors = np.ones(n) if given is None or config.hdr is not None else given
+        return Photometry(curve.identity(), np.repeat(factors[:, None], 3, 1), np.nan, False, True)
+    fixed = _fixed_response(config)
+    fit = fit_overlap(observations, given, n, rng, fixed)
+    exposures = np.repeat(fit.exposures[:, None], 3, 1)
+    return Photometry(fit.response, exposures, fit.residual, fit.per_channel, known)
+
+
+def _fixed_response(config: SolveConfig) -> Response | None:
+    if config.response == "auto":
+        return None
+    if config.response == "gamma":
+        return curve.gamma()
+    return read_response(Path(config.response))

@@ -1,0 +1,79 @@
+"""Textures: albedo per pixel, fused over photos into texels.
+
+``kd = (L - specular) / Ld`` at every pixel, with the irradiance interpolated from patches, so that the texture keeps
+the photos' resolution and the shading stays out of it. Texels take a robust mean over photos, weighted by resolution,
+angle and the precision of the byte behind each value.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+MAX_ALBEDO = 0.95
+OUTLIER = 0.25
+"""Relative distance from a texel's mean at which a photo loses half its say."""
+
+
+@dataclass(frozen=True)
+class TexelAlbedo:
+    """Albedo fused per texel.
+
+    Attributes:
+        value: (T, 3) float32, T = size²; zero where unknown.
+        weight: (T,) float32 total weight, zero where no photo reaches.
+    """
+
+    value: NDArray[np.float32]
+    weight: NDArray[np.float32]
+
+
+def pixel_albedo(
+    radiance: NDArray[np.floating],
+    specular: NDArray[np.floating],
+    ls0: NDArray[np.floating],
+    irradiance: NDArray[np.floating],
+    metallic: NDArray[np.floating],
+) -> NDArray[np.float32]:
+    """(n, 3) base colour of each pixel: of the diffuse part for dielectrics, of the specular lobe for metals."""
+    per_unit = np.where(metallic[:, None] > 0.5, ls0, irradiance)
+    return np.clip((radiance - specular) / np.maximum(per_unit, 1e-5), 0.0, MAX_ALBEDO).astype(np.float32)
+
+
+def pixel_weight(
+    cosine: NDArray[np.floating], footprint: NDArray[np.floating], precision: NDArray[np.floating]
+) -> NDArray[np.float32]:
+    """(n,) say of a pixel: near, head-on and well-exposed photos see more."""
+    near = np.median(footprint) / np.maximum(footprint, 1e-6)
+    return (cosine * np.clip(near, 0.05, 20.0) ** 2 * precision).astype(np.float32)
+
+
+def fuse_texels(
+    texel: NDArray[np.integer],
+    value: NDArray[np.floating],
+    weight: NDArray[np.floating],
+    n_texels: int,
+) -> TexelAlbedo:
+    """Robust weighted mean per texel.
+
+    Args:
+        texel: (n,) flat texel index of each pixel.
+        value: (n, 3) albedo.
+        weight: (n, 3) say per channel; 0 where clipped.
+    """
+
+    def mean(w: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        norm = np.stack([np.bincount(texel, w[:, c], n_texels) for c in range(3)], -1)
+        total = np.stack([np.bincount(texel, (w * value)[:, c], n_texels) for c in range(3)], -1)
+        return total / np.maximum(norm, 1e-12), norm
+
+    first, norm = mean(weight)
+    off = np.abs(value - first[texel]).mean(1, keepdims=True) / (first[texel].mean(1, keepdims=True) + 0.02)
+    fused, _ = mean(weight / (1 + (off / OUTLIER) ** 2))
+    # A channel clipped in every photo takes the mean of the others: white more often than not.
+    known = norm > 0
+    others = (fused * known).sum(1, keepdims=True) / np.maximum(known.sum(1, keepdims=True), 1)
+    fused = np.where(known, fused, others)
+    return TexelAlbedo(fused.astype(np.float32), norm.max(1).astype(np.float32))

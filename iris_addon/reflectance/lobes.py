@@ -1,0 +1,101 @@
+"""Specular radiance toward the cameras, by cached reflected rays.
+
+FIPT's split (Wu et al. 2023, eq. 6): ``L_r = kd Ld + ks Ls0(σ) + Ls1(σ)`` with F0 = 1 - F1, F1 = (1 - h·ωi)^5. The
+two lobes are integrals of incoming radiance over the visible GGX normals; their rays are traced once per roughness,
+and what they hit is kept, so that a new guess of the lamps costs one look-up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..transport.sampling import ggx_directions, r2_sequence
+from ..transport.tracer import Tracer
+from ..transport.transport import ESCAPED, Transport, find_patches
+from .ggx import smith_g1
+
+POINTS_AT_ONCE = 1 << 15
+
+
+@dataclass(frozen=True)
+class LobeRays:
+    """Reflected rays of n points at one roughness each.
+
+    Attributes:
+        target: (n, S) int32 patch hit, UNKNOWN or ESCAPED.
+        face: (n, S) int32 face hit, -1 where escaped.
+        weight0, weight1: (n, S) float16, G1 F0 and G1 F1.
+    """
+
+    target: NDArray[np.int32]
+    face: NDArray[np.int32]
+    weight0: NDArray[np.float16]
+    weight1: NDArray[np.float16]
+
+    def radiance(
+        self, patch_radiance: NDArray[np.floating], face_emission: NDArray[np.floating], unknown: NDArray[np.floating]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """``Ls0`` and ``Ls1``, (n, 3) each.
+
+        Args:
+            patch_radiance: (N, 3) reflected radiance of every patch.
+            face_emission: (F, 3).
+            unknown: (3,) for hits without a patch.
+        """
+        table = np.concatenate([patch_radiance, unknown[None], np.zeros((1, 3))]).astype(np.float32)
+        n = len(patch_radiance)
+        index = np.where(self.target == ESCAPED, n + 1, np.where(self.target < 0, n, self.target))
+        lit = face_emission.any(1)
+        incoming = table[index]
+        on_lamp = (self.face >= 0) & lit[self.face]
+        incoming[on_lamp] = face_emission[self.face[on_lamp]]
+        w0, w1 = self.weight0.astype(np.float32), self.weight1.astype(np.float32)
+        samples = self.target.shape[1]
+        return np.einsum("ns,nsc->nc", w0, incoming) / samples, np.einsum("ns,nsc->nc", w1, incoming) / samples
+
+
+def trace_lobes(
+    tracer: Tracer,
+    transport: Transport,
+    parts: NDArray[np.int32],
+    position: NDArray[np.floating],
+    normal: NDArray[np.floating],
+    outgoing: NDArray[np.floating],
+    roughness: NDArray[np.floating],
+    n_rays: int,
+    rng: np.random.Generator,
+) -> LobeRays:
+    """Reflected rays of surface points.
+
+    Args:
+        position, normal, outgoing: (n, 3) metres; unit; unit toward the camera.
+        roughness: (n,) Principled roughness.
+    """
+    n = len(position)
+    target = np.empty((n, n_rays), np.int32)
+    face = np.empty((n, n_rays), np.int32)
+    weight0 = np.empty((n, n_rays), np.float16)
+    weight1 = np.empty((n, n_rays), np.float16)
+    for start in range(0, n, POINTS_AT_ONCE):
+        rows = slice(start, min(start + POINTS_AT_ONCE, n))
+        u = r2_sequence(rows.stop - rows.start, n_rays, rng).reshape(-1, 2)
+        normals = np.repeat(normal[rows], n_rays, 0)
+        alpha = np.repeat(np.maximum(roughness[rows], 0.05) ** 2, n_rays).astype(np.float32)
+        direction, half_cosine = ggx_directions(normals, np.repeat(outgoing[rows], n_rays, 0), alpha, u)
+        cosine = (direction * normals).sum(1)
+        above = cosine > 1e-3
+        origin = np.repeat(position[rows], n_rays, 0) + tracer.epsilon * normals
+        hits = tracer.closest(origin, np.where(above[:, None], direction, normals))
+        point = origin + direction * np.where(hits.face >= 0, hits.distance, 0)[:, None]
+        patch = find_patches(tracer, transport.grids, parts, hits.face, point, direction)
+        g1 = np.where(above, smith_g1(np.maximum(cosine, 1e-3), alpha), 0.0)
+        fresnel = (1 - half_cosine) ** 5
+        shape = (rows.stop - rows.start, n_rays)
+        target[rows] = patch.reshape(shape)
+        face[rows] = hits.face.reshape(shape)
+        weight0[rows] = (g1 * (1 - fresnel)).reshape(shape)
+        weight1[rows] = (g1 * fresnel).reshape(shape)
+    return LobeRays(target, face, weight0, weight1)

@@ -1,0 +1,160 @@
+"""Rounds of lamps and gloss: each takes what the other found.
+
+A glossy floor read as diffuse makes the lamps it mirrors look stronger; a lamp of the wrong strength makes the floor
+look glossier. Both are cheap to solve on cached rays, so they are solved in turn.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..emission.candidates import brightness
+from ..emission.solve import LightProblem, Lights, refine_lights
+from ..progress import Progress
+from ..response.observations import Observations
+from ..response.radiance import GroupRadiance, Linearised, group_radiance
+from .gloss import LEVELS, Gloss, choose_observations, fit_gloss
+from .lobes import LobeRays, trace_lobes
+from .shading import IrradianceField
+from .specular import Scene, specular_lobes, subtract_specular
+
+FIT_RAYS = 16
+GLOSSY = 0.5
+GLOSSY_SAY = 0.3
+"""Glossy parts keep this say in the light balance: what is left of their highlights is a bias, not noise."""
+
+
+@dataclass(frozen=True)
+class MaterialProblem:
+    """What stays fixed over the rounds.
+
+    Attributes:
+        light: the light problem, brightness as seen.
+        observed: radiance per patch, all of it.
+        part: (M,) part of each observation.
+    """
+
+    light: LightProblem
+    observations: Observations
+    linear: Linearised
+    observed: GroupRadiance
+    field: IrradianceField
+    part: NDArray[np.int32]
+    specular_rays: int
+    seed: int
+
+
+def scene_of(problem: LightProblem, lights: Lights) -> Scene:
+    """What reflected rays meet under ``lights``."""
+    emission = lights.face_emission(len(problem.parts))
+    for part, radiance in zip(problem.hidden.parts, lights.hidden_radiance, strict=False):
+        emission[problem.parts == part] = radiance
+    n = problem.transport.n_seen
+    unknown = 0.7 * np.median(lights.patch_radiance[:n], axis=0)
+    return Scene(problem.tracer, problem.transport, problem.parts, lights.patch_radiance, emission, unknown)
+
+
+def smooth_irradiance(field: IrradianceField, lights: Lights) -> NDArray[np.float32]:
+    """(P, 3) irradiance / pi of the seen patches without the noise of their rays."""
+    return field.smooth(lights.irradiance[: len(field.position)], 1.0)
+
+
+def solve_materials(
+    problem: MaterialProblem, lights: Lights, rounds: int, progress: Progress
+) -> tuple[Lights, Gloss]:
+    """Lamps and materials that explain the observations together, starting from lamps found by diffuse shading."""
+    fit = _GlossFit.prepare(problem, lights)
+    gloss = fit.gloss(problem, lights)
+    for round_ in range(rounds):
+        specular = _observed_specular(problem, lights, gloss, round_, progress)
+        diffuse = group_radiance(
+            problem.linear, problem.observations.patch, problem.observations.count, len(problem.observed.weight), specular
+        )
+        seen = brightness(problem.observations, problem.linear, len(problem.observed.weight), specular)
+        light_problem = replace(problem.light, brightness=seen)
+        say = _say(problem, gloss, diffuse)
+        lights = refine_lights(light_problem, problem.observed, lights, say, diffuse.radiance, progress)
+        gloss = fit.gloss(problem, lights)
+        progress.update((round_ + 1) / rounds)
+    return lights, gloss
+
+
+def _say(problem: MaterialProblem, gloss: Gloss, diffuse: GroupRadiance) -> NDArray[np.float64]:
+    """(P,) say of each patch in the light balance once materials are known."""
+    part = problem.light.transport.part[: len(diffuse.weight)]
+    matte = np.where(gloss.roughness[part] < GLOSSY, GLOSSY_SAY, 1.0) * (gloss.metallic[part] < 0.5)
+    # Where nearly all light was specular the remainder is what a wrong lobe leaves.
+    mostly_diffuse = diffuse.radiance.min(1) > 0.1 * problem.observed.radiance.min(1)
+    return np.sqrt(np.minimum(diffuse.weight, 50.0)) * matte * mostly_diffuse
+
+
+def _observed_specular(
+    problem: MaterialProblem, lights: Lights, gloss: Gloss, round_: int, progress: Progress
+) -> NDArray[np.float32]:
+    """(M, 3) specular radiance of every observation."""
+    rng = np.random.default_rng([problem.seed, 31, round_])
+    irradiance = smooth_irradiance(problem.field, lights)[problem.observations.patch]
+    ls0, ls1 = specular_lobes(
+        scene_of(problem.light, lights),
+        gloss,
+        problem.light.samples,
+        problem.observations.sample,
+        problem.part,
+        irradiance,
+        problem.specular_rays,
+        rng,
+        progress,
+    )
+    return subtract_specular(ls0, ls1, gloss.metallic[problem.part])
+
+
+@dataclass(frozen=True)
+class _GlossFit:
+    """Observations to fit gloss on and their reflected rays at every level, traced once."""
+
+    rows: NDArray[np.int64]
+    rays: list[LobeRays]
+
+    @staticmethod
+    def prepare(problem: MaterialProblem, lights: Lights) -> _GlossFit:
+        o, samples = problem.observations, problem.light.samples
+        rng = np.random.default_rng([problem.seed, 29])
+        usable = problem.linear.open.all(1) & ~lights.mask[samples.face[o.sample]]
+        rows = choose_observations(problem.part, o.patch, np.where(usable, o.count, 0), rng)
+        at = o.sample[rows]
+        rays = [
+            trace_lobes(
+                problem.light.tracer,
+                problem.light.transport,
+                problem.light.parts,
+                samples.position[at],
+                samples.normal[at],
+                samples.direction[at],
+                np.full(len(at), level),
+                FIT_RAYS,
+                rng,
+            )
+            for level in LEVELS
+        ]
+        return _GlossFit(rows, rays)
+
+    def gloss(self, problem: MaterialProblem, lights: Lights) -> Gloss:
+        """Roughness and metallic per part under ``lights``."""
+        o, samples = problem.observations, problem.light.samples
+        scene = scene_of(problem.light, lights)
+        lobes = [r.radiance(scene.patch_radiance, scene.face_emission, scene.unknown) for r in self.rays]
+        irradiance = smooth_irradiance(problem.field, lights)
+        at = o.sample[self.rows]
+        local = problem.field.at_samples(samples.take(at), o.patch[self.rows], irradiance)
+        return fit_gloss(
+            problem.part[self.rows],
+            o.patch[self.rows],
+            np.minimum(o.count[self.rows], 20.0),
+            problem.linear.radiance[self.rows],
+            local,
+            lobes,
+            int(problem.light.parts.max()) + 1,
+        )

@@ -1,0 +1,76 @@
+"""Irradiance between patches: shading is smooth where albedo is not, so patches carry it and pixels interpolate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ..surface.build import Surface
+from ..surface.samples import PixelSamples
+
+NEIGHBOURS = 10
+NORMAL_WEIGHT = 4.0
+"""Patches that face 15 degrees away count as far as one patch size away."""
+KERNEL = 0.75
+"""Standard deviation of the interpolation kernel, in patch sizes."""
+ROWS_AT_ONCE = 1 << 17
+
+
+@dataclass(frozen=True)
+class IrradianceField:
+    """Neighbourhoods of patches in position and orientation; parts do not matter to irradiance.
+
+    Attributes:
+        neighbours: (P, K) int32, the patch itself first.
+        size: (P,) float32 edge length of each patch, metres.
+    """
+
+    position: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    neighbours: NDArray[np.int32]
+    size: NDArray[np.float32]
+
+    @staticmethod
+    def build(surface: Surface) -> IrradianceField:
+        """Nearest patches of every patch, near in place and in orientation."""
+        size = np.maximum(surface.footprint * np.float32(surface.pixels_per_patch), 1e-4)
+        # One metric for the tree: patch sizes vary from block to block, so neighbours are compared in log-mean size.
+        unit = float(np.exp(np.mean(np.log(size))))
+        features = np.concatenate([surface.position / unit, NORMAL_WEIGHT * surface.normal], 1)
+        k = min(NEIGHBOURS, len(features))
+        _, index = cKDTree(features).query(features, k=k, workers=-1)
+        return IrradianceField(
+            surface.position, surface.normal, np.asarray(index, np.int32).reshape(len(features), k), size
+        )
+
+    def smooth(self, values: NDArray[np.floating], width: float) -> NDArray[np.float32]:
+        """(P, C) values averaged over neighbours with a Gaussian of ``width`` patch sizes; takes sampling noise off."""
+        weight = self._weights(self.position, self.normal, np.arange(len(self.position)), width)
+        return np.einsum("pk,pkc->pc", weight, values.astype(np.float32)[self.neighbours])
+
+    def at_samples(
+        self, samples: PixelSamples, patch: NDArray[np.int32], values: NDArray[np.floating]
+    ) -> NDArray[np.float32]:
+        """(n, C) patch values (P, C) interpolated at pixels; ``patch`` (n,) is the patch each pixel lies on."""
+        table = values.astype(np.float32)
+        result = np.empty((len(patch), table.shape[1]), np.float32)
+        for start in range(0, len(patch), ROWS_AT_ONCE):
+            rows = slice(start, start + ROWS_AT_ONCE)
+            weight = self._weights(samples.position[rows], samples.normal[rows], patch[rows], KERNEL)
+            result[rows] = np.einsum("pk,pkc->pc", weight, table[self.neighbours[patch[rows]]])
+        return result
+
+    def _weights(
+        self, position: NDArray[np.float32], normal: NDArray[np.float32], patch: NDArray[np.integer], width: float
+    ) -> NDArray[np.float32]:
+        """(n, K) normalised kernel weights of the neighbours of each point's patch."""
+        near = self.neighbours[patch]
+        offset = self.position[near] - position[:, None]
+        turn = self.normal[near] - normal[:, None]
+        reach = self.size[patch][:, None] * np.float32(width)
+        square = (offset**2).sum(-1) / reach**2 + (turn**2).sum(-1) * np.float32((NORMAL_WEIGHT / width) ** 2)
+        weight = np.exp(-0.5 * np.minimum(square - square.min(1, keepdims=True), 60.0))
+        return weight / weight.sum(1, keepdims=True)

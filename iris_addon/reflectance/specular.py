@@ -1,0 +1,87 @@
+"""Specular radiance of observations and pixels under the materials and lamps at hand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..progress import Progress
+from ..surface.samples import PixelSamples
+from ..transport.tracer import Tracer
+from ..transport.transport import Transport
+from .ggx import DIELECTRIC_F0, specular_integrals
+from .gloss import Gloss
+from .lobes import trace_lobes
+
+ROUGH = 0.75
+"""From this roughness on the lobe is so wide that it sees about what the whole hemisphere sees."""
+POINTS_AT_ONCE = 1 << 16
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Light and materials that reflected rays meet.
+
+    Attributes:
+        parts: (F,) part per face.
+        patch_radiance: (N, 3) reflected radiance.
+        face_emission: (F, 3).
+        unknown: (3,) radiance of surfaces without a patch.
+    """
+
+    tracer: Tracer
+    transport: Transport
+    parts: NDArray[np.int32]
+    patch_radiance: NDArray[np.floating]
+    face_emission: NDArray[np.floating]
+    unknown: NDArray[np.floating]
+
+
+def specular_lobes(
+    scene: Scene,
+    gloss: Gloss,
+    samples: PixelSamples,
+    rows: NDArray[np.integer],
+    part: NDArray[np.integer],
+    irradiance: NDArray[np.floating],
+    n_rays: int,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """``Ls0`` and ``Ls1`` (n, 3) of the pixels ``rows``: traced where glossy, from irradiance where rough.
+
+    Args:
+        part: (n,) part of each pixel.
+        irradiance: (n, 3) irradiance / pi at each pixel.
+    """
+    roughness = gloss.roughness[part]
+    f0, f1 = specular_integrals(roughness, samples.cosine[rows].astype(np.float64))
+    ls0 = (f0[:, None] * irradiance).astype(np.float32)
+    ls1 = (f1[:, None] * irradiance).astype(np.float32)
+    traced = np.flatnonzero(roughness < ROUGH)
+    for start in range(0, len(traced), POINTS_AT_ONCE):
+        at = traced[start : start + POINTS_AT_ONCE]
+        points = rows[at]
+        rays = trace_lobes(
+            scene.tracer,
+            scene.transport,
+            scene.parts,
+            samples.position[points],
+            samples.normal[points],
+            samples.direction[points],
+            roughness[at],
+            n_rays,
+            rng,
+        )
+        ls0[at], ls1[at] = rays.radiance(scene.patch_radiance, scene.face_emission, scene.unknown)
+        progress.update(start / len(traced))
+    return ls0, ls1
+
+
+def subtract_specular(
+    ls0: NDArray[np.floating], ls1: NDArray[np.floating], metallic: NDArray[np.floating]
+) -> NDArray[np.float32]:
+    """(n, 3) specular radiance to take off a dielectric; metals keep ``ks Ls0``, which their colour explains."""
+    return (DIELECTRIC_F0 * (1 - metallic))[:, None].astype(np.float32) * ls0 + ls1

@@ -1,0 +1,81 @@
+"""From pixels with an albedo to Principled textures on the atlas."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..result.types import Textures
+from ..surface.atlas_texels import fill_texels, rasterise_atlas, texel_index
+from ..surface.samples import PixelSamples
+from .bake import TexelAlbedo, fuse_texels
+from .gloss import Gloss
+
+FULL_CONFIDENCE = 4.0
+"""Weight (in head-on pixels) at which a texel counts as well seen."""
+
+
+def make_textures(
+    uv: NDArray[np.floating],
+    size: int,
+    parts: NDArray[np.int32],
+    lamps: NDArray[np.bool_],
+    gloss: Gloss,
+    samples: PixelSamples,
+    albedo: NDArray[np.floating],
+    weight: NDArray[np.floating],
+) -> tuple[Textures, NDArray[np.float32]]:
+    """Fuse pixels into texels, fill what no photo saw.
+
+    Args:
+        uv: (F, 3, 2) per corner.
+        lamps: (F,) bool, emitting faces; they reflect nothing.
+        albedo: (n, 3) base colour of each pixel.
+        weight: (n, 3) say of each pixel and channel.
+
+    Returns:
+        The textures, and the fused base colour at every pixel, (n, 3).
+    """
+    texel = texel_index(uv, samples.face, samples.barycentric, size)
+    fused = fuse_texels(texel, albedo, weight, size * size)
+    face, _ = rasterise_atlas(uv, size)
+    base_color = _fill(fused, face, parts, samples, albedo, weight, size)
+    shown = np.maximum(face, 0)
+    inside = face >= 0
+    base_color[inside & lamps[shown]] = 0.0
+    roughness = np.where(inside, gloss.roughness[parts[shown]], 1.0).astype(np.float32)
+    metallic = np.where(inside, gloss.metallic[parts[shown]], 0.0).astype(np.float32)
+    confidence = np.clip(fused.weight / FULL_CONFIDENCE, 0, 1).reshape(size, size)
+    textures = Textures(base_color, roughness, metallic, confidence)
+    return textures, base_color.reshape(-1, 3)[texel]
+
+
+def _fill(
+    fused: TexelAlbedo,
+    face: NDArray[np.int32],
+    parts: NDArray[np.int32],
+    samples: PixelSamples,
+    albedo: NDArray[np.floating],
+    weight: NDArray[np.floating],
+    size: int,
+) -> NDArray[np.float32]:
+    """(size, size, 3) base colour everywhere: seen texels as they are, faces seen in part from their own texels,
+    faces never seen from the mean of their part."""
+    known = (fused.weight > 0).reshape(size, size)
+    value = fused.value.reshape(size, size, 3)
+    count = np.bincount(samples.face, minlength=len(parts))
+    part_mean = _part_means(parts[samples.face], albedo, weight, int(parts.max()) + 1)
+    unseen = (face >= 0) & (count[np.maximum(face, 0)] == 0)
+    filled = fill_texels(value, known)
+    constant = part_mean[parts[np.maximum(face, 0)]]
+    return np.where((unseen & ~known)[..., None], constant, filled).astype(np.float32)
+
+
+def _part_means(
+    part: NDArray[np.integer], albedo: NDArray[np.floating], weight: NDArray[np.floating], n_parts: int
+) -> NDArray[np.float64]:
+    """(n_parts, 3) weighted mean base colour; the overall mean for parts never seen."""
+    norm = np.stack([np.bincount(part, weight[:, c], n_parts) for c in range(3)], -1)
+    total = np.stack([np.bincount(part, (weight * albedo)[:, c], n_parts) for c in range(3)], -1)
+    overall = total.sum(0) / np.maximum(norm.sum(0), 1e-9)
+    return np.where(norm > 0, total / np.maximum(norm, 1e-12), overall)

@@ -1,0 +1,268 @@
+"""The whole solve: a capture in, a result folder out. Each stage is a pure function of the ones before.
+
+::
+
+    photos -> surface -> transport -> response -> lights -> materials -> textures -> result
+"""
+
+from __future__ import annotations
+
+import resource
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .capture.types import Capture
+from .checkpoint import Checkpoints, fingerprint
+from .config import SolveConfig
+from .emission.candidates import brightness
+from .emission.hidden import find_hidden
+from .emission.solve import LightProblem, Lights, find_lights
+from .photometry import Photometry, measure_photometry
+from .progress import Progress
+from .reflectance.bake import pixel_albedo, pixel_weight
+from .reflectance.gloss import Gloss
+from .reflectance.materials import MaterialProblem, scene_of, smooth_irradiance, solve_materials
+from .reflectance.shading import IrradianceField
+from .reflectance.specular import specular_lobes, subtract_specular
+from .reflectance.textures import make_textures
+from .response.observations import Observations, observe
+from .response.radiance import group_radiance, linearise
+from .result.io import save_result
+from .result.types import Emitter, OutsideLight, Result
+from .surface.atlas import build_atlas, texel_density_from_footprint
+from .surface.build import Surface, build_surface
+from .surface.parts import edge_adjacency, initial_parts
+from .surface.samples import PixelSamples
+from .photo_samples import PhotoSamples, sample_photos
+from .transport.cache import cached_transport
+from .transport.tracer import Tracer
+from .transport.transport import Transport
+
+WEIGHTS = {"photos": 3, "surface": 3, "transport": 8, "response": 6, "lights": 15, "materials": 20, "textures": 20}
+"""Expected seconds per stage, for the overall progress bar."""
+HELD_OUT = 0.02
+"""Share of pixels kept from the textures, to measure what they predict."""
+
+
+def solve(
+    capture: Capture, config: SolveConfig, out: Path, progress: Progress | None = None, resume: bool = False
+) -> Result:
+    """Recover response, exposures, lights and materials; write the result folder ``out``.
+
+    Raises:
+        BadInput: a photo cannot be read.
+        Cancelled: finished stages stay in ``out`` for ``resume``.
+        IrisError: the disk is full.
+    """
+    progress = progress or Progress()
+    progress.expect(WEIGHTS)
+    checkpoints = Checkpoints(out / "checkpoints", fingerprint(capture, config), resume)
+    with progress.stage("photos"):
+        tracer = Tracer(capture.mesh)
+        photos = sample_photos(capture, tracer, config.hdr is not None, progress)
+    with progress.stage("surface"):
+        parts = initial_parts(capture.mesh)
+        surface = build_surface(capture.mesh, photos.samples, parts, config.max_patches, _rng(config, 1))
+        field = IrradianceField.build(surface)
+    with progress.stage("transport"):
+        transport = cached_transport(
+            capture, tracer, surface, parts, config.gather_rays, config.seed, _rng(config, 2), progress
+        )
+    observations = observe(surface.sample_patch, photos.samples.view, photos.z, photos.hdr, _rng(config, 3))
+    with progress.stage("response"):
+        photometry = Photometry.from_arrays(
+            checkpoints.stage(
+                "response", lambda: measure_photometry(capture, config, observations, photos.hdr, _rng(config, 4)).arrays()
+            )
+        )
+    problem = _problem(capture, config, tracer, photos, parts, surface, transport, observations, photometry, field)
+    with progress.stage("lights"):
+        lights = Lights.from_arrays(
+            checkpoints.stage("lights", lambda: find_lights(problem.light, problem.observed, progress).arrays())
+        )
+    with progress.stage("materials"):
+        solved = checkpoints.stage("materials", lambda: _materials(problem, lights, config.rounds, progress))
+        lights, gloss = Lights.from_arrays(solved), Gloss.from_arrays(solved)
+    with progress.stage("textures"):
+        result = _textures(capture, config, problem, photos, photometry, lights, gloss, progress)
+    result.report.update(_report(config, capture, tracer, surface, transport, photometry, problem, lights, gloss, progress))
+    save_result(result, out)
+    checkpoints.clear()
+    return result
+
+
+def _rng(config: SolveConfig, stage: int) -> np.random.Generator:
+    """A generator per stage: a stage draws the same numbers whether those before it ran or were read back."""
+    return np.random.default_rng([config.seed, stage])
+
+
+def _problem(
+    capture: Capture,
+    config: SolveConfig,
+    tracer: Tracer,
+    photos: PhotoSamples,
+    parts: NDArray[np.int32],
+    surface: Surface,
+    transport: Transport,
+    observations: Observations,
+    photometry: Photometry,
+    field: IrradianceField,
+) -> MaterialProblem:
+    linear = linearise(observations, photometry.response, photometry.exposures)
+    n = len(surface.part)
+    light = LightProblem(
+        tracer,
+        photos.samples,
+        surface,
+        transport,
+        parts,
+        edge_adjacency(capture.mesh),
+        brightness(observations, linear, n),
+        find_hidden(transport, int(parts.max()) + 1),
+        config.shadow_rays,
+        config.seed,
+    )
+    observed = group_radiance(linear, observations.patch, observations.count, n)
+    part = parts[photos.samples.face[observations.sample]]
+    return MaterialProblem(light, observations, linear, observed, field, part, config.specular_rays, config.seed)
+
+
+def _materials(problem: MaterialProblem, lights: Lights, rounds: int, progress: Progress) -> dict[str, NDArray]:
+    lights, gloss = solve_materials(problem, lights, rounds, progress)
+    return {**lights.arrays(), **gloss.arrays()}
+
+
+def _textures(
+    capture: Capture,
+    config: SolveConfig,
+    problem: MaterialProblem,
+    photos: PhotoSamples,
+    photometry: Photometry,
+    lights: Lights,
+    gloss: Gloss,
+    progress: Progress,
+) -> Result:
+    """Albedo per pixel, fused on the atlas; the result put together."""
+    samples, light = photos.samples, problem.light
+    part = light.parts[samples.face]
+    irradiance = problem.field.at_samples(
+        samples, light.surface.sample_patch, smooth_irradiance(problem.field, lights)
+    )
+    ls0, ls1 = specular_lobes(
+        scene_of(light, lights),
+        gloss,
+        samples,
+        np.arange(len(part)),
+        part,
+        irradiance,
+        config.specular_rays,
+        _rng(config, 6),
+        progress,
+    )
+    metallic = gloss.metallic[part]
+    specular = subtract_specular(ls0, ls1, metallic)
+    linear = photometry.linearise_pixels(photos.z, samples.view)
+    albedo = pixel_albedo(linear.radiance, specular, ls0, irradiance, metallic)
+    weight = pixel_weight(samples.cosine, samples.footprint, np.ones(len(part)))[:, None] * linear.open * linear.precision
+    weight /= np.median(weight[weight > 0])
+    held_out = _rng(config, 7).random(len(part)) < HELD_OUT
+    uv = capture.mesh.uv
+    if uv is None:
+        density = texel_density_from_footprint(samples.face, samples.footprint, len(light.parts))
+        uv = build_atlas(capture.mesh, density, config.atlas_size)
+    textures, base_color = make_textures(
+        uv, config.atlas_size, light.parts, lights.mask, gloss, samples, albedo, weight * ~held_out[:, None]
+    )
+    predicted = _predict(base_color, metallic, irradiance, ls0, ls1, lights.face_emission(len(light.parts))[samples.face])
+    z = photometry.develop(predicted, samples.view)
+    error = (z - np.clip(photos.z + 0.5 / 255, 0, 1))[held_out] if not photos.hdr else (z - photos.z)[held_out]
+    report = {"holdout_psnr": float(-10 * np.log10(np.mean(error**2)))}
+    mesh = capture.mesh.with_uv(uv)
+    exposures = {view.name: photometry.exposures[k] for k, view in enumerate(capture.views)}
+    return Result(
+        mesh,
+        light.parts,
+        textures,
+        tuple(_emitters(light, lights)),
+        _outside(light, lights),
+        photometry.response,
+        exposures,
+        report,
+        capture.up,
+    )
+
+
+def _predict(
+    base_color: NDArray[np.floating],
+    metallic: NDArray[np.floating],
+    irradiance: NDArray[np.floating],
+    ls0: NDArray[np.floating],
+    ls1: NDArray[np.floating],
+    emission: NDArray[np.floating],
+) -> NDArray[np.float64]:
+    """(n, 3) radiance of pixels under the solved model, ``kd Ld + ks Ls0 + Ls1`` plus emission."""
+    m = metallic[:, None]
+    ks = base_color * m + 0.04 * (1 - m)
+    return base_color * (1 - m) * irradiance + ks * ls0 + ls1 + emission
+
+
+def _emitters(problem: LightProblem, lights: Lights) -> list[Emitter]:
+    """Lamps seen, then unseen parts that must glow: brighter than anything they could reflect."""
+    areas = problem.tracer.areas
+    found = [
+        (faces, radiance, float(1.0 / (1.0 + std)))
+        for faces, radiance, std in zip(lights.emitters, lights.radiance, lights.log_std, strict=True)
+    ]
+    typical = np.median(lights.irradiance[: problem.transport.n_seen], axis=0)
+    for part, radiance in zip(problem.hidden.parts, lights.hidden_radiance, strict=False):
+        if radiance.mean() > typical.mean():
+            found.append((np.flatnonzero((problem.parts == part) & (areas > 0)), radiance, 0.2))
+    return [
+        Emitter(k, faces, radiance, float(areas[faces].sum()), confidence)
+        for k, (faces, radiance, confidence) in enumerate(found)
+    ]
+
+
+def _outside(problem: LightProblem, lights: Lights) -> OutsideLight | None:
+    sh = problem.hidden.outside_sh(lights.hidden_radiance[len(problem.hidden.parts) :])
+    return None if sh is None else OutsideLight(sh)
+
+
+def _report(
+    config: SolveConfig,
+    capture: Capture,
+    tracer: Tracer,
+    surface: Surface,
+    transport: Transport,
+    photometry: Photometry,
+    problem: MaterialProblem,
+    lights: Lights,
+    gloss: Gloss,
+    progress: Progress,
+) -> Mapping[str, Any]:
+    """The figures of report.json beside the held-out PSNR."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    return {
+        "preset": config.preset,
+        "seed": config.seed,
+        "seconds": {name: round(value, 2) for name, value in progress.seconds.items()},
+        "peak_memory_bytes": int(peak),
+        "rays_traced": int(tracer.rays_traced),
+        "n_patches": int(transport.n_patches),
+        "n_views": len(capture.views),
+        "model": {
+            "response": photometry.report(),
+            "lamps": len(lights.emitters),
+            "hidden_parts": len(problem.light.hidden.parts),
+            "outside_directions": len(problem.light.hidden.directions),
+            "glossy_parts": int(((gloss.roughness < 1) & (gloss.metallic < 0.5)).sum()),
+            "metallic_parts": int((gloss.metallic > 0.5).sum()),
+            "pixels_per_patch": round(surface.pixels_per_patch, 2),
+        },
+        "warnings": [*capture.warnings, *photometry.warnings],
+    }

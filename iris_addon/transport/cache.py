@@ -1,0 +1,122 @@
+"""Transport on disk, under a hash of what it depends on: the mesh, the cameras, the patches and the sampling."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..capture.types import Capture
+from ..errors import IrisError
+from ..imaging import atomic_write
+from ..progress import Progress
+from ..surface.build import Surface
+from ..surface.patches import PatchGrid
+from .gather import GatherRays, Origins
+from .tracer import Tracer
+from .transport import Transport, build_transport
+
+FORMAT = 1
+MAX_ENTRIES = 6
+
+
+def cache_folder() -> Path:
+    """Where transport is kept: $IRIS_CACHE, else the user's cache folder."""
+    chosen = os.environ.get("IRIS_CACHE")
+    if chosen:
+        return Path(chosen)
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "iris" / "cache"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "iris"
+    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "iris"
+
+
+def cached_transport(
+    capture: Capture,
+    tracer: Tracer,
+    surface: Surface,
+    parts: NDArray[np.int32],
+    n_rays: int,
+    seed: int,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> Transport:
+    """:func:`build_transport`, read back where the same was traced before."""
+    path = cache_folder() / f"transport-{_key(capture, surface, parts, n_rays, seed)}.npz"
+    known = _read(path)
+    if known is not None:
+        return known
+    transport = build_transport(tracer, surface, parts, n_rays, rng, progress)
+    try:
+        atomic_write(path, lambda file: np.savez(file, **_arrays(transport)))
+        _prune(path.parent)
+    except IrisError as error:
+        # A cache that cannot be written costs time in the next run; it must not cost this one.
+        progress.update(1.0, f"transport is not cached: {error}")
+    return transport
+
+
+def _key(capture: Capture, surface: Surface, parts: NDArray[np.int32], n_rays: int, seed: int) -> str:
+    digest = hashlib.sha256(repr((FORMAT, n_rays, seed, len(surface.part), surface.pixels_per_patch)).encode())
+    for array in (capture.mesh.vertices, capture.mesh.faces, parts, surface.grid.cell_keys, surface.origins.position):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()[:32]
+
+
+def _prune(folder: Path) -> None:
+    """Keep the entries used last."""
+    entries = sorted(folder.glob("transport-*.npz"), key=lambda path: path.stat().st_mtime, reverse=True)
+    for path in entries[MAX_ENTRIES:]:
+        path.unlink(missing_ok=True)
+
+
+_RAYS = ("face", "direction", "distance")
+_GRID = ("origin", "block_keys", "block_levels", "cell_keys", "cell_patches")
+
+
+def _arrays(t: Transport) -> dict[str, NDArray]:
+    arrays = {"n_seen": np.array(t.n_seen), "target": t.target, "unseen_target": t.unseen_target, "part": t.part}
+    for name, origins in (("origins", t.origins), ("unseen_origins", t.unseen_origins)):
+        arrays |= {f"{name}.position": origins.position, f"{name}.normal": origins.normal}
+    for name, rays in (("rays", t.rays), ("unseen_rays", t.unseen_rays)):
+        arrays |= {f"{name}.{field}": getattr(rays, field) for field in _RAYS}
+    for index, grid in enumerate(t.grids):
+        arrays |= {f"grid{index}.{field}": getattr(grid, field) for field in _GRID}
+        arrays[f"grid{index}.scale"] = np.array(grid.scale)
+    return arrays
+
+
+def _read(path: Path) -> Transport | None:
+    if not path.is_file():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            a = {name: file[name] for name in file.files}
+        grids = [
+            PatchGrid(
+                a[f"grid{k}.origin"],
+                float(a[f"grid{k}.scale"]),
+                *(a[f"grid{k}.{field}"] for field in _GRID[1:]),
+            )
+            for k in range(2)
+        ]
+        return Transport(
+            int(a["n_seen"]),
+            Origins(a["origins.position"], a["origins.normal"]),
+            Origins(a["unseen_origins.position"], a["unseen_origins.normal"]),
+            GatherRays(*(a[f"rays.{field}"] for field in _RAYS)),
+            GatherRays(*(a[f"unseen_rays.{field}"] for field in _RAYS)),
+            a["target"],
+            a["unseen_target"],
+            a["part"],
+            (grids[0], grids[1]),
+        )
+    except (KeyError, ValueError, OSError, zipfile.BadZipFile):
+        # A damaged or foreign file: traced again and overwritten.
+        return None
