@@ -45,10 +45,18 @@ class SolveConfig:
 
 
 PRESETS: dict[PresetName, SolveConfig] = {
-    "draft": SolveConfig("draft", max_patches=30_000, gather_rays=64, shadow_rays=48, specular_rays=8, atlas_size=1024, rounds=2),
+    "draft": SolveConfig(
+        "draft", max_patches=30_000, gather_rays=64, shadow_rays=48, specular_rays=8, atlas_size=1024, rounds=2
+    ),
     "balanced": SolveConfig(),
     "final": SolveConfig(
-        "final", max_patches=250_000, gather_rays=256, shadow_rays=128, specular_rays=32, atlas_size=4096, refine_iterations=40
+        "final",
+        max_patches=250_000,
+        gather_rays=256,
+        shadow_rays=128,
+        specular_rays=32,
+        atlas_size=4096,
+        refine_iterations=40,
     ),
 }
 

@@ -49,7 +49,7 @@ class Photometry:
         return ("exposures are unknown: the overall brightness of lights is relative",)
 
     def linearise_pixels(self, z: NDArray[np.floating], view: NDArray[np.integer]) -> Linearised:
-        """Radiance of pixels (n, 3) with their precision; single pixels have no share of clipped ones, they are or not."""
+        """Radiance of pixels (n, 3) with their precision; a single pixel is clipped or it is not."""
         t = self.exposures[view]
         if self.hdr:
             return Linearised(z / t, np.ones(z.shape, bool), np.zeros(z.shape), np.ones(z.shape))

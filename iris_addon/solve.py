@@ -22,6 +22,7 @@ from .config import SolveConfig
 from .emission.candidates import brightness
 from .emission.hidden import find_hidden
 from .emission.solve import LightProblem, Lights, find_lights
+from .photo_samples import PhotoSamples, sample_photos
 from .photometry import Photometry, measure_photometry
 from .progress import Progress
 from .reflectance.bake import pixel_albedo, pixel_weight
@@ -37,8 +38,6 @@ from .result.types import Emitter, OutsideLight, Result
 from .surface.atlas import build_atlas, texel_density_from_footprint
 from .surface.build import Surface, build_surface
 from .surface.parts import edge_adjacency, initial_parts
-from .surface.samples import PixelSamples
-from .photo_samples import PhotoSamples, sample_photos
 from .transport.cache import cached_transport
 from .transport.tracer import Tracer
 from .transport.transport import Transport
@@ -77,7 +76,8 @@ def solve(
     with progress.stage("response"):
         photometry = Photometry.from_arrays(
             checkpoints.stage(
-                "response", lambda: measure_photometry(capture, config, observations, photos.hdr, _rng(config, 4)).arrays()
+                "response",
+                lambda: measure_photometry(capture, config, observations, photos.hdr, _rng(config, 4)).arrays(),
             )
         )
     problem = _problem(capture, config, tracer, photos, parts, surface, transport, observations, photometry, field)
@@ -90,7 +90,9 @@ def solve(
         lights, gloss = Lights.from_arrays(solved), Gloss.from_arrays(solved)
     with progress.stage("textures"):
         result = _textures(capture, config, problem, photos, photometry, lights, gloss, progress)
-    result.report.update(_report(config, capture, tracer, surface, transport, photometry, problem, lights, gloss, progress))
+    result.report.update(
+        _report(config, capture, tracer, surface, transport, photometry, problem, lights, gloss, progress)
+    )
     save_result(result, out)
     checkpoints.clear()
     return result
@@ -150,9 +152,7 @@ def _textures(
     """Albedo per pixel, fused on the atlas; the result put together."""
     samples, light = photos.samples, problem.light
     part = light.parts[samples.face]
-    irradiance = problem.field.at_samples(
-        samples, light.surface.sample_patch, smooth_irradiance(problem.field, lights)
-    )
+    irradiance = problem.field.at_samples(samples, light.surface.sample_patch, smooth_irradiance(problem.field, lights))
     ls0, ls1 = specular_lobes(
         scene_of(light, lights),
         gloss,
@@ -168,7 +168,8 @@ def _textures(
     specular = subtract_specular(ls0, ls1, metallic)
     linear = photometry.linearise_pixels(photos.z, samples.view)
     albedo = pixel_albedo(linear.radiance, specular, ls0, irradiance, metallic)
-    weight = pixel_weight(samples.cosine, samples.footprint, np.ones(len(part)))[:, None] * linear.open * linear.precision
+    seen_well = pixel_weight(samples.cosine, samples.footprint, np.ones(len(part)))
+    weight = seen_well[:, None] * linear.open * linear.precision
     weight /= np.median(weight[weight > 0])
     held_out = _rng(config, 7).random(len(part)) < HELD_OUT
     uv = capture.mesh.uv
@@ -178,7 +179,8 @@ def _textures(
     textures, base_color = make_textures(
         uv, config.atlas_size, light.parts, lights.mask, gloss, samples, albedo, weight * ~held_out[:, None]
     )
-    predicted = _predict(base_color, metallic, irradiance, ls0, ls1, lights.face_emission(len(light.parts))[samples.face])
+    emission = lights.face_emission(len(light.parts))[samples.face]
+    predicted = _predict(base_color, metallic, irradiance, ls0, ls1, emission)
     z = photometry.develop(predicted, samples.view)
     error = (z - np.clip(photos.z + 0.5 / 255, 0, 1))[held_out] if not photos.hdr else (z - photos.z)[held_out]
     report = {"holdout_psnr": float(-10 * np.log10(np.mean(error**2)))}

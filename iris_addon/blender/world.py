@@ -46,4 +46,5 @@ def equirect_directions(width: int, height: int) -> NDArray[np.float64]:
     """(height, width, 3) unit directions in Blender's axes of the texels of a panorama in Cycles, +Z on top."""
     u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
     azimuth, polar = -2 * np.pi * (u - 0.5), np.pi * v
-    return np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], -1)
+    x, y = np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar)
+    return np.stack([x, y, np.cos(polar)], -1).astype(np.float64)

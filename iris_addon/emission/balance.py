@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from ..response.observations import group_sums
+
 MIN_PATCHES_PER_PART = 12
 MAX_PATCHES = 25_000
 MAX_ALBEDO = 0.95
@@ -146,7 +148,7 @@ class _Problem:
         value = float((self.weight @ np.log1p(r**2)).sum())
         dr = 2 * r / (1 + r**2) * (self.weight / ROBUST_LOG)[:, None]
         grad_e = -(self.form_factors.T @ (dr / incoming)) * emission
-        grad_a = -np.stack([np.bincount(self.part, dr[:, c], self.n_parts) for c in range(3)], -1)
+        grad_a = -group_sums(dr, self.part, self.n_parts)
         too_white = np.clip(albedo - np.log(MAX_ALBEDO), 0.0, None)
         share = np.bincount(self.part, self.weight, self.n_parts)[:, None]
         value += 50.0 * float((share * too_white**2).sum())
@@ -209,6 +211,4 @@ class _DirectEvidence:
         tint = (log_e - log_e.mean(1, keepdims=True)) / TINT_STD
         surprise = np.nan_to_num((log_e - self.log_expected) / EXPECTED_STD)
         value = float((below**2).sum() + (off**2).sum() + (tint**2).sum() + (surprise**2).sum())
-        return value, 2 * (
-            off / MEASURED_STD - below / BOUND_STD + tint / TINT_STD + surprise / EXPECTED_STD
-        )
+        return value, 2 * (off / MEASURED_STD - below / BOUND_STD + tint / TINT_STD + surprise / EXPECTED_STD)

@@ -59,7 +59,7 @@ def brightness(
 def _low_quantile(
     value: NDArray[np.float64], open_: NDArray[np.bool_], count: NDArray[np.floating], face: NDArray[np.integer], n: int
 ) -> NDArray[np.float64]:
-    """Low quantile over views of what each face is known to reach; a bound only ever raises what it is compared with."""
+    """Low quantile over views of what each face is known to reach; a bound only raises what it is compared with."""
     result = np.zeros(n)
     bound = np.zeros(n)
     np.maximum.at(bound, face, np.where(open_, 0.0, value))

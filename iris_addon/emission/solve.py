@@ -15,7 +15,6 @@ from ..transport.gather import emitter_form_factors
 from ..transport.tracer import Tracer
 from ..transport.transport import Transport
 from .balance import Evidence, solve_balance
-from .hidden import HiddenSources
 from .candidates import (
     Brightness,
     emitting_faces,
@@ -24,6 +23,7 @@ from .candidates import (
     tie_fixtures,
     whole_parts,
 )
+from .hidden import HiddenSources
 
 NEGLIGIBLE_POWER = 2e-4
 HYSTERESIS = 0.8
@@ -53,7 +53,7 @@ class Lights:
     log_std: NDArray[np.float64]
     form_factors: NDArray[np.float32]
     mask: NDArray[np.bool_]
-    irradiance: NDArray[np.float64]
+    irradiance: NDArray[np.floating]
     patch_radiance: NDArray[np.float64]
     part_albedo: dict[int, NDArray[np.float64]] = field(default_factory=dict)
 
@@ -108,7 +108,7 @@ class LightProblem:
 
 
 def find_lights(problem: LightProblem, observed: GroupRadiance, progress: Progress) -> Lights:
-    """Search for lamps from nothing: certain ones first, then those that only stand out under the light of the first."""
+    """Search for lamps from nothing: certain ones first, then those that stand out only under their light."""
     lights = _without_lamps(problem, observed)
     for threshold in THRESHOLDS:
         emitters = _candidates(problem, lights, threshold)
@@ -161,9 +161,7 @@ def _candidates(problem: LightProblem, lights: Lights, threshold: float) -> list
     return group_emitters(emitting, count, problem.tracer.areas, problem.parts, problem.adjacency)
 
 
-def _without_negligible(
-    problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress
-) -> Lights:
+def _without_negligible(problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress) -> Lights:
     """Leave out the lamps whose light nobody would miss: specks that mixed pixels at the edge of a real lamp make."""
     if not lights.emitters:
         return lights
@@ -221,9 +219,7 @@ def solve_lights(
         unknown = _mean_radiance(radiance, problem)
         indirect = problem.transport.gather_radiance(radiance, unknown, mask)
         shaded = radiance[:n] if diffuse is None else diffuse
-        balance = solve_balance(
-            shaded, indirect[:n], all_factors[:n], problem.transport.part[:n], say, evidence, start
-        )
+        balance = solve_balance(shaded, indirect[:n], all_factors[:n], problem.transport.part[:n], say, evidence, start)
         start = balance.radiance
         irradiance = indirect + all_factors @ balance.radiance
         albedo = dict(zip(balance.part_ids.tolist(), balance.part_albedo, strict=True))
@@ -281,7 +277,9 @@ def _form_factors(problem: LightProblem, emitters: list[NDArray[np.int64]], prog
     t = problem.transport
     samples = int(np.clip(problem.shadow_rays // max(1, len(emitters)), 8, 64))
     seen = emitter_form_factors(problem.tracer, t.origins, t.rays, emitters, samples, rng, progress)
-    unseen = emitter_form_factors(problem.tracer, t.unseen_origins, t.unseen_rays, emitters, max(4, samples // 4), rng, progress)
+    unseen = emitter_form_factors(
+        problem.tracer, t.unseen_origins, t.unseen_rays, emitters, max(4, samples // 4), rng, progress
+    )
     return np.concatenate([seen, unseen])
 
 

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..response.observations import group_sums
+
 MAX_ALBEDO = 0.95
 OUTLIER = 0.25
 """Relative distance from a texel's mean at which a photo loses half its say."""
@@ -65,9 +67,8 @@ def fuse_texels(
     """
 
     def mean(w: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        norm = np.stack([np.bincount(texel, w[:, c], n_texels) for c in range(3)], -1)
-        total = np.stack([np.bincount(texel, (w * value)[:, c], n_texels) for c in range(3)], -1)
-        return total / np.maximum(norm, 1e-12), norm
+        norm = group_sums(w, texel, n_texels)
+        return group_sums(w * value, texel, n_texels) / np.maximum(norm, 1e-12), norm
 
     first, norm = mean(weight)
     off = np.abs(value - first[texel]).mean(1, keepdims=True) / (first[texel].mean(1, keepdims=True) + 0.02)

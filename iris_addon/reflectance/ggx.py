@@ -92,9 +92,8 @@ def specular_integrals(roughness: FloatArray, cos_theta: FloatArray) -> tuple[Fl
     j = np.minimum(column.astype(int), N_COSINE - 2)
     s, t = row - i, column - j
     table = _table()
-    f0, f1 = (
-        (1 - s) * ((1 - t) * table[:, i, j] + t * table[:, i, j + 1])
-        + s * ((1 - t) * table[:, i + 1, j] + t * table[:, i + 1, j + 1])
+    f0, f1 = (1 - s) * ((1 - t) * table[:, i, j] + t * table[:, i, j + 1]) + s * (
+        (1 - t) * table[:, i + 1, j] + t * table[:, i + 1, j + 1]
     )
     return f0, f1
 

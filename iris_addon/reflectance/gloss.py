@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..response.observations import group_sums
 from .ggx import DIELECTRIC_F0
-from .lobes import LobeRays
 
 LEVELS = (0.1, 0.2, 0.32, 0.5, 0.7, 1.0)
 """Six roughness levels as in IRIS; between them the best level is interpolated."""
@@ -143,8 +143,7 @@ class _PartFit:
         n = int(self.patch.max()) + 1
         # The brighter the light, the surer the quotient.
         w = self.weight[:, None] * per_albedo
-        norm = np.stack([np.bincount(self.patch, w[:, c], n) for c in range(3)], -1)
-        mean = np.stack([np.bincount(self.patch, (w * albedo)[:, c], n) for c in range(3)], -1) / np.maximum(norm, 1e-9)
+        mean = group_sums(w * albedo, self.patch, n) / np.maximum(group_sums(w, self.patch, n), 1e-9)
         typical = np.median(mean, axis=0)
         scale = np.maximum(self.radiance, 1e-4)
         offset = explained - albedo * per_albedo  # what clipping the albedo could not explain

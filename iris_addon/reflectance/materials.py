@@ -62,16 +62,18 @@ def smooth_irradiance(field: IrradianceField, lights: Lights) -> NDArray[np.floa
     return field.smooth(lights.irradiance[: len(field.position)], 1.0)
 
 
-def solve_materials(
-    problem: MaterialProblem, lights: Lights, rounds: int, progress: Progress
-) -> tuple[Lights, Gloss]:
+def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progress: Progress) -> tuple[Lights, Gloss]:
     """Lamps and materials that explain the observations together, starting from lamps found by diffuse shading."""
     fit = _GlossFit.prepare(problem, lights)
     gloss = fit.gloss(problem, lights)
     for round_ in range(rounds):
         specular = _observed_specular(problem, lights, gloss, round_, progress)
         diffuse = group_radiance(
-            problem.linear, problem.observations.patch, problem.observations.count, len(problem.observed.weight), specular
+            problem.linear,
+            problem.observations.patch,
+            problem.observations.count,
+            len(problem.observed.weight),
+            specular,
         )
         seen = brightness(problem.observations, problem.linear, len(problem.observed.weight), specular)
         light_problem = replace(problem.light, brightness=seen)

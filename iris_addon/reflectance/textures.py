@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..response.observations import group_sums
 from ..result.types import Textures
 from ..surface.atlas_texels import fill_texels, rasterise_atlas, texel_index
 from ..surface.samples import PixelSamples
@@ -75,7 +76,7 @@ def _part_means(
     part: NDArray[np.integer], albedo: NDArray[np.floating], weight: NDArray[np.floating], n_parts: int
 ) -> NDArray[np.float64]:
     """(n_parts, 3) weighted mean base colour; the overall mean for parts never seen."""
-    norm = np.stack([np.bincount(part, weight[:, c], n_parts) for c in range(3)], -1)
-    total = np.stack([np.bincount(part, (weight * albedo)[:, c], n_parts) for c in range(3)], -1)
+    norm = group_sums(weight, part, n_parts)
+    total = group_sums(weight * albedo, part, n_parts)
     overall = total.sum(0) / np.maximum(norm.sum(0), 1e-9)
     return np.where(norm > 0, total / np.maximum(norm, 1e-12), overall)

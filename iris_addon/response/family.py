@@ -45,4 +45,5 @@ def to_response(log_knots: list[NDArray[np.float64]], name: str = "power-polynom
         f = evaluate(knots, x)
         f[0] = 0.0
         rows.append(np.clip(np.maximum.accumulate(f), 0.0, 1.0))
-    return Response(np.stack(rows if len(rows) == 3 else rows * 3), name, tuple(float(v) for v in np.concatenate(log_knots)))
+    samples = np.stack(rows if len(rows) == 3 else rows * 3)
+    return Response(samples, name, tuple(float(v) for v in np.concatenate(log_knots)))

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import BadInput
-from ..result.json_files import numbers, read_json
+from ..result.json_files import read_json
 from .curve import N_SAMPLES, Response
 
 MAX_BYTES = 16 << 20
@@ -28,12 +28,12 @@ def read_response(path: Path) -> Response:
         raise BadInput("the response file is far too large", mend, path)
     try:
         if path.suffix == ".json":
-            table = np.asarray(numbers(read_json(path).get("samples"), "samples", path), np.float64)
+            table = np.asarray(read_json(path).get("samples"), np.float64)
         elif path.suffix == ".npy":
             table = np.load(path, allow_pickle=False).astype(np.float64)
         else:
             table = np.loadtxt(path, dtype=np.float64, ndmin=2).T
-    except (ValueError, OSError) as error:
+    except (ValueError, TypeError, OSError, EOFError) as error:
         raise BadInput(f"the response file cannot be read ({error})", mend, path) from error
     table = np.atleast_2d(table)
     if table.ndim != 2 or table.shape[0] not in (1, 3) or table.shape[1] < 2 or not np.isfinite(table).all():

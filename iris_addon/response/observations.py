@@ -40,10 +40,16 @@ class Observations:
     sample_to_observation: NDArray[np.int32]
 
 
+def group_sums(values: NDArray[np.floating], group: NDArray[np.integer], n_groups: int) -> NDArray[np.float64]:
+    """(n_groups, C) sum of ``values`` (n, C) per group."""
+    columns = [np.bincount(group, values[:, c], n_groups) for c in range(values.shape[1])]
+    return np.stack(columns, -1).astype(np.float64, copy=False)
+
+
 def group_means(values: NDArray[np.floating], group: NDArray[np.integer], n_groups: int) -> NDArray[np.float64]:
     """(n_groups, C) mean of ``values`` (n, C) per group; zero where a group is empty."""
     count = np.maximum(np.bincount(group, minlength=n_groups), 1)
-    return np.stack([np.bincount(group, values[:, c], minlength=n_groups) for c in range(values.shape[1])], -1) / count[:, None]
+    return group_sums(values, group, n_groups) / count[:, None]
 
 
 def observe(

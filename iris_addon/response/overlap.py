@@ -1,9 +1,9 @@
-"""The response from overlap: the same patch in photos of different exposure (Debevec & Malik 1997, Mitsunaga & Nayar 1999).
+"""The response from overlap: the same patch in photos of different exposure.
 
-Unknowns are the curve, log radiance per patch and channel, and, where they are not given, the exposures. The residual
-is taken in display values, ``z - f(L t)``, where quantisation noise is uniform; saturated observations enter as the
-inequality ``L t >= 1``. With the exposures unknown the data fix the curve only up to (f^g, t^g, L^g); that exponent is
-left at the prior's here and chosen later by light transport.
+After Debevec & Malik 1997 and Mitsunaga & Nayar 1999. Unknowns are the curve, log radiance per patch and channel, and,
+where they are not given, the exposures. The residual is taken in display values, ``z - f(L t)``, where quantisation
+noise is uniform; saturated observations enter as the inequality ``L t >= 1``. With the exposures unknown the data fix
+the curve only up to (f^g, t^g, L^g); that exponent is left at the prior's here and chosen later by light transport.
 """
 
 from __future__ import annotations
@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-
 from scipy.optimize import least_squares
 
 from . import family
 from .curve import Response
-from .observations import Observations
+from .observations import Observations, group_sums
 
 MAX_PATCHES = 4_000
 ROBUST_SCALE = 0.02
@@ -53,12 +52,15 @@ def _select(observations: Observations, rng: np.random.Generator) -> NDArray[np.
     patches = np.unique(o.patch[index])
     if len(patches) > MAX_PATCHES:
         chosen = np.zeros(int(o.patch.max()) + 1, bool)
-        chosen[rng.choice(patches, MAX_PATCHES, replace=False, p=_spread_over_brightness(observations, index, patches))] = True
+        share = _spread_over_brightness(observations, index, patches)
+        chosen[rng.choice(patches, MAX_PATCHES, replace=False, p=share)] = True
         index = index[chosen[o.patch[index]]]
     return index
 
 
-def _spread_over_brightness(o: Observations, index: NDArray[np.int64], patches: NDArray[np.int32]) -> NDArray[np.float64]:
+def _spread_over_brightness(
+    o: Observations, index: NDArray[np.int64], patches: NDArray[np.int32]
+) -> NDArray[np.float64]:
     """Probability per patch that evens out display values, so that a white wall does not crowd out the shadows."""
     level = np.zeros(int(o.patch.max()) + 1)
     np.maximum.at(level, o.patch[index], o.z[index].mean(1))
@@ -127,7 +129,8 @@ class _Problem:
     def restrict(self, keep: NDArray[np.bool_]) -> _Problem:
         """The same problem over some of the patches."""
         rows = keep[self.patch]
-        return replace(self, z=self.z[rows], clipped=self.clipped[rows], weight=self.weight[rows], patch=self.patch[rows], view=self.view[rows])
+        columns = ("z", "clipped", "weight", "patch", "view")
+        return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
     def solve_radiance(self, response: Response) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Exposures (V,) and radiance (n, 3) that fit best under a given curve."""
@@ -139,9 +142,8 @@ class _Problem:
         t = np.exp(log_t)[self.view][:, None]
         # Quantisation noise is uniform in z, so the precision of x / t is (f'(x) t)^2.
         weight = np.where(self.clipped, 0.0, self.weight)[:, None] * (slope * t) ** 2 + 1e-12
-        total = [np.bincount(self.patch, (weight * x / t)[:, c], self.n_patches) for c in range(3)]
-        norm = [np.bincount(self.patch, weight[:, c], self.n_patches) for c in range(3)]
-        return log_t, np.stack(total, -1) / np.stack(norm, -1)
+        total = group_sums(weight * x / t, self.patch, self.n_patches)
+        return log_t, total / group_sums(weight, self.patch, self.n_patches)
 
     def exposures(self, knots: list[NDArray[np.float64]]) -> NDArray[np.float64]:
         """(V,) exposure factors under a curve: the known ones, or those that the overlap asks for."""
@@ -162,7 +164,9 @@ class _Problem:
     def minimise(self, n_curves: int) -> list[NDArray[np.float64]]:
         """Knots of ``n_curves`` curves; radiance and exposures are eliminated (variable projection)."""
         start = np.concatenate([family.PRIOR_MEAN] * n_curves)
-        fit = least_squares(self.residual, start, args=(n_curves,), loss="cauchy", method="trf", max_nfev=25, x_scale=0.3)
+        fit = least_squares(
+            self.residual, start, args=(n_curves,), loss="cauchy", method="trf", max_nfev=25, x_scale=0.3
+        )
         return list(fit.x.reshape(n_curves, -1))
 
     def disagreement(self, knots: list[NDArray[np.float64]]) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .curve import Response
-from .observations import Observations
+from .observations import Observations, group_sums
 
 MODEL_NOISE = 0.03
 """Relative noise of an observation that no photo byte explains: interpolation, misregistration."""
@@ -92,9 +92,8 @@ def group_radiance(
     weight = linear.open * linear.precision * np.minimum(count, 25.0)[:, None]
 
     def mean(w: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        norm = np.stack([np.bincount(group, w[:, c], n_groups) for c in range(3)], -1)
-        total = np.stack([np.bincount(group, (w * radiance)[:, c], n_groups) for c in range(3)], -1)
-        return total / np.maximum(norm, 1e-12), norm
+        norm = group_sums(w, group, n_groups)
+        return group_sums(w * radiance, group, n_groups) / np.maximum(norm, 1e-12), norm
 
     first, norm = mean(weight)
     distance = np.log(np.maximum(radiance, 1e-6) / np.maximum(first[group], 1e-6)).mean(1, keepdims=True)
@@ -102,6 +101,4 @@ def group_radiance(
     bound = np.zeros((n_groups, 3))
     np.maximum.at(bound, group, linear.bound)
     known = norm > 0
-    return GroupRadiance(
-        np.where(known, robust, bound), known, bound, norm.min(1) * MODEL_NOISE**2
-    )
+    return GroupRadiance(np.where(known, robust, bound), known, bound, norm.min(1) * MODEL_NOISE**2)

@@ -23,7 +23,7 @@ def weld(vertices: NDArray[np.floating]) -> NDArray[np.int64]:
 
 
 def edge_adjacency(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs of faces that share an edge of the welded mesh, two arrays (n,); an edge of k faces gives a chain of k - 1."""
+    """Pairs of faces that share an edge of the welded mesh, two (n,); an edge of k faces gives a chain of k - 1."""
     corner = weld(mesh.vertices)[mesh.faces]
     edges = np.sort(np.stack([corner[:, [0, 1]], corner[:, [1, 2]], corner[:, [2, 0]]], 1).reshape(-1, 2), axis=1)
     face = np.repeat(np.arange(len(mesh.faces)), 3)

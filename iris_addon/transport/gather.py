@@ -158,8 +158,8 @@ def _add_sampled(
         stop = min(start + ROWS_AT_ONCE, len(column))
         position, normal = ray_origins(origins, start, stop, n_samples, tracer.epsilon)
         u = r2_sequence(stop - start, n_samples, rng).reshape(-1, 2)
-        pick = faces[_choose_faces(tracer.areas[faces], rng.permuted(
-            (np.arange(n_samples) + rng.random((stop - start, n_samples))) / n_samples, axis=1).ravel())]
+        strata = (np.arange(n_samples) + rng.random((stop - start, n_samples))) / n_samples
+        pick = faces[_choose_faces(tracer.areas[faces], rng.permuted(strata, axis=1).ravel())]
         fold = u.sum(1) > 1
         u[fold] = 1 - u[fold]
         target = points_on_faces(tracer.corners, pick, u).astype(np.float32)

@@ -117,7 +117,7 @@ class Tracer:
         o = np.ascontiguousarray(origins, np.float32)
         d = np.ascontiguousarray(directions, np.float32)
         if not (np.isfinite(o).all() and np.isfinite(d).all()):
-            raise FloatingPointError("a ray is not finite; the usual cause is a normal taken from a degenerate triangle")
+            raise FloatingPointError("a ray is not finite; the usual cause is the normal of a degenerate triangle")
         self.rays_traced += len(o)
         parts = [slice(a, min(a + CHUNK, len(o))) for a in range(0, len(o), CHUNK)]
         list(self._threads.map(lambda part: trace(part, o[part], d[part]), parts))
