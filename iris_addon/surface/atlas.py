@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from ..capture.types import Mesh
 from ..transport.tracer import DEGENERATE_AREA
-from .atlas_charts import merge_faces
+from .atlas_charts import merge_faces, pool_grains, sums
 from .atlas_packing import pack
-from .atlas_texels import fill_texels, rasterise_atlas, texel_centres, texel_index, uv_sheet
+from .atlas_texels import ROWS_AT_ONCE, fill_texels, rasterise_atlas, texel_centres, texel_index, uv_sheet
 from .parts import component_labels, edge_adjacency
 
 __all__ = [
@@ -33,20 +33,29 @@ IntArray = NDArray[np.int64]
 
 UNSEEN_SHARE = 0.25
 """Texel density of unseen faces relative to the median of the seen ones."""
+MOST_UNSEEN = 0.15
+"""Most texels of all unseen faces, relative to all seen ones."""
+MOST_OF_ONE_FACE = 4
+"""A single face gets at most one in so many texels."""
 DENSITY_RANGE = 8.0
 """How far the density of a seen face may lie from the median, either way."""
 EXPECTED_FILL = 0.6
 """Share of the atlas that charts cover, before it is known."""
+MOST_CHARTS = 1 / 8
+"""Charts per texel of the atlas from which the smallest share their texels."""
 SPLIT_ROUNDS = 2
 OVERLAP_TEXELS = 2
 """Overlaid texels from which a chart is split."""
-ROWS_AT_ONCE = 512
+FINEST_CHECK = 2048
+"""Finest grid, points per side, on which overlaps are looked for."""
 
 
 def texel_density_from_footprint(
     face: NDArray[np.integer], footprint: NDArray[np.floating], n_faces: int
 ) -> NDArray[np.float64]:
-    """(n_faces,) texels per metre that the photos can fill: one per pixel at the lower quartile of the footprints.
+    """(n_faces,) texels per metre that the photos can fill, 0 for unseen faces.
+
+    One texel per pixel at the lower quartile of a face's footprints, within :data:`DENSITY_RANGE` of the median face.
 
     Args:
         face: (n,) face under each pixel.
@@ -58,13 +67,13 @@ def texel_density_from_footprint(
     bounds = np.searchsorted(keys >> np.uint64(32), np.arange(n_faces + 1, dtype=np.uint64))
     count = np.diff(bounds)
     seen = count > 0
-    quartile = keys[(bounds[:-1] + count // 4)[seen]] & np.uint64(0xFFFFFFFF)
     density = np.zeros(n_faces)
-    density[seen] = 1 / np.maximum(quartile.astype(np.uint32).view(np.float32), 1e-9)
     if seen.any():
-        median = np.median(density[seen])
-        density[seen] = np.clip(density[seen], median / DENSITY_RANGE, median * DENSITY_RANGE)
-    return _with_unseen(density)
+        quartile = keys[(bounds[:-1] + count // 4)[seen]] & np.uint64(0xFFFFFFFF)
+        wanted = 1 / np.maximum(quartile.astype(np.uint32).view(np.float32), 1e-9)
+        median = np.median(wanted)
+        density[seen] = np.clip(wanted, median / DENSITY_RANGE, median * DENSITY_RANGE)
+    return density
 
 
 def build_atlas(mesh: Mesh, texel_density: NDArray[np.floating], size: int) -> NDArray[np.float32]:
@@ -72,8 +81,9 @@ def build_atlas(mesh: Mesh, texel_density: NDArray[np.floating], size: int) -> N
 
     One factor on all densities makes the charts fill the atlas. A chart has one density, that at which it gets as many
     texels as its faces ask for in total; one longer than the atlas is shrunk to fit. Faces tilted against their chart
-    are stretched up to 1 / :data:`.atlas_charts.STEEPEST`. Charts keep a gutter of two texels, one where charts of a
-    few texels crowd the atlas.
+    are stretched up to 1 / :data:`.atlas_charts.STEEPEST`; slivers and grains that make up less than half a texel of a
+    chart may fold. Charts keep a gutter of two texels, one where charts of a few texels crowd the atlas; where there
+    are more loose pieces than texels, neighbouring ones share theirs.
 
     Args:
         texel_density: (F,) wanted texels per metre, 0 for unseen faces.
@@ -81,9 +91,6 @@ def build_atlas(mesh: Mesh, texel_density: NDArray[np.floating], size: int) -> N
 
     Returns:
         (F, 3, 2) float32 per corner in [0, 1]; all corners of degenerate faces at 0.
-
-    Raises:
-        ValueError: the charts do not fit even at one texel each.
     """
     corners = mesh.vertices[mesh.faces].astype(np.float64)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -93,14 +100,18 @@ def build_atlas(mesh: Mesh, texel_density: NDArray[np.floating], size: int) -> N
     if len(kept) == 0:
         return uv
     areas, corners = areas[kept], corners[kept]
-    faces = _Faces(corners, cross[kept] / (2 * areas[:, None]), areas, areas * _with_unseen(texel_density)[kept] ** 2)
+    wanted = _wanted_texels(areas, texel_density[kept])
+    faces = _Faces(corners, cross[kept] / (2 * areas[:, None]), areas, wanted)
     pairs = edge_adjacency(Mesh(mesh.vertices, mesh.faces[kept]))
-    texels = faces.wanted * (EXPECTED_FILL * size**2 / faces.wanted.sum())
+    texels = wanted * (EXPECTED_FILL * size**2 / wanted.sum())
     chart = merge_faces(faces.corners, texels, pairs, np.random.default_rng(0))
-    for _ in range(SPLIT_ROUNDS):
+    crowded = chart.max() >= size**2 * MOST_CHARTS
+    if crowded:
+        chart = pool_grains(chart, faces.corners, texels, size)
+    for _ in range(0 if crowded else SPLIT_ROUNDS):
         flat = _flatten(faces, chart)
         placed = _place(flat, chart, size)
-        lower = _overlaid(placed, flat.depth, chart, size)
+        lower = _overlaid(placed, flat.depth, chart, min(size, FINEST_CHECK))
         if not lower.any():
             break
         chart = _split(chart, lower, pairs)
@@ -110,11 +121,26 @@ def build_atlas(mesh: Mesh, texel_density: NDArray[np.floating], size: int) -> N
     return uv
 
 
-def _with_unseen(density: NDArray[np.floating]) -> NDArray[np.float64]:
-    """``density`` with a low one where it is 0."""
+def _wanted_texels(areas: FloatArray, density: NDArray[np.floating]) -> FloatArray:
+    """(F,) texels per face up to a common factor, for ``density`` (F,) that is 0 on unseen faces.
+
+    Neither all unseen faces together nor a single seen one (the ground plane a house stands on) may take the atlas.
+    """
     seen = density > 0
-    low = UNSEEN_SHARE * np.median(density[seen]) if seen.any() else 1.0
-    return np.where(seen, density, low).astype(np.float64)
+    if not seen.any():
+        return areas
+    wanted = areas * density.astype(np.float64) ** 2
+    if len(wanted) > MOST_OF_ONE_FACE:
+        largest = -np.partition(-wanted, range(MOST_OF_ONE_FACE))[:MOST_OF_ONE_FACE]
+        # With m faces cut to the cap, the others' sum is MOST_OF_ONE_FACE - m times the cap.
+        for m, at_most in enumerate(largest):
+            cap = (wanted.sum() - largest[:m].sum()) / (MOST_OF_ONE_FACE - m)
+            if at_most <= cap:
+                wanted = np.minimum(wanted, cap)
+                break
+    unseen = areas[~seen] * (UNSEEN_SHARE * np.median(density[seen])) ** 2
+    wanted[~seen] = unseen * min(1.0, MOST_UNSEEN * wanted.sum() / max(unseen.sum(), 1e-300))
+    return wanted
 
 
 @dataclass(frozen=True)
@@ -134,7 +160,7 @@ class _Flat:
     Attributes:
         corners: (F, 3, 2) in the rectangle of the face's chart, which starts at 0.
         depth: (F, 3) metres along the chart's normal.
-        extent: (n, 2) rectangle per chart, wider than high.
+        extent: (n, 2) rectangle per chart, higher than wide.
     """
 
     corners: FloatArray
@@ -145,7 +171,7 @@ class _Flat:
 def _flatten(faces: _Faces, chart: IntArray) -> _Flat:
     """Project every chart along its mean normal, turn it to its tightest rectangle, scale it to its density."""
     n = int(chart.max()) + 1
-    axes = _frames(np.stack([np.bincount(chart, faces.normals[:, k] * faces.wanted, n) for k in range(3)], 1))
+    axes = _frames(sums(chart, faces.normals * faces.wanted[:, None], n))
     # Relative to one corner of the chart: nothing is lost far from the origin.
     some_face = np.zeros(n, np.int64)
     some_face[chart] = np.arange(len(chart))
@@ -183,9 +209,10 @@ def _frames(facing: FloatArray) -> FloatArray:
 
 
 def _tightest_angle(points: FloatArray, starts: IntArray) -> FloatArray:
-    """(n,) angle by which to turn each run of ``points`` (m, 2) to get its smallest rectangle, lying on its side."""
+    """(n,) angle by which to turn each run of ``points`` (m, 2) to get its smallest rectangle, standing upright."""
     best_area = np.full(len(starts), np.inf)
     best = np.zeros(len(starts))
+    lying = np.zeros(len(starts), bool)
     run = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(points))))
     # Coarse to fine; the first angle, 0, keeps its place unless another one is clearly better.
     for step, offsets in ((7.5, np.arange(12)), (2.5, (-1, 1)), (1.0, (-1, 1)), (0.4, (-1, 1))):
@@ -199,14 +226,13 @@ def _tightest_angle(points: FloatArray, starts: IntArray) -> FloatArray:
             better = width * height < 0.995 * best_area
             best_area = np.where(better, width * height, best_area)
             best = np.where(better, angle, best)
-            upright = np.where(better, height > width, upright) if offset or step < 7 else height > width
-    return best + np.where(upright, np.pi / 2, 0.0)
+            lying = np.where(better, width > height, lying)
+    return best + 0.5 * np.pi * lying
 
 
 def _place(flat: _Flat, chart: IntArray, size: int) -> NDArray[np.float32]:
     """(F, 3, 2) UVs of packed charts."""
-    n = len(flat.extent)
-    gutter = 2 if 9 * n < size**2 / 8 else 1
+    gutter = 2 if 9 * len(flat.extent) < size**2 / 8 else 1
     corner, cell, scale = pack(flat.extent, size, gutter)
     room = (cell - gutter).astype(np.float64)
     factor = np.minimum(scale, (room / np.maximum(flat.extent, 1e-300)).min(1))
@@ -229,9 +255,7 @@ def _overlaid(uv: NDArray[np.float32], depth: FloatArray, chart: IntArray, size:
     for top in range(0, size, ROWS_AT_ONCE):
         rows = np.arange(top, min(top + ROWS_AT_ONCE, size))
         above, below = (
-            sheets.closest(
-                origins := texel_centres(rows, size, z), np.broadcast_to([0.0, 0.0, -np.sign(z)], origins.shape)
-            )
+            sheets.closest(texel_centres(rows, size, z), np.broadcast_to([0, 0, -np.sign(z)], (len(rows) * size, 3)))
             for z in (reach, -reach)
         )
         differ = np.flatnonzero((above.face != below.face) & (above.face >= 0) & (below.face >= 0))

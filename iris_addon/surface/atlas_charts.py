@@ -2,8 +2,9 @@
 
 Faces are merged bottom-up. In every round each chart names the neighbour it would rather join (similar normal, long
 common border) and pairs that name each other merge, unless the merged chart would hold faces too steep for its mean
-normal. Everything is vectorised over charts, so that 400 000 faces take a few seconds. Charts whose projection still
-overlaps itself (spiral ramps, doubled faces) are found by :mod:`.atlas` on the finished layout and split there.
+normal or waste room in the atlas. Everything is vectorised over charts, so that 400 000 faces take a few seconds.
+Charts whose projection still overlaps itself (spiral ramps, doubled faces) are found by :mod:`.atlas` on the finished
+layout and split there.
 """
 
 from __future__ import annotations
@@ -16,14 +17,17 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-STEEPEST = 0.55
-"""Smallest cosine between a face and the normal of its chart: a texel may be stretched 1.8 times."""
+STEEPEST = 0.75
+"""Smallest cosine of a face with the normal of its chart: it is stretched 1.33 times, and walls never share a chart."""
 HIDDEN_TEXELS = 0.5
 """Texels of faces steeper than that which a chart may hold: slivers and grains must not each become a chart."""
-BORDER_WEIGHT = 0.5
-WASTE = 1.2
+BORDER_WEIGHT = 1.0
+"""Worth of a common border along a whole chart, relative to the cosine between two charts."""
+WASTE = 1.05
 """How much more of the atlas a merged chart may take than its two halves; one seam less is worth that."""
 GUTTER = 2
+GRAIN_TEXELS = 16
+"""Charts below this size are pooled when there are too many."""
 MAX_ROUNDS = 60
 
 
@@ -65,6 +69,31 @@ def merge_faces(
     return chart
 
 
+def pool_grains(chart: IntArray, corners: FloatArray, texels: FloatArray, size: int) -> IntArray:
+    """Charts with neighbouring small ones of one facing joined, for a soup of more pieces than the atlas has room for.
+
+    Args:
+        chart: (F,) chart per face.
+        corners: (F, 3, 3).
+        texels: (F,) area of each face in texels; all of them fit the atlas.
+        size: side of the atlas in texels.
+    """
+    n = int(chart.max()) + 1
+    grain = np.bincount(chart, texels, n) < GRAIN_TEXELS
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    facing = sums(chart, cross, n)
+    axis = np.abs(facing).argmax(1) + 3 * (facing.sum(1) < 0)
+    centre = sums(chart, corners.mean(1), n) / np.bincount(chart, minlength=n)[:, None]
+    spacing = float(np.sqrt(np.linalg.norm(cross, axis=1).sum())) / size
+    names = np.arange(n)
+    while len(names) > size**2 / 12:
+        spacing *= 1.5
+        cells = np.column_stack([np.floor((centre - centre.min(0)) / spacing).astype(np.int64), axis])
+        key = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(0) + 1))
+        names, pooled = np.unique(np.where(grain, key, key.max() + 1 + np.arange(n)), return_inverse=True)
+    return pooled[chart]
+
+
 @dataclass(frozen=True)
 class _Charts:
     """Sums over the faces of n charts.
@@ -92,7 +121,7 @@ class _Charts:
         return cls(area, texels, normals * texels[:, None], centre * area[:, None], second * area[:, None])
 
     def merged(self, names: IntArray, n: int) -> _Charts:
-        return _Charts(*(_sums(names, x, n) for x in (self.area, self.texels, self.facing, self.first, self.second)))
+        return _Charts(*(sums(names, x, n) for x in (self.area, self.texels, self.facing, self.first, self.second)))
 
     def take(self, index: IntArray) -> _Charts:
         return _Charts(self.area[index], self.texels[index], self.facing[index], self.first[index], self.second[index])
@@ -177,13 +206,13 @@ def _mutual_choice(links: _Links, among: IntArray, charts: _Charts, rng: np.rand
 
 def _too_steep(chart: IntArray, normals: FloatArray, texels: FloatArray, n: int) -> NDArray[np.bool_]:
     """(n,) whether faces steeper than :data:`STEEPEST` cover more than :data:`HIDDEN_TEXELS` of a chart."""
-    facing = _sums(chart, normals * texels[:, None], n)
+    facing = sums(chart, normals * texels[:, None], n)
     cosine = (facing[chart] * normals).sum(1) / np.maximum(np.linalg.norm(facing, axis=1), 1e-300)[chart]
     return np.bincount(chart, texels * (cosine < STEEPEST), n) > HIDDEN_TEXELS
 
 
-def _sums(chart: IntArray, values: FloatArray, n: int) -> FloatArray:
+def sums(chart: IntArray, values: FloatArray, n: int) -> FloatArray:
     """(n,) or (n, k) sums of ``values`` (F,) or (F, k) per chart."""
     if values.ndim == 1:
-        return np.bincount(chart, values, n)
-    return np.stack([np.bincount(chart, column, n) for column in values.T], 1)
+        return np.bincount(chart, values, n).astype(np.float64)
+    return np.stack([np.bincount(chart, column, n) for column in values.T], 1).astype(np.float64)
