@@ -1,0 +1,187 @@
+"""A furnished box room of known albedo and lamps, its radiosity, and its photos: what the engine has to find again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from iris_addon.capture.types import Camera, Capture, Mesh, View
+from iris_addon.imaging import write_png
+from iris_addon.progress import Progress
+from iris_addon.response.curve import Response
+from iris_addon.surface.samples import trace_pixels
+from iris_addon.transport.gather import Origins, emitter_form_factors, gather
+from iris_addon.transport.tracer import Tracer
+from tests.box_room import look_at
+
+SIZE = np.array([4.0, 3.0, 2.5])
+WALLS = ("x-", "x+", "y-", "y+", "floor", "ceiling")
+ALBEDO = np.array(
+    [
+        [0.60, 0.30, 0.25],
+        [0.25, 0.45, 0.30],
+        [0.80, 0.80, 0.78],
+        [0.55, 0.55, 0.60],
+        [0.35, 0.30, 0.25],
+        [0.75, 0.75, 0.75],
+        [0.20, 0.30, 0.55],
+        [0.65, 0.60, 0.30],
+        [0.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0],
+    ]
+)
+"""Six walls, two boxes, two lamps."""
+LAMP_PARTS = (8, 9)
+LAMP_RADIANCE = np.array([[9.0, 8.0, 6.0], [14.0, 15.0, 17.0]])
+
+
+@dataclass(frozen=True)
+class Room:
+    """Parts of constant albedo (n, 3); ``emission`` (n, 3) is radiance, both sides."""
+
+    mesh: Mesh
+    albedo: np.ndarray
+    emission: np.ndarray
+
+    @property
+    def parts(self) -> np.ndarray:
+        assert self.mesh.parts is not None
+        return self.mesh.parts
+
+    def lamps(self) -> list[np.ndarray]:
+        """Faces of each lamp."""
+        return [np.flatnonzero(self.parts == part) for part in np.flatnonzero(self.emission.any(1))]
+
+
+def quad(corner, u, v, cells: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces of a parallelogram in triangles with legs of at most ``cells`` metres."""
+    corner, u, v = (np.asarray(x, float) for x in (corner, u, v))
+    n, m = (max(1, int(np.ceil(np.linalg.norm(edge) / cells))) for edge in (u, v))
+    s, t = np.meshgrid(np.linspace(0, 1, n + 1), np.linspace(0, 1, m + 1), indexing="ij")
+    vertices = corner + s.reshape(-1, 1) * u + t.reshape(-1, 1) * v
+    i, j = np.meshgrid(np.arange(n), np.arange(m), indexing="ij")
+    a = (i * (m + 1) + j).ravel()
+    b, c, d = a + m + 1, a + m + 2, a + 1
+    return vertices, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+
+
+def box(low, high, cells: float = np.inf) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The six sides of a box: x-, x+, y-, y+, z-, z+."""
+    low, high = np.asarray(low, float), np.asarray(high, float)
+    sides = []
+    for axis in range(3):
+        u, v = (np.eye(3)[k] * (high - low) for k in range(3) if k != axis)
+        far = low + np.eye(3)[axis] * (high - low)
+        sides += [quad(low, u, v, cells), quad(far, u, v, cells)]
+    return sides
+
+
+def assemble(pieces: list[tuple[np.ndarray, np.ndarray]], parts: list[int]) -> Mesh:
+    """One mesh with the part of each piece."""
+    vertices, faces, labels, start = [], [], [], 0
+    for (v, f), part in zip(pieces, parts, strict=True):
+        vertices.append(v)
+        faces.append(f + start)
+        labels.append(np.full(len(f), part, np.int32))
+        start += len(v)
+    return Mesh(np.concatenate(vertices), np.concatenate(faces).astype(np.int64), None, np.concatenate(labels))
+
+
+def furnished_room(cells: float = 0.25) -> Room:
+    """The room of this module: two boxes on the floor, two lamps of different size hanging under the ceiling."""
+    pieces = box(np.zeros(3), SIZE, cells)
+    parts = list(range(6))
+    for part, (low, high) in ((6, ([0.5, 0.4, 0], [1.1, 1.2, 0.7])), (7, ([2.7, 1.9, 0], [3.5, 2.6, 0.4]))):
+        pieces += box(low, high, cells)
+        parts += [part] * 6
+    pieces += [
+        quad([0.8, 1.1, 2.1], [0.6, 0, 0], [0, 0.6, 0], cells),
+        quad([2.9, 0.8, 2.2], [0.3, 0, 0], [0, 0.4, 0], cells),
+    ]
+    emission = np.zeros_like(ALBEDO)
+    emission[list(LAMP_PARTS)] = LAMP_RADIANCE
+    return Room(assemble(pieces, parts + list(LAMP_PARTS)), ALBEDO, emission)
+
+
+def face_origins(tracer: Tracer, toward: np.ndarray, n: int, rng: np.random.Generator) -> Origins:
+    """``n`` random points per face; normals on the side of the point ``toward``."""
+    u = rng.random((len(tracer.areas), n, 2))
+    u = np.where(u.sum(-1, keepdims=True) > 1, 1 - u, u)
+    c = tracer.corners[:, None]
+    position = c[:, :, 0] + u[..., :1] * (c[:, :, 1] - c[:, :, 0]) + u[..., 1:] * (c[:, :, 2] - c[:, :, 0])
+    inward = np.sign(((toward - tracer.corners.mean(1)) * tracer.normals).sum(1))[:, None]
+    normal = np.broadcast_to((tracer.normals * inward)[:, None], position.shape)
+    return Origins(position.astype(np.float32), normal.astype(np.float32))
+
+
+def irradiance_at(
+    room: Room, tracer: Tracer, radiosity: np.ndarray, origins: Origins, n_rays: int, seed: int
+) -> np.ndarray:
+    """(n, 3) irradiance / pi: lamps by area sampling, everything else by gathering face radiance (F, 3)."""
+    rng = np.random.default_rng(seed)
+    rays, _ = gather(tracer, origins, n_rays, rng, Progress())
+    lamps = room.lamps()
+    table = np.concatenate([radiosity, np.zeros((1, 3))])
+    indirect = table[rays.face].mean(1)
+    direct = emitter_form_factors(tracer, origins, rays, lamps, n_rays, rng, Progress())
+    return indirect + direct @ np.array([room.emission[room.parts[faces[0]]] for faces in lamps])
+
+
+def radiosity(room: Room, tracer: Tracer, n_rays: int = 256) -> np.ndarray:
+    """(F, 3) radiance that each face reflects into the room, lamps black."""
+    rng = np.random.default_rng(5)
+    # Boxes are looked at from outside, walls from inside: their normals decide, not one point.
+    origins = face_origins(tracer, SIZE / 2, 8, rng)
+    for part in (6, 7):
+        faces = np.flatnonzero(room.parts == part)
+        centre = tracer.corners[faces].reshape(-1, 3).mean(0)
+        outward = np.sign(((tracer.corners[faces].mean(1) - centre) * tracer.normals[faces]).sum(1))
+        origins.normal[faces] = (tracer.normals[faces] * outward[:, None])[:, None]
+    rays, _ = gather(tracer, origins, n_rays, rng, Progress())
+    lamps = room.lamps()
+    direct = emitter_form_factors(tracer, origins, rays, lamps, n_rays, rng, Progress())
+    source = direct @ np.array([room.emission[room.parts[faces[0]]] for faces in lamps])
+    albedo = room.albedo[room.parts]
+    result = albedo * source
+    for _ in range(30):
+        result = albedo * (np.concatenate([result, np.zeros((1, 3))])[rays.face].mean(1) + source)
+    return result
+
+
+def cameras(count: int = 8, width: int = 40, height: int = 30) -> list[Camera]:
+    """Cameras on an ellipse that look across the room, up and down in turn."""
+    poses = []
+    for k in range(count):
+        angle = 2 * np.pi * k / count
+        around = np.array([np.cos(angle), np.sin(angle), 0.0])
+        eye = SIZE / 2 + around * [1.5, 1.1, 0] + [0, 0, 0.1]
+        target = SIZE / 2 - around * [1.5, 1.1, 0] + [0, 0, (-0.9, 0.5, -0.3, 0.9)[k % 4]]
+        poses.append(look_at(eye, target))
+    return [Camera(width, height, 0.55 * width, 0.55 * width, width / 2, height / 2, pose) for pose in poses]
+
+
+def render(room: Room, tracer: Tracer, views: list[Camera], n_rays: int = 192) -> np.ndarray:
+    """(V, H, W, 3) radiance of the diffuse room at pixel centres."""
+    samples = trace_pixels(tracer, views, 1, Progress())
+    face_radiance = radiosity(room, tracer)
+    origins = Origins(samples.position[:, None], samples.normal[:, None])
+    irradiance = irradiance_at(room, tracer, face_radiance, origins, n_rays, 11)
+    part = room.parts[samples.face]
+    image = np.zeros((len(views), views[0].height * views[0].width, 3))
+    image[samples.view, samples.pixel] = room.albedo[part] * irradiance + room.emission[part]
+    return image.reshape(len(views), views[0].height, views[0].width, 3)
+
+
+def photograph(
+    room: Room, views: list[Camera], radiance: np.ndarray, exposures: np.ndarray, response: Response, folder: Path
+) -> Capture:
+    """8-bit photos in ``folder`` and the capture that names them; exposures are told."""
+    folder.mkdir(parents=True, exist_ok=True)
+    entries = []
+    for k, (camera, exposure) in enumerate(zip(views, exposures, strict=True)):
+        photo = folder / f"{k:03d}.png"
+        write_png(photo, np.floor(255 * response.apply(np.clip(radiance[k] * exposure, 0, 1))).astype(np.uint8))
+        entries.append(View(f"{k:03d}", camera, photo, float(exposure)))
+    return Capture("room", folder, tuple(entries), (), room.mesh)
