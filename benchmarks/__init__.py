@@ -1,0 +1,1 @@
+"""Speed against accuracy, stability, scaling: the instruments that every change of the engine is seen in."""

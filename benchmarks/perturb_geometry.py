@@ -1,0 +1,147 @@
+"""Perturbations of the mesh: noise, holes, too few or too many triangles, parts merged.
+
+The ground truth that names faces (lamps, relighting) follows the mesh; its images do not change.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from iris_addon.capture.fipt import read_fipt, read_fipt_views
+from iris_addon.capture.meshes import read_mesh
+from iris_addon.capture.types import Mesh
+from iris_addon.errors import BadInput
+from iris_addon.imaging import atomic_write
+from iris_addon.result.json_files import write_json
+from iris_addon.surface.parts import initial_parts, weld
+from iris_addon.transport.tracer import Tracer
+
+from .meshes import FaceMap, cluster, select, subdivide_edges
+from .perturb_masks import true_lamp_faces
+
+HOLE_EDGE = 0.15
+"""Metres: faces are cut to this before holes are, so that a wall of two triangles can have a hole."""
+HOLE_SIZE = 0.8
+"""Metres: wavelength of the random field whose peaks become holes."""
+HOLE_RAYS = 20_000
+
+
+def shake_mesh(root: Path, _truth: Path, millimetres: float, rng: np.random.Generator) -> str:
+    """Every vertex off by a normal error of ``millimetres`` per axis; vertices at one place move together."""
+    mesh = _mesh(root)
+    place = weld(mesh.vertices)
+    move = rng.standard_normal((int(place.max()) + 1, 3)) * millimetres / 1000
+    _replace(root, Mesh(mesh.vertices + move[place], mesh.faces, None, mesh.parts), np.arange(len(mesh.faces)))
+    return f"{millimetres:g} mm"
+
+
+def cut_holes(root: Path, _truth: Path, share: float, rng: np.random.Generator) -> str:
+    """Holes where a smooth random field peaks, as many as let ``share`` of the rays from the cameras escape.
+
+    Lamps stay: what is tested is light lost through holes, not lamps lost.
+    """
+    mesh, old = subdivide_edges(_mesh(root), HOLE_EDGE)
+    lamp = _lamp_mask(root, int(old.max()) + 1)[old]
+    field = np.where(lamp, -np.inf, _smooth_field(mesh.vertices[mesh.faces].mean(1), rng))
+    origins = np.stack([view.camera.position for view in read_fipt_views(root, "train")])
+    rays = rng.standard_normal((HOLE_RAYS, 3))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    start = origins[rng.integers(0, len(origins), HOLE_RAYS)]
+
+    low, high = float(field[~lamp].min()), float(field.max())
+    threshold, escaped = high, 0.0
+    for _ in range(10):
+        threshold = 0.5 * (low + high)
+        escaped = float((Tracer(select(mesh, field <= threshold)[0]).hit_faces(start, rays) < 0).mean())
+        low, high = (low, threshold) if escaped < share else (threshold, high)
+    cut, old_of_cut = select(mesh, field <= threshold)
+    _replace(root, cut, old[old_of_cut])
+    return f"{escaped:.1%} of the rays from the cameras escape"
+
+
+def _smooth_field(points: NDArray[np.float64], rng: np.random.Generator, waves: int = 48) -> NDArray[np.float64]:
+    """(n,) sum of random plane waves with the wavelength of the holes, at ``points`` (n, 3)."""
+    direction = rng.standard_normal((waves, 3))
+    direction *= 2 * np.pi / HOLE_SIZE / np.linalg.norm(direction, axis=1, keepdims=True)
+    return np.cos(points @ direction.T + rng.uniform(0, 2 * np.pi, waves)).sum(1) / np.sqrt(waves / 2)
+
+
+def cluster_vertices(root: Path, _truth: Path, centimetres: float, _rng: np.random.Generator) -> str:
+    """A coarse scan: vertices merged within cells of ``centimetres``; lamps keep their triangles."""
+    mesh = _mesh(root)
+    coarse, old = cluster(mesh, centimetres / 100, _lamp_mask(root, len(mesh.faces)))
+    _replace(root, coarse, old)
+    return f"{len(coarse.faces)} of {len(mesh.faces)} triangles"
+
+
+def subdivide(root: Path, _truth: Path, centimetres: float, _rng: np.random.Generator) -> str:
+    """An over-dense mesh of the same shape: no edge longer than ``centimetres``."""
+    mesh, old = subdivide_edges(_mesh(root), centimetres / 100)
+    _replace(root, mesh, old)
+    return f"{len(mesh.faces)} triangles"
+
+
+def merge_parts(root: Path, _truth: Path, share: float, rng: np.random.Generator) -> str:
+    """A random ``share`` of the parts are one part, as in a scan that fuses what touches."""
+    mesh = _mesh(root)
+    parts = initial_parts(mesh)
+    ids = rng.permutation(np.unique(parts))
+    merged = ids[: int(np.ceil(share * len(ids)))]
+    parts = np.where(np.isin(parts, merged), merged[0], parts)
+    if len(np.unique(parts)) == 1:
+        # A file with one part counts as a file without; a single face elsewhere makes it one that says so.
+        parts[0] = parts.max() + 1
+    _replace(root, Mesh(mesh.vertices, mesh.faces, None, parts), np.arange(len(mesh.faces)))
+    return f"{len(merged)} of {len(ids)} parts are one"
+
+
+# ---- files ---------------------------------------------------------------------------------------------------------
+
+
+def _mesh(root: Path) -> Mesh:
+    return read_mesh(read_fipt(root).mesh_file)[0]
+
+
+def _lamp_mask(root: Path, n_faces: int) -> NDArray[np.bool_]:
+    mask = np.zeros(n_faces, bool)
+    mask[np.concatenate(true_lamp_faces(root))] = True
+    return mask
+
+
+def _replace(root: Path, mesh: Mesh, old: FaceMap) -> None:
+    """Put ``mesh`` in the place of the capture's, and let what names faces name those that come from them."""
+    read_fipt(root).mesh_file.unlink()
+    write_obj(root / "scene.obj", mesh)
+    emitters = root / "gt" / "emitters.json"
+    if emitters.is_file():
+        listed = json.loads(emitters.read_text(encoding="utf-8"))
+        for entry in listed:
+            entry["faces"] = np.searchsorted(old, entry["faces"]).tolist()
+        write_json(emitters, listed)
+    lights = root / "relight" / "lights.json"
+    if lights.is_file():
+        content = json.loads(lights.read_text(encoding="utf-8"))
+        part = content.get("one_emitter", {})
+        if "kept_faces_of_scene_ply" in part:
+            part["kept_faces_of_scene_ply"] = np.flatnonzero(np.isin(old, part["kept_faces_of_scene_ply"])).tolist()
+        write_json(lights, content)
+
+
+def write_obj(path: Path, mesh: Mesh) -> None:
+    """A plain OBJ of ``mesh``, faces in their order, a group line wherever the part changes."""
+    if not np.isfinite(mesh.vertices).all():
+        raise BadInput("has vertices that are not finite", "restore the mesh", path)
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
+    parts = [None] * len(mesh.faces) if mesh.parts is None else mesh.parts.tolist()
+    before = None
+    for (a, b, c), part in zip((mesh.faces + 1).tolist(), parts, strict=True):
+        if part != before:
+            lines.append(f"g part{part}")
+            before = part
+        lines.append(f"f {a} {b} {c}")
+    text = "\n".join(lines) + "\n"
+    atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))

@@ -1,0 +1,107 @@
+"""One run in a process of its own: ``python -m benchmarks.worker RUN_AS_JSON RECORD_FILE``."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import tempfile
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from iris_addon.errors import BadInput, IrisError
+from iris_addon.progress import Progress
+from iris_addon.result.types import Result
+
+from . import machine
+from .configurations import CONFIGURATIONS
+from .perturb import Perturbed, perturb
+from .runs import Run, save_record
+
+
+def measure(run: Run, cache: Path) -> dict[str, Any]:
+    """Solve and score ``run``; the record.
+
+    Args:
+        cache: folder that keeps transport for runs that may share it.
+
+    Raises:
+        IrisError: the capture cannot be used, or the configuration does not apply to it.
+    """
+    with tempfile.TemporaryDirectory(prefix="iris-run-") as name:
+        scratch = Path(name)
+        os.environ["IRIS_CACHE"] = str(cache if run.warm else scratch / "cache")
+        perturbed = perturb(Path(run.capture), run.axis, run.level, run.seed, scratch / "perturbed")
+        result, seconds = solve(run, perturbed, scratch)
+        scores = score(result, run, perturbed.truth)
+    scores.pop("per_view", None)
+    report = result.report
+    return {
+        "run": asdict(run),
+        "machine": machine.describe(),
+        "stands_for": CONFIGURATIONS[run.configuration].stands_for,
+        "perturbation": perturbed.note,
+        "seconds_total": seconds,
+        **{name: report.get(name) for name in ("seconds", "peak_memory_bytes", "rays_traced", "n_patches", "n_views")},
+        "n_faces": len(result.mesh.faces),
+        "model": report.get("model"),
+        "holdout_psnr": report.get("holdout_psnr"),
+        "metrics": scores,
+    }
+
+
+def solve(run: Run, perturbed: Perturbed, scratch: Path) -> tuple[Result, float]:
+    """The result and its wall-clock seconds, reading of the capture and writing of the result included."""
+    from iris_addon.solve import solve as run_solve
+
+    chosen = CONFIGURATIONS[run.configuration]
+    config = chosen.solve_config(run.preset, run.seed, perturbed.capture, scratch)
+    start = time.monotonic()
+    result = run_solve(chosen.read(config, perturbed.capture), config, scratch / "result", Progress())
+    return result, time.monotonic() - start
+
+
+def score(result: Result, run: Run, truth: Path) -> dict[str, Any]:
+    """Metrics of ``result`` as far as ``run.scored`` asks for them."""
+    from iris_addon.evaluate import evaluate
+
+    if run.scored == "all":
+        from iris_addon.blender.render import render_views
+
+        return evaluate(result, truth, render=render_views, samples=run.samples, seed=run.seed)
+    scores = evaluate(result, truth, render=None)
+    if run.scored == "relight":
+        scores |= relight_scores(result, run, truth)
+        scores["left_out"] = {k: v for k, v in scores["left_out"].items() if k not in scores}
+    return scores
+
+
+def relight_scores(result: Result, run: Run, truth: Path) -> dict[str, float]:
+    """The relighting metrics alone: twelve small renders instead of two dozen."""
+    from iris_addon.blender.render import render_views
+    from iris_addon.evaluate.ground_truth import read_ground_truth
+    from iris_addon.evaluate.metrics import combine
+    from iris_addon.evaluate.relighting import relit_views, score_pictures
+
+    ground = read_ground_truth(truth)
+    if ground is None:
+        raise BadInput("has no ground truth", "sweep a capture that has it", truth)
+    pictures = relit_views(result, ground, render_views, run.samples, run.seed, Progress())
+    return {name: combine(list(values.values())) for name, values in score_pictures(pictures).items()}
+
+
+def main(arguments: list[str]) -> int:
+    """Command line of the worker."""
+    run, path = Run(**json.loads(arguments[0])), Path(arguments[1])
+    try:
+        save_record(path, measure(run, path.parent / "cache"))
+    except IrisError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
