@@ -21,7 +21,7 @@ from .checkpoint import Checkpoints, fingerprint
 from .config import SolveConfig
 from .emission.candidates import brightness
 from .emission.hidden import find_hidden
-from .emission.solve import LightProblem, Lights, find_lights
+from .emission.solve import LightProblem, Lights, choose_outside
 from .photo_samples import PhotoSamples, sample_photos
 from .photometry import Photometry, measure_photometry
 from .progress import Progress
@@ -82,9 +82,9 @@ def solve(
         )
     problem = _problem(capture, config, tracer, photos, parts, surface, transport, observations, photometry, field)
     with progress.stage("lights"):
-        lights = Lights.from_arrays(
-            checkpoints.stage("lights", lambda: find_lights(problem.light, problem.observed, progress).arrays())
-        )
+        arrays = checkpoints.stage("lights", lambda: _lights(problem, progress))
+        lights = Lights.from_arrays(arrays)
+        problem = problem.with_outside(int(arrays["directions"]))
     with progress.stage("materials"):
         solved = checkpoints.stage("materials", lambda: _materials(problem, lights, config.rounds, progress))
         lights, gloss = Lights.from_arrays(solved), Gloss.from_arrays(solved)
@@ -132,6 +132,11 @@ def _problem(
     observed = group_radiance(linear, observations.patch, observations.count, n)
     part = parts[photos.samples.face[observations.sample]]
     return MaterialProblem(light, observations, linear, observed, field, part, config.specular_rays, config.seed)
+
+
+def _lights(problem: MaterialProblem, progress: Progress) -> dict[str, NDArray]:
+    light, lights = choose_outside(problem.light, problem.observed, progress)
+    return {**lights.arrays(), "directions": np.array(len(light.hidden.directions))}
 
 
 def _materials(problem: MaterialProblem, lights: Lights, rounds: int, progress: Progress) -> dict[str, NDArray]:

@@ -23,7 +23,7 @@ def insert_onto_photo(
     *,
     samples: int = 128,
     seed: int = 0,
-    max_bounces: int = 8,
+    max_bounces: int = 24,
     gpu: bool = False,
 ) -> NDArray[np.float64]:
     """The photo as it would have been with ``edit`` in the room.

@@ -32,7 +32,7 @@ def render_views(
     samples: int = 64,
     denoise: bool = True,
     seed: int = 0,
-    max_bounces: int = 8,
+    max_bounces: int = 24,
     gpu: bool = False,
     on_view: OnView | None = None,
 ) -> list[NDArray[np.float32]]:

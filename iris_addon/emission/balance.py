@@ -9,7 +9,7 @@ e^1.3). It is smooth in log e, so LBFGS takes a second. Saturated lamp pixels en
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +19,14 @@ from ..response.observations import group_sums
 
 MIN_PATCHES_PER_PART = 12
 MAX_PATCHES = 25_000
+HELD_OUT_EVERY = 8
 MAX_ALBEDO = 0.95
 ROBUST_LOG = 0.15
 """Log-albedo deviation at which a patch starts to count as an outlier (texture, a contact shadow, a highlight)."""
-EFFECTIVE_PATCHES = 2000
+EFFECTIVE_PATCHES = 500
 """Neighbouring patches err together; the shading counts as at most this many independent observations."""
 TINT_STD = 0.25
-MEASURED_STD = 0.05
+MEASURED_STD = 0.03
 BOUND_STD = 0.02
 EXPECTED_STD = 1.5
 
@@ -55,14 +56,14 @@ class Balance:
         radiance: (E, 3) per emitter.
         log_std: (E,) standard deviation of log radiance from the curvature of the loss.
         part_albedo: (n_parts, 3); ``part_ids`` (n_parts,) names the rows.
-        loss: mean robust loss per patch.
+        held_out: mean robust loss of patches that were not fitted.
     """
 
     radiance: NDArray[np.float64]
     log_std: NDArray[np.float64]
     part_ids: NDArray[np.int64]
     part_albedo: NDArray[np.float64]
-    loss: float
+    held_out: float
 
 
 def solve_balance(
@@ -88,15 +89,17 @@ def solve_balance(
     rows, label, part_ids = _usable(radiance, part, weight)
     n_tied = int(evidence.tie.max()) + 1
     first = np.array([np.flatnonzero(evidence.tie == k)[0] for k in range(n_tied)])
-    problem = _Problem(
+    whole = _Problem(
         np.log(radiance[rows]),
         np.maximum(indirect[rows], 1e-6),
         np.stack([form_factors[rows][:, evidence.tie == k].sum(1) for k in range(n_tied)], -1).astype(np.float64),
-        weight[rows] / weight[rows].sum(),
+        weight[rows],
         label,
         len(part_ids),
         _DirectEvidence.of(evidence, n_tied),
     )
+    tested = np.arange(len(rows)) % HELD_OUT_EVERY == 0
+    problem = whole.restrict(~tested)
     log_e = np.log(start[first])
     unknowns = np.concatenate([log_e.ravel(), problem.implied_albedo(log_e).ravel()])
     fit = minimize(problem.loss, unknowns, jac=True, method="L-BFGS-B", options={"maxiter": iterations, "maxcor": 20})
@@ -106,7 +109,7 @@ def solve_balance(
         problem.log_std(log_e)[evidence.tie],
         part_ids,
         np.exp(log_albedo),
-        float(fit.fun),
+        whole.restrict(tested).shading_loss(log_e, log_albedo),
     )
 
 
@@ -121,6 +124,23 @@ class _Problem:
     part: NDArray[np.int64]  # (P,)
     n_parts: int
     direct: _DirectEvidence
+
+    def restrict(self, keep: NDArray[np.bool_]) -> _Problem:
+        """Some of the patches, their weights scaled to sum to one."""
+        return replace(
+            self,
+            log_radiance=self.log_radiance[keep],
+            indirect=self.indirect[keep],
+            form_factors=self.form_factors[keep],
+            weight=self.weight[keep] / self.weight[keep].sum(),
+            part=self.part[keep],
+        )
+
+    def shading_loss(self, log_e: NDArray[np.float64], albedo: NDArray[np.float64]) -> float:
+        """Robust deviation of log albedo from one value per part, mean over patches."""
+        incoming = self.indirect + self.form_factors @ np.exp(log_e)
+        r = (self.log_radiance - np.log(incoming) - albedo[self.part]) / ROBUST_LOG
+        return float((self.weight @ np.log1p(r**2)).sum())
 
     @property
     def n_effective(self) -> int:
@@ -137,7 +157,7 @@ class _Problem:
         implied = self.log_radiance - np.log(self.indirect + self.form_factors @ np.exp(log_e))
         order = np.argsort(self.part, kind="stable")
         pieces = np.split(implied[order], np.cumsum(np.bincount(self.part, minlength=self.n_parts))[:-1])
-        return np.stack([np.median(piece, axis=0) for piece in pieces])
+        return np.stack([np.median(piece, axis=0) if len(piece) else np.log(np.full(3, 0.5)) for piece in pieces])
 
     def loss(self, unknowns: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         """Robust loss and its gradient in log radiance and log albedo."""

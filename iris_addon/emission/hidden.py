@@ -6,7 +6,7 @@ Both enter the light balance as further emitters with form factors read off the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,15 @@ class HiddenSources:
     directions: NDArray[np.float64]
     form_factors: NDArray[np.float32]
 
+    def with_directions(self, count: int) -> HiddenSources:
+        """The same sources with 0, 1 (constant) or all direction bins of outside light."""
+        if count == len(self.directions):
+            return self
+        n = len(self.parts)
+        outside = self.form_factors[:, n:].sum(1, keepdims=True)[:, :count]
+        directions = np.array([[0.0, 0.0, 1.0]])[:count]
+        return replace(self, directions=directions, form_factors=np.concatenate([self.form_factors[:, :n], outside], 1))
+
     def outside_sh(self, radiance: NDArray[np.floating]) -> NDArray[np.float64] | None:
         """(1, 3) or (9, 3) spherical harmonics of the outside radiance (D, 3) per bin, None without bins."""
         if len(self.directions) == 0:
@@ -44,8 +53,10 @@ class HiddenSources:
         if len(self.directions) == 1:
             return radiance / sh_basis(np.array([[0.0, 0.0, 1.0]]), 1)
         basis = sh_basis(self.directions, 9)
-        # Twelve bins and nine functions: a little ridge keeps bins that few rays escape through from ringing.
-        return np.linalg.solve(basis.T @ basis + 0.05 * np.eye(9), basis.T @ radiance)
+        # Twelve bins and nine functions: a little ridge keeps bins that few rays escape through from ringing. It spares
+        # the constant, whose size is the light's power.
+        ridge = 0.05 * np.diag([0.0] + [1.0] * 8)
+        return np.linalg.solve(basis.T @ basis + ridge, basis.T @ radiance)
 
 
 def dodecahedron() -> NDArray[np.float64]:

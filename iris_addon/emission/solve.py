@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +27,7 @@ from .candidates import (
 )
 from .hidden import HiddenSources
 
+OUTSIDE_GAIN = 0.02
 NEGLIGIBLE_POWER = 2e-4
 HYSTERESIS = 0.8
 THRESHOLDS = (3.0, 1.6, 1.25)
@@ -45,6 +48,7 @@ class Lights:
         irradiance: (N, 3) irradiance / pi of every patch, all light.
         patch_radiance: (N, 3) reflected radiance of every patch, observed or inferred.
         part_albedo: albedo per part id, from the balance.
+        held_out: robust loss of the balance on patches it was not fitted to.
     """
 
     emitters: list[NDArray[np.int64]]
@@ -56,12 +60,14 @@ class Lights:
     irradiance: NDArray[np.floating]
     patch_radiance: NDArray[np.float64]
     part_albedo: dict[int, NDArray[np.float64]] = field(default_factory=dict)
+    held_out: float = np.inf
 
     def arrays(self) -> dict[str, NDArray]:
         """Plain arrays for a checkpoint."""
         names = ("radiance", "hidden_radiance", "log_std", "form_factors", "mask", "irradiance", "patch_radiance")
         ids = np.array(list(self.part_albedo), np.int64)
         return {
+            "lights.held_out": np.array(self.held_out),
             **{f"lights.{name}": getattr(self, name) for name in names},
             "lights.sizes": np.array([len(faces) for faces in self.emitters], np.int64),
             "lights.faces": np.concatenate([*self.emitters, np.zeros(0, np.int64)]),
@@ -75,7 +81,8 @@ class Lights:
         a = {name.removeprefix("lights."): value for name, value in arrays.items() if name.startswith("lights.")}
         emitters = np.split(a.pop("faces"), np.cumsum(a.pop("sizes")))[:-1]
         albedo = dict(zip(a.pop("part_ids").tolist(), a.pop("part_albedo"), strict=True))
-        return Lights(emitters=emitters, part_albedo=albedo, **a)
+        held_out = float(a.pop("held_out"))
+        return Lights(emitters=emitters, part_albedo=albedo, held_out=held_out, **a)
 
     def face_emission(self, n_faces: int) -> NDArray[np.float64]:
         """(F, 3) radiance each face emits."""
@@ -93,6 +100,8 @@ class LightProblem:
         parts: (F,) part per face.
         adjacency: pairs of faces that share an edge.
         brightness: how bright each seen patch was.
+        hidden: unknowns beside the lamps.
+        bounce: once materials are known, what glossy surfaces pass on; patches then cast only their diffuse light.
     """
 
     tracer: Tracer
@@ -105,6 +114,21 @@ class LightProblem:
     hidden: HiddenSources
     shadow_rays: int
     seed: int
+    bounce: Bounce | None = None
+
+
+class Bounce(Protocol):
+    """Light by way of glossy surfaces, see :mod:`iris_addon.reflectance.glossy_bounce`."""
+
+    def gather_radiance(
+        self, radiance: NDArray[np.floating], unknown: NDArray[np.floating], emitter_faces: NDArray[np.bool_]
+    ) -> NDArray[np.float32]:
+        """(N, 3) irradiance / pi from other patches."""
+        ...
+
+    def form_factors(self, emitters: Sequence[NDArray[np.integer]], n_faces: int) -> NDArray[np.float32]:
+        """(N, E) share of each emitter's radiance."""
+        ...
 
 
 def find_lights(problem: LightProblem, observed: GroupRadiance, progress: Progress) -> Lights:
@@ -115,6 +139,33 @@ def find_lights(problem: LightProblem, observed: GroupRadiance, progress: Progre
         if threshold == THRESHOLDS[0] or not same_emitters(emitters, lights.emitters):
             lights = solve_lights(problem, observed, emitters, lights, progress)
     return _without_negligible(problem, observed, lights, progress)
+
+
+def choose_outside(problem: LightProblem, observed: GroupRadiance, progress: Progress) -> tuple[LightProblem, Lights]:
+    """Lamps, with as much light from outside the mesh as earns its place: none, constant, or by direction.
+
+    Each hypothesis is scored by the light balance of patches that it was not fitted to. The next larger one is taken
+    only if it lowers that score by OUTSIDE_GAIN.
+    """
+    directions = len(problem.hidden.directions)
+    best: tuple[LightProblem, Lights] | None = None
+    for count in sorted({0, min(1, directions), directions}):
+        tried = replace(problem, hidden=problem.hidden.with_directions(count))
+        if best is None:
+            lights = find_lights(tried, observed, progress)
+        else:
+            start = replace(best[1], hidden_radiance=_expected_hidden(tried, best[1]))
+            lights = solve_lights(tried, observed, start.emitters, start, progress, start.form_factors)
+        if best is None or lights.held_out < (1 - OUTSIDE_GAIN) * best[1].held_out:
+            best = tried, lights
+    assert best is not None
+    return best
+
+
+def _expected_hidden(problem: LightProblem, lights: Lights) -> NDArray[np.float64]:
+    """(H, 3) radiance expected of the hidden sources: what was found for parts, a dim room for directions."""
+    parts = lights.hidden_radiance[: len(problem.hidden.parts)]
+    return np.concatenate([parts, np.tile(_mean_radiance(lights.patch_radiance, problem), (len(problem.hidden.directions), 1))])
 
 
 def refine_lights(
@@ -210,7 +261,10 @@ def solve_lights(
     dark = on_lamp | hidden.on_hidden
     radiance = _start_radiance(observed, before, dark)
     evidence = _with_hidden(_lamp_evidence(problem, emitters), before.hidden_radiance)
-    all_factors = np.concatenate([form_factors, hidden.form_factors], 1)
+    direct = form_factors
+    if problem.bounce is not None:
+        direct = form_factors + problem.bounce.form_factors(emitters, n_faces)
+    all_factors = np.concatenate([direct, hidden.form_factors], 1)
     start = np.maximum(_first_finite(evidence.measured, 2.0 * evidence.bound, evidence.expected), 1e-3)
     usable = observed.known.all(1) & ~on_lamp[: problem.transport.n_seen]
     say = usable * (np.sqrt(np.minimum(observed.weight, 50.0)) if weight is None else weight)
@@ -218,6 +272,8 @@ def solve_lights(
     for _ in range(2):
         unknown = _mean_radiance(radiance, problem)
         indirect = problem.transport.gather_radiance(radiance, unknown, mask)
+        if problem.bounce is not None:
+            indirect = indirect + problem.bounce.gather_radiance(radiance, unknown, mask)
         shaded = radiance[:n] if diffuse is None else diffuse
         balance = solve_balance(shaded, indirect[:n], all_factors[:n], problem.transport.part[:n], say, evidence, start)
         start = balance.radiance
@@ -235,6 +291,7 @@ def solve_lights(
         irradiance,
         radiance,
         albedo,
+        balance.held_out,
     )
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..transport.sampling import ggx_directions, r2_sequence
 from ..transport.tracer import Tracer
 from ..transport.transport import ESCAPED, Transport, find_patches
-from .ggx import smith_g1
+from .specular_weights import visible_normal_weights
 
 POINTS_AT_ONCE = 1 << 15
 
@@ -85,17 +85,14 @@ def trace_lobes(
         normals = np.repeat(normal[rows], n_rays, 0)
         alpha = np.repeat(np.maximum(roughness[rows], 0.05) ** 2, n_rays).astype(np.float32)
         direction, half_cosine = ggx_directions(normals, np.repeat(outgoing[rows], n_rays, 0), alpha, u)
-        cosine = (direction * normals).sum(1)
-        above = cosine > 1e-3
+        w0, w1, above = visible_normal_weights(normals, direction, half_cosine, alpha)
         origin = np.repeat(position[rows], n_rays, 0) + tracer.epsilon * normals
         hits = tracer.closest(origin, np.where(above[:, None], direction, normals))
         point = origin + direction * np.where(hits.face >= 0, hits.distance, 0)[:, None]
         patch = find_patches(tracer, transport.grids, parts, hits.face, point, direction)
-        g1 = np.where(above, smith_g1(np.maximum(cosine, 1e-3), alpha), 0.0)
-        fresnel = (1 - half_cosine) ** 5
         shape = (rows.stop - rows.start, n_rays)
         target[rows] = patch.reshape(shape)
         face[rows] = hits.face.reshape(shape)
-        weight0[rows] = (g1 * (1 - fresnel)).reshape(shape)
-        weight1[rows] = (g1 * fresnel).reshape(shape)
+        weight0[rows] = w0.reshape(shape)
+        weight1[rows] = w1.reshape(shape)
     return LobeRays(target, face, weight0, weight1)

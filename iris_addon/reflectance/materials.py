@@ -16,12 +16,15 @@ from ..emission.solve import LightProblem, Lights, refine_lights
 from ..progress import Progress
 from ..response.observations import Observations
 from ..response.radiance import GroupRadiance, Linearised, group_radiance
+from .ggx import DIELECTRIC_F0
 from .gloss import LEVELS, Gloss, choose_observations, fit_gloss
+from .glossy_bounce import GlossyBounce, trace_glossy_bounce
 from .lobes import LobeRays, trace_lobes
 from .shading import IrradianceField
 from .specular import Scene, specular_lobes, subtract_specular
 
 FIT_RAYS = 16
+PASSED_ON = 0.6
 GLOSSY = 0.5
 GLOSSY_SAY = 0.3
 """Glossy parts keep this say in the light balance: what is left of their highlights is a bias, not noise."""
@@ -45,6 +48,10 @@ class MaterialProblem:
     part: NDArray[np.int32]
     specular_rays: int
     seed: int
+
+    def with_outside(self, directions: int) -> MaterialProblem:
+        """The same problem with so many directions of outside light."""
+        return replace(self, light=replace(self.light, hidden=self.light.hidden.with_directions(directions)))
 
 
 def scene_of(problem: LightProblem, lights: Lights) -> Scene:
@@ -76,12 +83,44 @@ def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progr
             specular,
         )
         seen = brightness(problem.observations, problem.linear, len(problem.observed.weight), specular)
-        light_problem = replace(problem.light, brightness=seen)
+        bounce = _bounce(problem, lights, gloss, round_)
+        light_problem = replace(problem.light, brightness=seen, bounce=bounce)
         say = _say(problem, gloss, diffuse)
-        lights = refine_lights(light_problem, problem.observed, lights, say, diffuse.radiance, progress)
+        cast = _cast_radiance(problem, gloss, diffuse)
+        lights = refine_lights(light_problem, cast, lights, say, diffuse.radiance, progress)
         gloss = fit.gloss(problem, lights)
         progress.update((round_ + 1) / rounds)
     return lights, gloss
+
+
+def _glossy_parts(gloss: Gloss) -> NDArray[np.bool_]:
+    """(n_parts,) parts on which light paths go on (IRIS: roughness up to 0.6)."""
+    return gloss.roughness <= PASSED_ON
+
+
+def _cast_radiance(problem: MaterialProblem, gloss: Gloss, diffuse: GroupRadiance) -> GroupRadiance:
+    """What patches cast on others themselves: as seen where matte, the diffuse part alone where paths go on."""
+    part = problem.light.transport.part[: len(diffuse.weight)]
+    metal = (gloss.metallic[part] > 0.5)[:, None]
+    own = np.where(metal, 0.0, diffuse.radiance)
+    passes = _glossy_parts(gloss)[part][:, None] & (diffuse.known | metal)
+    return replace(problem.observed, radiance=np.where(passes, own, problem.observed.radiance))
+
+
+def _bounce(problem: MaterialProblem, lights: Lights, gloss: Gloss, round_: int) -> GlossyBounce:
+    """Continued paths under the materials of this round."""
+    color = np.full((len(gloss.roughness), 3), DIELECTRIC_F0)
+    n = problem.light.transport.n_seen
+    part = problem.light.transport.part[:n]
+    # A metal's colour: what it was seen to send over what the hemisphere sends it.
+    reflectance = problem.observed.radiance / np.maximum(lights.irradiance[:n], 1e-6)
+    for label in np.flatnonzero(gloss.metallic > 0.5):
+        color[label] = np.clip(np.median(reflectance[part == label], axis=0), 0.05, 0.95)
+    rng = np.random.default_rng([problem.seed, 37, round_])
+    light = problem.light
+    return trace_glossy_bounce(
+        light.tracer, light.transport, light.parts, gloss.roughness, color, _glossy_parts(gloss), rng
+    )
 
 
 def _say(problem: MaterialProblem, gloss: Gloss, diffuse: GroupRadiance) -> NDArray[np.float64]:

@@ -129,8 +129,9 @@ class _Problem:
     def restrict(self, keep: NDArray[np.bool_]) -> _Problem:
         """The same problem over some of the patches."""
         rows = keep[self.patch]
-        columns = ("z", "clipped", "weight", "patch", "view")
-        return replace(self, **{name: getattr(self, name)[rows] for name in columns})
+        patches, patch = np.unique(self.patch[rows], return_inverse=True)
+        columns = {name: getattr(self, name)[rows] for name in ("z", "clipped", "weight", "view")}
+        return replace(self, patch=patch, n_patches=len(patches), **columns)
 
     def solve_radiance(self, response: Response) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Exposures (V,) and radiance (n, 3) that fit best under a given curve."""

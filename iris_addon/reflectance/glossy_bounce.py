@@ -1,0 +1,122 @@
+"""Light that reaches patches by way of a glossy surface: gather rays go on where they hit one.
+
+A floor that mirrors a window sends the window's light to the opposite wall; the mean radiance that cameras saw on that
+floor does not tell it. Each gather ray that ends on a glossy dielectric or metal is continued by one reflected ray,
+traced once the materials are known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..transport.gather import GatherRays, Origins
+from ..transport.sampling import ggx_directions
+from ..transport.tracer import Tracer
+from ..transport.transport import ESCAPED, Transport, facing_normals, find_patches
+from .specular_weights import visible_normal_weights
+
+
+@dataclass(frozen=True)
+class GlossyBounce:
+    """Reflected continuations of gather rays, k of them.
+
+    Attributes:
+        n_rows: patches, seen and unseen.
+        row: (k,) int32 patch that gathers.
+        weight: (k, 3) float32 specular reflectance of the bounce over the number of the row's rays.
+        target: (k,) int32 patch hit, UNKNOWN or ESCAPED.
+        face: (k,) int32 face hit, -1 where escaped.
+    """
+
+    n_rows: int
+    row: NDArray[np.int32]
+    weight: NDArray[np.float32]
+    target: NDArray[np.int32]
+    face: NDArray[np.int32]
+
+    def gather_radiance(
+        self, radiance: NDArray[np.floating], unknown: NDArray[np.floating], emitter_faces: NDArray[np.bool_]
+    ) -> NDArray[np.float32]:
+        """(N, 3) irradiance / pi that the bounces carry from other patches; emitters are counted elsewhere."""
+        table = np.concatenate([radiance, unknown[None], np.zeros((1, 3))]).astype(np.float32)
+        n = len(radiance)
+        dark = (self.target == ESCAPED) | ((self.face >= 0) & emitter_faces[self.face])
+        index = np.where(dark, n + 1, np.where(self.target < 0, n, self.target))
+        carried = self.weight * table[index]
+        return np.stack([np.bincount(self.row, carried[:, c], self.n_rows) for c in range(3)], -1).astype(np.float32)
+
+    def form_factors(self, emitters: Sequence[NDArray[np.integer]], n_faces: int) -> NDArray[np.float32]:
+        """(N, E) share of each emitter's radiance that the bounces carry, mean over channels."""
+        label = np.full(n_faces + 1, -1, np.int64)
+        for index, faces in enumerate(emitters):
+            label[faces] = index
+        hit = label[np.where(self.face >= 0, self.face, n_faces)]
+        on = hit >= 0
+        flat = self.row[on].astype(np.int64) * len(emitters) + hit[on]
+        total = np.bincount(flat, self.weight[on].mean(1), self.n_rows * len(emitters))
+        return total.reshape(self.n_rows, len(emitters)).astype(np.float32)
+
+
+def trace_glossy_bounce(
+    tracer: Tracer,
+    transport: Transport,
+    parts: NDArray[np.int32],
+    roughness: NDArray[np.floating],
+    specular_color: NDArray[np.floating],
+    glossy: NDArray[np.bool_],
+    rng: np.random.Generator,
+) -> GlossyBounce:
+    """Continue every gather ray that ends on a glossy part.
+
+    Args:
+        parts: (F,) part per face.
+        roughness: (n_parts,) Principled roughness.
+        specular_color: (n_parts, 3) reflectance at normal incidence: 0.04, or a metal's colour.
+        glossy: (n_parts,) bool, parts on which paths go on.
+    """
+    pieces = []
+    for start, origins, rays in (
+        (0, transport.origins, transport.rays),
+        (transport.n_seen, transport.unseen_origins, transport.unseen_rays),
+    ):
+        row, column = np.nonzero((rays.face >= 0) & glossy[parts[rays.face]])
+        for rows in np.array_split(np.arange(len(row)), max(1, len(row) >> 19)):
+            piece = _continue_rays(
+                tracer, transport, parts, roughness, specular_color, origins, rays, row[rows], column[rows], rng
+            )
+            pieces.append((piece[0] + start, *piece[1:]))
+    columns = [np.concatenate(column) for column in zip(*pieces, strict=True)]
+    return GlossyBounce(transport.n_patches, columns[0].astype(np.int32), *columns[1:])
+
+
+def _continue_rays(
+    tracer: Tracer,
+    transport: Transport,
+    parts: NDArray[np.int32],
+    roughness: NDArray[np.floating],
+    specular_color: NDArray[np.floating],
+    origins: Origins,
+    rays: GatherRays,
+    row: NDArray[np.integer],
+    column: NDArray[np.integer],
+    rng: np.random.Generator,
+) -> tuple[NDArray[np.integer], NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
+    direction = rays.direction[row, column].astype(np.float32)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    face = rays.face[row, column]
+    start = origins.position[row, column % origins.position.shape[1]]
+    normal = facing_normals(tracer, face, direction)
+    point = start + direction * rays.distance[row, column][:, None] + 4 * tracer.epsilon * normal
+    part = parts[face]
+    alpha = np.maximum(roughness[part], 0.05).astype(np.float32) ** 2
+    reflected, half_cosine = ggx_directions(normal, -direction, alpha, rng.random((len(row), 2), np.float32))
+    weight0, weight1, above = visible_normal_weights(normal, reflected, half_cosine, alpha)
+    hits = tracer.closest(point, np.where(above[:, None], reflected, normal))
+    end = point + reflected * np.where(hits.face >= 0, hits.distance, 0)[:, None]
+    target = find_patches(tracer, transport.grids, parts, hits.face, end, reflected)
+    weight = specular_color[part] * weight0[:, None] + weight1[:, None]
+    return row, (weight / rays.face.shape[1]).astype(np.float32), target, hits.face
