@@ -13,7 +13,7 @@ FaceMap = NDArray[np.int64]
 
 
 def with_geometry(mesh: Mesh, vertices: NDArray[np.float64], faces: NDArray[np.int64], old: FaceMap) -> Mesh:
-    """``mesh`` with other triangles, whose parts are those of the ``old`` faces (n,) they come from; UVs are dropped."""
+    """``mesh`` with other triangles and the parts of the ``old`` faces (n,) they come from; UVs are dropped."""
     parts = None if mesh.parts is None else mesh.parts[old]
     return replace(mesh, vertices=vertices, faces=faces, uv=None, parts=parts)
 
@@ -44,7 +44,7 @@ def subdivide_edges(mesh: Mesh, longest: float) -> tuple[Mesh, FaceMap]:
 
 
 def _refine(faces: NDArray[np.int64], middle: NDArray[np.int64]) -> tuple[NDArray[np.int64], FaceMap]:
-    """Faces cut at ``middle`` (n, 3), the vertex in the middle of edge k, k + 1, or -1; and the parent of each piece."""
+    """Faces cut at ``middle`` (n, 3), the vertex inside edge k, k + 1 or -1; and the parent of each piece."""
     cuts = (middle >= 0).sum(1)
     # Turn each face so that its cut edges come first.
     first = np.where(cuts == 1, (middle >= 0).argmax(1), np.where(cuts == 2, ((middle < 0).argmax(1) + 1) % 3, 0))

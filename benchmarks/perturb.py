@@ -62,13 +62,30 @@ AXES: Mapping[str, Axis] = {
     axis.name: axis
     for axis in (
         Axis("exposure", "all exposures raised", "stops", (0, 1, 2, 3, 4), _p.raise_exposure),
-        Axis("white_balance", "white balance drift per photo", "stops rms", (0, 0.1, 0.2, 0.4, 0.8), _p.drift_white_balance),
+        Axis(
+            "white_balance",
+            "white balance drift per photo",
+            "stops rms",
+            (0, 0.1, 0.2, 0.4, 0.8),
+            _p.drift_white_balance,
+        ),
         Axis("tone_mapping", "local tone mapping", "strength", (0, 0.15, 0.3, 0.5, 0.7), _p.map_tones),
         Axis("response", "response away from the prior", "standard deviations", (0, 1, 2, 3, 4), _p.odd_response, True),
-        Axis("measured_response", "measured response (DoRF), by distance from their mean", "percentile",
-             (0, 25, 50, 75, 100), _p.measured_response, True),
-        Axis("exposure_noise", "error of the recorded exposures", "stops rms", (0, 0.125, 0.25, 0.5, 1, np.inf),
-             _c.misreport_exposures),
+        Axis(
+            "measured_response",
+            "measured response (DoRF), by distance from their mean",
+            "percentile",
+            (0, 25, 50, 75, 100),
+            _p.measured_response,
+            True,
+        ),
+        Axis(
+            "exposure_noise",
+            "error of the recorded exposures",
+            "stops rms",
+            (0, 0.125, 0.25, 0.5, 1, np.inf),
+            _c.misreport_exposures,
+        ),
         Axis("pose", "error of the poses", "cm and half degrees", (0, 0.25, 0.5, 1, 2), _c.shake_poses),
         Axis("photos", "photos", "number", (-1, 16, 12, 8, 4), _c.keep_photos),
         Axis("hidden_lamps", "photos of lamps left out", "share", (0, 0.25, 0.5, 0.75, 1), _c.drop_lamp_photos),
@@ -77,12 +94,26 @@ AXES: Mapping[str, Axis] = {
         Axis("decimation", "mesh simplified to cells of", "cm", (0, 2, 5, 10, 20), _g.cluster_vertices, True),
         Axis("density", "longest edge of the mesh", "cm", (-1, 20, 10, 5, 3), _g.subdivide, True),
         Axis("parts", "parts merged", "share", (0, 0.25, 0.5, 0.75, 1), _g.merge_parts, True),
-        Axis("mask_eroded", "given mask: faces missing at its border", "share", (0, 0.2, 0.4, 0.6, 0.8), _m.erode, masks_only=True),
-        Axis("mask_dilated", "given mask: area added around it", "times its area", (0, 0.25, 0.5, 1, 2), _m.dilate, masks_only=True),
+        Axis(
+            "mask_eroded",
+            "given mask: faces missing at its border",
+            "share",
+            (0, 0.2, 0.4, 0.6, 0.8),
+            _m.erode,
+            masks_only=True,
+        ),
+        Axis(
+            "mask_dilated",
+            "given mask: area added around it",
+            "times its area",
+            (0, 0.25, 0.5, 1, 2),
+            _m.dilate,
+            masks_only=True,
+        ),
         Axis("mask_false", "given mask: false lamps", "number", (0, 1, 2, 4, 8), _m.add_false, masks_only=True),
         Axis("mask_missed", "given mask: lamps missed", "share", (0, 0.25, 0.5, 0.75, 1), _m.miss, masks_only=True),
     )
-}  # fmt: skip
+}
 
 
 def perturb(source: Path, axis: str, level: int, seed: int, out: Path) -> Perturbed:

@@ -1,4 +1,4 @@
-"""Runs and their records: one run is a capture, a configuration, a perturbation and a seed; its record is one JSON file.
+"""Runs and their records: a run is a capture, a configuration, a perturbation, a seed; its record is one JSON file.
 
 Every run has a process of its own, so that its peak memory is its own and a crash costs one point. A run whose record
 stands is not repeated: stop at any time and start again.
@@ -11,6 +11,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -63,35 +64,51 @@ def captures() -> list[Path]:
     return [path for path in (BUNDLED, *found) if path.is_dir()]
 
 
-def run_all(runs: Sequence[Run], folder: Path, progress: Progress) -> list[Record]:
+def run_all(runs: Sequence[Run], folder: Path, progress: Progress, jobs: int = 1) -> list[Record]:
     """Run what has no record in ``folder`` yet; returns the records of ``runs`` in their order.
 
-    A run that fails leaves no record but a line in the returned list with "error"; the next call tries it again.
+    A run that fails leaves no record but an entry with "error" in the returned list; the next call tries it again.
+
+    Args:
+        jobs: runs at a time. More than one spoils the seconds in the records, not the scores.
     """
-    records = []
-    with progress.stage("runs"):
-        for index, run in enumerate(runs):
-            progress.update(index / max(len(runs), 1), run.key)
-            records.append(run_once(run, folder))
-            if "error" in records[-1]:
-                progress.update(index / len(runs), f"{run.key}: {records[-1]['error']}")
-    return records
+    records: dict[int, Record] = {}
+    with progress.stage("runs"), ThreadPoolExecutor(jobs) as pool:
+        waiting = {pool.submit(run_once, run, folder): index for index, run in enumerate(runs)}
+        try:
+            for done in as_completed(waiting):
+                records[waiting[done]] = record = done.result()
+                key, said = runs[waiting[done]].key, record.get("error", "")
+                progress.update(len(records) / len(runs), f"{key}: {said}" if said else key)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return [records[index] for index in range(len(runs))]
 
 
 def run_once(run: Run, folder: Path) -> Record:
     """The record of ``run``, read back or made in a new process."""
     path = folder / f"{run.key}.json"
+    if path.is_file() and read_json(path).get("run") != asdict(run):
+        path.unlink()  # measured with other settings
+    error = run_isolated("benchmarks.worker", path, [json.dumps(asdict(run))])
+    return read_json(path) if error is None else {"run": asdict(run), "error": error}
+
+
+def run_isolated(module: str, path: Path, arguments: Sequence[str]) -> str | None:
+    """Let ``python -m module RECORD_FILE arguments`` write the record at ``path``, unless it stands.
+
+    Returns:
+        None, or the last line the process said when it failed.
+    """
     if path.is_file():
-        known = read_json(path)
-        if known.get("run") == asdict(run):
-            return known
-    command = [sys.executable, "-m", "benchmarks.worker", json.dumps(asdict(run)), str(path.resolve())]
+        return None
+    command = [sys.executable, "-m", module, str(path.resolve()), *arguments]
     process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     if process.returncode == 0 and path.is_file():
-        return read_json(path)
+        return None
     said = [line for line in process.stderr.splitlines() if line.strip()]
-    error = said[-1] if said else f"ended with code {process.returncode}"
-    return {"run": asdict(run), "error": error.removeprefix("error: ")}
+    return said[-1].removeprefix("error: ") if said else f"ended with code {process.returncode}"
 
 
 def read_records(folder: Path) -> list[Record]:

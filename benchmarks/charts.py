@@ -1,0 +1,228 @@
+"""Charts as PNG and SVG, legible at the width of a README and without telling colours apart.
+
+Colours are those of Okabe and Ito (2008); every series also has a marker of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+GREY = "#595959"
+STYLE = {
+    "font.size": 12,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#d9d9d9",
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+    "svg.fonttype": "none",  # text stays text
+    "svg.hashsalt": "iris",  # the same chart gives the same file
+}
+
+
+@dataclass(frozen=True)
+class Points:
+    """One method: where it stands after how long.
+
+    Attributes:
+        seconds, value: mean over seeds, (n,); connected in this order if ``line``.
+        spread: (n, 2) least and largest value over seeds.
+        labels: text beside each point.
+    """
+
+    name: str
+    seconds: Sequence[float]
+    value: Sequence[float]
+    spread: Sequence[tuple[float, float]] = ()
+    labels: Sequence[str] = ()
+    line: bool = False
+
+
+@dataclass(frozen=True)
+class Published:
+    """A published figure: of other rooms and another machine, hence a mark and not a point."""
+
+    name: str
+    seconds: float
+    value: float
+    machine: str
+
+
+# Mean of the four FIPT rooms; see docs/benchmarks.md for the sources.
+PUBLISHED = {
+    "kd_psnr": (
+        Published("IRIS", 57 * 60, 22.33, "RTX 4090"),
+        Published("FIPT, HDR input", 50 * 60, 29.95, "RTX 4090"),
+        Published("FIPT-LDR*", 50 * 60, 15.49, "RTX 4090"),
+        Published("NeILF", 298 * 60, 16.85, "RTX 4090"),
+    ),
+    "relight_psnr": (
+        Published("IRIS", 57 * 60, 22.86, "RTX 4090"),
+        Published("FIPT, HDR input", 50 * 60, 29.01, "RTX 4090"),
+        Published("FIPT-LDR*", 50 * 60, 11.63, "RTX 4090"),
+    ),
+}
+AXIS_NAMES = {
+    "kd_psnr": "diffuse albedo, PSNR in dB",
+    "relight_psnr": "relit room, PSNR in dB",
+    "emission_log_l2": "emission, log L2 error",
+}
+
+
+def pareto_front(seconds: Sequence[float], value: Sequence[float]) -> list[int]:
+    """Indices of the points that no other point beats in both time and value, fastest first."""
+    best, front = -np.inf, []
+    for index in np.lexsort((-np.asarray(value), np.asarray(seconds))):
+        if np.isfinite(value[index]) and value[index] > best:
+            best = value[index]
+            front.append(int(index))
+    return front
+
+
+def speed_against_accuracy(panels: Mapping[str, Sequence[Points]], *, title: str, caption: str) -> Figure:
+    """One panel per metric: seconds on a log axis against the metric, the Pareto front over all that was measured."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(6.4 * len(panels), 5.4), layout="constrained")
+        for column, (metric, methods) in enumerate(panels.items()):
+            axes = figure.add_subplot(1, len(panels), column + 1)
+            _speed_panel(axes, metric, methods)
+        handles, labels = figure.axes[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)), fontsize=11)
+        figure.suptitle(title, fontsize=14)
+        figure.supxlabel(f"seconds, whole solve\n{caption}", fontsize=11)
+    return figure
+
+
+def _speed_panel(axes: Axes, metric: str, methods: Sequence[Points]) -> None:
+    everything = [(t, v) for method in methods for t, v in zip(method.seconds, method.value, strict=True)]
+    for index, method in enumerate(methods):
+        color, marker = OKABE_ITO[index % 8], MARKERS[index % 8]
+        axes.plot(
+            method.seconds,
+            method.value,
+            marker=marker,
+            markersize=9,
+            color=color,
+            linestyle="-" if method.line else "none",
+            markeredgecolor="white",
+            label=method.name,
+            zorder=3,
+        )
+        for t, (low, high) in zip(method.seconds, method.spread, strict=False):
+            axes.plot([t, t], [low, high], color=color, linewidth=2, zorder=2)
+        for t, v, text in zip(method.seconds, method.value, method.labels, strict=False):
+            axes.annotate(text, (t, v), xytext=(7, 5), textcoords="offset points", fontsize=10, color=GREY)
+    if everything:
+        seconds, value = (list(column) for column in zip(*everything, strict=True))
+        front = pareto_front(seconds, value)
+        axes.step(
+            [seconds[k] for k in front],
+            [value[k] for k in front],
+            where="post",
+            color=GREY,
+            linewidth=1.2,
+            linestyle=":",
+            label="Pareto front",
+            zorder=1,
+        )
+    axes.set_xscale("log")
+    _published(axes, PUBLISHED.get(metric, ()))
+    axes.set_ylabel(AXIS_NAMES.get(metric, metric))
+
+
+def _published(axes: Axes, figures: Sequence[Published]) -> None:
+    """Published figures as dashed lines up to the time they took, named at that end."""
+    for figure in figures:
+        axes.axhline(figure.value, color=GREY, linewidth=0.9, linestyle=(0, (5, 4)), zorder=0)
+        minutes = f"{figure.seconds / 60:.0f} min, {figure.machine}"
+        axes.plot([figure.seconds], [figure.value], marker="|", color=GREY, markersize=12)
+        axes.annotate(
+            f"{figure.name} ({minutes}, other rooms)",
+            (0.01, figure.value),
+            xycoords=("axes fraction", "data"),
+            xytext=(0, 3),
+            textcoords="offset points",
+            fontsize=9,
+            color=GREY,
+        )
+
+
+# ---- sweeps --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One method along one axis.
+
+    Attributes:
+        values: (levels, seeds) of a metric, NaN where a run failed.
+        failure: index of the first level that counts as failed, or None.
+    """
+
+    name: str
+    values: np.ndarray
+    failure: int | None
+
+
+def stability(panels: Mapping[str, Sequence[Sweep]], ticks: Sequence[str], *, title: str, x_label: str) -> Figure:
+    """One panel per metric: mean over seeds with the span of the seeds shaded, the failure point circled."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(4.4 * len(panels), 4.2), layout="constrained")
+        for column, (metric, sweeps) in enumerate(panels.items()):
+            axes = figure.add_subplot(1, len(panels), column + 1)
+            for index, sweep in enumerate(sweeps):
+                _sweep(axes, sweep, OKABE_ITO[index], MARKERS[index])
+            axes.set_xticks(range(len(ticks)), ticks)
+            axes.set_ylabel(AXIS_NAMES.get(metric, metric))
+        handles, labels = figure.axes[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=3)
+        figure.suptitle(title, fontsize=13)
+        figure.supxlabel(x_label, fontsize=12)
+    return figure
+
+
+def _sweep(axes: Axes, sweep: Sweep, color: str, marker: str) -> None:
+    levels = np.flatnonzero(np.isfinite(sweep.values).any(1))
+    mean, low, high = (f(sweep.values[levels], axis=1) for f in (np.nanmean, np.nanmin, np.nanmax))
+    axes.fill_between(levels, low, high, color=color, alpha=0.2, linewidth=0)
+    axes.plot(levels, mean, color=color, marker=marker, label=sweep.name)
+    if sweep.failure is not None and sweep.failure in levels:
+        at = int(np.flatnonzero(levels == sweep.failure)[0])
+        axes.plot(
+            [sweep.failure], [mean[at]], marker="o", markersize=18, color=color, fillstyle="none", markeredgewidth=1.8
+        )
+
+
+def scaling(panels: Mapping[str, Mapping[str, tuple[Sequence[float], Sequence[float]]]], *, title: str) -> Figure:
+    """One panel per quantity: cost against size on log axes, one line per sweep, its slope in the legend."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(4.8 * len(panels), 4.4), layout="constrained")
+        for column, (quantity, lines) in enumerate(panels.items()):
+            axes = figure.add_subplot(1, len(panels), column + 1)
+            for index, (name, (x, y)) in enumerate(lines.items()):
+                axes.plot(x, y, color=OKABE_ITO[index % 8], marker=MARKERS[index % 8], label=name)
+            axes.set_xscale("log")
+            axes.set_yscale("log")
+            axes.set_ylabel(quantity)
+            axes.legend(fontsize=9)
+        figure.suptitle(title, fontsize=13)
+    return figure
+
+
+def save(figure: Figure, stem: Path) -> None:
+    """Write ``stem``.png, 1280 pixels wide or more, and ``stem``.svg."""
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(stem.with_suffix(".png"), dpi=110, metadata={"Software": None})
+    with mpl.rc_context(STYLE):
+        figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None})

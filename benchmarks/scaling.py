@@ -1,0 +1,102 @@
+"""Cost against size: seconds, memory and rays over triangles, photos and photo size; slopes on log axes.
+
+    python -m benchmarks.scaling [CAPTURE] [--preset balanced] [--out docs/bench_scaling]
+
+How captures of other sizes are made: :mod:`benchmarks.scaling_worker`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from iris_addon.config import PRESETS
+from iris_addon.progress import Progress, console
+from iris_addon.result.json_files import read_json
+
+from . import charts, machine, tables
+from .runs import BUNDLED, run_isolated
+
+SWEEPS: dict[str, tuple[str, tuple[int, ...]]] = {
+    "triangles": ("triangles", (10_000, 30_000, 100_000, 300_000, 1_000_000)),
+    "photos": ("photos", (8, 16, 32, 75, 150, 300)),
+    "pixels": ("pixels of all photos", (80, 160, 320, 640, 1280)),
+}
+"""What is swept: its name in the chart, and the sizes asked for (of a photo: its width)."""
+EXTRAPOLATED_TRIANGLES = 10_000_000
+
+
+def summarise(records: Sequence[dict[str, Any]], out: Path) -> str:
+    """Charts, slopes, and the cost of ten million triangles on paper."""
+    panels: dict[str, dict[str, tuple[list[float], list[float]]]] = {
+        "seconds": {},
+        "memory, GiB": {},
+        "million rays": {},
+    }
+    stages: dict[str, tuple[list[float], list[float]]] = {}
+    for sweep, (label, _) in SWEEPS.items():
+        own = sorted((r for r in records if r["run"]["sweep"] == sweep), key=lambda r: r["actual_size"])
+        if len(own) < 2:
+            continue
+        x = [float(r["actual_size"]) for r in own]
+        for quantity, y in (
+            ("seconds", [r["seconds_total"] for r in own]),
+            ("memory, GiB", [r["peak_memory_bytes"] / 2**30 for r in own]),
+            ("million rays", [r["rays_traced"] / 1e6 for r in own]),
+        ):
+            panels[quantity][f"{label}, slope {tables.loglog_slope(x, y):.2f}"] = (x, y)
+        if sweep == "triangles":
+            stages = {s: (x, [max(r["seconds"].get(s, 0.0), 1e-2) for r in own]) for s in own[0]["seconds"]}
+    charts.save(charts.scaling(panels, title="Cost of a solve against the size of its input"), out / "scaling")
+    lines = [f"Measured on {machine.name()}.\n"]
+    lines += [f"- {quantity}: {name}" for quantity, found in panels.items() for name in found]
+    if stages:
+        lines += ["", *_extrapolate(stages)]
+    return "\n".join(lines) + "\n"
+
+
+def _extrapolate(stages: dict[str, tuple[list[float], list[float]]]) -> list[str]:
+    """Seconds per stage at ten million triangles by the slope of the upper half, and the stage that limits."""
+    expected, body = {}, []
+    for stage, (x, y) in stages.items():
+        upper = slice(len(x) // 2 if len(x) > 3 else 0, None)
+        slope = tables.loglog_slope(x[upper], y[upper])
+        expected[stage] = y[-1] * (EXTRAPOLATED_TRIANGLES / x[-1]) ** max(slope, 0.0)
+        body.append([stage, f"{y[-1]:.1f}", f"{slope:.2f}", f"{expected[stage]:.0f}"])
+    limiting = max(expected, key=lambda stage: expected[stage])
+    last = next(iter(stages.values()))[0][-1]
+    header = ["stage", f"seconds at {last:.0f} triangles", "slope", "seconds at 10⁷, extrapolated"]
+    return [tables.markdown(header, body), f"Limiting stage at 10⁷ triangles: {limiting}."]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("capture", type=Path, nargs="?", default=BUNDLED)
+    parser.add_argument("--preset", choices=list(PRESETS), default="balanced")
+    parser.add_argument("--sweeps", nargs="+", choices=list(SWEEPS), default=list(SWEEPS))
+    parser.add_argument("--largest", type=int, default=1_000_000, help="leave out sizes above this")
+    parser.add_argument("--out", type=Path, default=machine.ROOT / "docs" / "bench_scaling")
+    args = parser.parse_args(arguments)
+    sizes = [(sweep, size) for sweep in args.sweeps for size in SWEEPS[sweep][1] if size <= args.largest]
+    progress, records = Progress(console()), []
+    with progress.stage("runs"):
+        for index, (sweep, size) in enumerate(sizes):
+            progress.update(index / len(sizes), f"{size} {sweep}")
+            path = args.out / "records" / f"{args.capture.name}.{sweep}.{size}.{args.preset}.json"
+            error = run_isolated("benchmarks.scaling_worker", path, [str(args.capture), sweep, str(size), args.preset])
+            if error is None:
+                records.append(read_json(path))
+            else:
+                progress.update(index / len(sizes), f"{size} {sweep}: {error}")
+    text = summarise(records, args.out)
+    (args.out / "summary.md").write_text(text, encoding="utf-8")
+    print(text)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

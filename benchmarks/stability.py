@@ -1,0 +1,149 @@
+"""Stability where methods fail: every axis of :mod:`benchmarks.perturb`, ours against the IRIS-like configuration.
+
+    python -m benchmarks.stability [CAPTURE] [--axes NAME ...] [--seeds 3] [--jobs 2] [--out docs/bench_stability]
+
+Runs are at ``draft``. A run that has a record in OUT/records is not repeated: stop at any time and start again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from iris_addon.progress import Progress, console
+
+from . import charts, machine, tables
+from .perturb import AXES, Axis, axis_applies
+from .runs import BUNDLED, Record, Run, flat, run_all, write_csv
+
+METHODS = ("ours", "iris-like")
+METRICS = ("kd_psnr", "relight_psnr", "emission_log_l2")
+SAMPLES = 8
+"""Per pixel of the relit pictures; they are denoised, and a sweep looks for decibels, not for hundredths."""
+
+Values = dict[tuple[str, str, str], NDArray[np.float64]]
+"""(axis, method, metric) to (levels, seeds)."""
+
+
+def planned(capture: Path, axes: Sequence[str], seeds: int) -> list[Run]:
+    """All runs; the capture as it is comes first and is shared by all axes."""
+
+    def run(method: str, seed: int, axis: str = "", level: int = 0) -> Run:
+        return Run(str(capture), method, "draft", seed, axis, level, "relight", SAMPLES, warm=True)
+
+    runs = [run(method, seed) for seed in range(seeds) for method in METHODS]
+    for seed in range(seeds):
+        for name in axes:
+            # Who searches for lamps does not look at a mask, so its line is flat and costs no run.
+            methods = METHODS[1:] if AXES[name].masks_only else METHODS
+            runs += [run(m, seed, name, level) for level in range(1, len(AXES[name].levels)) for m in methods]
+    return runs
+
+
+def collect(records: Sequence[Record], axes: Sequence[str], seeds: int) -> Values:
+    """Metrics by axis, method, level and seed; NaN where a run failed."""
+    rows = {}
+    for record in records:
+        row = flat(record)
+        rows[row["axis"], row["configuration"], row["level"], row["seed"]] = row
+    values = {}
+    for name in axes:
+        for method in METHODS:
+            flat_line = AXES[name].masks_only and method == METHODS[0]
+            for metric in METRICS:
+                table = np.full((len(AXES[name].levels), seeds), np.nan)
+                for level in range(len(table)):
+                    for seed in range(seeds):
+                        at = ("", method, 0, seed) if level == 0 or flat_line else (name, method, level, seed)
+                        found = rows.get(at, {}).get(metric)
+                        table[level, seed] = np.nan if found is None else found
+                values[name, method, metric] = table
+    return values
+
+
+def failure(values: Values, axis: str, method: str) -> int | None:
+    """First level where diffuse albedo or relighting is 3 dB below the capture as it is, or every seed fails."""
+    both = [tables.failure_level(values[axis, method, metric]) for metric in METRICS[:2]]
+    return min((level for level in both if level is not None), default=None)
+
+
+def write(values: Values, axes: Sequence[str], out: Path, notes: Mapping[str, str]) -> None:
+    """A chart per axis and the summary table, hardest axes for ours first."""
+    rows = []
+    for name in axes:
+        axis = AXES[name]
+        if all(np.isnan(values[name, method, metric][1:]).all() for method in METHODS for metric in METRICS):
+            continue
+        charts.save(_chart(values, axis), out / name)
+        lost = {
+            (method, metric): _mean(values[name, method, metric][0]) - _mean(values[name, method, metric][-1])
+            for method in METHODS
+            for metric in METRICS[:2]
+        }
+        rows.append((lost[METHODS[0], METRICS[1]], [axis.title, *_cells(values, axis, lost)]))
+    rows.sort(key=lambda row: -np.nan_to_num(row[0], nan=np.inf))
+    header = ["axis"]
+    for method in METHODS:
+        header += [f"{method} fails at", "kd lost, dB", "relight lost, dB"]
+    text = tables.markdown(header, [row for _, row in rows])
+    text += f"\nMeasured on {machine.name()}. Fails at: the first level where kd or relight PSNR falls by more than "
+    text += f"{tables.FAILURE_DB:g} dB; lost: at the hardest level.\n"
+    text += "".join(f"\n- {AXES[name].title}: left out, {why}" for name, why in notes.items())
+    (out / "summary.md").write_text(text + "\n", encoding="utf-8")
+
+
+def _cells(values: Values, axis: Axis, lost: Mapping[tuple[str, str], float]) -> list[str]:
+    cells = []
+    for method in METHODS:
+        level = failure(values, axis.name, method)
+        cells.append(
+            "never" if level is None else f"{axis.label(level)} {axis.unit}".replace("unknown stops rms", "unknown")
+        )
+        cells += [
+            f"{lost[method, metric]:.1f}" if np.isfinite(lost[method, metric]) else "fails" for metric in METRICS[:2]
+        ]
+    return cells
+
+
+def _mean(row: NDArray[np.float64]) -> float:
+    return float(np.nanmean(row)) if np.isfinite(row).any() else float("nan")
+
+
+def _chart(values: Values, axis: Axis) -> charts.Figure:
+    panels = {
+        metric: [
+            charts.Sweep(method, values[axis.name, method, metric], failure(values, axis.name, method))
+            for method in METHODS
+            if np.isfinite(values[axis.name, method, metric]).any()
+        ]
+        for metric in METRICS
+    }
+    ticks = [axis.label(level) for level in range(len(axis.levels))]
+    return charts.stability(panels, ticks, title=axis.title, x_label=f"{axis.unit}   (○ failure point, shaded: seeds)")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("capture", type=Path, nargs="?", default=BUNDLED)
+    parser.add_argument("--axes", nargs="+", choices=sorted(AXES), default=list(AXES), metavar="NAME")
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--jobs", type=int, default=2, help="runs at a time")
+    parser.add_argument("--out", type=Path, default=machine.ROOT / "docs" / "bench_stability")
+    args = parser.parse_args(arguments)
+    reasons = {name: why for name in args.axes if (why := axis_applies(name, args.capture)) is not None}
+    axes = [name for name in args.axes if name not in reasons]
+    progress = Progress(console())
+    records = run_all(planned(args.capture, axes, args.seeds), args.out / "records", progress, args.jobs)
+    write_csv(args.out / "records.csv", records)
+    write(collect(records, axes, args.seeds), axes, args.out, reasons)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
