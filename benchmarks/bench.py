@@ -18,7 +18,7 @@ from iris_addon.progress import Progress, console
 from . import charts, machine, tables
 from .configurations import CONFIGURATIONS
 from .peer_mitsuba import snapshot_records
-from .runs import METRICS, Record, Run, captures, read_records, run_all, write_csv
+from .runs import METRICS, Record, Run, captures, read_records, relative, run_all, write_csv
 
 PEER_PRESET = "balanced"
 CHARTED = ("kd_psnr", "relight_psnr")
@@ -32,9 +32,9 @@ def planned(folders: Sequence[Path], seeds: int, samples: int) -> list[Run]:
     runs = []
     for folder in folders:
         for seed in range(seeds):
-            runs += [Run(str(folder), "ours", name, seed, samples=samples) for name in PRESETS]
+            runs += [Run(relative(folder), "ours", name, seed, samples=samples) for name in PRESETS]
             peers = [name for name in CONFIGURATIONS if name != "ours"]
-            runs += [Run(str(folder), name, PEER_PRESET, seed, samples=samples) for name in peers]
+            runs += [Run(relative(folder), name, PEER_PRESET, seed, samples=samples) for name in peers]
     return runs
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Iterable, Sequence
@@ -33,7 +34,7 @@ class Run:
     """One measurement.
 
     Attributes:
-        capture: folder.
+        capture: folder, relative to the repository.
         configuration: name in :data:`benchmarks.configurations.CONFIGURATIONS`.
         axis, level: perturbation of the capture; "" for none, and the index of its level.
         scored: "maps" renders nothing, "relight" renders the relighting references, "all" everything.
@@ -62,6 +63,11 @@ def captures() -> list[Path]:
     """The bundled capture and those of the shared folder that are there."""
     found = sorted(p for p in SHARED_CAPTURES.glob("*") if p.is_dir()) if SHARED_CAPTURES.is_dir() else []
     return [path for path in (BUNDLED, *found) if path.is_dir()]
+
+
+def relative(capture: Path) -> str:
+    """How records name a capture: relative to the repository, where every run starts."""
+    return Path(os.path.relpath(capture, ROOT)).as_posix()
 
 
 def run_all(runs: Sequence[Run], folder: Path, progress: Progress, jobs: int = 1) -> list[Record]:

@@ -18,7 +18,7 @@ from iris_addon.progress import Progress, console
 from iris_addon.result.json_files import read_json
 
 from . import charts, machine, tables
-from .runs import BUNDLED, run_isolated
+from .runs import BUNDLED, relative, run_isolated
 
 SWEEPS: dict[str, tuple[str, tuple[int, ...]]] = {
     "triangles": ("triangles", (10_000, 30_000, 100_000, 300_000, 1_000_000)),
@@ -87,7 +87,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for index, (sweep, size) in enumerate(sizes):
             progress.update(index / len(sizes), f"{size} {sweep}")
             path = args.out / "records" / f"{args.capture.name}.{sweep}.{size}.{args.preset}.json"
-            error = run_isolated("benchmarks.scaling_worker", path, [str(args.capture), sweep, str(size), args.preset])
+            error = run_isolated(
+                "benchmarks.scaling_worker", path, [relative(args.capture), sweep, str(size), args.preset]
+            )
             if error is None:
                 records.append(read_json(path))
             else:

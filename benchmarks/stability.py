@@ -19,7 +19,7 @@ from iris_addon.progress import Progress, console
 
 from . import charts, machine, tables
 from .perturb import AXES, Axis, axis_applies
-from .runs import BUNDLED, Record, Run, flat, run_all, write_csv
+from .runs import BUNDLED, Record, Run, flat, relative, run_all, write_csv
 
 METHODS = ("ours", "iris-like")
 METRICS = ("kd_psnr", "relight_psnr", "emission_log_l2")
@@ -34,7 +34,7 @@ def planned(capture: Path, axes: Sequence[str], seeds: int) -> list[Run]:
     """All runs; the capture as it is comes first and is shared by all axes."""
 
     def run(method: str, seed: int, axis: str = "", level: int = 0) -> Run:
-        return Run(str(capture), method, "draft", seed, axis, level, "relight", SAMPLES, warm=True)
+        return Run(relative(capture), method, "draft", seed, axis, level, "relight", SAMPLES, warm=True)
 
     runs = [run(method, seed) for seed in range(seeds) for method in METHODS]
     for seed in range(seeds):

@@ -1,0 +1,394 @@
+"""Peer: differentiable path tracing with Mitsuba 3 (path replay backpropagation, Vicini et al. 2021).
+
+    python -m benchmarks.peer_mitsuba RECORD CAPTURE [--seconds 30 60 ... 1200] [--tune]
+
+Base colour and roughness on our texture atlas and the radiance of every lamp, by Adam on the squared error of the
+photos. It is given what our solver has to find: the true response, the true exposures, the true faces of the lamps. One
+random photo per step; the reported seconds start before the first step and contain compiling, not scoring.
+
+Limits: metallic stays zero, no light from outside the mesh, texels that no photo sees keep their first value.
+
+Mitsuba's LLVM variant needs a libLLVM of version 16 or newer; DRJIT_LIBLLVM_PATH names it where it is not found.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from iris_addon.capture import load_photo, read_capture
+from iris_addon.capture.types import Camera, Capture
+from iris_addon.errors import BadInput, IrisError, SolverEnvironmentMissing
+from iris_addon.evaluate.ground_truth import read_ground_truth
+from iris_addon.progress import Progress
+from iris_addon.response.curve import N_SAMPLES, Response
+from iris_addon.result.json_files import read_json
+from iris_addon.result.types import Emitter, Result, Textures
+from iris_addon.surface.atlas import build_atlas, texel_density_from_footprint
+from iris_addon.surface.parts import initial_parts
+from iris_addon.surface.samples import trace_pixels
+from iris_addon.transport.tracer import Tracer
+
+from . import machine
+from .configurations import true_emitters
+from .runs import Record, Run, relative, run_isolated, save_record
+
+NAME = "mitsuba-prb"
+VARIANTS = ("cuda_ad_rgb", "llvm_ad_rgb")
+SNAPSHOTS = (30, 60, 120, 300, 600, 1200)
+ATLAS_SIZE = 1024
+BOUNCES = 6
+SAMPLES = 16
+TWO_SIDES = 2e-4
+"""Metres between a lamp's front and back: Mitsuba's area lights shine to one side, the lamps of a capture to both."""
+TUNED_TEXTURE_RATES = (0.005, 0.02, 0.05)
+TUNED_LAMP_RATES = (0.02, 0.05, 0.1)
+TUNING_SECONDS = 60
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Step sizes of Adam; they fall as 1 / sqrt(1 + t / decay), which needs no end to be known.
+
+    Attributes:
+        texture: of base colour and roughness, in [0, 1].
+        lamp: of log radiance.
+        decay: seconds.
+    """
+
+    texture: float = 0.02
+    lamp: float = 0.05
+    decay: float = 60.0
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What Mitsuba is given.
+
+    Attributes:
+        uv: (F, 3, 2) of our atlas, v up.
+        lamps: faces of each true lamp.
+        photos: (V, H, W, 3) display values; exposures (V,).
+    """
+
+    capture: Capture
+    uv: NDArray[np.float32]
+    lamps: list[NDArray[np.int64]]
+    photos: NDArray[np.float32]
+    exposures: NDArray[np.float64]
+    response: Response
+
+    @staticmethod
+    def read(folder: Path) -> Problem:
+        """The capture with the truths this peer is told; raises BadInput where they are not recorded."""
+        capture, truth = read_capture(folder), read_ground_truth(folder)
+        if truth is None or truth.response is None or not capture.exposures_known:
+            raise BadInput("records no response or no exposures", "this peer has to be told them", folder)
+        samples = trace_pixels(Tracer(capture.mesh), [view.camera for view in capture.views], 1, Progress())
+        density = texel_density_from_footprint(samples.face, samples.footprint, len(capture.mesh.faces))
+        return Problem(
+            capture,
+            build_atlas(capture.mesh, density, ATLAS_SIZE),
+            [np.arange(first, last) for first, last in true_emitters(folder)],
+            np.stack([load_photo(view).values for view in capture.views]),
+            np.array([view.exposure for view in capture.views], np.float64),
+            truth.response,
+        )
+
+
+def load_mitsuba() -> Any:
+    """The module mitsuba with the fastest variant that runs here; raises SolverEnvironmentMissing."""
+    if "DRJIT_LIBLLVM_PATH" not in os.environ:
+        found = sorted(Path("/usr/lib").glob("*/libLLVM*.so.[12][0-9]*"), key=lambda p: p.name)
+        if found:
+            os.environ["DRJIT_LIBLLVM_PATH"] = str(found[-1])
+    try:
+        import mitsuba as mi
+
+        mi.set_variant(*VARIANTS)
+    except (ImportError, AttributeError) as error:
+        raise SolverEnvironmentMissing(
+            f"Mitsuba 3 does not run here ({error})", "install mitsuba and libllvm19 as docs/benchmarks.md says"
+        ) from error
+    return mi
+
+
+# ---- the scene -----------------------------------------------------------------------------------------------------
+
+
+def make_scene(mi: Any, problem: Problem) -> tuple[Any, list[Any]]:
+    """Room and lamps as a Mitsuba scene, and a sensor per photo."""
+    mesh, faces = problem.capture.mesh, problem.capture.mesh.faces
+    area = np.linalg.norm(
+        np.cross(
+            mesh.vertices[faces[:, 1]] - mesh.vertices[faces[:, 0]],
+            mesh.vertices[faces[:, 2]] - mesh.vertices[faces[:, 0]],
+        ),
+        axis=1,
+    )
+    room = area > 2e-12
+    grey = np.full((ATLAS_SIZE, ATLAS_SIZE, 3), 0.5, np.float32)
+    surface = {
+        "type": "twosided",
+        "bsdf": {
+            "type": "principled",
+            "base_color": {"type": "bitmap", "bitmap": mi.Bitmap(grey), "raw": True, "wrap_mode": "clamp"},
+            "roughness": {
+                "type": "bitmap",
+                "bitmap": mi.Bitmap(grey[..., :1].copy()),
+                "raw": True,
+                "wrap_mode": "clamp",
+            },
+        },
+    }
+    content = {"type": "scene", "integrator": {"type": "prb", "max_depth": BOUNCES, "rr_depth": BOUNCES}}
+    # A lamp that clips in every photo is at least as bright as the shortest exposure says.
+    bound = float(1.0 / problem.exposures.min())
+    for k, lamp in enumerate(problem.lamps):
+        room[lamp] = False
+        corners = mesh.vertices[faces[lamp]]
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        for side, order, sign in (("front", (0, 1, 2), 1.0), ("back", (0, 2, 1), -1.0)):
+            light = {"type": "area", "radiance": {"type": "rgb", "value": [bound] * 3}}
+            black = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}
+            moved = corners[:, order] + 0.5 * TWO_SIDES * sign * normal[:, None]
+            content[f"lamp{k}_{side}"] = _mesh(mi, moved, None, mi.load_dict(black), mi.load_dict(light))
+    content["room"] = _mesh(mi, mesh.vertices[faces[room]], problem.uv[room], mi.load_dict(surface))
+    sensors = [mi.load_dict(_sensor(mi, view.camera)) for view in problem.capture.views]
+    return mi.load_dict(content), sensors
+
+
+def _mesh(mi: Any, corners: NDArray, uv: NDArray | None, bsdf: Any, emitter: Any = None) -> Any:
+    """A mesh of separate triangles (n, 3, 3), so that every corner has a UV of its own."""
+    properties = mi.Properties()
+    properties["bsdf"] = bsdf
+    if emitter is not None:
+        properties["emitter"] = emitter
+    n = len(corners)
+    mesh = mi.Mesh("mesh", 3 * n, n, has_vertex_texcoords=uv is not None, props=properties)
+    parameters = mi.traverse(mesh)
+    parameters["vertex_positions"] = np.ascontiguousarray(corners, np.float32).ravel()
+    parameters["faces"] = np.arange(3 * n, dtype=np.uint32)
+    if uv is not None:
+        flipped = np.stack([uv[..., 0], 1 - uv[..., 1]], -1)  # Mitsuba's row 0 is at v = 0
+        parameters["vertex_texcoords"] = np.ascontiguousarray(flipped, np.float32).ravel()
+    parameters.update()
+    return mesh
+
+
+def _sensor(mi: Any, camera: Camera) -> dict[str, Any]:
+    pose = camera.c2w @ np.diag([-1.0, 1.0, -1.0, 1.0])  # x left, y up, z forward
+    return {
+        "type": "perspective",
+        "fov": float(np.degrees(2 * np.arctan(camera.width / 2 / camera.fx))),
+        "fov_axis": "x",
+        "principal_point_offset_x": 0.5 - camera.cx / camera.width,
+        "principal_point_offset_y": 0.5 - camera.cy / camera.height,
+        "near_clip": 1e-3,
+        "to_world": mi.ScalarTransform4f(pose),
+        "film": {
+            "type": "hdrfilm",
+            "width": camera.width,
+            "height": camera.height,
+            "pixel_format": "rgb",
+            "component_format": "float32",
+            "rfilter": {"type": "box"},
+        },
+        "sampler": {"type": "independent"},
+    }
+
+
+# ---- optimisation --------------------------------------------------------------------------------------------------
+
+BASE_COLOR, ROUGHNESS = "room.bsdf.brdf_0.base_color.data", "room.bsdf.brdf_0.roughness.data"
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Where the optimisation stood.
+
+    Attributes:
+        seconds: since before the first step, without scoring.
+        loss: mean squared error of the photos over the last pass.
+    """
+
+    result: Result
+    seconds: float
+    steps: int
+    loss: float
+
+
+def optimise(problem: Problem, stops: Sequence[float], rates: Rates, seed: int, samples: int) -> Iterator[Snapshot]:
+    """Optimise and stop to look at every time of ``stops`` (seconds, rising)."""
+    mi = load_mitsuba()
+    import drjit as dr
+
+    scene, sensors = make_scene(mi, problem)
+    parameters = mi.traverse(scene)
+    optimiser = mi.ad.Adam(lr=rates.texture)
+    optimiser[BASE_COLOR], optimiser[ROUGHNESS] = parameters[BASE_COLOR], parameters[ROUGHNESS]
+    start_radiance = np.log(1.0 / problem.exposures.min())
+    names = [f"log_lamp{k}" for k in range(len(problem.lamps))]
+    for name in names:
+        optimiser[name] = mi.Color3f(float(start_radiance))
+    curve = mi.Float(problem.response.samples.astype(np.float32).ravel())
+    rng = np.random.default_rng(seed)
+    losses: list[float] = []
+    elapsed, steps = 0.0, 0
+
+    for stop in stops:
+        while elapsed < stop:
+            begin = time.monotonic()
+            fall = 1 / np.sqrt(1 + elapsed / rates.decay)
+            optimiser.set_learning_rate(
+                {BASE_COLOR: rates.texture * fall, ROUGHNESS: rates.texture * fall}
+                | {name: rates.lamp * fall for name in names}
+            )
+            view = int(rng.integers(len(sensors)))
+            _apply(dr, parameters, optimiser, names)
+            seed_here = int(rng.integers(2**31))
+            image = mi.render(scene, parameters, sensor=sensors[view], spp=samples, seed=seed_here)
+            display = _develop(dr, mi, image * float(problem.exposures[view]), curve)
+            # A byte b stands for the values from b / 255 to (b + 1) / 255.
+            photo = np.clip(problem.photos[view] + 0.5 / 255, 0, 1)
+            loss = dr.mean(dr.square(display - mi.TensorXf(photo)), axis=None)
+            dr.backward(loss)
+            optimiser.step()
+            for name, low in ((BASE_COLOR, 0.0), (ROUGHNESS, 0.05)):
+                optimiser[name] = dr.clip(optimiser[name], low, 1.0)
+            losses.append(float(loss.array[0]))
+            steps += 1
+            elapsed += time.monotonic() - begin
+        _apply(dr, parameters, optimiser, names)
+        radiance = [np.exp(np.array(optimiser[name], np.float64)).ravel() for name in names]
+        result = _result(problem, np.array(parameters[BASE_COLOR]), np.array(parameters[ROUGHNESS]), radiance)
+        yield Snapshot(result, elapsed, steps, float(np.mean(losses[-len(sensors) :])))
+
+
+def _apply(dr: Any, parameters: Any, optimiser: Any, names: Sequence[str]) -> None:
+    """What the optimiser holds into the scene; lamps by the exponential, on both sides."""
+    parameters[BASE_COLOR], parameters[ROUGHNESS] = optimiser[BASE_COLOR], optimiser[ROUGHNESS]
+    for k, name in enumerate(names):
+        for side in ("front", "back"):
+            parameters[f"lamp{k}_{side}.emitter.radiance.value"] = dr.exp(optimiser[name])
+    parameters.update()
+
+
+def _develop(dr: Any, mi: Any, exposed: Any, curve: Any) -> Any:
+    """Display values of exposed radiance (H, W, 3) by linear interpolation of the response; clips at 1."""
+    x = dr.clip(exposed.array, 0.0, 1.0) * (N_SAMPLES - 1)
+    low = dr.minimum(mi.UInt(dr.detach(x)), N_SAMPLES - 2)
+    channel = dr.arange(mi.UInt, dr.width(x)) % 3
+    a, b = (dr.gather(mi.Float, curve, channel * N_SAMPLES + low + k) for k in (0, 1))
+    return mi.TensorXf(a + (b - a) * (x - mi.Float(low)), exposed.shape)
+
+
+def _result(
+    problem: Problem, base_color: NDArray, roughness: NDArray, radiance: Sequence[NDArray[np.float64]]
+) -> Result:
+    mesh, areas = problem.capture.mesh, Tracer(problem.capture.mesh).areas
+    side = (ATLAS_SIZE, ATLAS_SIZE)
+    textures = Textures(
+        np.ascontiguousarray(base_color.reshape(*side, 3), np.float32),
+        np.ascontiguousarray(roughness.reshape(side), np.float32),
+        np.zeros(side, np.float32),
+        np.ones(side, np.float32),
+    )
+    emitters = tuple(
+        Emitter(k, faces, value, float(areas[faces].sum()), 1.0)
+        for k, (faces, value) in enumerate(zip(problem.lamps, radiance, strict=True))
+    )
+    exposures = {view.name: np.full(3, t) for view, t in zip(problem.capture.views, problem.exposures, strict=True)}
+    return Result(
+        replace(mesh, uv=problem.uv), initial_parts(mesh), textures, emitters, None, problem.response, exposures,
+        {}, problem.capture.up,
+    )  # fmt: skip
+
+
+# ---- records -------------------------------------------------------------------------------------------------------
+
+
+def snapshot_records(capture: Path, folder: Path, samples: int, progress: Progress) -> list[Record]:
+    """Records of all snapshots on ``capture``, read back or made in a process of its own."""
+    last = folder / f"{_run(capture, SNAPSHOTS[-1], samples).key}.json"
+    with progress.stage(NAME):
+        error = run_isolated(__name__, last, [relative(capture), "--samples", str(samples)])
+    if error is not None:
+        return [{"run": asdict(_run(capture, 0, samples)), "error": error}]
+    return [read_json(folder / f"{_run(capture, stop, samples).key}.json") for stop in SNAPSHOTS]
+
+
+def _run(capture: Path, seconds: float, samples: int) -> Run:
+    return Run(relative(capture), NAME, f"{seconds:g} s", samples=samples)  # type: ignore[arg-type]
+
+
+def write_snapshots(folder: Path, capture: Path, stops: Sequence[float], rates: Rates, samples: int) -> None:
+    """Optimise on ``capture``, score every snapshot and write its record."""
+    from iris_addon.blender.render import render_views
+    from iris_addon.evaluate import evaluate
+
+    for stop, shot in zip(stops, optimise(Problem.read(capture), stops, rates, 0, SAMPLES), strict=True):
+        scores = evaluate(shot.result, capture, render=render_views, samples=samples)
+        scores.pop("per_view")
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+        run = _run(capture, stop, samples)
+        record = {
+            "run": asdict(run),
+            "machine": machine.describe(),
+            "stands_for": "Mitsuba 3 prb with Adam; true response, exposures and lamp faces given",
+            "seconds_total": shot.seconds,
+            "peak_memory_bytes": peak,
+            "steps": shot.steps,
+            "training_loss": shot.loss,
+            "rates": asdict(rates),
+            "metrics": scores,
+        }
+        save_record(folder / f"{run.key}.json", record)
+
+
+def tune(capture: Path) -> Rates:
+    """The rates with the least error of the photos after a minute, over a small grid; prints what it sees."""
+    problem, best = Problem.read(capture), (np.inf, Rates())
+    for texture in TUNED_TEXTURE_RATES:
+        for lamp in TUNED_LAMP_RATES:
+            rates = Rates(texture, lamp)
+            (shot,) = optimise(problem, [TUNING_SECONDS], rates, 0, SAMPLES)
+            print(
+                f"texture {texture:g}  lamp {lamp:g}  steps {shot.steps}  mean squared error {shot.loss:.6f}",
+                flush=True,
+            )
+            best = min(best, (shot.loss, rates), key=lambda pair: pair[0])
+    return best[1]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("record", type=Path, help="record of the last snapshot; the others are written beside it")
+    parser.add_argument("capture", type=Path)
+    parser.add_argument("--seconds", type=float, nargs="+", default=SNAPSHOTS)
+    parser.add_argument("--samples", type=int, default=64, help="per pixel of the pictures that are scored")
+    parser.add_argument("--tune", action="store_true", help="look for the best learning rates first")
+    args = parser.parse_args(arguments)
+    try:
+        rates = tune(args.capture) if args.tune else Rates()
+        write_snapshots(args.record.parent, args.capture, sorted(args.seconds), rates, args.samples)
+    except IrisError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

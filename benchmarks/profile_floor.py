@@ -1,0 +1,190 @@
+"""A solve against its floor: what its rays and its bytes would cost if nothing else did.
+
+    python -m benchmarks.profile_floor [CAPTURE] [--preset balanced] [--out docs/bench_profile.md]
+
+Rays are counted per stage as they are cast, bytes as the gather products move them. The floor of a stage is its rays at
+the tracer's measured throughput on incoherent rays of the same room, plus its bytes at the measured bandwidth of memory.
+Decoding photos, fitting and writing textures have no floor here: what a ratio above one contains.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+from iris_addon.capture import read_capture
+from iris_addon.capture.types import Mesh
+from iris_addon.config import PRESETS, preset
+from iris_addon.imaging import atomic_write
+from iris_addon.progress import Progress, console
+from iris_addon.transport.tracer import Tracer, points_on_faces
+from iris_addon.transport.transport import Transport
+
+from . import machine, tables
+from .runs import BUNDLED
+
+TRIAL_RAYS = 1 << 20
+TRIAL_BYTES = 1 << 28
+
+
+@dataclass(frozen=True)
+class Floors:
+    """Measured limits of the machine on one room: rays and bytes per second."""
+
+    closest: float
+    occluded: float
+    bandwidth: float
+
+
+@dataclass
+class Counts:
+    """Work per stage."""
+
+    closest: dict[str, int] = field(default_factory=lambda: defaultdict(int))
+    occluded: dict[str, int] = field(default_factory=lambda: defaultdict(int))
+    moved: dict[str, int] = field(default_factory=lambda: defaultdict(int))
+
+    def floor(self, stage: str, floors: Floors) -> float:
+        """Seconds that the counted work of ``stage`` needs at least."""
+        rays = self.closest[stage] / floors.closest + self.occluded[stage] / floors.occluded
+        return rays + self.moved[stage] / floors.bandwidth
+
+
+def measure_floors(mesh: Mesh, seed: int = 0) -> Floors:
+    """Best of three: rays between random points of the surface, and a copy much larger than any cache."""
+    rng = np.random.default_rng(seed)
+    tracer = Tracer(mesh)
+    share = tracer.areas / tracer.areas.sum()
+    a, b = (
+        points_on_faces(tracer.corners, rng.choice(len(share), TRIAL_RAYS, p=share), rng.random((TRIAL_RAYS, 2)) / 2)
+        for _ in range(2)
+    )
+    a = (a + 1e-3 * (b - a)).astype(np.float32)
+    b = b.astype(np.float32)
+    direction = b - a
+    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
+    source = np.ones(TRIAL_BYTES // 8)
+    target = np.empty_like(source)
+
+    def best(work: Any) -> float:
+        seconds = []
+        for _ in range(3):
+            start = time.perf_counter()
+            work()
+            seconds.append(time.perf_counter() - start)
+        return min(seconds)
+
+    return Floors(
+        TRIAL_RAYS / best(lambda: tracer.hit_faces(a, direction)),
+        TRIAL_RAYS / best(lambda: tracer.visible(a, b)),
+        2 * TRIAL_BYTES / best(lambda: np.copyto(target, source)),
+    )
+
+
+@contextmanager
+def counted(progress: Progress) -> Iterator[Counts]:
+    """Count rays and bytes by the stage ``progress`` is in, while inside."""
+    counts = Counts()
+
+    def wrap(owner: type, name: str, count: Any) -> Any:
+        original = getattr(owner, name)
+
+        def call(self: Any, *arguments: Any) -> Any:
+            count(self, *arguments)
+            return original(self, *arguments)
+
+        return patch.object(owner, name, call)
+
+    def rays(kind: dict[str, int]) -> Any:
+        def count(_tracer: Tracer, origins: Any, *_rest: Any) -> None:
+            kind[progress.current] += len(origins)
+
+        return count
+
+    def products(transport: Transport, *_arguments: Any) -> None:
+        entries = transport.target.size + transport.unseen_target.size
+        # Per ray: patch and face index, RGB of the patch; per patch: RGB out. All 4 bytes.
+        counts.moved[progress.current] += 4 * (entries * (2 + 3) + 3 * transport.n_patches)
+
+    with (
+        wrap(Tracer, "closest", rays(counts.closest)),
+        wrap(Tracer, "hit_faces", rays(counts.closest)),
+        wrap(Tracer, "visible", rays(counts.occluded)),
+        wrap(Transport, "gather_radiance", products),
+    ):
+        yield counts
+
+
+class StageProgress(Progress):
+    """Progress that can be asked which stage it is in."""
+
+    current = ""
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[Progress]:
+        """As :meth:`Progress.stage`."""
+        self.current = name
+        with super().stage(name) as inner:
+            yield inner
+
+
+def profile(folder: Path, preset_name: str) -> str:
+    """Solve once, cold, and set every stage against its floor; a Markdown table."""
+    from iris_addon.solve import solve
+
+    capture = read_capture(folder)
+    floors = measure_floors(capture.mesh)
+    progress = StageProgress(console())
+    with tempfile.TemporaryDirectory(prefix="iris-profile-") as scratch:
+        os.environ["IRIS_CACHE"] = str(Path(scratch) / "cache")
+        with counted(progress) as counts:
+            report = solve(capture, preset(preset_name), Path(scratch) / "result", progress).report  # type: ignore[arg-type]
+    return describe(report["seconds"], counts, floors, f"`{preset_name}` on {folder.name}")
+
+
+def describe(seconds: dict[str, float], counts: Counts, floors: Floors, what: str) -> str:
+    """The table of :func:`profile`."""
+    body, total, total_floor = [], 0.0, 0.0
+    for stage, spent in seconds.items():
+        floor = counts.floor(stage, floors)
+        total, total_floor = total + spent, total_floor + floor
+        rays = (counts.closest[stage] + counts.occluded[stage]) / 1e6
+        ratio = f"{spent / floor:.1f}" if floor > 1e-3 else "–"
+        body.append([stage, f"{spent:.1f}", f"{rays:.2f}", f"{counts.moved[stage] / 1e9:.2f}", f"{floor:.2f}", ratio])
+    ratio = f"{total / total_floor:.1f}" if total_floor > 0 else "–"
+    body.append(["**all**", f"{total:.1f}", "", "", f"{total_floor:.2f}", ratio])
+    header = ["stage", "seconds", "million rays", "GB moved", "floor, seconds", "ratio"]
+    limits = (
+        f"{floors.closest / 1e6:.2f} million closest hits, {floors.occluded / 1e6:.2f} million visibility tests and "
+        f"{floors.bandwidth / 1e9:.1f} GB per second"
+    )
+    return f"{what}, {machine.name()}: {limits}.\n\n{tables.markdown(header, body)}"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("capture", type=Path, nargs="?", default=BUNDLED)
+    parser.add_argument("--preset", choices=list(PRESETS), default="balanced")
+    parser.add_argument("--out", type=Path, default=machine.ROOT / "docs" / "bench_profile.md")
+    args = parser.parse_args(arguments)
+    text = profile(args.capture, args.preset)
+    atomic_write(args.out, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    print(text)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
