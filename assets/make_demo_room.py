@@ -1,6 +1,6 @@
 """Make the bundled demo capture: model the room, render its photos and their ground truth into assets/demo_room.
 
-    .venv/bin/python assets/make_demo_room.py [--samples 256] [--out DIR] [--blend FILE]
+    .venv/bin/python assets/make_demo_room.py [--samples 96] [--out DIR] [--blend FILE]
 
 Everything is made from numbers in assets/room: no file is read. --blend keeps the scene and renders nothing.
 """
@@ -38,7 +38,7 @@ def build_room(blend: Path) -> None:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--samples", type=int, default=256, help="samples per pixel before denoising")
+    parser.add_argument("--samples", type=int, default=96, help="samples per pixel before denoising")
     parser.add_argument("--out", type=Path, default=ASSETS / "demo_room", help="capture folder, replaced")
     parser.add_argument("--blend", type=Path, help="only save the scene there")
     args = parser.parse_args()
