@@ -108,8 +108,7 @@ def measure_photometry(
         return Photometry(curve.identity(), np.repeat(factors[:, None], 3, 1), np.nan, False, True)
     fixed = _fixed_response(config)
     fit = fit_overlap(observations, given, n, rng, fixed)
-    exposures = np.repeat(fit.exposures[:, None], 3, 1)
-    return Photometry(fit.response, exposures, fit.residual, fit.per_channel, known)
+    return Photometry(fit.response, fit.exposures, fit.residual, fit.per_channel, known)
 
 
 def _fixed_response(config: SolveConfig) -> Response | None:

@@ -53,7 +53,7 @@ def test_round_trip_reproduces_the_result(tmp_path):
 
 def test_channels_of_the_response_and_parts_of_the_file_survive(tmp_path):
     curve = np.stack([gamma(g).samples[0] for g in (0.4, 0.5, 0.6)])
-    result = room(outside=False, response=Response(curve, "power-polynomial", (0.1, 0.2)))
+    result = room(outside=False, response=Response(curve, "power-spline", (0.1, 0.2)))
     result = replace(result, mesh=replace(result.mesh, parts=np.arange(12, dtype=np.int32)))
     save_result(result, tmp_path)
     loaded = load_result(tmp_path)

@@ -20,7 +20,7 @@ class Response:
 
     Attributes:
         samples: (3, 1024) float64, f at x = linspace(0, 1, 1024) for R, G, B.
-        family: how it was found ("power-polynomial", "identity", "gamma", "file").
+        family: how it was found ("power-spline", "identity", "gamma", "file").
         coefficients: parameters of the family, for the record.
     """
 

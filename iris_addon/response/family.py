@@ -1,35 +1,39 @@
-"""A response family that needs no measured table: f(x) = x^P(s) with s = x^0.35 and P a polynomial.
+"""A response family that needs no measured table: f(x) = x^P(s) with s = x^0.35 and log P smooth.
 
-The family holds f(0) = 0, f(1) = 1 by construction, contains gamma curves (P constant) and reproduces the 201 measured
-curves of DoRF (Grossberg & Nayar 2004) with a mean RMSE of 0.0025 with four coefficients, against 0.0057 for EMoR's
-mean and three components. P is held by its values at fixed knots, in log: the knots are local exponents of the curve,
-so that a prior over them is easy to state.
+The family holds f(0) = 0, f(1) = 1 by construction and contains gamma curves (P constant). P is a natural cubic spline
+of s through nine values, which are local exponents of the curve, so that a prior over them is easy to state. Fitted to
+every third of 94 measured curves of DoRF (Grossberg & Nayar 2004) the table of 3 x 1024 samples is met with a median L2
+distance of 0.023 (90th percentile 0.064). A polynomial P with five coefficients stops at 0.09, and where it does not
+fit, the data distort the whole scale of radiance by up to 8 %, because only the bend near saturation anchors it.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from .curve import N_SAMPLES, Response
 
 WARP = 0.35
-PRIOR_MEAN = np.log([0.68, 0.60, 0.49, 0.39, 0.30])
-PRIOR_STD = np.array([0.55, 0.45, 0.45, 0.55, 0.80])
-"""Median and spread of log P at the knots over measured camera responses."""
-_KNOT_POSITIONS = np.linspace(0.05, 1.0, len(PRIOR_MEAN))
-_TO_COEFFICIENTS = np.linalg.inv(np.vander(_KNOT_POSITIONS, increasing=True))
+PRIOR_MEAN = np.array([-0.25, -0.34, -0.43, -0.54, -0.67, -0.79, -0.92, -1.05, -1.28])
+"""Median of log P at the knots over measured camera responses."""
+PRIOR_STD = 0.7
+BEND_STD = 0.25
+"""Spread about the median, and of its second differences."""
+_KNOTS = np.linspace(0.0, 1.0, len(PRIOR_MEAN))
 
 
 def evaluate(log_knots: NDArray[np.floating], x: NDArray[np.floating]) -> NDArray[np.float64]:
-    """f(x) for ``x`` in [0, 1] of any shape; ``log_knots`` (5,) is log P at the knots."""
+    """f(x) for ``x`` in [0, 1] of any shape; ``log_knots`` (9,) is log P at the knots."""
     x = np.clip(x, 1e-9, 1.0)
-    return x ** np.polynomial.polynomial.polyval(x**WARP, _TO_COEFFICIENTS @ np.exp(log_knots))
+    return x ** CubicSpline(_KNOTS, np.exp(log_knots), bc_type="natural")(x**WARP)
 
 
 def prior_residual(log_knots: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(5,) distance from the median measured response in standard deviations."""
-    return (log_knots - PRIOR_MEAN) / PRIOR_STD
+    """(16,) distance from the median measured response and its bends, in standard deviations."""
+    offset = log_knots - PRIOR_MEAN
+    return np.concatenate([offset / PRIOR_STD, np.diff(offset, 2) / BEND_STD])
 
 
 def downhill(log_knots: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -37,7 +41,7 @@ def downhill(log_knots: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.clip(-np.diff(evaluate(log_knots, np.linspace(0.0, 1.0, 256) ** 2)), 0.0, None)
 
 
-def to_response(log_knots: list[NDArray[np.float64]], name: str = "power-polynomial") -> Response:
+def to_response(log_knots: list[NDArray[np.float64]], name: str = "power-spline") -> Response:
     """Table of the curve of each channel; one entry stands for all three channels."""
     x = np.linspace(0.0, 1.0, N_SAMPLES)
     rows = []

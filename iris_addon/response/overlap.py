@@ -16,13 +16,15 @@ from scipy.optimize import least_squares
 
 from . import family
 from .curve import Response
-from .observations import Observations, group_sums
+from .observations import Observations, group_means, group_sums
 
-MAX_PATCHES = 4_000
+MAX_PATCHES = 2_500
 ROBUST_SCALE = 0.02
 """Display-value residual at which an observation starts to count as an outlier (a highlight, a moved object)."""
-PRIOR_WEIGHT = 3.0
-"""The prior over curves counts as much as nine observations that are off by ROBUST_SCALE."""
+MAX_STEPS = 20
+WHITE_BALANCE_GAIN = 0.9
+PRIOR_WEIGHT = 1.0
+"""The prior over curves counts as much as one observation that is off by ROBUST_SCALE."""
 MONOTONICITY_WEIGHT = 1e4
 
 
@@ -31,7 +33,7 @@ class OverlapFit:
     """Curve, exposures and how well they explain held-out patches.
 
     Attributes:
-        exposures: (V,) factor per view.
+        exposures: (V, 3) factor per view and channel; the channels differ where white balance was found to drift.
         residual: robust RMS of the display-value residual on held-out patches.
         per_channel: whether three curves earned their place over one.
     """
@@ -85,16 +87,17 @@ def fit_overlap(
     index = _select(observations, rng)
     problem = _Problem.build(observations, index, exposures, n_views)
     if fixed is not None:
-        return OverlapFit(fixed, np.exp(problem.solve_radiance(fixed)[0]), np.nan, False)
+        return OverlapFit(fixed, problem.exposures(fixed), np.nan, False)
     held_out = rng.random(problem.n_patches) < 0.2
     training, testing = problem.restrict(~held_out), problem.restrict(held_out)
-    shared = training.minimise(1)
-    separate = training.minimise(3)
+    shared = training.minimise([family.PRIOR_MEAN], MAX_STEPS)
+    separate = training.minimise(shared * 3, MAX_STEPS // 4)
     # One curve is the null hypothesis: cameras apply the same curve to all channels far more often than not.
     scores = [testing.disagreement(knots) for knots in (shared, separate)]
     per_channel = scores[1] < 0.97 * scores[0]
     best = separate if per_channel else shared
-    return OverlapFit(family.to_response(best), problem.exposures(best), min(scores), per_channel)
+    response = family.to_response(best)
+    return OverlapFit(response, problem.exposures(response), min(scores), per_channel)
 
 
 @dataclass(frozen=True)
@@ -143,12 +146,41 @@ class _Problem:
         t = np.exp(log_t)[self.view][:, None]
         # Quantisation noise is uniform in z, so the precision of x / t is (f'(x) t)^2.
         weight = np.where(self.clipped, 0.0, self.weight)[:, None] * (slope * t) ** 2 + 1e-12
-        total = group_sums(weight * x / t, self.patch, self.n_patches)
-        return log_t, total / group_sums(weight, self.patch, self.n_patches)
+        radiance = self._mean(weight, x / t)
+        # An outlier would pull its whole patch along and so hide behind the others: the mean is taken once more without.
+        for _ in range(2):
+            off = (response.apply(radiance[self.patch] * t) - self.z) / ROBUST_SCALE
+            radiance = self._mean(weight / (1 + off**2), x / t)
+        return log_t, radiance
 
-    def exposures(self, knots: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """(V,) exposure factors under a curve: the known ones, or those that the overlap asks for."""
-        return np.exp(self.solve_radiance(family.to_response(knots))[0])
+    def _mean(self, weight: NDArray[np.float64], radiance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n, 3) weighted mean per patch."""
+        norm = group_sums(weight, self.patch, self.n_patches)
+        return group_sums(weight * radiance, self.patch, self.n_patches) / norm
+
+    def exposures(self, response: Response) -> NDArray[np.float64]:
+        """(V, 3) exposure factors under a curve: the known ones, or those that the overlap asks for.
+
+        A factor per channel (white balance) is taken where it explains the overlap clearly better than one per photo.
+        """
+        log_t = self.solve_radiance(response)[0]
+        shared = np.repeat(log_t[:, None], 3, 1)
+        if self.log_t is not None:
+            return np.exp(shared)
+        log_x = np.log(np.maximum(response.invert(self.z), 1e-5))
+        per_channel = np.stack(
+            [_chain_exposures(log_x[:, c], self.patch, self.view, ~self.clipped, self.n_views) for c in range(3)], -1
+        )
+        better = self._spread(log_x, per_channel) < WHITE_BALANCE_GAIN * self._spread(log_x, shared)
+        return np.exp(per_channel if better else shared)
+
+    def _spread(self, log_x: NDArray[np.float64], log_t: NDArray[np.float64]) -> float:
+        """Median disagreement of views about a patch's log radiance under given log exposures (V, 3)."""
+        use = ~self.clipped
+        log_l = (log_x - log_t[self.view])[use]
+        patch = self.patch[use]
+        mean = group_means(log_l, patch, self.n_patches)
+        return float(np.median(np.abs(log_l - mean[patch])))
 
     def residual(self, parameters: NDArray[np.float64], n_curves: int) -> NDArray[np.float64]:
         """Display-value residuals, saturation hinges and prior, one flat vector."""
@@ -162,11 +194,11 @@ class _Problem:
         bends = [MONOTONICITY_WEIGHT * family.downhill(k) for k in knots]
         return np.concatenate([data, *prior, *bends])
 
-    def minimise(self, n_curves: int) -> list[NDArray[np.float64]]:
-        """Knots of ``n_curves`` curves; radiance and exposures are eliminated (variable projection)."""
-        start = np.concatenate([family.PRIOR_MEAN] * n_curves)
+    def minimise(self, start: list[NDArray[np.float64]], max_steps: int) -> list[NDArray[np.float64]]:
+        """Knots of one or three curves; radiance and exposures are eliminated (variable projection)."""
+        n_curves = len(start)
         fit = least_squares(
-            self.residual, start, args=(n_curves,), loss="cauchy", method="trf", max_nfev=25, x_scale=0.3
+            self.residual, np.concatenate(start), args=(n_curves,), loss="cauchy", max_nfev=max_steps, x_scale=0.3
         )
         return list(fit.x.reshape(n_curves, -1))
 
