@@ -6,6 +6,7 @@ and not of an implementation. What a peer must be told (the lamps' faces, exposu
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -62,8 +63,6 @@ class Configuration:
 
 def true_emitters(capture: Path) -> list[list[int]]:
     """[first, last + 1] faces of each true lamp; raises BadInput where the capture does not say."""
-    import json
-
     path = capture / "gt" / "emitters.json"
     if not path.is_file():
         raise BadInput("the true lamps are not recorded", "use a capture with gt/emitters.json", capture)
@@ -96,7 +95,7 @@ def _iris(capture: Path, scratch: Path) -> dict[str, Setting]:
     return {
         "emitters": _given_mask(capture, scratch),
         "exposures": _given_exposures(capture, scratch),
-        "outside_light": False,
+        "hidden_light": False,
     }
 
 
@@ -108,11 +107,13 @@ def _fipt_hdr(capture: Path, scratch: Path) -> dict[str, Setting]:
     folder = capture / "gt" / "train" / "Image"
     if not folder.is_dir():
         raise BadInput("there is no radiance of the training photos", "make the capture without --compact", folder)
-    return {"emitters": _given_mask(capture, scratch), "hdr": folder, "outside_light": False}
+    return {"emitters": _given_mask(capture, scratch), "hdr": folder, "hidden_light": False}
 
 
 def _single_bounce(capture: Path, scratch: Path) -> dict[str, Setting]:
-    return {"emitters": "observed", "exposures": _given_exposures(capture, scratch)}
+    path = scratch / "no_lamps.json"
+    write_json(path, {"emitters": []})
+    return {"emitters": path, "exposures": _given_exposures(capture, scratch), "hidden_light": False}
 
 
 def _gamma(_capture: Path, _scratch: Path) -> dict[str, Setting]:
@@ -134,7 +135,11 @@ CONFIGURATIONS: dict[str, Configuration] = {
         ),
         Configuration("fipt-ldr-like", "FIPT-LDR*: as iris-like, photos taken for z = x^(1/2.2)", _fipt_ldr),
         Configuration("fipt-hdr-like", "FIPT on HDR input: true radiance in, lamp mask given, closed room", _fipt_hdr),
-        Configuration("single-bounce", "NeILF++, NeFII: surfaces cast the light they were seen with", _single_bounce),
+        Configuration(
+            "single-bounce",
+            "NeILF++, NeFII: every surface casts the light it was seen with, clipped lamps included",
+            _single_bounce,
+        ),
         Configuration("constant-exposure", "response ablation: all photos with one exposure", _ours, "Image_const"),
         Configuration("mean-response", "response ablation: the mean of measured responses", _mean_response),
         Configuration("gamma", "response ablation: z = x^(1/2.2)", _gamma),

@@ -48,9 +48,14 @@ VARIANTS = ("cuda_ad_rgb", "llvm_ad_rgb")
 SNAPSHOTS = (30, 60, 120, 300, 600, 1200)
 ATLAS_SIZE = 1024
 BOUNCES = 6
-SAMPLES = 16
+SAMPLES = 8
+BEYOND, BEYOND_SLOPE = 4.0, 0.3
+"""How far and how steeply the response goes on above 1 while optimising."""
 TWO_SIDES = 2e-4
 """Metres between a lamp's front and back: Mitsuba's area lights shine to one side, the lamps of a capture to both."""
+SIDES = {"front": 1.0, "back": -1.0}
+MIN_SHARE, SIDE_RAYS, CLOSE = 0.01, 4096, 0.05
+"""Sides of lamps that cast less than this share into the room are left out; what is closer (metres) does not count."""
 TUNED_TEXTURE_RATES = (0.005, 0.02, 0.05)
 TUNED_LAMP_RATES = (0.02, 0.05, 0.1)
 TUNING_SECONDS = 60
@@ -82,6 +87,7 @@ class Problem:
     """
 
     capture: Capture
+    tracer: Tracer
     uv: NDArray[np.float32]
     lamps: list[NDArray[np.int64]]
     photos: NDArray[np.float32]
@@ -94,10 +100,12 @@ class Problem:
         capture, truth = read_capture(folder), read_ground_truth(folder)
         if truth is None or truth.response is None or not capture.exposures_known:
             raise BadInput("records no response or no exposures", "this peer has to be told them", folder)
-        samples = trace_pixels(Tracer(capture.mesh), [view.camera for view in capture.views], 1, Progress())
+        tracer = Tracer(capture.mesh)
+        samples = trace_pixels(tracer, [view.camera for view in capture.views], 1, Progress())
         density = texel_density_from_footprint(samples.face, samples.footprint, len(capture.mesh.faces))
         return Problem(
             capture,
+            tracer,
             build_atlas(capture.mesh, density, ATLAS_SIZE),
             [np.arange(first, last) for first, last in true_emitters(folder)],
             np.stack([load_photo(view).values for view in capture.views]),
@@ -129,14 +137,7 @@ def load_mitsuba() -> Any:
 def make_scene(mi: Any, problem: Problem) -> tuple[Any, list[Any]]:
     """Room and lamps as a Mitsuba scene, and a sensor per photo."""
     mesh, faces = problem.capture.mesh, problem.capture.mesh.faces
-    area = np.linalg.norm(
-        np.cross(
-            mesh.vertices[faces[:, 1]] - mesh.vertices[faces[:, 0]],
-            mesh.vertices[faces[:, 2]] - mesh.vertices[faces[:, 0]],
-        ),
-        axis=1,
-    )
-    room = area > 2e-12
+    room = problem.tracer.areas > 0
     grey = np.full((ATLAS_SIZE, ATLAS_SIZE, 3), 0.5, np.float32)
     surface = {
         "type": "twosided",
@@ -154,19 +155,36 @@ def make_scene(mi: Any, problem: Problem) -> tuple[Any, list[Any]]:
     content = {"type": "scene", "integrator": {"type": "prb", "max_depth": BOUNCES, "rr_depth": BOUNCES}}
     # A lamp that clips in every photo is at least as bright as the shortest exposure says.
     bound = float(1.0 / problem.exposures.min())
+    room[np.concatenate(problem.lamps)] = False
     for k, lamp in enumerate(problem.lamps):
-        room[lamp] = False
-        corners = mesh.vertices[faces[lamp]]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-        for side, order, sign in (("front", (0, 1, 2), 1.0), ("back", (0, 2, 1), -1.0)):
-            light = {"type": "area", "radiance": {"type": "rgb", "value": [bound] * 3}}
+        for side, sign in SIDES.items():
+            share = _share_into_room(problem.tracer, lamp, sign, room)
+            if share < MIN_SHARE:
+                continue
+            weight = share * float(problem.tracer.areas[lamp].sum())
+            light = {"type": "area", "radiance": {"type": "rgb", "value": [bound] * 3}, "sampling_weight": weight}
             black = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}
-            moved = corners[:, order] + 0.5 * TWO_SIDES * sign * normal[:, None]
-            content[f"lamp{k}_{side}"] = _mesh(mi, moved, None, mi.load_dict(black), mi.load_dict(light))
+            moved = mesh.vertices[faces[lamp]] + 0.5 * TWO_SIDES * sign * problem.tracer.normals[lamp][:, None]
+            turned = moved[:, :: int(sign)]
+            content[f"lamp{k}_{side}"] = _mesh(mi, turned, None, mi.load_dict(black), mi.load_dict(light))
     content["room"] = _mesh(mi, mesh.vertices[faces[room]], problem.uv[room], mi.load_dict(surface))
     sensors = [mi.load_dict(_sensor(mi, view.camera)) for view in problem.capture.views]
     return mi.load_dict(content), sensors
+
+
+def _share_into_room(tracer: Tracer, lamp: NDArray[np.int64], sign: float, room: NDArray[np.bool_]) -> float:
+    """Share of the cosine-distributed rays from one side of a lamp that reach a surface of the room.
+
+    The inside of a globe and the back of a ceiling lamp light nothing; sampling them would waste most shadow rays.
+    """
+    rng = np.random.default_rng(0)
+    face = rng.choice(lamp, SIDE_RAYS, p=tracer.areas[lamp] / tracer.areas[lamp].sum())
+    normal = sign * tracer.normals[face]
+    direction = rng.standard_normal((SIDE_RAYS, 3))
+    direction = normal + direction / np.linalg.norm(direction, axis=1, keepdims=True) * 0.999
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    hits = tracer.closest(tracer.corners[face].mean(1) + tracer.epsilon * normal, direction)
+    return float((room[hits.face] & (hits.face >= 0) & (hits.distance > CLOSE)).mean())
 
 
 def _mesh(mi: Any, corners: NDArray, uv: NDArray | None, bsdf: Any, emitter: Any = None) -> Any:
@@ -253,16 +271,14 @@ def optimise(problem: Problem, stops: Sequence[float], rates: Rates, seed: int, 
             fall = 1 / np.sqrt(1 + elapsed / rates.decay)
             optimiser.set_learning_rate(
                 {BASE_COLOR: rates.texture * fall, ROUGHNESS: rates.texture * fall}
-                | {name: rates.lamp * fall for name in names}
+                | dict.fromkeys(names, rates.lamp * fall)
             )
             view = int(rng.integers(len(sensors)))
             _apply(dr, parameters, optimiser, names)
             seed_here = int(rng.integers(2**31))
             image = mi.render(scene, parameters, sensor=sensors[view], spp=samples, seed=seed_here)
-            display = _develop(dr, mi, image * float(problem.exposures[view]), curve)
-            # A byte b stands for the values from b / 255 to (b + 1) / 255.
-            photo = np.clip(problem.photos[view] + 0.5 / 255, 0, 1)
-            loss = dr.mean(dr.square(display - mi.TensorXf(photo)), axis=None)
+            display = _develop(dr, mi, image * dr.opaque(mi.Float, float(problem.exposures[view])), curve)
+            loss = _photo_loss(dr, mi, display, problem.photos[view])
             dr.backward(loss)
             optimiser.step()
             for name, low in ((BASE_COLOR, 0.0), (ROUGHNESS, 0.05)):
@@ -280,24 +296,38 @@ def _apply(dr: Any, parameters: Any, optimiser: Any, names: Sequence[str]) -> No
     """What the optimiser holds into the scene; lamps by the exponential, on both sides."""
     parameters[BASE_COLOR], parameters[ROUGHNESS] = optimiser[BASE_COLOR], optimiser[ROUGHNESS]
     for k, name in enumerate(names):
-        for side in ("front", "back"):
-            parameters[f"lamp{k}_{side}.emitter.radiance.value"] = dr.exp(optimiser[name])
+        for side in SIDES:
+            if f"lamp{k}_{side}.emitter.radiance.value" in parameters:
+                parameters[f"lamp{k}_{side}.emitter.radiance.value"] = dr.exp(optimiser[name])
     parameters.update()
 
 
 def _develop(dr: Any, mi: Any, exposed: Any, curve: Any) -> Any:
-    """Display values of exposed radiance (H, W, 3) by linear interpolation of the response; clips at 1."""
+    """Display values of exposed radiance (H, W, 3) by linear interpolation of the response.
+
+    Above 1 the curve goes on with BEYOND_SLOPE up to BEYOND: a clipped rendering of an open pixel must be told so.
+    """
     x = dr.clip(exposed.array, 0.0, 1.0) * (N_SAMPLES - 1)
     low = dr.minimum(mi.UInt(dr.detach(x)), N_SAMPLES - 2)
     channel = dr.arange(mi.UInt, dr.width(x)) % 3
     a, b = (dr.gather(mi.Float, curve, channel * N_SAMPLES + low + k) for k in (0, 1))
-    return mi.TensorXf(a + (b - a) * (x - mi.Float(low)), exposed.shape)
+    beyond = BEYOND_SLOPE * (dr.clip(exposed.array, 1.0, BEYOND) - 1.0)
+    return mi.TensorXf(a + (b - a) * (x - mi.Float(low)) + beyond, exposed.shape)
+
+
+def _photo_loss(dr: Any, mi: Any, display: Any, photo: NDArray[np.float32]) -> Any:
+    """Mean squared error against ``photo`` (H, W, 3); a clipped pixel says that the rendering should clip, no more."""
+    # A byte b stands for the values from b / 255 to (b + 1) / 255.
+    target = mi.TensorXf(np.clip(photo + 0.5 / 255, 0, 1))
+    clipped = mi.TensorXf((photo >= 254 / 255).astype(np.float32))
+    error = display - target
+    return dr.mean(dr.square(clipped * dr.minimum(error, 0.0) + (1.0 - clipped) * error), axis=None)
 
 
 def _result(
     problem: Problem, base_color: NDArray, roughness: NDArray, radiance: Sequence[NDArray[np.float64]]
 ) -> Result:
-    mesh, areas = problem.capture.mesh, Tracer(problem.capture.mesh).areas
+    mesh, areas = problem.capture.mesh, problem.tracer.areas
     side = (ATLAS_SIZE, ATLAS_SIZE)
     textures = Textures(
         np.ascontiguousarray(base_color.reshape(*side, 3), np.float32),

@@ -2,8 +2,8 @@
 
     python -m benchmarks.profile_floor [CAPTURE] [--preset balanced] [--out docs/bench_profile.md]
 
-Rays are counted per stage as they are cast, bytes as the gather products move them. The floor of a stage is its rays at
-the tracer's measured throughput on incoherent rays of the same room, plus its bytes at the measured bandwidth of memory.
+Rays are counted per stage as they are cast, bytes as the gather products move them. The floor of a stage is its rays
+at the measured throughput of incoherent rays in the same room, plus its bytes at the measured bandwidth of memory.
 Decoding photos, fitting and writing textures have no floor here: what a ratio above one contains.
 """
 
