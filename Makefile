@@ -1,6 +1,6 @@
 # Everything runs from the repository root through .venv; nothing is installed into the system.
 
-.PHONY: help setup demo test test-all lint format clean
+.PHONY: help setup demo test test-all lint format clean bench stability scaling profile
 .DEFAULT_GOAL := help
 
 VENV := .venv
@@ -14,6 +14,8 @@ help:
 	@echo "make setup      create $(VENV) with everything pinned in pyproject.toml"
 	@echo "make demo       solve, relight and report the bundled room into out/demo"
 	@echo "make test       unit tests;  make test-all  the slow ones too"
+	@echo "make bench      speed against accuracy with peers, about a night;  make profile  where the time goes, minutes"
+	@echo "make stability  every perturbation, about three hours;  make scaling  cost against size, about two hours"
 	@echo "make lint       ruff and pyright;  make format  let ruff format"
 
 setup: $(STAMP)
@@ -50,6 +52,19 @@ lint: $(STAMP)
 format: $(STAMP)
 	@$(VENV)/bin/ruff check --fix --quiet
 	@$(VENV)/bin/ruff format --quiet
+
+# Benchmarks need two packages more. Each target goes on where it was stopped.
+$(VENV)/.bench: $(STAMP)
+	@$(VENV)/bin/python -c 'import tomllib; p = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
+		print(*p["optional-dependencies"]["bench"], sep="\n")' > $(VENV)/requirements-bench.txt
+	@$(VENV)/bin/python -m pip install -qq --disable-pip-version-check -r $(VENV)/requirements-bench.txt
+	@touch $@
+
+bench stability scaling: $(VENV)/.bench
+	@$(VENV)/bin/python -m benchmarks.$@
+
+profile: $(VENV)/.bench
+	@$(VENV)/bin/python -m benchmarks.profile_floor
 
 clean:
 	rm -rf out dist .pytest_cache .ruff_cache

@@ -33,8 +33,10 @@ def planned(folders: Sequence[Path], seeds: int, samples: int) -> list[Run]:
     for folder in folders:
         for seed in range(seeds):
             runs += [Run(relative(folder), "ours", name, seed, samples=samples) for name in PRESETS]
-            peers = [name for name in CONFIGURATIONS if name != "ours"]
-            runs += [Run(relative(folder), name, PEER_PRESET, seed, samples=samples) for name in peers]
+            for name in (name for name in CONFIGURATIONS if name != "ours"):
+                # The ablation of the response is about maps and curves; nothing is rendered for it.
+                scored = "maps" if name in RESPONSE_ABLATION else "all"
+                runs.append(Run(relative(folder), name, PEER_PRESET, seed, scored=scored, samples=samples))
     return runs
 
 
@@ -127,7 +129,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--captures", type=Path, nargs="+", default=captures())
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--samples", type=int, default=64, help="per pixel of the pictures that are scored")
+    parser.add_argument("--samples", type=int, default=32, help="per pixel of the pictures that are scored")
     parser.add_argument("--out", type=Path, default=machine.ROOT / "docs" / "bench")
     parser.add_argument("--no-mitsuba", action="store_true")
     parser.add_argument("--charts-only", action="store_true", help="only draw what was measured before")

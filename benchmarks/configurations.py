@@ -14,11 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from iris_addon.capture import read_capture
+from iris_addon.capture.fipt import PhotoSet
 from iris_addon.capture.types import Capture
 from iris_addon.config import PresetName, SolveConfig, preset
 from iris_addon.errors import BadInput
 from iris_addon.response.family import PRIOR_MEAN, to_response
 from iris_addon.result.json_files import write_json
+
+from .perturb_photos import copy_capture, hold_exposure
 
 MASK = "mask.json"
 """A lamp mask in a capture folder that replaces the true one; the perturbations of masks write it."""
@@ -36,13 +39,13 @@ class Configuration:
         name: as in records and charts.
         stands_for: what a reader should take it for.
         settings: fields of SolveConfig that differ from the preset.
-        photos: "Image_const" takes the photos of one exposure.
+        one_exposure: take the photos of one exposure; where the capture has none they are taken anew.
     """
 
     name: str
     stands_for: str
     settings: Settings
-    photos: str = "Image"
+    one_exposure: bool = False
 
     def solve_config(self, preset_name: PresetName, seed: int, capture: Path, scratch: Path) -> SolveConfig:
         """The configuration of a solve.
@@ -56,9 +59,15 @@ class Configuration:
             raise BadInput(f"the engine has no switch {', '.join(sorted(unknown))}", f"leave out {self.name}")
         return replace(preset(preset_name, seed=seed), **settings)  # type: ignore[arg-type]
 
-    def read(self, config: SolveConfig, capture: Path) -> Capture:
+    def read(self, config: SolveConfig, folder: Path, scratch: Path) -> Capture:
         """The capture with the photos and exposures of this configuration. Raises BadInput."""
-        return read_capture(capture, exposures=config.exposures, hdr=config.hdr, photos=self.photos)  # type: ignore[arg-type]
+        photos: PhotoSet = "Image"
+        if self.one_exposure and (folder / "train" / "Image_const").is_dir():
+            photos = "Image_const"
+        elif self.one_exposure:
+            folder = copy_capture(folder, scratch / "one_exposure")
+            hold_exposure(folder, np.random.default_rng(config.seed))
+        return read_capture(folder, exposures=config.exposures, hdr=config.hdr, photos=photos)
 
 
 def true_emitters(capture: Path) -> list[list[int]]:
@@ -140,7 +149,7 @@ CONFIGURATIONS: dict[str, Configuration] = {
             "NeILF++, NeFII: every surface casts the light it was seen with, clipped lamps included",
             _single_bounce,
         ),
-        Configuration("constant-exposure", "response ablation: all photos with one exposure", _ours, "Image_const"),
+        Configuration("constant-exposure", "response ablation: all photos with one exposure", _ours, True),
         Configuration("mean-response", "response ablation: the mean of measured responses", _mean_response),
         Configuration("gamma", "response ablation: z = x^(1/2.2)", _gamma),
     )

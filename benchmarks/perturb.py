@@ -7,7 +7,6 @@ folders: a wrong pose must not move the ground truth, and another response moves
 
 from __future__ import annotations
 
-import shutil
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -129,10 +128,7 @@ def perturb(source: Path, axis: str, level: int, seed: int, out: Path) -> Pertur
     if not axis or level == 0:
         return Perturbed(source, source, "as captured")
     chosen = AXES[axis]
-    capture = out / source.name
-    shutil.copytree(source, capture)
-    for path in (capture, *capture.rglob("*")):  # the source may be read-only
-        path.chmod(path.stat().st_mode | 0o200)
+    capture = _p.copy_capture(source, out)
     truth = capture if chosen.truth_moves else source
     # The same generator for all levels of a seed: a harder level is the same accident, only worse.
     rng = np.random.default_rng([seed, zlib.crc32(axis.encode())])

@@ -7,6 +7,7 @@ a lamp is clipped, and the clipping level elsewhere. The note in the record says
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -92,6 +93,15 @@ def save_array(path: Path, values: NDArray) -> None:
     atomic_write(path, lambda temporary: np.save(temporary, values, allow_pickle=False))
 
 
+def copy_capture(source: Path, folder: Path) -> Path:
+    """A copy of the capture ``source`` in ``folder`` that may be written to."""
+    capture = folder / source.name
+    shutil.copytree(source, capture)
+    for path in (capture, *capture.rglob("*")):  # the source may be read-only
+        path.chmod(path.stat().st_mode | 0o200)
+    return capture
+
+
 def raise_exposure(root: Path, _truth: Path, stops: float, rng: np.random.Generator) -> str:
     """All photos exposed ``stops`` longer, and recorded so: more pixels clip."""
     film = Film.of(root)
@@ -127,6 +137,15 @@ def map_tones(root: Path, _truth: Path, strength: float, rng: np.random.Generato
         return film.shoot(radiance * gain[..., None], view.exposure or 1.0)
 
     film.take(develop, rng)
+    return film.note
+
+
+def hold_exposure(root: Path, rng: np.random.Generator) -> str:
+    """All photos taken with one exposure, the geometric mean of what they had."""
+    film = Film.of(root)
+    constant = float(np.exp(np.mean([np.log(view.exposure) for view in film.views if view.exposure is not None])))
+    film.take(lambda radiance, _view: film.shoot(radiance, constant), rng)
+    save_array(root / "cam" / "exposure.npy", np.full(len(film.views), constant))
     return film.note
 
 

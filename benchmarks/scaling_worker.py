@@ -32,7 +32,7 @@ from iris_addon.result.json_files import write_json
 from . import machine
 from .meshes import cluster, subdivide_edges
 from .perturb_geometry import write_obj
-from .perturb_photos import save_array
+from .perturb_photos import copy_capture, save_array
 
 JITTER = 0.05
 """Metres around its original that a repeated photo is moved."""
@@ -101,10 +101,7 @@ def measure(source: Path, sweep: str, size: int, preset_name: PresetName) -> dic
     from iris_addon.solve import solve
 
     with tempfile.TemporaryDirectory(prefix="iris-scaling-") as name:
-        root = Path(name) / "capture"
-        shutil.copytree(source, root, ignore=shutil.ignore_patterns("gt", "insert", "relight"))
-        for path in (root, *root.rglob("*")):
-            path.chmod(path.stat().st_mode | 0o200)
+        root = copy_capture(source, Path(name) / "resized")
         actual = RESIZE[sweep](root, size)
         os.environ["IRIS_CACHE"] = str(Path(name) / "cache")
         start = time.monotonic()

@@ -61,7 +61,7 @@ def solve(run: Run, perturbed: Perturbed, scratch: Path) -> tuple[Result, float]
     chosen = CONFIGURATIONS[run.configuration]
     config = chosen.solve_config(run.preset, run.seed, perturbed.capture, scratch)
     start = time.monotonic()
-    result = run_solve(chosen.read(config, perturbed.capture), config, scratch / "result", Progress())
+    result = run_solve(chosen.read(config, perturbed.capture, scratch), config, scratch / "result", Progress())
     return result, time.monotonic() - start
 
 

@@ -1,0 +1,250 @@
+from __future__ import annotations
+
+import json
+import subprocess
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import runs, tables
+from benchmarks.configurations import CONFIGURATIONS, Configuration
+from benchmarks.perturb import AXES
+from benchmarks.profile_floor import Counts, Floors, StageProgress, counted, describe
+from benchmarks.runs import Run, run_all
+from iris_addon.errors import BadInput
+from iris_addon.progress import Progress
+from iris_addon.transport.tracer import Tracer
+from tests.box_room import box_mesh
+from tests.truth_room import write_truth_room
+
+
+def record(run: Run, **metrics: float) -> dict:
+    return {
+        "run": asdict(run), "seconds_total": 10.0, "seconds": {"photos": 1.0}, "peak_memory_bytes": 2**30,
+        "rays_traced": 10**6, "n_patches": 1000, "machine": {"processor": "test", "cores": 2, "commit": "0"},
+        "metrics": metrics,
+    }  # fmt: skip
+
+
+# ---- runs ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_finished_run_is_not_repeated_and_a_failed_one_is(tmp_path, monkeypatch):
+    started = []
+
+    def fake(command: list[str], **_options) -> subprocess.CompletedProcess:
+        run = json.loads(command[4])
+        started.append(run["seed"])
+        if run["seed"] == 1:
+            return subprocess.CompletedProcess(command, 3, "", "warning\nerror: no lamps — add some\n")
+        Path(command[3]).parent.mkdir(parents=True, exist_ok=True)
+        Path(command[3]).write_text(json.dumps(record(Run(**run))))
+        return subprocess.CompletedProcess(command, 0, "", "")
+
+    monkeypatch.setattr(runs.subprocess, "run", fake)
+    todo = [Run("room", seed=seed) for seed in range(3)]
+    first = run_all(todo, tmp_path, Progress())
+    assert [r["run"]["seed"] for r in first] == [0, 1, 2] and started == [0, 1, 2]
+    assert first[1]["error"] == "no lamps — add some"
+    run_all(todo, tmp_path, Progress(), jobs=2)
+    assert started == [0, 1, 2, 1]
+    run_all([Run("room", seed=0, samples=8)], tmp_path, Progress())
+    assert started[-1] == 0, "other settings are another run"
+
+
+def test_every_run_has_a_record_of_its_own():
+    one = Run("a/room")
+    others = [Run("a/hall"), Run("a/room", "gamma"), Run("a/room", preset="draft"), Run("a/room", seed=1),
+              Run("a/room", axis="pose", level=1), Run("a/room", axis="pose", level=2)]  # fmt: skip
+    assert len({run.key for run in (one, *others)}) == 7
+    assert Run("a/room", axis="pose").key == one.key, "level 0 of every axis is the capture as it is"
+
+
+# ---- configurations ------------------------------------------------------------------------------------------------
+
+
+def test_a_switch_the_engine_lacks_is_named(tmp_path):
+    odd = Configuration("odd", "", lambda _capture, _scratch: {"emitters": "x", "warp": 9})
+    with pytest.raises(BadInput, match="warp"):
+        odd.solve_config("draft", 0, tmp_path, tmp_path)
+
+
+def test_the_mask_is_that_of_the_true_lamps_unless_a_sweep_put_one(tmp_path):
+    root = write_truth_room(tmp_path / "room")
+    settings = CONFIGURATIONS["iris-like"].settings
+    with pytest.raises(BadInput, match="not recorded"):
+        settings(root, tmp_path)
+    (root / "gt" / "emitters.json").write_text(json.dumps([{"faces": [10, 11]}]))
+    written = settings(root, tmp_path)["emitters"]
+    assert json.loads(Path(str(written)).read_text()) == {"emitters": [{"faces": [[10, 11]]}]}
+    (root / "mask.json").write_text('{"emitters": []}')
+    assert settings(root, tmp_path)["emitters"] == root / "mask.json"
+
+
+def test_the_mean_response_is_a_curve_the_engine_reads(tmp_path):
+    from iris_addon.response.files import read_response
+
+    path = CONFIGURATIONS["mean-response"].settings(tmp_path, tmp_path)["response"]
+    samples = read_response(Path(str(path))).samples
+    assert (np.diff(samples) >= 0).all() and 0.4 < samples[0, 256] < 0.8
+
+
+# ---- tables --------------------------------------------------------------------------------------------------------
+
+
+def test_the_failure_point_is_the_first_level_three_decibels_down():
+    values = np.array([[20, 22], [19, 21], [17.5, 18.4], [10, 12.0]])
+    assert tables.failure_level(values) == 2
+    assert tables.failure_level(values[:2]) is None
+    values[1] = np.nan
+    assert tables.failure_level(values) == 1, "a level where every seed crashed has failed"
+    assert tables.failure_level(np.array([[20, 22], [21, np.nan]])) is None
+
+
+def test_slopes_are_exponents():
+    x = np.array([1e4, 1e5, 1e6])
+    assert tables.loglog_slope(x.tolist(), (3 * x**1.5).tolist()) == pytest.approx(1.5)
+
+
+def test_rows_of_failed_runs_are_left_out_of_means():
+    good = [record(Run("room", seed=s), kd_psnr=20.0 + s) for s in range(3)]
+    groups = tables.group([*good, {"run": asdict(Run("room")), "error": "x"}], lambda row: row["configuration"])
+    assert tables.cell(groups["ours"], "kd_psnr") == "21.00 ± 1.00"
+    assert tables.cell(groups["ours"], "nvs_psnr") == "–"
+
+
+def test_csv_has_a_row_per_run_and_a_column_for_everything(tmp_path):
+    import csv
+
+    runs.write_csv(tmp_path / "r.csv", [record(Run("room"), kd_psnr=20.0), record(Run("room", seed=1), crf_l2=1.0)])
+    with (tmp_path / "r.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert rows[0]["kd_psnr"] == "20.0" and rows[0]["crf_l2"] == "" and rows[1]["crf_l2"] == "1.0"
+
+
+# ---- profile -------------------------------------------------------------------------------------------------------
+
+
+def test_rays_are_counted_in_the_stage_that_casts_them():
+    progress, tracer = StageProgress(), Tracer(box_mesh())
+    ray = np.array([[1.0, 1.0, 1.0]]), np.array([[0.0, 0.0, 1.0]])
+    with counted(progress) as counts:
+        with progress.stage("transport"):
+            tracer.hit_faces(np.repeat(ray[0], 5, 0), np.repeat(ray[1], 5, 0))
+        with progress.stage("lights"):
+            tracer.visible(ray[0], ray[0] + 0.5)
+            tracer.closest(*ray)
+    tracer.closest(*ray)
+    assert counts.closest == {"transport": 5, "lights": 1} and counts.occluded == {"lights": 1}
+
+
+def test_the_floor_is_rays_over_throughput_plus_bytes_over_bandwidth():
+    counts = Counts()
+    counts.closest["transport"], counts.occluded["transport"], counts.moved["transport"] = 4_000_000, 1_000_000, 10**10
+    floors = Floors(2e6, 1e6, 1e10)
+    assert counts.floor("transport", floors) == pytest.approx(2 + 1 + 1)
+    text = describe({"photos": 2.0, "transport": 10.0}, counts, floors, "test")
+    assert (
+        "| transport | 10.0 | 5.00 | 10.00 | 4.00 | 2.5 |" in text and "| **all** | 12.0 |  |  | 4.00 | 3.0 |" in text
+    )
+
+
+# ---- charts --------------------------------------------------------------------------------------------------------
+
+
+def test_the_pareto_front_rises():
+    charts = pytest.importorskip("benchmarks.charts", reason="matplotlib is not installed")
+    assert charts.pareto_front([10, 5, 20, 20], [21, 20, 20.5, np.nan]) == [1, 0]
+    assert charts.pareto_front([10, 10], [21, 22]) == [1]
+
+
+def test_a_sweep_is_collected_drawn_and_summed_up(tmp_path):
+    stability = pytest.importorskip("benchmarks.stability", reason="matplotlib is not installed")
+    axes = ["pose", "mask_missed"]
+    measured = []
+    for run in stability.planned(Path("room"), axes, 2):
+        drop = (6.0 if run.configuration == "iris-like" else 1.0) * run.level + run.seed
+        measured.append(record(run, kd_psnr=25 - drop, relight_psnr=22 - drop, emission_log_l2=0.1))
+    # Ours searches for lamps: a wrong mask is nothing to it, and no run is spent on that.
+    assert not any(r["run"]["axis"] == "mask_missed" and r["run"]["configuration"] == "ours" for r in measured)
+    values = stability.collect(measured, axes, 2)
+    assert values["mask_missed", "ours", "kd_psnr"].std(0).max() == 0
+    assert stability.failure(values, "pose", "ours") == 4 and stability.failure(values, "pose", "iris-like") == 1
+    stability.write(values, axes, tmp_path, {})
+    summary = (tmp_path / "summary.md").read_text()
+    assert (
+        "| error of the poses | 2 cm and half degrees | 4.0 | 4.0 | 0.25 cm and half degrees | 24.0 | 24.0 |" in summary
+    )
+    assert "| given mask: lamps missed | never | 0.0 | 0.0 | 0.25 share | 24.0 | 24.0 |" in summary
+    assert (tmp_path / "pose.png").stat().st_size > 10_000 and (tmp_path / "pose.svg").read_text().startswith("<?xml")
+
+
+def test_a_benchmark_is_charted_and_tabled(tmp_path):
+    bench = pytest.importorskip("benchmarks.bench", reason="matplotlib is not installed")
+    measured = []
+    for run in bench.planned([Path("room")], 3, 8):
+        measured.append(record(run, kd_psnr=20.0 + run.seed, relight_psnr=22.0, crf_l2=1.5))
+    names = {r["run"]["configuration"] for r in measured}
+    assert names == set(CONFIGURATIONS)
+    (ours,) = [p for p in bench.speed_points(measured, "kd_psnr") if p.name == "ours"]
+    assert len(ours.seconds) == 3 and ours.spread[0] == (20.0, 22.0) and ours.line
+    bench.write_charts(measured, tmp_path)
+    bench.write_tables(measured, tmp_path)
+    assert (tmp_path / "room.png").is_file() and (tmp_path / "summary.svg").is_file()
+    assert "| ours balanced | 10 ± 0 | 21.00 ± 1.00 |" in (tmp_path / "tables.md").read_text()
+
+
+def test_scaling_prints_slopes_and_the_limiting_stage(tmp_path):
+    scaling = pytest.importorskip("benchmarks.scaling", reason="matplotlib is not installed")
+    measured = [
+        {
+            "run": {"sweep": "triangles"}, "actual_size": n, "seconds_total": 10 + n / 1e4, "peak_memory_bytes": 2**30,
+            "rays_traced": 10**7, "seconds": {"surface": 1.0, "textures": n / 1e4},
+        }
+        for n in (10_000, 100_000, 1_000_000)
+    ]  # fmt: skip
+    text = scaling.summarise(measured, tmp_path)
+    assert "Limiting stage at 10⁷ triangles: textures." in text and "| textures | 100.0 | 1.00 | 1000 |" in text
+
+
+def test_axes_start_at_the_capture_and_have_five_levels():
+    for axis in AXES.values():
+        assert len(axis.levels) >= 5 and len(set(axis.levels)) == len(axis.levels)
+
+
+# ---- Mitsuba -------------------------------------------------------------------------------------------------------
+
+
+def test_only_the_side_of_a_lamp_that_faces_the_room_shines():
+    peer = pytest.importorskip("benchmarks.peer_mitsuba")
+    tracer = Tracer(box_mesh())
+    room = np.ones(12, bool)
+    room[10] = False
+    inside = 1.0 if tracer.normals[10, 2] < 0 else -1.0
+    shares = [peer._share_into_room(tracer, np.array([10]), sign, room) for sign in (inside, -inside)]
+    assert shares[0] > 0.95 and shares[1] == 0
+
+
+@pytest.mark.slow
+def test_mitsuba_takes_the_photo_our_response_takes():
+    pytest.importorskip("mitsuba")
+    from benchmarks import peer_mitsuba as peer
+    from iris_addon.errors import SolverEnvironmentMissing
+    from iris_addon.response.curve import gamma
+
+    try:
+        mi = peer.load_mitsuba()
+    except SolverEnvironmentMissing as error:
+        pytest.skip(str(error))
+    import drjit as dr
+
+    exposed = np.linspace(0.01, 0.99, 4 * 5 * 3).reshape(4, 5, 3)
+    curve = mi.Float(gamma().samples.astype(np.float32).ravel())
+    display = np.array(peer._develop(dr, mi, mi.TensorXf(exposed.astype(np.float32)), curve))
+    assert display == pytest.approx(gamma().apply(exposed), abs=1e-4)
+    # A clipped pixel asks for nothing once the rendering clips too; an open one does.
+    bright = peer._develop(dr, mi, mi.TensorXf(np.full((1, 1, 3), 2.0, np.float32)), curve)
+    assert float(peer._photo_loss(dr, mi, bright, np.ones((1, 1, 3), np.float32)).array[0]) == 0
+    assert float(peer._photo_loss(dr, mi, bright, np.full((1, 1, 3), 0.9, np.float32)).array[0]) > 0.1
