@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..capture.types import Mesh
 from ..response.observations import group_means
 from ..transport.gather import Origins
-from .patches import PatchGrid, cell_keys, choose_levels
+from .patches import N_LEVELS, PatchGrid, cell_keys, choose_levels
 from .samples import PixelSamples
 
 FIRST_PIXELS_PER_PATCH = 3.0
@@ -64,6 +64,9 @@ def build_surface(
         if len(unique) <= max_patches or pixels_per_patch > 100:
             break
         pixels_per_patch *= max(1.1, min(2.0, (len(unique) / max_patches) ** 0.5))
+        if (blocks[1] == N_LEVELS - 1).mean() > 0.5:
+            # Where most cells are as coarse as they get, only a coarser grid helps: captures far larger than a room.
+            scale *= 2
     patch = inverse.astype(np.int32)
     grid = PatchGrid(origin, scale, *blocks, unique, np.arange(len(unique), dtype=np.int32))
     order = np.argsort(patch, kind="stable")

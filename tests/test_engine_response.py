@@ -1,0 +1,253 @@
+"""The camera response: its family, its recovery from overlap, and radiance read back through it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from iris_addon.errors import BadInput
+from iris_addon.response import curve, family
+from iris_addon.response.curve import N_SAMPLES, Response
+from iris_addon.response.files import read_response
+from iris_addon.response.observations import SATURATED, Observations, observe
+from iris_addon.response.overlap import fit_overlap
+from iris_addon.response.radiance import group_radiance, linearise
+
+X = np.linspace(0, 1, N_SAMPLES)
+EXPOSURES = 2.0 ** np.array([-2, -1, 0, 1, 2, -1.5, 0.5, 1.5, -0.5, 0, 1, -1])
+
+
+def film(slope: float = 1.5) -> np.ndarray:
+    """A film-like S on a log-exposure axis, lifted to 0 and 1."""
+    s = 1 / (1 + (0.18 / np.maximum(X, 1e-9)) ** slope)
+    return s / s[-1]
+
+
+def srgb() -> np.ndarray:
+    s = np.where(X <= 0.0031308, 12.92 * X, 1.055 * np.maximum(X, 1e-9) ** (1 / 2.4) - 0.055)
+    return s / s[-1]  # rounding must not keep white from saturating
+
+
+CURVES = {
+    "gamma 2.2": X ** (1 / 2.2),
+    "gamma 1.6": X ** (1 / 1.6),
+    "gamma 2.8": X ** (1 / 2.8),
+    "sRGB": srgb(),
+    "film": film(1.2),
+    "steep film": film(1.5),
+}
+
+
+def response_of(samples: np.ndarray) -> Response:
+    return Response(np.tile(samples, (3, 1)), "file")
+
+
+def observations_of(
+    response: Response, exposures: np.ndarray, rng: np.random.Generator, n: int = 300, outliers: float = 0.0
+) -> tuple[Observations, np.ndarray]:
+    """8-bit observations of ``n`` even patches in all views, and their radiance; some are anything at all."""
+    radiance = 10 ** rng.uniform(-2.2, 0.5, (n, 1)) * rng.uniform(0.6, 1.0, (n, 3))
+    patch, view = (a.ravel() for a in np.meshgrid(np.arange(n), np.arange(len(exposures)), indexing="ij"))
+    z = np.floor(255 * response.apply(np.clip(radiance[patch] * exposures[view, None], 0, 1))) / 255
+    wrong = rng.random(len(patch)) < outliers
+    z[wrong] = np.clip(z[wrong] + rng.uniform(-0.3, 0.3, (int(wrong.sum()), 1)), 0, 1)
+    return observe(patch.astype(np.int32), view.astype(np.int16), z.astype(np.float32), False, rng), radiance
+
+
+def doubled(o: Observations) -> Observations:
+    """Overlap wants two pixels behind an observation."""
+    return Observations(o.patch, o.view, o.count * 4, o.z, o.spread, o.saturated, o.sample, o.sample_to_observation)
+
+
+def crf_l2(found: Response, truth: np.ndarray) -> float:
+    """Frobenius norm of the 3 x 1024 difference, the published measure."""
+    return float(np.linalg.norm(found.samples - truth))
+
+
+# The family ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_curves_of_the_family_rise_from_zero_to_one(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    knots = [family.PRIOR_MEAN + rng.normal(0, 0.4) + rng.normal(0, 0.15, len(family.PRIOR_MEAN)) for _ in range(3)]
+    response = family.to_response(knots)
+    assert response.samples[:, 0] == pytest.approx(0)
+    assert response.samples[:, -1] == pytest.approx(1)
+    assert (np.diff(response.samples, axis=1) >= 0).all()
+
+
+def test_the_family_contains_gamma() -> None:
+    knots = np.full(len(family.PRIOR_MEAN), np.log(1 / 2.2))
+    assert family.evaluate(knots, X)[1:] == pytest.approx(X[1:] ** (1 / 2.2), abs=1e-6)
+    assert family.downhill(knots).max() == 0
+
+
+def test_a_falling_curve_is_noticed() -> None:
+    rising = np.linspace(np.log(0.1), np.log(4.0), len(family.PRIOR_MEAN))  # x^0.1 at the left, x^4 at the right
+    assert family.downhill(rising).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", CURVES)
+def test_apply_and_invert_undo_each_other(name: str) -> None:
+    response = response_of(CURVES[name])
+    x = np.random.default_rng(0).random((500, 3))
+    assert response.invert(response.apply(x)) == pytest.approx(x, abs=2e-3)
+    assert response.apply(np.full((1, 3), 7.0)) == pytest.approx(1.0)
+    slope = (response.apply(x + 1e-3) - response.apply(x - 1e-3)) / 2e-3
+    inside = (x > 0.05) & (x < 0.99)
+    assert response.slope(x)[inside] == pytest.approx(slope[inside], rel=0.05)
+
+
+# Recovery ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", CURVES)
+def test_known_exposures_give_the_curve(name: str) -> None:
+    rng = np.random.default_rng(1)
+    truth = response_of(CURVES[name])
+    observations, _ = observations_of(truth, EXPOSURES, rng)
+    fit = fit_overlap(doubled(observations), EXPOSURES, len(EXPOSURES), rng)
+    assert crf_l2(fit.response, truth.samples) < 0.3
+    assert not fit.per_channel
+    assert fit.exposures == pytest.approx(np.repeat(EXPOSURES[:, None], 3, 1))
+
+
+@pytest.mark.parametrize(("name", "limit"), [("gamma 2.2", 1.3), ("sRGB", 1.3), ("film", 2.0)])
+def test_a_tenth_of_outliers_does_little(name: str, limit: float) -> None:
+    rng = np.random.default_rng(2)
+    truth = response_of(CURVES[name])
+    observations, _ = observations_of(truth, EXPOSURES, rng, outliers=0.1)
+    fit = fit_overlap(doubled(observations), EXPOSURES, len(EXPOSURES), rng)
+    assert crf_l2(fit.response, truth.samples) < limit
+
+
+def test_three_curves_earn_their_place_where_there_are_three() -> None:
+    rng = np.random.default_rng(3)
+    truth = Response(np.stack([X ** (1 / 1.6), X ** (1 / 2.2), X ** (1 / 2.8)]), "file")
+    observations, _ = observations_of(truth, EXPOSURES, rng)
+    fit = fit_overlap(doubled(observations), EXPOSURES, len(EXPOSURES), rng)
+    assert fit.per_channel
+    assert crf_l2(fit.response, truth.samples) < 0.8
+
+
+@pytest.mark.parametrize("name", ["gamma 2.2", "film"])
+def test_unknown_exposures_come_back_up_to_an_exponent(name: str) -> None:
+    rng = np.random.default_rng(4)
+    truth = response_of(CURVES[name])
+    observations, _ = observations_of(truth, EXPOSURES, rng)
+    fit = fit_overlap(doubled(observations), None, len(EXPOSURES), rng)
+    stops, found = np.log2(EXPOSURES), np.log2(fit.exposures).mean(1)
+    exponent, offset = np.polyfit(stops, found, 1)
+    assert np.abs(found - (exponent * stops + offset)).max() < 0.12
+    assert 0.5 < exponent < 2
+    # The curve is that of the photos under the same exponent: f(x) = true f(x^(1/g)).
+    equivalent = np.interp(X ** (1 / exponent), X, truth.samples[0])
+    assert np.abs(fit.response.samples - equivalent).max() < 0.06
+
+
+def test_exposures_under_a_given_curve() -> None:
+    rng = np.random.default_rng(5)
+    truth = curve.gamma()
+    observations, _ = observations_of(truth, EXPOSURES, rng)
+    fit = fit_overlap(doubled(observations), None, len(EXPOSURES), rng, truth)
+    ratio = np.log2(fit.exposures / EXPOSURES[:, None])
+    assert np.abs(ratio - ratio.mean()).max() < 0.05
+    assert fit.response is truth
+
+
+# Radiance ------------------------------------------------------------------------------------------------------------
+
+
+def test_radiance_comes_back_through_the_curve() -> None:
+    rng = np.random.default_rng(6)
+    truth = curve.gamma()
+    observations, radiance = observations_of(truth, EXPOSURES, rng)
+    linear = linearise(observations, truth, np.repeat(EXPOSURES[:, None], 3, 1))
+    found = group_radiance(linear, observations.patch, observations.count, len(radiance))
+    assert found.known.all()
+    assert found.radiance == pytest.approx(radiance, rel=0.03)
+
+
+def test_one_view_with_a_highlight_does_not_move_a_patch() -> None:
+    rng = np.random.default_rng(7)
+    observations, radiance = observations_of(curve.gamma(), EXPOSURES, rng)
+    linear = linearise(observations, curve.gamma(), np.repeat(EXPOSURES[:, None], 3, 1))
+    linear.radiance[observations.view == 4] *= 8
+    found = group_radiance(linear, observations.patch, observations.count, len(radiance))
+    off = np.abs(np.log(found.radiance / radiance))
+    assert np.median(off) < 0.12
+
+
+def test_what_every_photo_clips_is_a_lower_bound() -> None:
+    patch, view = np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], np.int16)
+    z = np.array([[1.0] * 3, [1.0] * 3, [0.5] * 3, [1.0] * 3], np.float32)
+    observations = observe(patch, view, z, False, np.random.default_rng(8))
+    linear = linearise(observations, curve.gamma(), np.array([[2.0] * 3, [0.25] * 3]))
+    found = group_radiance(linear, observations.patch, observations.count, 2)
+    assert (found.known == [[False] * 3, [True] * 3]).all()
+    assert found.bound == pytest.approx(np.full((2, 3), 4.0))
+    assert found.radiance[0] == pytest.approx(4.0)
+    assert found.radiance[1] == pytest.approx(((0.5 + 0.5 / 255) ** 2.2) / 2, rel=1e-3)
+
+
+def test_observations_are_means_per_patch_and_view() -> None:
+    rng = np.random.default_rng(9)
+    patch, view = rng.integers(0, 20, 3000).astype(np.int32), rng.integers(0, 5, 3000).astype(np.int16)
+    z = rng.random((3000, 3)).astype(np.float32)
+    z[rng.random(3000) < 0.2] = 1.0
+    o = observe(patch, view, z, False, rng)
+    assert (o.patch[o.sample_to_observation] == patch).all() and (o.view[o.sample_to_observation] == view).all()
+    assert (patch[o.sample] == o.patch).all() and (view[o.sample] == o.view).all()
+    rows = (patch == 7) & (view == 3)
+    at = np.flatnonzero((o.patch == 7) & (o.view == 3))[0]
+    assert o.count[at] == rows.sum()
+    assert o.z[at] == pytest.approx(z[rows].mean(0), abs=1e-5)
+    assert o.spread[at] == pytest.approx(z[rows].std(0), abs=1e-4)
+    assert o.saturated[at] == pytest.approx((z[rows] >= SATURATED).mean(0))
+
+
+# Files ---------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rows", [1, 3])
+@pytest.mark.parametrize("kind", ["json", "npy", "txt"])
+def test_curves_are_read_from_files(tmp_path: Path, kind: str, rows: int) -> None:
+    table = np.stack([np.linspace(0, 1, 257) ** (1 / g) for g in (2.2, 1.8, 2.6)])[:rows]
+    path = tmp_path / f"response.{kind}"
+    if kind == "json":
+        path.write_text(json.dumps({"samples": table.tolist() if rows == 3 else table[0].tolist()}))
+    elif kind == "npy":
+        np.save(path, table)
+    else:
+        np.savetxt(path, table.T)
+    response = read_response(path)
+    assert response.samples[-1] == pytest.approx(np.interp(X, np.linspace(0, 1, 257), table[-1]), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "content", ["", "not numbers", "1 2 3 4\n5 6 7 8", "0.0\nnan\n1.0", "0\n1\n0.5", "1\n1\n1"], ids=repr
+)
+def test_a_bad_curve_is_refused_by_name(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "curve.txt"
+    path.write_text(content)
+    with pytest.raises(BadInput, match="curve.txt"):
+        read_response(path)
+
+
+@pytest.mark.parametrize("content", ["{}", '{"samples": {"r": 1}}', "[1, 2]", "{"])
+def test_a_bad_response_json_is_refused_by_name(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "response.json"
+    path.write_text(content)
+    with pytest.raises(BadInput, match="response.json"):
+        read_response(path)
+
+
+def test_an_empty_or_missing_table_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "curve.npy").write_bytes(b"")
+    for name in ("curve.npy", "nothing.npy"):
+        with pytest.raises(BadInput, match=name):
+            read_response(tmp_path / name)
