@@ -17,12 +17,13 @@ from iris_addon.progress import Progress, console
 
 from . import charts, machine, tables
 from .configurations import CONFIGURATIONS
-from .peer_mitsuba import snapshot_records
+from .peer_mitsuba import NAME, snapshot_records
 from .runs import METRICS, Record, Run, captures, read_records, relative, run_all, write_csv
 
 PEER_PRESET = "balanced"
 CHARTED = ("kd_psnr", "relight_psnr")
 RESPONSE_ABLATION = ("constant-exposure", "mean-response", "gamma", "ours")
+IN_CHARTS = ("ours", NAME, "iris-like", "fipt-ldr-like", "fipt-hdr-like", "single-bounce")
 PUBLISHED_ABLATION = {"constant-exposure": 4.074, "mean-response": 4.240, "gamma": 3.683, "ours": 1.363}
 """CRF L2 of the same ablation in the IRIS paper, on its own rooms."""
 
@@ -41,10 +42,11 @@ def planned(folders: Sequence[Path], seeds: int, samples: int) -> list[Run]:
 
 
 def speed_points(records: Sequence[Record], metric: str) -> list[charts.Points]:
-    """One series per method, its points from the fastest on."""
+    """One series per method, always in the same order, its points from the fastest on."""
     methods = tables.group(records, lambda row: row["configuration"])
     series = []
-    for name, rows in methods.items():
+    for name in IN_CHARTS:
+        rows = methods.get(name, [])
         by_preset: dict[str, list] = {}
         for row in rows:
             by_preset.setdefault(row["preset"], []).append(row)
@@ -59,7 +61,7 @@ def speed_points(records: Sequence[Record], metric: str) -> list[charts.Points]:
                 [tables.mean(group, "seconds_total") for _, group in found],
                 [tables.mean(group, metric) for _, group in found],
                 [(float(v.min()), float(v.max())) for _, group in found for v in [tables.values(group, metric)]],
-                [label for label, _ in found] if several else (),
+                [label for label, _ in found] if name == "ours" else (),
                 line=several,
             )
         )

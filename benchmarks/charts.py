@@ -14,6 +14,8 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
@@ -100,8 +102,8 @@ def speed_against_accuracy(panels: Mapping[str, Sequence[Points]], *, title: str
             _speed_panel(axes, metric, methods)
         handles, labels = figure.axes[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)), fontsize=11)
-        figure.suptitle(title, fontsize=14)
-        figure.supxlabel(f"seconds, whole solve\n{caption}", fontsize=11)
+        figure.suptitle(f"{title}\n", fontsize=14)
+        figure.text(0.5, 0.945, caption, ha="center", va="top", fontsize=11, color=GREY)
     return figure
 
 
@@ -123,7 +125,7 @@ def _speed_panel(axes: Axes, metric: str, methods: Sequence[Points]) -> None:
         for t, (low, high) in zip(method.seconds, method.spread, strict=False):
             axes.plot([t, t], [low, high], color=color, linewidth=2, zorder=2)
         for t, v, text in zip(method.seconds, method.value, method.labels, strict=False):
-            axes.annotate(text, (t, v), xytext=(7, 5), textcoords="offset points", fontsize=10, color=GREY)
+            axes.annotate(text, (t, v), xytext=(4, 9), textcoords="offset points", ha="center", fontsize=10)
     if everything:
         seconds, value = (list(column) for column in zip(*everything, strict=True))
         front = pareto_front(seconds, value)
@@ -138,22 +140,24 @@ def _speed_panel(axes: Axes, metric: str, methods: Sequence[Points]) -> None:
             zorder=1,
         )
     axes.set_xscale("log")
+    axes.set_xlabel("seconds, whole solve")
     _published(axes, PUBLISHED.get(metric, ()))
     axes.set_ylabel(AXIS_NAMES.get(metric, metric))
 
 
 def _published(axes: Axes, figures: Sequence[Published]) -> None:
-    """Published figures as dashed lines up to the time they took, named at that end."""
+    """Published figures as dashed lines with a tick at the time they took."""
     for figure in figures:
         axes.axhline(figure.value, color=GREY, linewidth=0.9, linestyle=(0, (5, 4)), zorder=0)
         minutes = f"{figure.seconds / 60:.0f} min, {figure.machine}"
         axes.plot([figure.seconds], [figure.value], marker="|", color=GREY, markersize=12)
         axes.annotate(
-            f"{figure.name} ({minutes}, other rooms)",
-            (0.01, figure.value),
+            f"{figure.name}: {minutes}, other rooms",
+            (0.995, figure.value),
             xycoords=("axes fraction", "data"),
             xytext=(0, 3),
             textcoords="offset points",
+            ha="right",
             fontsize=9,
             color=GREY,
         )
@@ -185,11 +189,14 @@ def stability(panels: Mapping[str, Sequence[Sweep]], ticks: Sequence[str], *, ti
             for index, sweep in enumerate(sweeps):
                 _sweep(axes, sweep, OKABE_ITO[index], MARKERS[index])
             axes.set_xticks(range(len(ticks)), ticks)
+            axes.set_xlabel(x_label)
             axes.set_ylabel(AXIS_NAMES.get(metric, metric))
         handles, labels = figure.axes[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=3)
+        handles.append(Line2D([], [], marker="o", markersize=13, color=GREY, fillstyle="none", linestyle="none"))
+        handles.append(Patch(color=GREY, alpha=0.3, linewidth=0))
+        labels += ["failure point", "span of seeds"]
+        figure.legend(handles, labels, loc="outside lower center", ncols=4)
         figure.suptitle(title, fontsize=13)
-        figure.supxlabel(x_label, fontsize=12)
     return figure
 
 

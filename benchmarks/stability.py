@@ -124,7 +124,7 @@ def _chart(values: Values, axis: Axis) -> charts.Figure:
         for metric in METRICS
     }
     ticks = [axis.label(level) for level in range(len(axis.levels))]
-    return charts.stability(panels, ticks, title=axis.title, x_label=f"{axis.unit}   (○ failure point, shaded: seeds)")
+    return charts.stability(panels, ticks, title=axis.title, x_label=axis.unit)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
