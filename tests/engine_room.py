@@ -105,14 +105,19 @@ def furnished_room(cells: float = 0.25) -> Room:
     return Room(assemble(pieces, parts + list(LAMP_PARTS)), ALBEDO, emission)
 
 
-def face_origins(tracer: Tracer, toward: np.ndarray, n: int, rng: np.random.Generator) -> Origins:
-    """``n`` random points per face; normals on the side of the point ``toward``."""
+def room_origins(room: Room, tracer: Tracer, n: int, rng: np.random.Generator) -> Origins:
+    """``n`` random points per face, normals into the room: walls are looked at from inside, boxes from outside."""
     u = rng.random((len(tracer.areas), n, 2))
     u = np.where(u.sum(-1, keepdims=True) > 1, 1 - u, u)
     c = tracer.corners[:, None]
     position = c[:, :, 0] + u[..., :1] * (c[:, :, 1] - c[:, :, 0]) + u[..., 1:] * (c[:, :, 2] - c[:, :, 0])
-    inward = np.sign(((toward - tracer.corners.mean(1)) * tracer.normals).sum(1))[:, None]
-    normal = np.broadcast_to((tracer.normals * inward)[:, None], position.shape)
+    normal = tracer.normals.copy()
+    for part in range(len(room.albedo)):
+        faces = np.flatnonzero(room.parts == part)
+        middle = tracer.corners[faces].mean(1)
+        away = middle - middle.mean(0) if part in (6, 7) else SIZE / 2 - middle
+        normal[faces] *= np.where((away * normal[faces]).sum(1, keepdims=True) < 0, -1, 1)
+    normal = np.broadcast_to(normal[:, None], position.shape)
     return Origins(position.astype(np.float32), normal.astype(np.float32))
 
 
@@ -132,13 +137,7 @@ def irradiance_at(
 def radiosity(room: Room, tracer: Tracer, n_rays: int = 256) -> np.ndarray:
     """(F, 3) radiance that each face reflects into the room, lamps black."""
     rng = np.random.default_rng(5)
-    # Boxes are looked at from outside, walls from inside: their normals decide, not one point.
-    origins = face_origins(tracer, SIZE / 2, 8, rng)
-    for part in (6, 7):
-        faces = np.flatnonzero(room.parts == part)
-        centre = tracer.corners[faces].reshape(-1, 3).mean(0)
-        outward = np.sign(((tracer.corners[faces].mean(1) - centre) * tracer.normals[faces]).sum(1))
-        origins.normal[faces] = (tracer.normals[faces] * outward[:, None])[:, None]
+    origins = room_origins(room, tracer, 8, rng)
     rays, _ = gather(tracer, origins, n_rays, rng, Progress())
     lamps = room.lamps()
     direct = emitter_form_factors(tracer, origins, rays, lamps, n_rays, rng, Progress())

@@ -234,7 +234,7 @@ def test_curves_are_read_from_files(tmp_path: Path, kind: str, rows: int) -> Non
 def test_a_bad_curve_is_refused_by_name(tmp_path: Path, content: str) -> None:
     path = tmp_path / "curve.txt"
     path.write_text(content)
-    with pytest.raises(BadInput, match="curve.txt"):
+    with pytest.raises(BadInput, match=r"curve\.txt"):
         read_response(path)
 
 
@@ -242,7 +242,7 @@ def test_a_bad_curve_is_refused_by_name(tmp_path: Path, content: str) -> None:
 def test_a_bad_response_json_is_refused_by_name(tmp_path: Path, content: str) -> None:
     path = tmp_path / "response.json"
     path.write_text(content)
-    with pytest.raises(BadInput, match="response.json"):
+    with pytest.raises(BadInput, match=r"response\.json"):
         read_response(path)
 
 

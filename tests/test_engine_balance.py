@@ -1,0 +1,186 @@
+"""The light balance: lamps from the albedo they imply, in a room whose radiosity is solved exactly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from iris_addon.emission.balance import MAX_ALBEDO, Balance, Evidence, _DirectEvidence, _Problem, solve_balance
+from iris_addon.progress import Progress
+from iris_addon.transport.gather import emitter_form_factors, gather
+from iris_addon.transport.tracer import Tracer
+from tests.engine_room import Room, furnished_room, room_origins
+
+
+@dataclass(frozen=True)
+class Shading:
+    """What the balance is given, one patch per face of the room, and the truth."""
+
+    radiance: np.ndarray
+    indirect: np.ndarray
+    form_factors: np.ndarray
+    part: np.ndarray
+    weight: np.ndarray
+    truth: np.ndarray
+
+    @property
+    def nothing_known(self) -> Evidence:
+        n = len(self.truth)
+        nan = np.full((n, 3), np.nan)
+        return Evidence(np.zeros((n, 3)), nan, np.arange(n), nan)
+
+    def solve(self, evidence: Evidence | None = None, start: np.ndarray | None = None) -> Balance:
+        begin = np.ones_like(self.truth) if start is None else start
+        return solve_balance(
+            self.radiance,
+            self.indirect,
+            self.form_factors,
+            self.part,
+            self.weight,
+            evidence or self.nothing_known,
+            begin,
+        )
+
+
+def exact_shading(room: Room) -> Shading:
+    """Radiosity to convergence under the very G and B that the balance gets: any error is the balance's own."""
+    tracer, rng = Tracer(room.mesh), np.random.default_rng(0)
+    origins = room_origins(room, tracer, 4, rng)
+    rays, _ = gather(tracer, origins, 128, rng, Progress())
+    lamps = room.lamps()
+    factors = emitter_form_factors(tracer, origins, rays, lamps, 48, rng, Progress()).astype(np.float64)
+    truth = np.array([room.emission[room.parts[faces[0]]] for faces in lamps])
+    albedo = room.albedo[room.parts]
+    radiance = np.zeros_like(albedo)
+    for _ in range(60):
+        indirect = np.concatenate([radiance, np.zeros((1, 3))])[rays.face].mean(1)
+        radiance = albedo * (indirect + factors @ truth)
+    rows = np.flatnonzero((albedo.min(1) > 0) & (radiance.min(1) > 1e-3))
+    return Shading(radiance[rows], indirect[rows], factors[rows], room.parts[rows], np.ones(len(rows)), truth)
+
+
+@pytest.fixture(scope="module")
+def shading() -> Shading:
+    return exact_shading(furnished_room())
+
+
+def one_lamp(shading: Shading) -> Shading:
+    """The same room under its second lamp alone. Light is linear, but radiosity has to be solved again."""
+    room = furnished_room()
+    emission = room.emission.copy()
+    emission[8] = 0
+    albedo = room.albedo.copy()
+    albedo[8] = 0.5
+    return exact_shading(replace(room, emission=emission, albedo=albedo))
+
+
+def test_two_lamps_come_back_exactly(shading: Shading) -> None:
+    balance = shading.solve()
+    assert balance.radiance == pytest.approx(shading.truth, rel=0.02)
+    expected = furnished_room().albedo[balance.part_ids]
+    assert balance.part_albedo == pytest.approx(expected, rel=0.02)
+
+
+def test_one_lamp_comes_back_exactly(shading: Shading) -> None:
+    alone = one_lamp(shading)
+    assert alone.truth.shape == (1, 3)
+    assert alone.solve().radiance == pytest.approx(alone.truth, rel=0.02)
+
+
+@pytest.mark.parametrize("factor", [0.05, 30.0])
+def test_the_start_does_not_matter(shading: Shading, factor: float) -> None:
+    assert shading.solve(start=shading.truth * factor).radiance == pytest.approx(shading.truth, rel=0.03)
+
+
+def test_texture_and_outliers_do_little(shading: Shading) -> None:
+    rng = np.random.default_rng(1)
+    texture = np.exp(rng.normal(0, 0.15, (len(shading.part), 1)))
+    wrong = rng.random(len(shading.part)) < 0.1
+    texture[wrong] *= rng.uniform(2, 6, (int(wrong.sum()), 1))  # highlights, stickers
+    noisy = replace(shading, radiance=shading.radiance * texture)
+    assert noisy.solve().radiance == pytest.approx(shading.truth, rel=0.15)
+
+
+def test_gradient_is_that_of_the_loss(shading: Shading) -> None:
+    rng = np.random.default_rng(2)
+    rows = rng.choice(len(shading.part), 200, replace=False)
+    ids, label = np.unique(shading.part[rows], return_inverse=True)
+    evidence = replace(shading.nothing_known, bound=shading.truth * 1.5, expected=shading.truth * 0.5)
+    evidence.measured[0] = shading.truth[0] * 1.1
+    problem = _Problem(
+        np.log(shading.radiance[rows]),
+        shading.indirect[rows],
+        shading.form_factors[rows],
+        np.full(len(rows), 1 / len(rows)),
+        label,
+        len(ids),
+        _DirectEvidence.of(evidence, 2),
+    )
+    log_e = np.log(shading.truth) + rng.normal(0, 0.4, (2, 3))
+    albedo = problem.implied_albedo(log_e) + rng.normal(0, 0.3, (len(ids), 3))
+    albedo[0] = np.log(MAX_ALBEDO) + 0.2  # the penalty on white is in force
+    x = np.concatenate([log_e.ravel(), albedo.ravel()])
+    _, gradient = problem.loss(x)
+    h = 1e-6
+    numeric = [(problem.loss(x + h * e)[0] - problem.loss(x - h * e)[0]) / (2 * h) for e in np.eye(len(x))]
+    assert gradient == pytest.approx(np.array(numeric), rel=1e-4, abs=1e-7)
+
+
+def test_saturation_is_a_lower_bound(shading: Shading) -> None:
+    below, above = shading.truth * 0.5, shading.truth * 1.4
+    assert shading.solve(replace(shading.nothing_known, bound=below)).radiance == pytest.approx(shading.truth, rel=0.03)
+    forced = shading.solve(replace(shading.nothing_known, bound=above)).radiance
+    assert (forced > 0.9 * above).all()
+
+
+def test_a_measurement_pulls_more_than_shading_that_says_little(shading: Shading) -> None:
+    measured = np.full_like(shading.truth, np.nan)
+    measured[1] = shading.truth[1] * 1.2
+    faint = replace(shading, form_factors=shading.form_factors * [1.0, 1e-4])
+    balance = faint.solve(replace(shading.nothing_known, measured=measured))
+    assert balance.radiance[1] == pytest.approx(measured[1], rel=0.05)
+
+
+def test_tied_fixtures_share_one_radiance(shading: Shading) -> None:
+    tied = replace(shading.nothing_known, tie=np.zeros(2, np.int64))
+    radiance = shading.solve(tied).radiance
+    assert (radiance[0] == radiance[1]).all()
+    low, high = np.sort(shading.truth, axis=0)
+    assert (radiance[0] > 0.9 * low).all() and (radiance[0] < 1.1 * high).all()
+
+
+def test_distant_patches_of_a_part_are_what_fixes_the_scale(shading: Shading) -> None:
+    """Cut every wall into tiles of even light with an albedo of their own: only neighbours are left to compare."""
+    order = np.lexsort((shading.radiance[:, 1], shading.part))
+    tiles = np.empty_like(shading.part)
+    tiles[order] = np.arange(len(order)) // 13
+    square = np.zeros(2)
+    for seed in range(4):
+        texture = np.exp(np.random.default_rng(seed).normal(0, 0.2, (len(shading.part), 1)))
+        noisy = replace(shading, radiance=shading.radiance * texture)
+        for k, part in enumerate((shading.part, tiles)):
+            square[k] += (np.log(replace(noisy, part=part).solve().radiance / shading.truth) ** 2).mean()
+    assert square[1] > 3 * square[0]
+
+
+def test_uncertainty_tells_the_lamp_that_lights_nothing(shading: Shading) -> None:
+    faint = replace(shading, form_factors=shading.form_factors * [1.0, 1e-3])
+    balance = faint.solve()
+    assert balance.log_std[1] > 10 * balance.log_std[0]
+
+
+def test_patches_of_no_weight_have_no_say(shading: Shading) -> None:
+    rng = np.random.default_rng(4)
+    spoiled = rng.random(len(shading.part)) < 0.3
+    radiance = np.where(spoiled[:, None], rng.random((len(spoiled), 3)) * 5, shading.radiance)
+    balance = replace(shading, radiance=radiance, weight=np.where(spoiled, 0.0, 1.0)).solve()
+    assert balance.radiance == pytest.approx(shading.truth, rel=0.02)
+
+
+def test_the_held_out_loss_rises_with_what_the_model_cannot_explain(shading: Shading) -> None:
+    rng = np.random.default_rng(5)
+    texture = np.exp(rng.normal(0, 0.3, (len(shading.part), 1)))
+    assert shading.solve().held_out < 0.01
+    assert replace(shading, radiance=shading.radiance * texture).solve().held_out > 0.3
