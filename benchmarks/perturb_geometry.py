@@ -13,15 +13,17 @@ from numpy.typing import NDArray
 
 from iris_addon.capture.fipt import read_fipt, read_fipt_views
 from iris_addon.capture.meshes import read_mesh
-from iris_addon.capture.types import Mesh
+from iris_addon.capture.types import Mesh, View
 from iris_addon.errors import BadInput
-from iris_addon.imaging import atomic_write
+from iris_addon.evaluate.ground_truth import read_ground_truth, read_rgb
+from iris_addon.imaging import atomic_write, write_exr
 from iris_addon.result.json_files import write_json
 from iris_addon.surface.parts import initial_parts, weld
-from iris_addon.transport.tracer import Tracer
+from iris_addon.transport.tracer import Hits, Tracer, points_on_faces
 
 from .meshes import FaceMap, cluster, select, subdivide_edges
 from .perturb_masks import true_lamp_faces
+from .runs import SWEPT_VIEWS
 
 HOLE_EDGE = 0.15
 """Metres: faces are cut to this before holes are, so that a wall of two triangles can have a hole."""
@@ -40,27 +42,69 @@ def shake_mesh(root: Path, _truth: Path, millimetres: float, rng: np.random.Gene
 
 
 def cut_holes(root: Path, _truth: Path, share: float, rng: np.random.Generator) -> str:
-    """Holes where a smooth random field peaks, as many as let ``share`` of the rays from the cameras escape.
+    """Holes where a smooth random field peaks, as many as let ``share`` of the light-gathering rays escape.
 
-    Lamps stay: what is tested is light lost through holes, not lamps lost.
+    What the scored views look at goes last, and lamps stay: what is tested is light lost, not things lost.
+    What lies behind a hole becomes zero in the true albedo maps, which is what a result shows there.
     """
-    mesh, old = subdivide_edges(_mesh(root), HOLE_EDGE)
-    lamp = _lamp_mask(root, int(old.max()) + 1)[old]
-    field = np.where(lamp, -np.inf, _smooth_field(mesh.vertices[mesh.faces].mean(1), rng))
-    origins = np.stack([view.camera.position for view in read_fipt_views(root, "train")])
-    rays = rng.standard_normal((HOLE_RAYS, 3))
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    start = origins[rng.integers(0, len(origins), HOLE_RAYS)]
+    whole = _mesh(root)
+    mesh, old = subdivide_edges(whole, HOLE_EDGE)
+    tracer = Tracer(mesh)
+    lamp = _lamp_mask(root, len(whole.faces))[old]
+    cameras = [view.camera for view in _scored_views(root)]
+    seen = [(tracer.closest(*camera.rays()), camera.rays()[1]) for camera in cameras]
+    last = np.zeros(len(mesh.faces), bool)
+    for hits, _ in seen:
+        last[hits.face[hits.face >= 0]] = True
+    field = _smooth_field(mesh.vertices[mesh.faces].mean(1), rng)
+    field = np.where(lamp, -np.inf, field - np.ptp(field) * last)
 
+    start, direction = _gather_rays(tracer, seen, rng)
     low, high = float(field[~lamp].min()), float(field.max())
     threshold, escaped = high, 0.0
-    for _ in range(10):
+    for _ in range(12):
         threshold = 0.5 * (low + high)
-        escaped = float((Tracer(select(mesh, field <= threshold)[0]).hit_faces(start, rays) < 0).mean())
+        escaped = float((Tracer(select(mesh, field <= threshold)[0]).hit_faces(start, direction) < 0).mean())
         low, high = (low, threshold) if escaped < share else (threshold, high)
     cut, old_of_cut = select(mesh, field <= threshold)
     _replace(root, cut, old[old_of_cut])
-    return f"{escaped:.1%} of the rays from the cameras escape"
+    _hide_behind_holes(root, Tracer(cut))
+    return f"{escaped:.1%} of the gather rays escape, {len(cut.faces) / len(mesh.faces):.0%} of the mesh is left"
+
+
+def _scored_views(root: Path) -> tuple[View, ...]:
+    """The views that sweeps render, else some training views."""
+    val = read_fipt_views(root, "val") if (root / "val" / "transforms.json").is_file() else ()
+    return (val or read_fipt_views(root, "train"))[:SWEPT_VIEWS]
+
+
+def _gather_rays(
+    tracer: Tracer, seen: list[tuple[Hits, NDArray[np.floating]]], rng: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Cosine-distributed rays from random points that views see: origins and directions, (HOLE_RAYS, 3)."""
+    face = np.concatenate([hits.face[hits.face >= 0] for hits, _ in seen])
+    weights = np.concatenate([hits.barycentric[hits.face >= 0] for hits, _ in seen])
+    towards = np.concatenate([direction[hits.face >= 0] for hits, direction in seen])
+    pick = rng.integers(0, len(face), HOLE_RAYS)
+    normal = tracer.normals[face[pick]]
+    normal = normal * -np.sign((normal * towards[pick]).sum(1, keepdims=True))
+    sphere = rng.standard_normal((HOLE_RAYS, 3))
+    direction = normal + 0.999 * sphere / np.linalg.norm(sphere, axis=1, keepdims=True)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return points_on_faces(tracer.corners, face[pick], weights[pick]) + tracer.epsilon * normal, direction
+
+
+def _hide_behind_holes(root: Path, tracer: Tracer) -> None:
+    """Zero in the true albedo maps where rays of the training views now escape."""
+    truth = read_ground_truth(root)
+    for index, view in enumerate(truth.views if truth else ()):
+        assert truth is not None
+        gone = tracer.hit_faces(*view.camera.rays()) < 0
+        for kind in ("DiffCol", "BaseCol", "albedo"):
+            path = truth.path(f"train/{kind}", index)
+            if path is not None:
+                values = read_rgb(path)
+                write_exr(path, np.where(gone.reshape(values.shape[:2])[..., None], 0, values))
 
 
 def _smooth_field(points: NDArray[np.float64], rng: np.random.Generator, waves: int = 48) -> NDArray[np.float64]:

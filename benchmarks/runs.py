@@ -26,6 +26,8 @@ from .machine import ROOT
 Scored = Literal["maps", "relight", "all"]
 BUNDLED = ROOT / "assets" / "demo_room"
 SHARED_CAPTURES = ROOT.parent / "shared" / "captures"
+SWEPT_VIEWS = 2
+"""Views that a run scored by "relight" renders."""
 Record = dict[str, Any]
 
 

@@ -18,9 +18,7 @@ from iris_addon.result.types import Result
 from . import machine
 from .configurations import CONFIGURATIONS
 from .perturb import Perturbed, perturb
-from .runs import Run, save_record
-
-SWEPT_VIEWS = 2
+from .runs import SWEPT_VIEWS, Run, save_record
 
 
 def measure(run: Run, cache: Path) -> dict[str, Any]:

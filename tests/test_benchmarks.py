@@ -13,10 +13,11 @@ from benchmarks.perturb_masks import true_lamp_faces
 from iris_addon.capture import read_capture
 from iris_addon.capture.fipt import read_fipt, read_fipt_views
 from iris_addon.capture.meshes import read_mesh
+from iris_addon.evaluate import evaluate
 from iris_addon.imaging import read_image, write_exr
 from iris_addon.surface.parts import initial_parts
-from tests.box_room import box_mesh
-from tests.truth_room import LAMP_FACES, write_references, write_truth_room
+from tests.box_room import ROOM_MAX, ROOM_MIN, box_mesh
+from tests.truth_room import LAMP_FACES, SIDE, true_result, write_references, write_truth_room
 
 RADIANCE = 2.0
 
@@ -154,6 +155,21 @@ def test_holes_let_the_asked_share_of_rays_escape_and_the_lamp_stays(room, tmp_p
         area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
         assert area.sum() == pytest.approx(6.0, rel=1e-6)
     assert shares == pytest.approx([0.15, 0.6], abs=0.03)
+
+
+def test_true_albedo_behind_a_hole_is_what_a_result_shows_there(room, tmp_path):
+    made = perturb(room, "holes", 4, 0, tmp_path / "out")
+    scores = evaluate(replace(true_result(), mesh=uv_of_walls(mesh_of(made.truth))), made.truth)
+    assert scores["kd_psnr_all"] > 60
+
+
+def uv_of_walls(mesh):
+    """``mesh``, cut out of the box room, with the texels that :func:`true_result` gives its walls."""
+    centres = mesh.vertices[mesh.faces].mean(1)
+    sides = np.stack([centres - ROOM_MIN, ROOM_MAX - centres], -1).reshape(-1, 6)
+    wall = np.abs(sides).argmin(1)
+    uv = np.stack([(wall + 0.5) / SIDE, np.full(len(wall), 1 - 0.5 / SIDE)], -1)
+    return mesh.with_uv(np.repeat(uv[:, None], 3, axis=1).astype(np.float32))
 
 
 def test_relighting_follows_the_faces_of_a_perturbed_mesh(room, tmp_path):

@@ -10,6 +10,7 @@ import pytest
 
 from benchmarks import runs, tables
 from benchmarks.configurations import CONFIGURATIONS, Configuration
+from benchmarks.mitsuba_scene import share_into_room
 from benchmarks.perturb import AXES
 from benchmarks.profile_floor import Counts, Floors, StageProgress, counted, describe
 from benchmarks.runs import Run, run_all
@@ -218,12 +219,11 @@ def test_axes_start_at_the_capture_and_have_five_levels():
 
 
 def test_only_the_side_of_a_lamp_that_faces_the_room_shines():
-    peer = pytest.importorskip("benchmarks.peer_mitsuba")
     tracer = Tracer(box_mesh())
     room = np.ones(12, bool)
     room[10] = False
     inside = 1.0 if tracer.normals[10, 2] < 0 else -1.0
-    shares = [peer._share_into_room(tracer, np.array([10]), sign, room) for sign in (inside, -inside)]
+    shares = [share_into_room(tracer, np.array([10]), sign, room) for sign in (inside, -inside)]
     assert shares[0] > 0.95 and shares[1] == 0
 
 
@@ -231,11 +231,12 @@ def test_only_the_side_of_a_lamp_that_faces_the_room_shines():
 def test_mitsuba_takes_the_photo_our_response_takes():
     pytest.importorskip("mitsuba")
     from benchmarks import peer_mitsuba as peer
+    from benchmarks.mitsuba_scene import load_mitsuba
     from iris_addon.errors import SolverEnvironmentMissing
     from iris_addon.response.curve import gamma
 
     try:
-        mi = peer.load_mitsuba()
+        mi = load_mitsuba()
     except SolverEnvironmentMissing as error:
         pytest.skip(str(error))
     import drjit as dr
