@@ -7,7 +7,6 @@ settings and version of the format. Files appear whole or not at all.
 from __future__ import annotations
 
 import hashlib
-import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from .array_files import read_arrays
 from .capture.types import Capture
 from .config import SolveConfig
 from .imaging import atomic_write
@@ -24,17 +24,21 @@ Arrays = Mapping[str, NDArray]
 
 
 def fingerprint(capture: Capture, config: SolveConfig) -> str:
-    """Hash of everything a solve depends on; photos by name, size and time of change."""
+    """Hash of everything a solve depends on; files by name, size and time of change."""
     digest = hashlib.sha256(repr((FORMAT, config)).encode())
-    digest.update(np.ascontiguousarray(capture.mesh.vertices).tobytes())
-    digest.update(np.ascontiguousarray(capture.mesh.faces).tobytes())
+    mesh = capture.mesh
+    for array in (mesh.vertices, mesh.faces, mesh.uv, mesh.parts):
+        digest.update(b"none" if array is None else repr(array.shape).encode() + np.ascontiguousarray(array).tobytes())
     for view in capture.views:
         camera = view.camera
-        digest.update(repr((view.name, view.exposure, camera.fx, camera.fy, camera.cx, camera.cy)).encode())
+        lens = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, view.distortion)
+        digest.update(repr((view.name, view.exposure, lens)).encode())
         digest.update(camera.c2w.tobytes())
-        if view.photo is not None:
-            stat = view.photo.stat()
-            digest.update(repr((str(view.photo), stat.st_size, stat.st_mtime_ns)).encode())
+    files = [view.photo for view in capture.views] + [config.response]
+    for path in files:
+        if isinstance(path, Path) and path.is_file():
+            stat = path.stat()
+            digest.update(repr((str(path), stat.st_size, stat.st_mtime_ns)).encode())
     return digest.hexdigest()
 
 
@@ -72,13 +76,7 @@ class Checkpoints:
             self.folder.rmdir()
 
     def _read(self, path: Path) -> dict[str, NDArray] | None:
-        if not path.is_file():
+        arrays = read_arrays(path)
+        if arrays is None or str(arrays.pop("key", None)) != self.key:
             return None
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                if str(file["key"]) != self.key:
-                    return None
-                return {name: file[name] for name in file.files if name != "key"}
-        except (ValueError, KeyError, OSError, zipfile.BadZipFile):
-            # A damaged stage file costs the time to compute it again and nothing else.
-            return None
+        return arrays

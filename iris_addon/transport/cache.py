@@ -5,12 +5,13 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
-import zipfile
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..array_files import read_arrays
 from ..capture.types import Capture
 from ..errors import IrisError
 from ..imaging import atomic_write
@@ -51,6 +52,8 @@ def cached_transport(
     path = cache_folder() / f"transport-{_key(capture, surface, parts, n_rays, seed)}.npz"
     known = _read(path)
     if known is not None:
+        with suppress(OSError):  # a cache that may only be read still serves
+            os.utime(path)
         return known
     transport = build_transport(tracer, surface, parts, n_rays, rng, progress)
     try:
@@ -93,11 +96,10 @@ def _arrays(t: Transport) -> dict[str, NDArray]:
 
 
 def _read(path: Path) -> Transport | None:
-    if not path.is_file():
+    a = read_arrays(path)
+    if a is None:
         return None
     try:
-        with np.load(path, allow_pickle=False) as file:
-            a = {name: file[name] for name in file.files}
         grids = [
             PatchGrid(
                 a[f"grid{k}.origin"],
@@ -117,6 +119,6 @@ def _read(path: Path) -> Transport | None:
             a["part"],
             (grids[0], grids[1]),
         )
-    except (KeyError, ValueError, OSError, zipfile.BadZipFile):
-        # A damaged or foreign file: traced again and overwritten.
+    except (KeyError, ValueError, TypeError):
+        # A foreign file: traced again and overwritten.
         return None
