@@ -38,6 +38,7 @@ from .result.types import Emitter, OutsideLight, Result
 from .surface.atlas import build_atlas, texel_density_from_footprint
 from .surface.build import Surface, build_surface
 from .surface.parts import edge_adjacency, initial_parts
+from .surface.segment import split_scan
 from .transport.cache import cached_transport
 from .transport.tracer import Tracer
 from .transport.transport import Transport
@@ -65,7 +66,8 @@ def solve(
         tracer = Tracer(capture.mesh)
         photos = sample_photos(capture, tracer, config.hdr is not None, progress)
     with progress.stage("surface"):
-        parts = initial_parts(capture.mesh)
+        adjacency = edge_adjacency(capture.mesh)
+        parts = split_scan(initial_parts(capture.mesh), adjacency, tracer.normals, photos.samples, photos.z)
         surface = build_surface(capture.mesh, photos.samples, parts, config.max_patches, _rng(config, 1))
         field = IrradianceField.build(surface)
     with progress.stage("transport"):
@@ -80,7 +82,7 @@ def solve(
                 lambda: measure_photometry(capture, config, observations, photos.hdr, _rng(config, 4)).arrays(),
             )
         )
-    problem = _problem(capture, config, tracer, photos, parts, surface, transport, observations, photometry, field)
+    problem = _problem(config, tracer, photos, parts, adjacency, surface, transport, observations, photometry, field)
     with progress.stage("lights"):
         arrays = checkpoints.stage("lights", lambda: _lights(problem, progress))
         lights = Lights.from_arrays(arrays)
@@ -104,11 +106,11 @@ def _rng(config: SolveConfig, stage: int) -> np.random.Generator:
 
 
 def _problem(
-    capture: Capture,
     config: SolveConfig,
     tracer: Tracer,
     photos: PhotoSamples,
     parts: NDArray[np.int32],
+    adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
     surface: Surface,
     transport: Transport,
     observations: Observations,
@@ -123,7 +125,7 @@ def _problem(
         surface,
         transport,
         parts,
-        edge_adjacency(capture.mesh),
+        adjacency,
         brightness(observations, linear, n),
         find_hidden(transport, int(parts.max()) + 1),
         config.shadow_rays,

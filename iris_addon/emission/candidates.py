@@ -21,6 +21,7 @@ from ..surface.parts import component_labels
 WHOLE_PART_SHARE = 0.75
 """A part of whose pixels this share emits is a lamp as a whole, the faces no photo sees included."""
 FACE_SHARE = 0.7
+MAX_LAMPS = 48
 MIN_PIXELS = 12
 """Fewer pixels over all photos are no evidence for a lamp."""
 VIEW_QUANTILE = 0.25
@@ -122,7 +123,9 @@ def group_emitters(
     order = np.argsort(label[faces], kind="stable")
     _, first = np.unique(label[faces][order], return_index=True)
     pieces = np.split(faces[order], first[1:]) if len(faces) else []
-    return [piece.astype(np.int64) for piece in pieces if count[piece].sum() >= MIN_PIXELS]
+    pixels = np.array([count[piece].sum() for piece in pieces])
+    kept = np.sort(np.argsort(-pixels, kind="stable")[:MAX_LAMPS])
+    return [pieces[k].astype(np.int64) for k in kept if pixels[k] >= MIN_PIXELS]
 
 
 def tie_fixtures(emitters: Sequence[NDArray[np.int64]], areas: NDArray[np.floating]) -> NDArray[np.int64]:

@@ -15,7 +15,7 @@ from ..surface.build import Surface
 from ..surface.samples import PixelSamples
 from ..transport.gather import emitter_form_factors
 from ..transport.tracer import Tracer
-from ..transport.transport import Transport
+from ..transport.transport import ESCAPED, Transport
 from .balance import Evidence, solve_balance
 from .candidates import (
     Brightness,
@@ -28,6 +28,7 @@ from .candidates import (
 from .hidden import HiddenSources
 
 OUTSIDE_GAIN = 0.02
+OPEN_SHARE = 0.15
 NEGLIGIBLE_POWER = 2e-4
 HYSTERESIS = 0.8
 THRESHOLDS = (3.0, 1.6, 1.25)
@@ -149,7 +150,9 @@ def choose_outside(problem: LightProblem, observed: GroupRadiance, progress: Pro
     """
     directions = len(problem.hidden.directions)
     best: tuple[LightProblem, Lights] | None = None
-    for count in sorted({0, min(1, directions), directions}):
+    # A mesh with large holes is not a closed room: without outside light everything in it would seem to glow.
+    is_open = float((problem.transport.target == ESCAPED).mean()) > OPEN_SHARE
+    for count in sorted({min(1, directions), directions} | (set() if is_open else {0})):
         tried = replace(problem, hidden=problem.hidden.with_directions(count))
         if best is None:
             lights = find_lights(tried, observed, progress)
@@ -324,8 +327,8 @@ def _without_lamps(problem: LightProblem, observed: GroupRadiance) -> Lights:
     unknown = _mean_radiance(radiance, problem)
     radiance[len(observed.radiance) :] = unknown
     none = np.zeros(len(problem.parts), bool)
-    irradiance = problem.transport.gather_radiance(radiance, unknown, none)
     hidden = np.tile(unknown, (problem.hidden.form_factors.shape[1], 1))
+    irradiance = problem.transport.gather_radiance(radiance, unknown, none) + problem.hidden.form_factors @ hidden
     return Lights([], np.zeros((0, 3)), hidden, np.zeros(0), np.zeros((n, 0), np.float32), none, irradiance, radiance)
 
 
@@ -351,7 +354,7 @@ def _lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> 
     pieces = np.split(patch[order], np.cumsum(np.bincount(label[face[order]], minlength=len(emitters)))[:-1])
     bound = np.zeros((len(emitters), 3))
     measured = np.full((len(emitters), 3), np.nan)
-    for index, piece in enumerate(pieces):
+    for index, piece in enumerate(pieces[: len(emitters)]):
         bound[index] = np.median(seen.bound[piece], axis=0)
         for channel in range(3):
             # An open pixel below what others saw clipped is the lamp's edge.

@@ -18,10 +18,15 @@ from . import family
 from .curve import Response
 from .observations import Observations, group_means, group_sums
 
-MAX_PATCHES = 2_500
-ROBUST_SCALE = 0.02
+MAX_PATCHES = 1_500
+FLAT = 0.04
+"""Largest standard deviation of display values within an observation that still counts as one value."""
+CLIP_SCALE = 0.03
+"""Log exposure by which an observation may lie on the wrong side of saturation before it starts to be an outlier."""
+ROBUST_SCALE = 0.01
 """Display-value residual at which an observation starts to count as an outlier (a highlight, a moved object)."""
-MAX_STEPS = 20
+MAX_STEPS, SEPARATE_STEPS = 60, 5
+"""One curve starts from the prior and runs until it has converged; three start from there and go on if they gain."""
 WHITE_BALANCE_GAIN = 0.9
 PRIOR_WEIGHT = 1.0
 """The prior over curves counts as much as one observation that is off by ROBUST_SCALE."""
@@ -45,19 +50,25 @@ class OverlapFit:
 
 
 def _select(observations: Observations, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Indices of flat observations of patches that at least two useful views share."""
+    """Indices of flat observations: of patches that two views show unclipped, and of patches on the verge of clipping.
+
+    The first give the shape of the curve, the second its scale: all that fixes the radiance at which x = 1.
+    """
     o = observations
-    flat = (o.spread.max(1) < 0.04) & (o.count >= 2)
-    usable = flat & ((o.saturated.max(1) == 0) | (o.saturated.min(1) == 1))
-    open_count = np.bincount(o.patch[usable & (o.saturated.max(1) == 0)], minlength=int(o.patch.max()) + 1)
-    index = np.flatnonzero(usable & (open_count[o.patch] >= 2))
-    patches = np.unique(o.patch[index])
-    if len(patches) > MAX_PATCHES:
-        chosen = np.zeros(int(o.patch.max()) + 1, bool)
-        share = _spread_over_brightness(observations, index, patches)
-        chosen[rng.choice(patches, MAX_PATCHES, replace=False, p=share)] = True
-        index = index[chosen[o.patch[index]]]
-    return index
+    n = int(o.patch.max()) + 1
+    flat = (o.spread.max(1) < FLAT) & (o.count >= 2)
+    clipped = o.saturated.max(1) > 0
+    n_open = np.bincount(o.patch[flat & ~clipped], minlength=n)
+    n_clipped = np.bincount(o.patch[flat & clipped], minlength=n)
+    shape = np.flatnonzero(n_open >= 2)
+    anchor = np.flatnonzero((n_open >= 1) & (n_clipped >= 1))
+    chosen = np.zeros(n, bool)
+    index = np.flatnonzero(flat & (n_open[o.patch] >= 1))
+    for patches in (shape, anchor):
+        if len(patches) > MAX_PATCHES:
+            patches = rng.choice(patches, MAX_PATCHES, replace=False, p=_spread_over_brightness(o, index, patches))
+        chosen[patches] = True
+    return index[chosen[o.patch[index]]]
 
 
 def _spread_over_brightness(
@@ -91,11 +102,11 @@ def fit_overlap(
     held_out = rng.random(problem.n_patches) < 0.2
     training, testing = problem.restrict(~held_out), problem.restrict(held_out)
     shared = training.minimise([family.PRIOR_MEAN], MAX_STEPS)
-    separate = training.minimise(shared * 3, MAX_STEPS // 4)
+    separate = training.minimise(shared * 3, SEPARATE_STEPS)
     # One curve is the null hypothesis: cameras apply the same curve to all channels far more often than not.
     scores = [testing.disagreement(knots) for knots in (shared, separate)]
     per_channel = scores[1] < 0.97 * scores[0]
-    best = separate if per_channel else shared
+    best = training.minimise(separate, MAX_STEPS) if per_channel else shared
     response = family.to_response(best)
     return OverlapFit(response, problem.exposures(response), min(scores), per_channel)
 
@@ -105,7 +116,8 @@ class _Problem:
     """m observations of n patches. ``log_t`` is (V,), or None where exposures are unknown."""
 
     z: NDArray[np.float64]  # (m, 3)
-    clipped: NDArray[np.bool_]  # (m,)
+    share: NDArray[np.float64]  # (m, 3) of pixels clipped
+    clipped: NDArray[np.bool_]  # (m,) any pixel clipped in any channel
     weight: NDArray[np.float64]  # (m,)
     patch: NDArray[np.int64]  # (m,)
     view: NDArray[np.int64]  # (m,)
@@ -120,7 +132,8 @@ class _Problem:
         patches, patch = np.unique(o.patch[index], return_inverse=True)
         return _Problem(
             np.clip(o.z[index].astype(np.float64) + 0.5 / 255, 0, 1),
-            o.saturated[index].min(1) > 0.5,
+            o.saturated[index].astype(np.float64),
+            o.saturated[index].max(1) > 0,
             np.minimum(o.count[index], 25.0).astype(np.float64) ** 0.25,
             patch,
             o.view[index].astype(np.int64),
@@ -133,7 +146,7 @@ class _Problem:
         """The same problem over some of the patches."""
         rows = keep[self.patch]
         patches, patch = np.unique(self.patch[rows], return_inverse=True)
-        columns = {name: getattr(self, name)[rows] for name in ("z", "clipped", "weight", "view")}
+        columns = {name: getattr(self, name)[rows] for name in ("z", "share", "clipped", "weight", "view")}
         return replace(self, patch=patch, n_patches=len(patches), **columns)
 
     def solve_radiance(self, response: Response) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -147,7 +160,7 @@ class _Problem:
         # Quantisation noise is uniform in z, so the precision of x / t is (f'(x) t)^2.
         weight = np.where(self.clipped, 0.0, self.weight)[:, None] * (slope * t) ** 2 + 1e-12
         radiance = self._mean(weight, x / t)
-        # An outlier would pull its whole patch along and so hide behind the others: the mean is taken once more without.
+        # An outlier would pull its patch along and so hide behind the others: the mean is taken once more without.
         for _ in range(2):
             off = (response.apply(radiance[self.patch] * t) - self.z) / ROBUST_SCALE
             radiance = self._mean(weight / (1 + off**2), x / t)
@@ -188,11 +201,15 @@ class _Problem:
         response = family.to_response(knots)
         log_t, radiance = self.solve_radiance(response)
         x = radiance[self.patch] * np.exp(log_t)[self.view][:, None]
-        mismatch = np.where(self.clipped[:, None], np.clip(1.0 - x, 0, None), response.apply(x) - self.z)
+        mismatch = np.where(self.clipped[:, None], 0.0, response.apply(x) - self.z)
         data = (self.weight[:, None] * mismatch / ROBUST_SCALE).ravel()
+        # A byte of 255 means x >= 1 and any other means x < 1: the share of clipped pixels pins the scale.
+        log_x = np.log(np.maximum(x, 1e-6))
+        wrong_side = np.clip(np.where(self.share > 0.5, -log_x, log_x), 0.0, None)
+        clip = (self.weight[:, None] * wrong_side / CLIP_SCALE).ravel()
         prior = [PRIOR_WEIGHT * family.prior_residual(k) for k in knots]
         bends = [MONOTONICITY_WEIGHT * family.downhill(k) for k in knots]
-        return np.concatenate([data, *prior, *bends])
+        return np.concatenate([data, clip, *prior, *bends])
 
     def minimise(self, start: list[NDArray[np.float64]], max_steps: int) -> list[NDArray[np.float64]]:
         """Knots of one or three curves; radiance and exposures are eliminated (variable projection)."""

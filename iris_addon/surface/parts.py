@@ -1,7 +1,7 @@
 """Parts: faces that one would call one object or one material.
 
 A capture may bring them (objects, materials). If not, faces that are joined edge to edge are a part; a scan fuses
-everything into one component, which :mod:`iris_addon.reflectance.segment` later splits by the albedo it found.
+everything into one component, which :mod:`iris_addon.surface.segment` splits by colour.
 """
 
 from __future__ import annotations

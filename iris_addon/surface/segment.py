@@ -1,0 +1,88 @@
+"""Parts of a scan: one fused surface split along edges of colour.
+
+Felzenszwalb & Huttenlocher's graph segmentation (IJCV 2004) on the faces of a component: neighbours join while the
+step between them is no larger than the steps inside the regions they belong to. Shading changes slowly over a surface
+and stays inside a region; albedo changes in steps and makes its border.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..response.observations import group_means
+from .samples import PixelSamples
+
+SCAN_FACES = 20_000
+"""A component with so many faces and so large a share of the pixels is a scan, not a modelled object."""
+SCAN_SHARE = 0.3
+GRANULARITY = 0.6
+"""Log-colour step times face count up to which a small region joins whatever it touches."""
+MIN_FACES = 60
+UNSEEN_STEP = 0.15
+
+
+def split_scan(
+    parts: NDArray[np.int32],
+    adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
+    normals: NDArray[np.floating],
+    samples: PixelSamples,
+    z: NDArray[np.floating],
+) -> NDArray[np.int32]:
+    """(F,) parts with scanned components split; modelled objects stay as they are.
+
+    Args:
+        parts: (F,) component of each face.
+        normals: (F, 3) unit.
+        z: (n, 3) display values of the pixels.
+    """
+    n_faces = len(parts)
+    size = np.bincount(parts)
+    share = np.bincount(parts[samples.face], minlength=len(size)) / len(samples.face)
+    scans = np.flatnonzero((size >= SCAN_FACES) & (share >= SCAN_SHARE))
+    if len(scans) == 0:
+        return parts
+    seen = np.bincount(samples.face, minlength=n_faces) > 0
+    colour = np.log(group_means(z, samples.face, n_faces) + 0.03)
+    a, b = adjacency
+    inside = np.isin(parts[a], scans) & np.isin(parts[b], scans)
+    a, b = a[inside], b[inside]
+    step = np.abs(colour[a] - colour[b]).max(1) + 0.3 * (1 - np.abs((normals[a] * normals[b]).sum(1)))
+    step[~(seen[a] & seen[b])] = UNSEEN_STEP
+    label = _merge(n_faces, a, b, step)
+    # Labels of scans go behind those of the other parts.
+    label = np.where(np.isin(parts, scans), len(size) + label, parts)
+    return np.unique(label, return_inverse=True)[1].astype(np.int32)
+
+
+def _merge(n: int, a: NDArray[np.int64], b: NDArray[np.int64], step: NDArray[np.floating]) -> NDArray[np.int64]:
+    """Region of each of n nodes; edges in order of their step, then regions that stayed tiny."""
+    parent = list(range(n))
+    size = [1] * n
+    threshold = [GRANULARITY] * n
+
+    def find(i: int) -> int:
+        while parent[i] != i:
+            parent[i] = parent[parent[i]]
+            i = parent[i]
+        return i
+
+    def join(i: int, j: int) -> int:
+        if size[i] < size[j]:
+            i, j = j, i
+        parent[j] = i
+        size[i] += size[j]
+        return i
+
+    order = np.argsort(step, kind="stable")
+    edges = list(zip(a[order].tolist(), b[order].tolist(), step[order].tolist(), strict=True))
+    for i, j, weight in edges:
+        i, j = find(i), find(j)
+        if i != j and weight <= min(threshold[i], threshold[j]):
+            root = join(i, j)
+            threshold[root] = weight + GRANULARITY / size[root]
+    for i, j, _ in edges:
+        i, j = find(i), find(j)
+        if i != j and min(size[i], size[j]) < MIN_FACES:
+            join(i, j)
+    return np.array([find(i) for i in range(n)])
