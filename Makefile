@@ -14,8 +14,8 @@ help:
 	@echo "make setup      create $(VENV) with everything pinned in pyproject.toml"
 	@echo "make demo       solve, relight and report the bundled room into out/demo"
 	@echo "make test       unit tests;  make test-all  the slow ones too"
-	@echo "make bench      speed against accuracy with peers, about a night;  make profile  where the time goes, minutes"
-	@echo "make stability  every perturbation, about three hours;  make scaling  cost against size, about two hours"
+	@echo "make bench      speed against accuracy with peers, a night;  make profile  where the time goes, minutes"
+	@echo "make stability  every perturbation, hours;  make scaling  cost against size, hours"
 	@echo "make lint       ruff and pyright;  make format  let ruff format"
 
 setup: $(STAMP)

@@ -16,7 +16,7 @@ import numpy as np
 
 from iris_addon.errors import BadInput
 
-from . import perturb_cameras, perturb_geometry, perturb_masks, perturb_photos
+from . import perturb_cameras, perturb_geometry, perturb_masks, perturb_photos, perturb_scene
 
 Apply = Callable[[Path, Path, float, np.random.Generator], str]
 """(capture to change, truth to score against, level, generator) -> a note on what was done."""
@@ -56,7 +56,7 @@ class Perturbed:
     note: str
 
 
-_p, _c, _g, _m = perturb_photos, perturb_cameras, perturb_geometry, perturb_masks
+_p, _c, _g, _m, _s = perturb_photos, perturb_cameras, perturb_geometry, perturb_masks, perturb_scene
 AXES: Mapping[str, Axis] = {
     axis.name: axis
     for axis in (
@@ -93,6 +93,10 @@ AXES: Mapping[str, Axis] = {
         Axis("decimation", "mesh simplified to cells of", "cm", (0, 2, 5, 10, 20), _g.cluster_vertices, True),
         Axis("density", "longest edge of the mesh", "cm", (-1, 20, 10, 5, 3), _g.subdivide, True),
         Axis("parts", "parts merged", "share", (0, 0.25, 0.5, 0.75, 1), _g.merge_parts, True),
+        Axis("gloss", "glossier room", "times the roughness", (1, 0.7, 0.4, 0.2, 0.1), _s.glossier, True),
+        Axis("dark_walls", "darker walls", "times their albedo", (1, 0.5, 0.2, 0.1, 0.05), _s.darker_walls, True),
+        Axis("lamp_colour", "coloured lamps", "power of their colour", (1, 1.5, 2, 2.5, 3), _s.coloured_lamps, True),
+        Axis("dominant_lamp", "one lamp dominates", "stops", (0, 1, 2, 3, 4), _s.dominant_lamp, True),
         Axis(
             "mask_eroded",
             "given mask: faces missing at its border",
@@ -140,6 +144,8 @@ def axis_applies(axis: str, source: Path) -> str | None:
     try:
         if axis == "measured_response":
             perturb_photos.measured_curves()
+        if axis in perturb_scene.CHANGES:
+            perturb_scene.check_is_bundled(source)
         if axis in ("holes", "decimation", "hidden_lamps") or AXES[axis].masks_only:
             perturb_masks.true_lamp_faces(source)
     except BadInput as error:

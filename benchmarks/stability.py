@@ -19,10 +19,11 @@ from iris_addon.progress import Progress, console
 
 from . import charts, machine, tables
 from .perturb import AXES, Axis, axis_applies
+from .perturb_scene import CHANGES, rendered
 from .runs import BUNDLED, Record, Run, flat, relative, run_all, write_csv
 
 METHODS = ("ours", "iris-like")
-METRICS = ("kd_psnr", "relight_psnr", "emission_log_l2")
+METRICS = ("kd_psnr_valid", "relight_psnr", "emission_log_l2")
 SAMPLES = 8
 """Per pixel of the relit pictures; they are denoised, and a sweep looks for decibels, not for hundredths."""
 
@@ -139,6 +140,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     reasons = {name: why for name in args.axes if (why := axis_applies(name, args.capture)) is not None}
     axes = [name for name in args.axes if name not in reasons]
     progress = Progress(console())
+    with progress.stage("rooms"):
+        changed = [(name, level) for name in axes if name in CHANGES for level in AXES[name].levels[1:]]
+        for index, (name, level) in enumerate(changed):
+            progress.update(index / len(changed), f"{name} {level:g}")
+            rendered(name, level)
     records = run_all(planned(args.capture, axes, args.seeds), args.out / "records", progress, args.jobs)
     write_csv(args.out / "records.csv", records)
     write(collect(records, axes, args.seeds), axes, args.out, reasons)

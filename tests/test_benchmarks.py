@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import meshes, perturb_geometry, perturb_photos
+from benchmarks import meshes, perturb_geometry, perturb_photos, perturb_scene
 from benchmarks.perturb import AXES, perturb
 from benchmarks.perturb_masks import true_lamp_faces
 from iris_addon.capture import read_capture
@@ -57,6 +57,8 @@ def test_the_first_level_is_the_capture_itself(room, tmp_path, axis):
 
 @pytest.mark.parametrize("axis", sorted(AXES))
 def test_a_level_is_the_same_for_the_same_seed_and_leaves_its_source_alone(room, tmp_path, axis):
+    if axis in perturb_scene.CHANGES:
+        pytest.skip("rendered anew, which takes minutes")
     if axis in NEEDS_SHARED and not perturb_photos.DORF.is_file():
         pytest.skip("shared/crf/dorf_dev.npz is not beside the repository")
     before = contents(room)
@@ -213,3 +215,32 @@ def test_masks_change_in_the_direction_they_say(room, tmp_path, axis, grows):
     size = sum(last - first for lamp in lamps for first, last in lamp["faces"])
     true = len(np.concatenate(true_lamp_faces(room)))
     assert size > true if grows else size < true
+
+
+class Socket:
+    def __init__(self, value):
+        self.default_value = value
+
+
+def shader(strength: float = 0.0) -> dict[str, Socket]:
+    return {
+        "Base Color": Socket((0.6, 0.4, 0.2, 1.0)), "Roughness": Socket(0.5),
+        "Emission Color": Socket((1.0, 0.8, 0.6, 1.0)), "Emission Strength": Socket(strength),
+    }  # fmt: skip
+
+
+def test_a_changed_room_changes_what_it_says_alone():
+    wall, lamp, other = shader(), shader(20.0), shader()
+    for name, inputs in (("plaster", wall), ("ceiling lamp", lamp), ("brass", other)):
+        perturb_scene.CHANGES["gloss"](name, inputs, 0.5)
+        perturb_scene.CHANGES["dark_walls"](name, inputs, 0.5)
+        perturb_scene.CHANGES["lamp_colour"](name, inputs, 2.0)
+        perturb_scene.CHANGES["dominant_lamp"](name, inputs, 1.0)
+    assert (
+        wall["Base Color"].default_value == pytest.approx((0.3, 0.2, 0.1, 1))
+        and wall["Roughness"].default_value == 0.25
+    )
+    assert other["Base Color"].default_value == (0.6, 0.4, 0.2, 1.0)
+    assert lamp["Roughness"].default_value == 0.5 and lamp["Emission Strength"].default_value == 40
+    colour = np.array(lamp["Emission Color"].default_value[:3])
+    assert colour.mean() == pytest.approx(0.8) and colour / colour[0] == pytest.approx([1, 0.64, 0.36])

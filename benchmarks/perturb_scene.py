@@ -1,0 +1,129 @@
+"""Perturbations of the bundled room itself: glossier, darker, in other light. Rendered anew, once per level.
+
+Renders are kept in ``out/benchmark_scenes``, because all seeds and configurations share them.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from iris_addon.errors import BadInput, IrisError
+
+from .machine import ROOT
+
+KEPT = ROOT / "out" / "benchmark_scenes"
+SAMPLES = 64
+WALLS = ("plaster", "sage paint", "ceiling paint")
+DOMINANT = "ceiling lamp"
+
+
+def glossier(root: Path, _truth: Path, factor: float, _rng: np.random.Generator) -> str:
+    """Roughness of everything that does not emit, times ``factor``."""
+    return _swap(root, "gloss", factor)
+
+
+def darker_walls(root: Path, _truth: Path, factor: float, _rng: np.random.Generator) -> str:
+    """Albedo of walls and ceiling, times ``factor``."""
+    return _swap(root, "dark_walls", factor)
+
+
+def coloured_lamps(root: Path, _truth: Path, power: float, _rng: np.random.Generator) -> str:
+    """The colour of every lamp to a power, at its old mean over the channels."""
+    return _swap(root, "lamp_colour", power)
+
+
+def dominant_lamp(root: Path, _truth: Path, stops: float, _rng: np.random.Generator) -> str:
+    """The ceiling lamp brighter by ``stops``."""
+    return _swap(root, "dominant_lamp", stops)
+
+
+def _swap(root: Path, change: str, level: float) -> str:
+    """Put the capture of the changed room in the place of ``root``."""
+    kept = rendered(change, level)
+    shutil.rmtree(root)
+    shutil.copytree(kept, root)
+    return "the room rendered anew"
+
+
+def rendered(change: str, level: float) -> Path:
+    """The capture of the changed room, rendered if it was not before; raises IrisError.
+
+    Call it once before several runs need it at the same time.
+    """
+    kept = KEPT / f"{change}-{level:g}"
+    if not (kept / "train").is_dir():
+        # In a process of its own: Blender's state must not leak into the solve that is measured.
+        command = [sys.executable, "-m", "benchmarks.perturb_scene", change, str(level), str(kept)]
+        process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+        if process.returncode:
+            said = process.stderr.strip().splitlines() or ["no message"]
+            raise IrisError(f"the changed room was not rendered: {said[-1]}", "run make stability again", kept)
+    return kept
+
+
+def render(change: str, level: float, out: Path) -> None:
+    """Build the room, change it, and render its capture into ``out``; needs bpy."""
+    sys.path.insert(0, str(ROOT / "assets"))
+    import bpy
+    from make_demo_room import build_room
+
+    from iris_addon.blender.synth import synth
+
+    with tempfile.TemporaryDirectory() as folder:
+        blend = Path(folder) / "room.blend"
+        build_room(blend)
+        for material in bpy.data.materials:
+            if material.node_tree is not None and "Principled BSDF" in material.node_tree.nodes:
+                CHANGES[change](material.name, material.node_tree.nodes["Principled BSDF"].inputs, level)
+        bpy.ops.wm.save_as_mainfile(filepath=str(blend), compress=True)
+        synth(blend, out, samples=SAMPLES, compact=True)
+
+
+# ---- changes: name of the material, inputs of its shader, level ----------------------------------------------------
+
+
+def _change_gloss(_name: str, inputs: object, factor: float) -> None:
+    if inputs["Emission Strength"].default_value == 0:  # type: ignore[index]
+        inputs["Roughness"].default_value *= factor  # type: ignore[index]
+
+
+def _change_walls(name: str, inputs: object, factor: float) -> None:
+    if name in WALLS:
+        color = np.array(inputs["Base Color"].default_value)  # type: ignore[index]
+        inputs["Base Color"].default_value = (*(color[:3] * factor), 1.0)  # type: ignore[index]
+
+
+def _change_colour(_name: str, inputs: object, power: float) -> None:
+    color = np.array(inputs["Emission Color"].default_value)[:3]  # type: ignore[index]
+    saturated = color**power
+    inputs["Emission Color"].default_value = (*(saturated * color.mean() / saturated.mean()), 1.0)  # type: ignore[index]
+
+
+def _change_dominant(name: str, inputs: object, stops: float) -> None:
+    if name == DOMINANT:
+        inputs["Emission Strength"].default_value *= 2.0**stops  # type: ignore[index]
+
+
+CHANGES: dict[str, Callable[[str, object, float], None]] = {
+    "gloss": _change_gloss,
+    "dark_walls": _change_walls,
+    "lamp_colour": _change_colour,
+    "dominant_lamp": _change_dominant,
+}
+
+
+def check_is_bundled(capture: Path) -> None:
+    """Raise BadInput for any capture but the bundled one, the only one that can be built anew."""
+    if capture.resolve() != (ROOT / "assets" / "demo_room").resolve():
+        raise BadInput("only the bundled room can be rendered anew", "leave this axis out", capture)
+
+
+if __name__ == "__main__":
+    render(sys.argv[1], float(sys.argv[2]), Path(sys.argv[3]))
