@@ -10,6 +10,7 @@ import numpy as np
 from iris_addon.capture.types import Camera, Capture, Mesh, View
 from iris_addon.imaging import write_png
 from iris_addon.progress import Progress
+from iris_addon.reflectance.ggx import DIELECTRIC_F0, specular_integrals
 from iris_addon.response.curve import Response
 from iris_addon.surface.samples import trace_pixels
 from iris_addon.transport.gather import Origins, emitter_form_factors, gather
@@ -33,6 +34,8 @@ ALBEDO = np.array(
     ]
 )
 """Six walls, two boxes, two lamps."""
+MEAN_COSINES = np.sqrt((np.arange(64) + 0.5) / 64)
+"""Equal steps of the cosine-weighted hemisphere."""
 LAMP_PARTS = (8, 9)
 LAMP_RADIANCE = np.array([[9.0, 8.0, 6.0], [14.0, 15.0, 17.0]])
 
@@ -97,8 +100,8 @@ def furnished_room(cells: float = 0.25) -> Room:
         pieces += box(low, high, cells)
         parts += [part] * 6
     pieces += [
-        quad([0.8, 1.1, 2.1], [0.6, 0, 0], [0, 0.6, 0], cells),
-        quad([2.9, 0.8, 2.2], [0.3, 0, 0], [0, 0.4, 0], cells),
+        quad([0.8, 1.1, 1.8], [0.6, 0, 0], [0, 0.6, 0], cells),
+        quad([2.9, 0.8, 1.9], [0.3, 0, 0], [0, 0.4, 0], cells),
     ]
     emission = np.zeros_like(ALBEDO)
     emission[list(LAMP_PARTS)] = LAMP_RADIANCE
@@ -134,15 +137,21 @@ def irradiance_at(
     return indirect + direct @ np.array([room.emission[room.parts[faces[0]]] for faces in lamps])
 
 
+def matte_specular(cosine: np.ndarray) -> np.ndarray:
+    """Share of uniform light that the 4 % lobe of roughness 1 sends at angle ``cosine`` (n,) to the normal."""
+    f0, f1 = specular_integrals(np.ones_like(cosine, np.float64), np.asarray(cosine, np.float64))
+    return DIELECTRIC_F0 * f0 + f1
+
+
 def radiosity(room: Room, tracer: Tracer, n_rays: int = 256) -> np.ndarray:
-    """(F, 3) radiance that each face reflects into the room, lamps black."""
+    """(F, 3) mean radiance that each face reflects into the room, lamps black."""
     rng = np.random.default_rng(5)
     origins = room_origins(room, tracer, 8, rng)
     rays, _ = gather(tracer, origins, n_rays, rng, Progress())
     lamps = room.lamps()
     direct = emitter_form_factors(tracer, origins, rays, lamps, n_rays, rng, Progress())
     source = direct @ np.array([room.emission[room.parts[faces[0]]] for faces in lamps])
-    albedo = room.albedo[room.parts]
+    albedo = np.where(room.albedo > 0, room.albedo + matte_specular(MEAN_COSINES).mean(), 0)[room.parts]
     result = albedo * source
     for _ in range(30):
         result = albedo * (np.concatenate([result, np.zeros((1, 3))])[rays.face].mean(1) + source)
@@ -162,14 +171,16 @@ def cameras(count: int = 8, width: int = 40, height: int = 30) -> list[Camera]:
 
 
 def render(room: Room, tracer: Tracer, views: list[Camera], n_rays: int = 192) -> np.ndarray:
-    """(V, H, W, 3) radiance of the diffuse room at pixel centres."""
+    """(V, H, W, 3) radiance at pixel centres of the room in rough plastic: kd Ld and a lobe that sees what Ld sees."""
     samples = trace_pixels(tracer, views, 1, Progress())
     face_radiance = radiosity(room, tracer)
     origins = Origins(samples.position[:, None], samples.normal[:, None])
     irradiance = irradiance_at(room, tracer, face_radiance, origins, n_rays, 11)
     part = room.parts[samples.face]
     image = np.zeros((len(views), views[0].height * views[0].width, 3))
-    image[samples.view, samples.pixel] = room.albedo[part] * irradiance + room.emission[part]
+    reflectance = room.albedo[part] + matte_specular(samples.cosine)[:, None]
+    lit = ~room.emission[part].any(1, keepdims=True)
+    image[samples.view, samples.pixel] = reflectance * irradiance * lit + room.emission[part]
     return image.reshape(len(views), views[0].height, views[0].width, 3)
 
 

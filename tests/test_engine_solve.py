@@ -1,0 +1,207 @@
+"""The whole solve on a small room of known truth: lamps, albedo, response; repeatable, cancellable, resumable."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from iris_addon.capture.types import Camera, Capture
+from iris_addon.config import SolveConfig, preset
+from iris_addon.errors import Cancelled
+from iris_addon.progress import Progress, ProgressEvent
+from iris_addon.response.curve import gamma
+from iris_addon.result.types import Result
+from iris_addon.solve import solve
+from iris_addon.surface.atlas_texels import rasterise_atlas
+from iris_addon.transport.tracer import Tracer
+from tests.engine_room import LAMP_PARTS, Room, cameras, furnished_room, photograph, render
+
+TINY = preset("draft", max_patches=4000, gather_rays=64, shadow_rays=64, atlas_size=128, rounds=1)
+FAST = replace(TINY, response="gamma")
+STOPS = 2.0 ** np.array([0, -3, 1, -2, -1, -4, 0.5, -1, 1, -3, 0, -2.5])
+"""Photos of one room taken with twelve opinions about its brightness."""
+
+
+@dataclass(frozen=True)
+class Shoot:
+    """The room, its photos, and where solves of it go."""
+
+    room: Room
+    views: list[Camera]
+    radiance: np.ndarray
+    folder: Path
+
+    @property
+    def exposures(self) -> np.ndarray:
+        return 0.25 / np.median(self.radiance.mean(-1).reshape(len(self.views), -1), 1) * STOPS
+
+    def capture(self, brighter: float = 1.0) -> Capture:
+        folder = self.folder / f"photos-{brighter:g}"
+        return photograph(self.room, self.views, self.radiance, brighter * self.exposures, gamma(), folder)
+
+
+@pytest.fixture(scope="module")
+def shoot(tmp_path_factory: pytest.TempPathFactory) -> Shoot:
+    fine, views = furnished_room(), cameras(12, 48, 36)
+    radiance = render(fine, Tracer(fine.mesh), views, 128)
+    return Shoot(furnished_room(np.inf), views, radiance, tmp_path_factory.mktemp("shoot"))
+
+
+@pytest.fixture(autouse=True)
+def own_cache(shoot: Shoot, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("IRIS_CACHE", str(shoot.folder / "cache"))
+
+
+@pytest.fixture(scope="module")
+def found(shoot: Shoot) -> Result:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("IRIS_CACHE", str(shoot.folder / "cache"))
+        return solve(shoot.capture(), TINY, shoot.folder / "found")
+
+
+@pytest.fixture(scope="module")
+def reference(shoot: Shoot) -> Path:
+    """A solve that nothing interrupted."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("IRIS_CACHE", str(shoot.folder / "cache"))
+        solve(shoot.capture(), FAST, shoot.folder / "reference")
+    return shoot.folder / "reference"
+
+
+def lamp_parts(room: Room, result: Result) -> list[int]:
+    return sorted(int(part) for emitter in result.emitters for part in np.unique(room.parts[emitter.faces]))
+
+
+def seen_texels(result: Result) -> tuple[np.ndarray, np.ndarray]:
+    """Part and base colour of the texels that photos reached."""
+    face, _ = rasterise_atlas(result.mesh.uv, len(result.textures.base_color))
+    seen = (face >= 0) & (result.textures.confidence > 0)
+    return result.parts[face[seen]], result.textures.base_color[seen]
+
+
+def test_the_lamps_are_found_and_as_bright_as_they_are(shoot: Shoot, found: Result) -> None:
+    assert lamp_parts(shoot.room, found) == list(LAMP_PARTS)
+    for emitter in found.emitters:
+        part = shoot.room.parts[emitter.faces[0]]
+        assert np.array_equal(np.sort(emitter.faces), np.flatnonzero(shoot.room.parts == part))
+        assert emitter.radiance == pytest.approx(shoot.room.emission[part], rel=0.15)
+
+
+def test_the_albedo_is_that_of_the_room(shoot: Shoot, found: Result) -> None:
+    part, color = seen_texels(found)
+    means = np.array([color[part == label].mean(0) for label in range(8)])
+    error = np.abs(means - shoot.room.albedo[:8])
+    assert error.mean() < 0.05
+    assert error.max() < 0.10
+
+
+def test_the_response_and_the_predicted_photos(found: Result) -> None:
+    assert np.linalg.norm(found.response.samples - gamma().samples) < 1.4
+    assert found.report["holdout_psnr"] > 30
+    assert found.report["rays_traced"] < 1e8
+    assert found.report["n_patches"] <= 1.5 * TINY.max_patches
+
+
+def test_a_matte_room_has_no_metal(found: Result) -> None:
+    assert found.textures.metallic.max() == 0
+
+
+def test_saturated_white_walls_are_not_lamps(shoot: Shoot) -> None:
+    capture = shoot.capture(brighter=6.0)
+    result = solve(capture, FAST, shoot.folder / "bright")
+    lamps = np.isin(shoot.room.parts, LAMP_PARTS)
+    assert all(lamps[emitter.faces].all() for emitter in result.emitters)
+    assert lamp_parts(shoot.room, result) == list(LAMP_PARTS)
+    for emitter in result.emitters:
+        truth = shoot.room.emission[shoot.room.parts[emitter.faces[0]]]
+        assert np.abs(np.log(emitter.radiance / truth)).max() < 0.3
+
+
+# Repeating, stopping, going on ---------------------------------------------------------------------------------------
+
+VOLATILE = ("seconds", "peak_memory_bytes", "rays_traced")
+"""What two runs of the same solve may differ in; a run that read its transport from disk traced fewer rays."""
+
+
+def same_results(a: Path, b: Path) -> bool:
+    reports = [json.loads((folder / "report.json").read_text()) for folder in (a, b)]
+    for report in reports:
+        for name in VOLATILE:
+            report.pop(name, None)
+    files = [sorted(path.name for path in (folder / "materials").iterdir()) for folder in (a, b)]
+    equal = all((a / "materials" / n).read_bytes() == (b / "materials" / n).read_bytes() for n in files[0])
+    lights = (a / "emitters.json").read_text() == (b / "emitters.json").read_text()
+    curves = (a / "response.json").read_text() == (b / "response.json").read_text()
+    return reports[0] == reports[1] and files[0] == files[1] and equal and lights and curves
+
+
+class Watch:
+    """A sink that acts at the first event of a stage and counts what comes after."""
+
+    def __init__(self, stage: str, act) -> None:
+        self.stage, self.act, self.late = stage, act, 0
+
+    def __call__(self, event: ProgressEvent) -> None:
+        if self.act is None:
+            self.late += 1
+        elif event.stage == self.stage:
+            act, self.act = self.act, None
+            act()
+
+
+def stopped(capture: Capture, config: SolveConfig, out: Path, stage: str) -> None:
+    """A solve that dies at the start of ``stage`` as Ctrl-C would have it."""
+
+    def die() -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        solve(capture, config, out, Progress(Watch(stage, die)))
+    assert not (out / "report.json").exists()
+
+
+def test_the_same_seed_gives_the_same_result(shoot: Shoot, reference: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("IRIS_CACHE", str(shoot.folder / "another cache"))
+    solve(shoot.capture(), FAST, shoot.folder / "again")
+    assert same_results(reference, shoot.folder / "again")
+
+
+def test_another_seed_gives_another_but_similar_result(shoot: Shoot, reference: Path) -> None:
+    result = solve(shoot.capture(), replace(FAST, seed=1), shoot.folder / "seed")
+    assert not same_results(reference, shoot.folder / "seed")
+    assert lamp_parts(shoot.room, result) == list(LAMP_PARTS)
+
+
+@pytest.mark.parametrize("stage", ["lights", "materials", "textures"])
+def test_a_killed_solve_resumes_to_the_same_result(shoot: Shoot, reference: Path, stage: str) -> None:
+    out = shoot.folder / f"killed at {stage}"
+    stopped(shoot.capture(), FAST, out, stage)
+    finished = {"lights": "response", "materials": "lights", "textures": "materials"}[stage]
+    assert (out / "checkpoints" / f"{finished}.npz").is_file()
+    solve(shoot.capture(), FAST, out, resume=True)
+    assert same_results(reference, out)
+    assert not (out / "checkpoints").exists()
+
+
+def test_resume_does_not_believe_another_configuration(shoot: Shoot, reference: Path) -> None:
+    out = shoot.folder / "other configuration"
+    stopped(shoot.capture(), replace(FAST, seed=5), out, "textures")
+    solve(shoot.capture(), FAST, out, resume=True)
+    assert same_results(reference, out)
+
+
+@pytest.mark.parametrize("stage", ["photos", "transport", "lights", "textures"])
+def test_cancelling_stops_at_the_next_update(shoot: Shoot, reference: Path, stage: str) -> None:
+    """Into a folder with a finished result, which stays as it was."""
+    before = (reference / "report.json").read_text()
+    progress = Progress()
+    watch = Watch(stage, progress.cancel)
+    progress._sink = watch
+    with pytest.raises(Cancelled):
+        solve(shoot.capture(), replace(FAST, seed=3), reference, progress)
+    assert watch.act is None and watch.late == 0
+    assert (reference / "report.json").read_text() == before
