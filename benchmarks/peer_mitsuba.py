@@ -41,8 +41,8 @@ SNAPSHOTS = (30, 60, 120, 300, 600, 1200)
 SAMPLES = 8
 BEYOND, BEYOND_SLOPE = 4.0, 0.3
 """How far and how steeply the response goes on above 1 while optimising."""
-TUNED_TEXTURE_RATES = (0.005, 0.02, 0.05)
-TUNED_LAMP_RATES = (0.02, 0.05, 0.1)
+TUNED_TEXTURE_RATES = (0.01, 0.03, 0.06)
+TUNED_LAMP_RATES = (0.03, 0.1, 0.2)
 TUNING_SECONDS = 60
 
 
@@ -56,8 +56,8 @@ class Rates:
         decay: seconds.
     """
 
-    texture: float = 0.02
-    lamp: float = 0.05
+    texture: float = 0.03
+    lamp: float = 0.1
     decay: float = 60.0
 
 
