@@ -135,12 +135,12 @@ def test_saturation_is_a_lower_bound(shading: Shading) -> None:
     assert (forced > 0.9 * above).all()
 
 
-def test_a_measurement_pulls_more_than_shading_that_says_little(shading: Shading) -> None:
+def test_a_measurement_pulls(shading: Shading) -> None:
     measured = np.full_like(shading.truth, np.nan)
     measured[1] = shading.truth[1] * 1.2
-    faint = replace(shading, form_factors=shading.form_factors * [1.0, 1e-4])
-    balance = faint.solve(replace(shading.nothing_known, measured=measured))
-    assert balance.radiance[1] == pytest.approx(measured[1], rel=0.05)
+    balance = shading.solve(replace(shading.nothing_known, measured=measured))
+    assert (balance.radiance[1] > shading.truth[1] * 1.05).all()
+    assert balance.radiance[0] == pytest.approx(shading.truth[0], rel=0.1)
 
 
 def test_tied_fixtures_share_one_radiance(shading: Shading) -> None:
@@ -165,10 +165,18 @@ def test_distant_patches_of_a_part_are_what_fixes_the_scale(shading: Shading) ->
     assert square[1] > 3 * square[0]
 
 
-def test_uncertainty_tells_the_lamp_that_lights_nothing(shading: Shading) -> None:
-    faint = replace(shading, form_factors=shading.form_factors * [1.0, 1e-3])
-    balance = faint.solve()
+def test_uncertainty_tells_the_lamp_that_lights_nothing() -> None:
+    room = furnished_room()
+    emission = room.emission.copy()
+    emission[9] *= 1e-3
+    shading = exact_shading(replace(room, emission=emission))
+    balance = shading.solve(start=shading.truth * 2)
     assert balance.log_std[1] > 10 * balance.log_std[0]
+
+
+def test_a_lamp_far_from_its_start_does_not_overflow(shading: Shading) -> None:
+    stronger = replace(shading, form_factors=shading.form_factors * [1.0, 1e-3])
+    assert stronger.solve().radiance == pytest.approx(shading.truth * [[1], [1000]], rel=0.1)
 
 
 def test_patches_of_no_weight_have_no_say(shading: Shading) -> None:

@@ -21,6 +21,8 @@ MIN_PATCHES_PER_PART = 12
 MAX_PATCHES = 25_000
 HELD_OUT_EVERY = 8
 MAX_ALBEDO = 0.95
+LOG_RANGE = 30.0
+"""A lamp that lights nothing is free to take any radiance; a trial step of the optimiser must not overflow."""
 ROBUST_LOG = 0.15
 """Log-albedo deviation at which a patch starts to count as an outlier (texture, a contact shadow, a highlight)."""
 EFFECTIVE_PATCHES = 500
@@ -150,7 +152,7 @@ class _Problem:
     def split(self, unknowns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Log radiance (E', 3) and log albedo (n, 3) in the flat vector of unknowns."""
         n = 3 * self.form_factors.shape[1]
-        return unknowns[:n].reshape(-1, 3), unknowns[n:].reshape(-1, 3)
+        return np.clip(unknowns[:n], -LOG_RANGE, LOG_RANGE).reshape(-1, 3), unknowns[n:].reshape(-1, 3)
 
     def implied_albedo(self, log_e: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n, 3) median log albedo of every part under given emitters."""
