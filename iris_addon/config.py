@@ -26,7 +26,6 @@ class SolveConfig:
         specular_rays: rays per glossy pixel.
         atlas_size: side of the texture atlas in texels.
         rounds: passes of emission and reflectance, each with the materials of the one before.
-        refine_iterations: iterations of the final joint refinement; 0 leaves it out.
     """
 
     preset: PresetName = "balanced"
@@ -35,13 +34,12 @@ class SolveConfig:
     hdr: Path | None = None
     device: Literal["auto", "cpu", "cuda"] = "auto"
     seed: int = 0
-    max_patches: int = 120_000
-    gather_rays: int = 128
+    max_patches: int = 100_000
+    gather_rays: int = 96
     shadow_rays: int = 96
-    specular_rays: int = 16
+    specular_rays: int = 12
     atlas_size: int = 2048
     rounds: int = 3
-    refine_iterations: int = 0
 
 
 PRESETS: dict[PresetName, SolveConfig] = {
@@ -56,7 +54,6 @@ PRESETS: dict[PresetName, SolveConfig] = {
         shadow_rays=128,
         specular_rays=32,
         atlas_size=4096,
-        refine_iterations=40,
     ),
 }
 

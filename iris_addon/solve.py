@@ -7,17 +7,18 @@
 
 from __future__ import annotations
 
-import resource
-import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from .capture.types import Capture
 from .checkpoint import Checkpoints, fingerprint
+from .compute import choose_device, peak_memory_bytes
 from .config import SolveConfig
 from .emission.candidates import brightness
 from .emission.hidden import find_hidden
@@ -34,10 +35,12 @@ from .reflectance.textures import make_textures
 from .response.observations import Observations, observe
 from .response.radiance import group_radiance, linearise
 from .result.io import save_result
+from .result.report_html import write_report
 from .result.types import Emitter, OutsideLight, Result
 from .surface.atlas import build_atlas, texel_density_from_footprint
 from .surface.build import Surface, build_surface
 from .surface.parts import edge_adjacency, initial_parts
+from .surface.samples import PixelSamples
 from .surface.segment import split_scan
 from .transport.cache import cached_transport
 from .transport.tracer import Tracer
@@ -45,6 +48,7 @@ from .transport.transport import Transport
 
 WEIGHTS = {"photos": 3, "surface": 3, "transport": 8, "response": 6, "lights": 15, "materials": 20, "textures": 20}
 """Expected seconds per stage, for the overall progress bar."""
+SHOWN_PHOTOS = 4
 HELD_OUT = 0.02
 """Share of pixels kept from the textures, to measure what they predict."""
 
@@ -74,6 +78,7 @@ def solve(
         transport = cached_transport(
             capture, tracer, surface, parts, config.gather_rays, config.seed, _rng(config, 2), progress
         )
+        transport = replace(transport, device=choose_device(config.device))
     observations = observe(surface.sample_patch, photos.samples.view, photos.z, photos.hdr, _rng(config, 3))
     with progress.stage("response"):
         photometry = Photometry.from_arrays(
@@ -91,11 +96,12 @@ def solve(
         solved = checkpoints.stage("materials", lambda: _materials(problem, lights, config.rounds, progress))
         lights, gloss = Lights.from_arrays(solved), Gloss.from_arrays(solved)
     with progress.stage("textures"):
-        result = _textures(capture, config, problem, photos, photometry, lights, gloss, progress)
+        result, rerenders = _textures(capture, config, problem, photos, photometry, lights, gloss, progress)
     result.report.update(
         _report(config, capture, tracer, surface, transport, photometry, problem, lights, gloss, progress)
     )
     save_result(result, out)
+    write_report(result, capture, out, rerenders)
     checkpoints.clear()
     return result
 
@@ -155,8 +161,8 @@ def _textures(
     lights: Lights,
     gloss: Gloss,
     progress: Progress,
-) -> Result:
-    """Albedo per pixel, fused on the atlas; the result put together."""
+) -> tuple[Result, dict[str, NDArray[np.float32]]]:
+    """Albedo per pixel, fused on the atlas; the result put together, and a few photos as it explains them."""
     samples, light = photos.samples, problem.light
     part = light.parts[samples.face]
     irradiance = problem.field.at_samples(samples, light.surface.sample_patch, smooth_irradiance(problem.field, lights))
@@ -193,7 +199,7 @@ def _textures(
     report = {"holdout_psnr": float(-10 * np.log10(np.mean(error**2)))}
     mesh = capture.mesh.with_uv(uv)
     exposures = {view.name: photometry.exposures[k] for k, view in enumerate(capture.views)}
-    return Result(
+    result = Result(
         mesh,
         light.parts,
         textures,
@@ -204,6 +210,24 @@ def _textures(
         report,
         capture.up,
     )
+    return result, _rerenders(capture, samples, z)
+
+
+def _rerenders(capture: Capture, samples: PixelSamples, z: NDArray[np.floating]) -> dict[str, NDArray[np.float32]]:
+    """Predicted display values of a few photos by name, (H, W, 3); pixels off the lattice take their neighbour's."""
+    pictures = {}
+    for index in np.unique(np.linspace(0, len(capture.views) - 1, SHOWN_PHOTOS).astype(int)):
+        camera = capture.views[index].camera
+        rows = slice(*np.searchsorted(samples.view, [index, index + 1]))
+        known = np.zeros((camera.height, camera.width), bool)
+        image = np.zeros((camera.height, camera.width, 3), np.float32)
+        known.ravel()[samples.pixel[rows]] = True
+        image.reshape(-1, 3)[samples.pixel[rows]] = z[rows]
+        if known.any():
+            nearest = np.asarray(distance_transform_edt(~known, return_distances=False, return_indices=True))
+            image = image[nearest[0], nearest[1]]
+        pictures[capture.views[index].name] = image
+    return pictures
 
 
 def _predict(
@@ -255,12 +279,12 @@ def _report(
     progress: Progress,
 ) -> Mapping[str, Any]:
     """The figures of report.json beside the held-out PSNR."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
     return {
         "preset": config.preset,
         "seed": config.seed,
         "seconds": {name: round(value, 2) for name, value in progress.seconds.items()},
-        "peak_memory_bytes": int(peak),
+        "peak_memory_bytes": peak_memory_bytes(),
+        "device": transport.device,
         "rays_traced": int(tracer.rays_traced),
         "n_patches": int(transport.n_patches),
         "n_views": len(capture.views),

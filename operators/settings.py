@@ -21,7 +21,7 @@ class IrisSettings(bpy.types.PropertyGroup):
         items=(
             ("draft", "Draft", "Coarse patches, small textures: a first look"),
             ("balanced", "Balanced", "For most rooms"),
-            ("final", "Final", "Fine patches, large textures, joint refinement"),
+            ("final", "Final", "Fine patches, many rays, large textures"),
         ),
         default="balanced",
     )

@@ -88,7 +88,7 @@ def apply_to_scene(result: Result, scene: bpy.types.Scene, views: Sequence[View]
 
 
 def _show_like_the_photos(result: Result, scene: bpy.types.Scene) -> None:
-    set_cycles(scene, samples=128, denoise=True, seed=0, max_bounces=8)
+    set_cycles(scene, samples=128, denoise=True, seed=0, max_bounces=24)
     scene.view_settings.view_transform = "Standard"
     scene.view_settings.look = "None"
     exposures = [float(np.mean(exposure)) for exposure in result.exposures.values()]

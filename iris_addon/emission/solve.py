@@ -168,7 +168,8 @@ def choose_outside(problem: LightProblem, observed: GroupRadiance, progress: Pro
 def _expected_hidden(problem: LightProblem, lights: Lights) -> NDArray[np.float64]:
     """(H, 3) radiance expected of the hidden sources: what was found for parts, a dim room for directions."""
     parts = lights.hidden_radiance[: len(problem.hidden.parts)]
-    return np.concatenate([parts, np.tile(_mean_radiance(lights.patch_radiance, problem), (len(problem.hidden.directions), 1))])
+    dim = _mean_radiance(lights.patch_radiance, problem)
+    return np.concatenate([parts, np.tile(dim, (len(problem.hidden.directions), 1))])
 
 
 def refine_lights(
@@ -335,7 +336,7 @@ def _without_lamps(problem: LightProblem, observed: GroupRadiance) -> Lights:
 def _form_factors(problem: LightProblem, emitters: list[NDArray[np.int64]], progress: Progress) -> NDArray[np.float32]:
     rng = np.random.default_rng([problem.seed, 17])
     t = problem.transport
-    samples = int(np.clip(problem.shadow_rays // max(1, len(emitters)), 8, 64))
+    samples = int(np.clip(problem.shadow_rays // max(1, len(emitters)), 6, 64))
     seen = emitter_form_factors(problem.tracer, t.origins, t.rays, emitters, samples, rng, progress)
     unseen = emitter_form_factors(
         problem.tracer, t.unseen_origins, t.unseen_rays, emitters, max(4, samples // 4), rng, progress

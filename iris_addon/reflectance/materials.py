@@ -21,7 +21,7 @@ from .gloss import LEVELS, Gloss, choose_observations, fit_gloss
 from .glossy_bounce import GlossyBounce, trace_glossy_bounce
 from .lobes import LobeRays, trace_lobes
 from .shading import IrradianceField
-from .specular import Scene, specular_lobes, subtract_specular
+from .specular import ROUGH, Scene, rough_lobes, specular_lobes, subtract_specular
 
 FIT_RAYS = 16
 PASSED_ON = 0.6
@@ -179,6 +179,7 @@ class _GlossFit:
                 rng,
             )
             for level in LEVELS
+            if level < ROUGH
         ]
         return _GlossFit(rows, rays)
 
@@ -186,10 +187,13 @@ class _GlossFit:
         """Roughness and metallic per part under ``lights``."""
         o, samples = problem.observations, problem.light.samples
         scene = scene_of(problem.light, lights)
-        lobes = [r.radiance(scene.patch_radiance, scene.face_emission, scene.unknown) for r in self.rays]
         irradiance = smooth_irradiance(problem.field, lights)
         at = o.sample[self.rows]
         local = problem.field.at_samples(samples.take(at), o.patch[self.rows], irradiance)
+        lobes = [r.radiance(scene.patch_radiance, scene.face_emission, scene.unknown) for r in self.rays]
+        # Wide lobes come from irradiance, as everywhere: the noise of few rays would make smooth levels look better.
+        rough = (level for level in LEVELS if level >= ROUGH)
+        lobes += [rough_lobes(np.full(len(at), level), samples.cosine[at], local) for level in rough]
         return fit_gloss(
             problem.part[self.rows],
             o.patch[self.rows],

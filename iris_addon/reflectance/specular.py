@@ -39,6 +39,19 @@ class Scene:
     unknown: NDArray[np.floating]
 
 
+def rough_lobes(
+    roughness: NDArray[np.floating], cosine: NDArray[np.floating], irradiance: NDArray[np.floating]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """``Ls0`` and ``Ls1`` (n, 3) of lobes that see what the hemisphere sees: free of the noise of few rays.
+
+    Args:
+        cosine: (n,) between the normal and the direction to the camera.
+        irradiance: (n, 3) irradiance / pi.
+    """
+    f0, f1 = specular_integrals(roughness, cosine.astype(np.float64))
+    return (f0[:, None] * irradiance).astype(np.float32), (f1[:, None] * irradiance).astype(np.float32)
+
+
 def specular_lobes(
     scene: Scene,
     gloss: Gloss,
@@ -57,9 +70,7 @@ def specular_lobes(
         irradiance: (n, 3) irradiance / pi at each pixel.
     """
     roughness = gloss.roughness[part]
-    f0, f1 = specular_integrals(roughness, samples.cosine[rows].astype(np.float64))
-    ls0 = (f0[:, None] * irradiance).astype(np.float32)
-    ls1 = (f1[:, None] * irradiance).astype(np.float32)
+    ls0, ls1 = rough_lobes(roughness, samples.cosine[rows], irradiance)
     traced = np.flatnonzero(roughness < ROUGH)
     for start in range(0, len(traced), POINTS_AT_ONCE):
         at = traced[start : start + POINTS_AT_ONCE]

@@ -28,6 +28,9 @@ ROBUST_SCALE = 0.01
 MAX_STEPS, SEPARATE_STEPS = 60, 5
 """One curve starts from the prior and runs until it has converged; three start from there and go on if they gain."""
 WHITE_BALANCE_GAIN = 0.9
+UNKNOWN_PRIOR_WEIGHT = 30.0
+MIN_EXPOSURE_SPREAD = 0.5
+"""Stops; below, unknown exposures vary too little to tell the curve."""
 PRIOR_WEIGHT = 1.0
 """The prior over curves counts as much as one observation that is off by ROBUST_SCALE."""
 MONOTONICITY_WEIGHT = 1e4
@@ -99,6 +102,10 @@ def fit_overlap(
     problem = _Problem.build(observations, index, exposures, n_views)
     if fixed is not None:
         return OverlapFit(fixed, problem.exposures(fixed), np.nan, False)
+    if exposures is None and problem.exposure_spread() < MIN_EXPOSURE_SPREAD:
+        # Photos of one exposure say nothing about the curve: the most common one stands.
+        median = family.to_response([family.PRIOR_MEAN])
+        return OverlapFit(median, problem.exposures(median), np.nan, False)
     held_out = rng.random(problem.n_patches) < 0.2
     training, testing = problem.restrict(~held_out), problem.restrict(held_out)
     shared = training.minimise([family.PRIOR_MEAN], MAX_STEPS)
@@ -171,6 +178,11 @@ class _Problem:
         norm = group_sums(weight, self.patch, self.n_patches)
         return group_sums(weight * radiance, self.patch, self.n_patches) / norm
 
+    def exposure_spread(self) -> float:
+        """Standard deviation of the exposures in stops, under the median measured response."""
+        log_t, _ = self.solve_radiance(family.to_response([family.PRIOR_MEAN]))
+        return float(np.std(log_t) / np.log(2))
+
     def exposures(self, response: Response) -> NDArray[np.float64]:
         """(V, 3) exposure factors under a curve: the known ones, or those that the overlap asks for.
 
@@ -202,27 +214,32 @@ class _Problem:
         log_t, radiance = self.solve_radiance(response)
         x = radiance[self.patch] * np.exp(log_t)[self.view][:, None]
         mismatch = np.where(self.clipped[:, None], 0.0, response.apply(x) - self.z)
-        data = (self.weight[:, None] * mismatch / ROBUST_SCALE).ravel()
+        data = _robust(self.weight[:, None] * mismatch / ROBUST_SCALE)
         # A byte of 255 means x >= 1 and any other means x < 1: the share of clipped pixels pins the scale.
         log_x = np.log(np.maximum(x, 1e-6))
         wrong_side = np.clip(np.where(self.share > 0.5, -log_x, log_x), 0.0, None)
-        clip = (self.weight[:, None] * wrong_side / CLIP_SCALE).ravel()
-        prior = [PRIOR_WEIGHT * family.prior_residual(k) for k in knots]
+        clip = _robust(self.weight[:, None] * wrong_side / CLIP_SCALE)
+        # (f^g, t^g, L^g) fits as well for any g: without exposure times only the prior holds the exponent.
+        held = PRIOR_WEIGHT if self.log_t is not None else UNKNOWN_PRIOR_WEIGHT
+        prior = [held * family.prior_residual(k) for k in knots]
         bends = [MONOTONICITY_WEIGHT * family.downhill(k) for k in knots]
         return np.concatenate([data, clip, *prior, *bends])
 
     def minimise(self, start: list[NDArray[np.float64]], max_steps: int) -> list[NDArray[np.float64]]:
         """Knots of one or three curves; radiance and exposures are eliminated (variable projection)."""
         n_curves = len(start)
-        fit = least_squares(
-            self.residual, np.concatenate(start), args=(n_curves,), loss="cauchy", max_nfev=max_steps, x_scale=0.3
-        )
+        fit = least_squares(self.residual, np.concatenate(start), args=(n_curves,), max_nfev=max_steps, x_scale=0.3)
         return list(fit.x.reshape(n_curves, -1))
 
     def disagreement(self, knots: list[NDArray[np.float64]]) -> float:
         """Median absolute residual of unclipped observations, display values."""
         mismatch = self.residual(np.concatenate(knots), len(knots))[: self.z.size].reshape(-1, 3) / self.weight[:, None]
         return float(np.median(np.abs(mismatch[~self.clipped])) * ROBUST_SCALE)
+
+
+def _robust(residual: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Residuals whose squares are Cauchy's loss, flat; the prior beside them stays quadratic."""
+    return (np.sign(residual) * np.sqrt(np.log1p(residual**2))).ravel()
 
 
 def _chain_exposures(

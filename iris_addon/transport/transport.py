@@ -33,6 +33,7 @@ class Transport:
         rays: of the seen patches; ``unseen_rays`` of the others.
         target, unseen_target: (P, R) and (N - P, R') int32 patch hit, UNKNOWN or ESCAPED.
         part: (N,) part of each patch.
+        device: where torch sums over rays.
     """
 
     n_seen: int
@@ -44,6 +45,7 @@ class Transport:
     unseen_target: NDArray[np.int32]
     part: NDArray[np.int32]
     grids: tuple[PatchGrid, PatchGrid]
+    device: str = "cpu"
 
     @property
     def n_patches(self) -> int:
@@ -71,7 +73,7 @@ class Transport:
             np.concatenate([radiance, np.asarray(unknown)[None], np.zeros((1, 3))]).astype(np.float32)
         )
         rows = [
-            _mean_of_targets(table, target, rays.face, emitter_faces, self.n_patches)
+            _mean_of_targets(table.to(self.device), target, rays.face, emitter_faces, self.n_patches)
             for target, rays in ((self.target, self.rays), (self.unseen_target, self.unseen_rays))
         ]
         return np.concatenate(rows)
@@ -82,7 +84,7 @@ def _mean_of_targets(
 ) -> NDArray[np.float32]:
     dark = (target == ESCAPED) | ((face >= 0) & emitters[face])
     index = np.where(dark, n + 1, np.where(target == UNKNOWN, n, target)).astype(np.int32)
-    return torch.nn.functional.embedding_bag(torch.from_numpy(index), table, mode="mean").numpy()
+    return torch.nn.functional.embedding_bag(torch.from_numpy(index).to(table.device), table, mode="mean").cpu().numpy()
 
 
 def facing_normals(tracer: Tracer, face: NDArray[np.integer], direction: NDArray[np.floating]) -> NDArray[np.float32]:
