@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..emission.candidates import brightness
-from ..emission.solve import LightProblem, Lights, refine_lights
+from ..emission.search import refine_lights
+from ..emission.types import LightProblem, Lights
 from ..progress import Progress
 from ..response.observations import Observations
 from ..response.radiance import GroupRadiance, Linearised, group_radiance

@@ -1,0 +1,256 @@
+"""Gloss from view dependence, albedo per texel, what is filled in where no photo reached."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from iris_addon.progress import Progress
+from iris_addon.reflectance.bake import MAX_ALBEDO, fuse_texels, pixel_albedo, pixel_weight
+from iris_addon.reflectance.ggx import DIELECTRIC_F0, specular_integrals
+from iris_addon.reflectance.gloss import LEVELS, Gloss, choose_observations, fit_gloss, rough_everywhere
+from iris_addon.reflectance.lobes import LobeRays, trace_lobes
+from iris_addon.reflectance.shading import IrradianceField
+from iris_addon.reflectance.specular import ROUGH, rough_lobes
+from iris_addon.reflectance.textures import make_textures
+from iris_addon.surface.atlas import build_atlas
+from iris_addon.surface.atlas_texels import rasterise_atlas
+from iris_addon.surface.build import Surface, build_surface
+from iris_addon.surface.samples import PixelSamples, trace_pixels
+from iris_addon.transport.tracer import Tracer
+from iris_addon.transport.transport import Transport, build_transport
+from tests.engine_room import Room, assemble, cameras, furnished_room, irradiance_at, quad, radiosity
+
+FLOOR, WALL = 4, 2
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The furnished room with its radiance on patches, and pixels of the floor and of one wall."""
+
+    room: Room
+    tracer: Tracer
+    samples: PixelSamples
+    surface: Surface
+    transport: Transport
+    patch_radiance: np.ndarray
+    irradiance: np.ndarray  # (P, 3)
+
+    @property
+    def face_emission(self) -> np.ndarray:
+        return self.room.emission[self.room.parts]
+
+    def lobes(self, rows: np.ndarray, roughness: float, n_rays: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+        s, rng = self.samples, np.random.default_rng(seed)
+        rays = trace_lobes(
+            self.tracer, self.transport, self.room.parts, s.position[rows], s.normal[rows], s.direction[rows],
+            np.full(len(rows), roughness), n_rays, rng,
+        )  # fmt: skip
+        return rays.radiance(self.patch_radiance, self.face_emission, np.full(3, 0.1))
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    room = furnished_room()
+    tracer, rng = Tracer(room.mesh), np.random.default_rng(0)
+    samples = trace_pixels(tracer, cameras(12), 1, Progress())
+    surface = build_surface(room.mesh, samples, room.parts, 4000, rng)
+    transport = build_transport(tracer, surface, room.parts, 64, rng, Progress())
+    irradiance = irradiance_at(room, tracer, radiosity(room, tracer, 128), surface.origins, 128, 1)
+    radiance = np.zeros((transport.n_patches, 3))
+    radiance[: transport.n_seen] = room.albedo[surface.part] * irradiance
+    return Scene(room, tracer, samples, surface, transport, radiance, irradiance)
+
+
+# Gloss ---------------------------------------------------------------------------------------------------------------
+
+
+def fit_floor(scene: Scene, radiance: np.ndarray, rows: np.ndarray) -> Gloss:
+    patch = scene.surface.sample_patch[rows]
+    irradiance = scene.irradiance[patch]
+    lobes = [scene.lobes(rows, level, 16, 5 + k) for k, level in enumerate(LEVELS[:-1])]
+    lobes.append(rough_lobes(np.ones(len(rows)), scene.samples.cosine[rows], irradiance))
+    part = scene.room.parts[scene.samples.face[rows]]
+    return fit_gloss(part, patch, np.ones(len(rows)), radiance, irradiance, lobes, len(scene.room.albedo))
+
+
+def rows_on(scene: Scene, part: int) -> np.ndarray:
+    on = np.flatnonzero(scene.room.parts[scene.samples.face] == part)
+    return on[np.random.default_rng(2).permutation(len(on))[:600]]
+
+
+def seen(scene: Scene, rows: np.ndarray, color: np.ndarray, roughness: float, metallic: float) -> np.ndarray:
+    """Radiance of pixels under the reflectance model, lobes by many rays of their own."""
+    irradiance = scene.irradiance[scene.surface.sample_patch[rows]]
+    if roughness < ROUGH:
+        s0, s1 = scene.lobes(rows, roughness, 256, 99)
+    else:
+        s0, s1 = rough_lobes(np.full(len(rows), roughness), scene.samples.cosine[rows], irradiance)
+    kd = color * (1 - metallic)
+    ks = color * metallic + DIELECTRIC_F0 * (1 - metallic)
+    noise = np.random.default_rng(3).normal(1, 0.01, (len(rows), 1))
+    return (kd * irradiance + ks * s0 + s1) * noise
+
+
+@pytest.mark.parametrize("roughness", [0.1, 0.2])
+def test_a_polished_floor_is_glossy(scene: Scene, roughness: float) -> None:
+    rows = rows_on(scene, FLOOR)
+    gloss = fit_floor(scene, seen(scene, rows, scene.room.albedo[FLOOR], roughness, 0.0), rows)
+    assert gloss.decided[FLOOR]
+    assert gloss.roughness[FLOOR] == pytest.approx(roughness, abs=0.08)
+    assert gloss.metallic[FLOOR] == 0
+
+
+@pytest.mark.parametrize("part", [FLOOR, WALL])
+def test_a_matte_part_stays_matte(scene: Scene, part: int) -> None:
+    rows = rows_on(scene, part)
+    gloss = fit_floor(scene, seen(scene, rows, scene.room.albedo[part], 1.0, 0.0), rows)
+    assert gloss.roughness[part] > 0.6
+    assert gloss.metallic[part] == 0
+
+
+@pytest.mark.parametrize("roughness", [0.1, 0.32])
+def test_a_metal_wall_is_metal(scene: Scene, roughness: float) -> None:
+    rows = rows_on(scene, WALL)
+    gloss = fit_floor(scene, seen(scene, rows, np.array([0.9, 0.7, 0.4]), roughness, 1.0), rows)
+    assert gloss.metallic[WALL] == 1
+    assert gloss.roughness[WALL] == pytest.approx(roughness, abs=0.12)
+
+
+def test_parts_that_hardly_anybody_saw_keep_the_default(scene: Scene) -> None:
+    rows = rows_on(scene, FLOOR)[:20]
+    gloss = fit_floor(scene, seen(scene, rows, scene.room.albedo[FLOOR], 0.1, 0.0), rows)
+    assert not gloss.decided.any()
+    assert (gloss.roughness == rough_everywhere(len(gloss.roughness)).roughness).all()
+
+
+def test_lobes_of_uniform_light_are_the_integrals_of_the_model(scene: Scene) -> None:
+    rows = rows_on(scene, WALL)[:300]
+    ones, faces = np.ones_like(scene.patch_radiance), np.zeros((len(scene.room.mesh.faces), 3))
+    faces[np.concatenate(scene.room.lamps())] = 1.0
+    for roughness in (0.15, 0.5, 1.0):
+        s = scene.samples
+        rays: LobeRays = trace_lobes(
+            scene.tracer, scene.transport, scene.room.parts, s.position[rows], s.normal[rows], s.direction[rows],
+            np.full(len(rows), roughness), 128, np.random.default_rng(1),
+        )  # fmt: skip
+        s0, s1 = rays.radiance(ones, faces, np.ones(3))
+        f0, f1 = specular_integrals(np.full(len(rows), roughness), s.cosine[rows].astype(np.float64))
+        assert s0[:, 0].mean() == pytest.approx(f0.mean(), abs=0.01)
+        assert s1[:, 0].mean() == pytest.approx(f1.mean(), abs=0.005)
+
+
+def test_observations_are_chosen_by_whole_patches() -> None:
+    part = np.repeat([0, 1], [3000, 50])
+    patch = np.concatenate([np.repeat(np.arange(300), 10), 300 + np.repeat(np.arange(5), 10)])
+    weight = np.ones(3050)
+    weight[::7] = 0
+    rows = choose_observations(part, patch, weight, np.random.default_rng(0))
+    assert (weight[rows] > 0).all() and (np.diff(rows) > 0).all()
+    assert (part[rows] == 1).sum() == (weight[3000:] > 0).sum()
+    chosen, count = np.unique(patch[rows], return_counts=True)
+    whole = np.bincount(patch, weight)[chosen]
+    assert (count == whole).sum() >= len(chosen) - 1  # the last one may be cut
+
+
+# Irradiance between patches ------------------------------------------------------------------------------------------
+
+
+def test_smoothing_keeps_a_constant_and_takes_noise_off(scene: Scene) -> None:
+    field = IrradianceField.build(scene.surface)
+    constant = np.tile([1.0, 2.0, 3.0], (len(scene.surface.part), 1))
+    assert field.smooth(constant, 1.0) == pytest.approx(constant, rel=1e-5)
+    assert field.at_samples(scene.samples, scene.surface.sample_patch, constant) == pytest.approx(
+        constant[scene.surface.sample_patch], rel=1e-5
+    )
+    noise = np.random.default_rng(0).normal(0, 1, (len(constant), 1))
+    assert field.smooth(noise, 1.0).std() < 0.6
+
+
+def test_irradiance_does_not_leak_around_corners(scene: Scene) -> None:
+    field = IrradianceField.build(scene.surface)
+    upward = (scene.surface.normal[:, 2:] > 0.5).astype(np.float64)
+    leak = np.abs(field.smooth(upward, 1.0) - upward)
+    assert leak.max() < 0.02
+
+
+# Textures ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_pixels_albedo_inverts_the_model() -> None:
+    rng = np.random.default_rng(0)
+    color, irradiance, s0, s1 = (
+        rng.random((50, 3)) * 0.9,
+        rng.random((50, 3)) + 0.1,
+        rng.random((50, 3)),
+        rng.random((50, 3)),
+    )
+    for metallic in (0.0, 1.0):
+        m = np.full(50, metallic)
+        ks = color * metallic + DIELECTRIC_F0 * (1 - metallic)
+        radiance = color * (1 - metallic) * irradiance + ks * s0 + s1
+        specular = DIELECTRIC_F0 * (1 - metallic) * s0 + s1
+        assert pixel_albedo(radiance, specular, np.maximum(s0, 1e-3), irradiance, m) == pytest.approx(color, abs=0.02)
+    assert pixel_albedo(radiance * 100, specular, s0, irradiance, m).max() <= MAX_ALBEDO
+
+
+def test_near_head_on_pixels_have_the_most_to_say() -> None:
+    weight = pixel_weight(np.array([1.0, 0.5, 1.0]), np.array([0.01, 0.01, 0.02]), np.ones(3))
+    assert weight[0] > weight[1] and weight[0] == pytest.approx(4 * weight[2])
+
+
+def test_fusing_is_robust_and_leaves_no_holes_where_one_channel_is_clipped() -> None:
+    texel = np.repeat([0, 1, 3], 12)
+    value = np.tile([0.4, 0.3, 0.2], (36, 1))
+    value[[3, 7]] = 0.95  # a highlight in two of twelve photos
+    weight = np.ones((36, 3))
+    weight[12:24, 0] = 0  # red clipped in every photo
+    fused = fuse_texels(texel, value, weight, 5)
+    assert fused.value[0] == pytest.approx([0.4, 0.3, 0.2], abs=0.04)
+    assert fused.value[1] == pytest.approx([0.25, 0.3, 0.2], abs=1e-5)
+    assert (fused.weight[[0, 1, 3]] > 0).all() and (fused.weight[[2, 4]] == 0).all()
+
+
+def test_unseen_faces_take_their_parts_mean_and_lamps_are_black() -> None:
+    """Three parts: a floor half of which nobody saw, a wall nobody saw at all, a lamp."""
+    mesh = assemble(
+        [
+            quad([0, 0, 0], [1, 0, 0], [0, 1, 0]),
+            quad([5, 0, 0], [1, 0, 0], [0, 1, 0]),
+            quad([0, 5, 0], [1, 0, 0], [0, 0, 1]),
+            quad([0, 0, 3], [1, 0, 0], [0, 1, 0]),
+        ],
+        [0, 0, 1, 2],
+    )
+    assert mesh.parts is not None
+    size, rng = 64, np.random.default_rng(0)
+    uv = build_atlas(mesh, np.full(8, 10.0), size)
+    n = 8000
+    face = rng.choice([0, 1, 6, 7], n).astype(np.int32)
+    barycentric = rng.random((n, 2)).astype(np.float32)
+    barycentric = np.where(barycentric.sum(1, keepdims=True) > 1, 1 - barycentric, barycentric)
+    empty = np.zeros((n, 3), np.float32)
+    samples = PixelSamples(
+        np.zeros(n, np.int16), np.zeros(n, np.int32), face, barycentric, empty, empty, empty, np.ones(n, np.float32)
+    )
+    color = np.where((face < 2)[:, None], [0.5, 0.25, 0.125], 0.9)
+    gloss = Gloss(np.array([0.2, 1.0, 0.5]), np.array([0.0, 1.0, 0.0]), np.ones(3, bool))
+    lamps = np.arange(8) >= 6
+    textures, at_pixels = make_textures(uv, size, mesh.parts, lamps, gloss, samples, color, np.ones((n, 3)))
+    shown, _ = rasterise_atlas(uv, size)
+
+    def base(*faces: int) -> np.ndarray:
+        return textures.base_color[np.isin(shown, faces)]
+
+    assert base(0, 1) == pytest.approx(np.tile([0.5, 0.25, 0.125], (len(base(0, 1)), 1)), abs=1e-3)
+    assert base(2, 3) == pytest.approx(np.tile([0.5, 0.25, 0.125], (len(base(2, 3)), 1)), abs=1e-3)
+    assert base(6, 7).max() == 0
+    assert np.ptp(base(4, 5), axis=0).max() < 1e-6
+    assert (textures.confidence[np.isin(shown, [2, 3, 4, 5])] == 0).mean() > 0.9
+    assert textures.confidence[np.isin(shown, [0, 1])].mean() > 0.8
+    assert (textures.roughness[np.isin(shown, [0, 1, 2, 3])] == np.float32(0.2)).all()
+    assert (textures.metallic[np.isin(shown, [4, 5])] == 1).all()
+    assert at_pixels[face < 2] == pytest.approx(color[face < 2], abs=1e-3)
+    assert np.isfinite(textures.base_color).all()
