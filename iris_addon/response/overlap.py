@@ -239,7 +239,7 @@ class _Problem:
 
 def _robust(residual: NDArray[np.float64]) -> NDArray[np.float64]:
     """Residuals whose squares are Cauchy's loss, flat; the prior beside them stays quadratic."""
-    return (np.sign(residual) * np.sqrt(np.log1p(residual**2))).ravel()
+    return np.copysign(np.sqrt(np.log1p(residual**2)), residual).ravel()
 
 
 def _chain_exposures(
