@@ -24,8 +24,9 @@ def read_response(path: Path) -> Response:
     mend = "give a response.json of a solve, or a table with one or three curves"
     if not path.is_file():
         raise BadInput("there is no such response file", "check the path", path)
-    if path.stat().st_size > MAX_BYTES:
-        raise BadInput("the response file is far too large", mend, path)
+    size = path.stat().st_size
+    if size == 0 or size > MAX_BYTES:
+        raise BadInput("the response file is empty" if size == 0 else "the response file is far too large", mend, path)
     try:
         if path.suffix == ".json":
             table = np.asarray(read_json(path).get("samples"), np.float64)
