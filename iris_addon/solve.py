@@ -22,7 +22,8 @@ from .compute import choose_device, peak_memory_bytes
 from .config import SolveConfig
 from .emission.candidates import brightness
 from .emission.hidden import find_hidden
-from .emission.solve import LightProblem, Lights, choose_outside
+from .emission.search import choose_outside
+from .emission.types import LightProblem, Lights
 from .photo_samples import PhotoSamples, sample_photos
 from .photometry import Photometry, measure_photometry
 from .progress import Progress

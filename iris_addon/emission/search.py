@@ -1,0 +1,125 @@
+"""Find the lamps: candidates, their radiance, and the test again under the light just found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..progress import Progress
+from ..response.radiance import GroupRadiance
+from ..transport.transport import ESCAPED
+from .candidates import emitting_faces, group_emitters, reflectance_needed, whole_parts
+from .solve import form_factors_of, lights_without_lamps, mean_radiance, patches_on, solve_lights
+from .types import LightProblem, Lights
+
+OUTSIDE_GAIN = 0.02
+"""Fall of the held-out loss that each step from no light outside to constant to directional must bring."""
+OPEN_SHARE = 0.15
+"""Share of escaping rays from which a mesh is no closed room."""
+NEGLIGIBLE_POWER = 2e-4
+HYSTERESIS = 0.8
+THRESHOLDS = (3.0, 1.6, 1.25)
+"""Reflectance needed at which a face counts as a lamp, round by round, from the certain ones down."""
+
+
+def find_lights(problem: LightProblem, observed: GroupRadiance, progress: Progress) -> Lights:
+    """Search for lamps from nothing: certain ones first, then those that stand out only under their light."""
+    lights = lights_without_lamps(problem, observed)
+    for threshold in THRESHOLDS:
+        emitters = _candidates(problem, lights, threshold)
+        if threshold == THRESHOLDS[0] or not same_emitters(emitters, lights.emitters):
+            lights = solve_lights(problem, observed, emitters, lights, progress)
+    return _without_negligible(problem, observed, lights, progress)
+
+
+def choose_outside(problem: LightProblem, observed: GroupRadiance, progress: Progress) -> tuple[LightProblem, Lights]:
+    """Lamps, with as much light from outside the mesh as earns its place: none, constant, or by direction.
+
+    Each hypothesis is scored by the light balance of patches that it was not fitted to. The next larger one is taken
+    only if it lowers that score by OUTSIDE_GAIN.
+    """
+    directions = len(problem.hidden.directions)
+    best: tuple[LightProblem, Lights] | None = None
+    # A mesh with large holes is not a closed room: without outside light everything in it would seem to glow.
+    is_open = float((problem.transport.target == ESCAPED).mean()) > OPEN_SHARE
+    for count in sorted({min(1, directions), directions} | (set() if is_open else {0})):
+        tried = replace(problem, hidden=problem.hidden.with_directions(count))
+        if best is None:
+            lights = find_lights(tried, observed, progress)
+        else:
+            start = replace(best[1], hidden_radiance=_expected_hidden(tried, best[1]))
+            lights = solve_lights(tried, observed, start.emitters, start, progress, start.form_factors)
+        if best is None or lights.held_out < (1 - OUTSIDE_GAIN) * best[1].held_out:
+            best = tried, lights
+    assert best is not None
+    return best
+
+
+def _expected_hidden(problem: LightProblem, lights: Lights) -> NDArray[np.float64]:
+    """(H, 3) radiance expected of the hidden sources: what was found for parts, a dim room for directions."""
+    parts = lights.hidden_radiance[: len(problem.hidden.parts)]
+    dim = mean_radiance(lights.patch_radiance, problem)
+    return np.concatenate([parts, np.tile(dim, (len(problem.hidden.directions), 1))])
+
+
+def refine_lights(
+    problem: LightProblem,
+    observed: GroupRadiance,
+    lights: Lights,
+    weight: NDArray[np.float64],
+    diffuse: NDArray[np.float64],
+    progress: Progress,
+) -> Lights:
+    """Test and solve the lamps again, now that gloss is known.
+
+    Args:
+        weight: (P,) say of each seen patch.
+        diffuse: (P, 3) radiance without its specular part.
+    """
+    emitters = _candidates(problem, lights, THRESHOLDS[-1])
+    known = {faces.tobytes(): k for k, faces in enumerate(lights.emitters)}
+    columns = [known.get(faces.tobytes(), -1) for faces in emitters]
+    fresh = [faces for faces, k in zip(emitters, columns, strict=True) if k < 0]
+    factors = np.empty((problem.transport.n_patches, len(emitters)), np.float32)
+    traced = form_factors_of(problem, fresh, progress)
+    at = 0
+    for index, k in enumerate(columns):
+        factors[:, index] = lights.form_factors[:, k] if k >= 0 else traced[:, at]
+        at += k < 0
+    return solve_lights(problem, observed, emitters, lights, progress, factors, weight, diffuse)
+
+
+def _candidates(problem: LightProblem, lights: Lights, threshold: float) -> list[NDArray[np.int64]]:
+    """Lamps at one threshold under the light known so far."""
+    n = problem.transport.n_seen
+    needed = reflectance_needed(problem.brightness, lights.irradiance[:n])
+    # What already counts as a lamp stays one unless the light found since explains it away.
+    needed = np.where(patches_on(problem, lights.mask)[:n], needed / HYSTERESIS, needed)
+    patch, face, n_faces = problem.surface.sample_patch, problem.samples.face, len(problem.parts)
+    emitting, count = emitting_faces(needed > threshold, patch, face, n_faces)
+    certain, _ = emitting_faces(needed > THRESHOLDS[0], patch, face, n_faces)
+    # Dimmer than what the room reflects anyway: unexplained light, but not a lamp.
+    level = np.median(lights.irradiance[:n].mean(1))
+    emitting &= emitting_faces(problem.brightness.floor.max(1) > level, patch, face, n_faces)[0]
+    # A bright region of a part that otherwise reflects is a highlight or a caustic until it is far too bright for one.
+    emitting &= certain | whole_parts(emitting, count, problem.parts)[problem.parts]
+    return group_emitters(emitting, count, problem.tracer.areas, problem.parts, problem.adjacency)
+
+
+def _without_negligible(problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress) -> Lights:
+    """Leave out the lamps whose light nobody would miss: specks that mixed pixels at the edge of a real lamp make."""
+    if not lights.emitters:
+        return lights
+    power = np.array([problem.tracer.areas[f].sum() for f in lights.emitters]) * lights.radiance.mean(1)
+    kept = power > NEGLIGIBLE_POWER * power.sum()
+    if kept.all():
+        return lights
+    emitters = [faces for faces, keep in zip(lights.emitters, kept, strict=True) if keep]
+    return solve_lights(problem, observed, emitters, lights, progress, lights.form_factors[:, kept])
+
+
+def same_emitters(a: list[NDArray[np.int64]], b: list[NDArray[np.int64]]) -> bool:
+    """Whether two lists name the same lamps."""
+    return len(a) == len(b) and all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
