@@ -50,6 +50,8 @@ from .transport.transport import Transport
 WEIGHTS = {"photos": 3, "surface": 3, "transport": 8, "response": 6, "lights": 15, "materials": 20, "textures": 20}
 """Expected seconds per stage, for the overall progress bar."""
 SHOWN_PHOTOS = 4
+DIM = 0.05
+"""Share of the median irradiance below which a quotient of radiance and irradiance is not worth much."""
 HELD_OUT = 0.02
 """Share of pixels kept from the textures, to measure what they predict."""
 
@@ -183,7 +185,8 @@ def _textures(
     linear = photometry.linearise_pixels(photos.z, samples.view)
     albedo = pixel_albedo(linear.radiance, specular, ls0, irradiance, metallic)
     seen_well = pixel_weight(samples.cosine, samples.footprint, np.ones(len(part)))
-    weight = seen_well[:, None] * linear.open * linear.precision
+    lit = irradiance / (irradiance + DIM * np.median(irradiance))
+    weight = seen_well[:, None] * linear.open * linear.precision * lit**2
     weight /= np.median(weight[weight > 0])
     held_out = _rng(config, 7).random(len(part)) < HELD_OUT
     uv = capture.mesh.uv

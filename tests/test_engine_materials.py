@@ -14,7 +14,7 @@ from iris_addon.reflectance.gloss import LEVELS, Gloss, choose_observations, fit
 from iris_addon.reflectance.lobes import LobeRays, trace_lobes
 from iris_addon.reflectance.shading import IrradianceField
 from iris_addon.reflectance.specular import ROUGH, rough_lobes
-from iris_addon.reflectance.textures import make_textures
+from iris_addon.reflectance.textures import complete_channels, make_textures
 from iris_addon.surface.atlas import build_atlas
 from iris_addon.surface.atlas_texels import rasterise_atlas
 from iris_addon.surface.build import Surface, build_surface
@@ -201,7 +201,13 @@ def test_near_head_on_pixels_have_the_most_to_say() -> None:
     assert weight[0] > weight[1] and weight[0] == pytest.approx(4 * weight[2])
 
 
-def test_fusing_is_robust_and_leaves_no_holes_where_one_channel_is_clipped() -> None:
+def test_a_clipped_channel_takes_the_colour_of_its_part() -> None:
+    part_colour = np.array([[0.8, 0.6, 0.1]])
+    completed = complete_channels(np.array([[np.nan, 0.3, 0.05]]), part_colour)
+    assert completed[0] == pytest.approx([0.4, 0.3, 0.05], rel=1e-5)  # half as bright, as yellow
+
+
+def test_fusing_is_robust_and_says_which_channel_was_always_clipped() -> None:
     texel = np.repeat([0, 1, 3], 12)
     value = np.tile([0.4, 0.3, 0.2], (36, 1))
     value[[3, 7]] = 0.95  # a highlight in two of twelve photos
@@ -209,7 +215,7 @@ def test_fusing_is_robust_and_leaves_no_holes_where_one_channel_is_clipped() -> 
     weight[12:24, 0] = 0  # red clipped in every photo
     fused = fuse_texels(texel, value, weight, 5)
     assert fused.value[0] == pytest.approx([0.4, 0.3, 0.2], abs=0.04)
-    assert fused.value[1] == pytest.approx([0.25, 0.3, 0.2], abs=1e-5)
+    assert np.isnan(fused.value[1, 0]) and fused.value[1, 1:] == pytest.approx([0.3, 0.2], abs=1e-5)
     assert (fused.weight[[0, 1, 3]] > 0).all() and (fused.weight[[2, 4]] == 0).all()
 
 

@@ -24,7 +24,7 @@ class TexelAlbedo:
     """Albedo fused per texel.
 
     Attributes:
-        value: (T, 3) float32, T = size²; zero where unknown.
+        value: (T, 3) float32, T = size²; NaN where no photo shows the channel unclipped.
         weight: (T,) float32 total weight, zero where no photo reaches.
     """
 
@@ -73,8 +73,5 @@ def fuse_texels(
     first, norm = mean(weight)
     off = np.abs(value - first[texel]).mean(1, keepdims=True) / (first[texel].mean(1, keepdims=True) + 0.02)
     fused, _ = mean(weight / (1 + (off / OUTLIER) ** 2))
-    # A channel clipped in every photo takes the mean of the others: white more often than not.
     known = norm > 0
-    others = (fused * known).sum(1, keepdims=True) / np.maximum(known.sum(1, keepdims=True), 1)
-    fused = np.where(known, fused, others)
-    return TexelAlbedo(fused.astype(np.float32), norm.max(1).astype(np.float32))
+    return TexelAlbedo(np.where(known, fused, np.nan).astype(np.float32), norm.max(1).astype(np.float32))

@@ -9,9 +9,11 @@ from ..response.observations import group_sums
 from ..result.types import Textures
 from ..surface.atlas_texels import fill_texels, rasterise_atlas, texel_index
 from ..surface.samples import PixelSamples
-from .bake import TexelAlbedo, fuse_texels
+from .bake import MAX_ALBEDO, TexelAlbedo, fuse_texels
 from .gloss import Gloss
 
+DOUBT = 0.02
+"""Weight (in head-on pixels) that the mean colour of the part counts for in every texel."""
 FULL_CONFIDENCE = 4.0
 """Weight (in head-on pixels) at which a texel counts as well seen."""
 
@@ -63,13 +65,28 @@ def _fill(
     """(size, size, 3) base colour everywhere: seen texels as they are, faces seen in part from their own texels,
     faces never seen from the mean of their part."""
     known = (fused.weight > 0).reshape(size, size)
-    value = fused.value.reshape(size, size, 3)
     count = np.bincount(samples.face, minlength=len(parts))
     part_mean = _part_means(parts[samples.face], albedo, weight, int(parts.max()) + 1)
+    colour = part_mean[parts[np.maximum(face.ravel(), 0)]]
+    value = complete_channels(fused.value, colour)
+    # Where hardly any light falls, albedo is noise over noise: there the part's colour has the say.
+    trust = (fused.weight / (fused.weight + DOUBT))[:, None]
+    value = (trust * value + (1 - trust) * colour).reshape(size, size, 3).astype(np.float32)
     unseen = (face >= 0) & (count[np.maximum(face, 0)] == 0)
     filled = fill_texels(value, known)
-    constant = part_mean[parts[np.maximum(face, 0)]]
+    constant = colour.reshape(size, size, 3)
     return np.where((unseen & ~known)[..., None], constant, filled).astype(np.float32)
+
+
+def complete_channels(value: NDArray[np.floating], colour: NDArray[np.floating]) -> NDArray[np.float32]:
+    """(T, 3) texels with the channels that were clipped in every photo taken from the part's colour.
+
+    A yellow cushion whose red is always clipped stays yellow: the ratio between channels is the part's.
+    """
+    known = np.isfinite(value)
+    scale = np.where(known, value, 0.0).sum(1) / np.maximum((colour * known).sum(1), 1e-4)
+    guess = np.clip(colour * scale[:, None], 0.0, MAX_ALBEDO)
+    return np.where(known, value, guess).astype(np.float32)
 
 
 def _part_means(
