@@ -120,9 +120,8 @@ def _run(job: Job, line: Line, progress: Progress) -> None:
 
 def solve_job(job: Job, progress: Progress) -> Result:
     """Read the capture of ``job`` and solve it."""
-    from iris_addon.solve import solve
-
     from iris_addon.capture import read_capture
+    from iris_addon.solve import solve
 
     capture = read_capture(job.capture, exposures=job.config.exposures, hdr=job.config.hdr)
     return solve(capture, job.config, job.out, progress)

@@ -29,11 +29,10 @@ SHOWN_METRICS = ("kd_psnr", "kd_psnr_all", "emission_iou", "emission_log_l2", "c
 
 def run_demo(out: Path, progress: Progress) -> Outcome:
     """Solve the bundled room into ``out``; write scene.blend, pictures, report.html and evaluation.json there."""
-    from iris_addon.solve import solve
-
     from iris_addon.blender.apply import apply
     from iris_addon.evaluate import evaluate
     from iris_addon.result.report_html import write_report
+    from iris_addon.solve import solve
 
     if not CAPTURE.is_dir():
         raise BadInput("the bundled capture is missing", "make it with assets/make_demo_room.py", CAPTURE)
