@@ -80,14 +80,17 @@ def make_pictures(
     edit, host = best_seen(edits, capture.views, Tracer(result.mesh))
     exposure = photo_exposure(result, host)
     inserted = insert_onto_photo(result, host.camera, load_photo(host).values, exposure, edit, samples=SAMPLES)
-    maps = MapRenderer(result).maps(view.camera)
-    peak = max(float(maps.emission.max()), 1e-9)
+    renderer = MapRenderer(result)
+    maps = renderer.maps(view.camera)
+    # The view that shows most of the lamps; the one above may show none.
+    emission = max((renderer.maps(v.camera).emission for v in capture.views[::3]), key=lambda e: (e > 0).sum())
+    peak = max(float(emission.max()), 1e-9)
     pictures = {
         "photo_and_rerender": np.concatenate([photo, rerender], axis=1),
         "relit": relit,
         "inserted": inserted,
         "albedo": srgb(maps.base_color),
-        "lights": np.log1p(maps.emission) / np.log1p(peak),  # decades apart: log keeps the dim ones visible
+        "lights": np.log1p(emission) / np.log1p(peak),  # decades apart: log keeps the dim ones visible
     }
     return pictures, rerender
 
