@@ -28,6 +28,7 @@ from .photo_samples import PhotoSamples, sample_photos
 from .photometry import Photometry, measure_photometry
 from .progress import Progress
 from .reflectance.bake import pixel_albedo, pixel_weight
+from .reflectance.ggx import DIELECTRIC_F0
 from .reflectance.gloss import Gloss
 from .reflectance.materials import MaterialProblem, scene_of, smooth_irradiance, solve_materials
 from .reflectance.shading import IrradianceField
@@ -244,7 +245,7 @@ def _predict(
 ) -> NDArray[np.float64]:
     """(n, 3) radiance of pixels under the solved model, ``kd Ld + ks Ls0 + Ls1`` plus emission."""
     m = metallic[:, None]
-    ks = base_color * m + 0.04 * (1 - m)
+    ks = base_color * m + DIELECTRIC_F0 * (1 - m)
     return base_color * (1 - m) * irradiance + ks * ls0 + ls1 + emission
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ..capture.types import Camera
 from ..reflectance.ggx import directional_albedo
 from ..result.types import Result
+from ..surface.atlas_texels import interpolate_uv
 from ..transport.tracer import Tracer
 
 FloatArray = NDArray[np.floating]
@@ -54,7 +55,7 @@ class MapRenderer:
         hits = self._tracer.closest(origins, directions)
         seen = np.flatnonzero(hits.face >= 0)
         face, weights = hits.face[seen], hits.barycentric[seen]
-        uv = _interpolate(self._uv, face, weights)
+        uv = interpolate_uv(self._uv, face, weights)
         textures = self._textures
         stacked = [textures.base_color] + [
             x[..., None] for x in (textures.roughness, textures.metallic, textures.confidence)
@@ -77,13 +78,6 @@ class MapRenderer:
             confidence=image(confidence[:, 0]),
             emission=image(self._emission[face]),
         )
-
-
-def _interpolate(uv: FloatArray, face: NDArray[np.integer], weights: FloatArray) -> FloatArray:
-    """(n, 2) UV at hits: ``uv`` (F, 3, 2), weights (n, 2) of corners 1 and 2."""
-    u, v = weights[:, :1], weights[:, 1:]
-    corners = uv[face]
-    return corners[:, 0] * (1 - u - v) + corners[:, 1] * u + corners[:, 2] * v
 
 
 def bilinear(texture: FloatArray, uv: FloatArray) -> FloatArray:

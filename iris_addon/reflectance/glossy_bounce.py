@@ -13,10 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..response.observations import group_sums
 from ..transport.gather import GatherRays, Origins
 from ..transport.sampling import ggx_directions
 from ..transport.tracer import Tracer
-from ..transport.transport import ESCAPED, Transport, facing_normals, find_patches
+from ..transport.transport import ESCAPED, Transport, facing_normals, find_patches, radiance_table, table_rows
 from .specular_weights import visible_normal_weights
 
 
@@ -42,12 +43,10 @@ class GlossyBounce:
         self, radiance: NDArray[np.floating], unknown: NDArray[np.floating], emitter_faces: NDArray[np.bool_]
     ) -> NDArray[np.float32]:
         """(N, 3) irradiance / pi that the bounces carry from other patches; emitters are counted elsewhere."""
-        table = np.concatenate([radiance, unknown[None], np.zeros((1, 3))]).astype(np.float32)
-        n = len(radiance)
         dark = (self.target == ESCAPED) | ((self.face >= 0) & emitter_faces[self.face])
-        index = np.where(dark, n + 1, np.where(self.target < 0, n, self.target))
-        carried = self.weight * table[index]
-        return np.stack([np.bincount(self.row, carried[:, c], self.n_rows) for c in range(3)], -1).astype(np.float32)
+        rows = table_rows(self.target, len(radiance), dark)
+        carried = self.weight * radiance_table(radiance, unknown)[rows]
+        return group_sums(carried, self.row, self.n_rows).astype(np.float32)
 
     def form_factors(self, emitters: Sequence[NDArray[np.integer]], n_faces: int) -> NDArray[np.float32]:
         """(N, E) share of each emitter's radiance that the bounces carry, mean over channels."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..transport.sampling import ggx_directions, r2_sequence
 from ..transport.tracer import Tracer
-from ..transport.transport import ESCAPED, Transport, find_patches
+from ..transport.transport import ESCAPED, Transport, find_patches, radiance_table, table_rows
 from .specular_weights import visible_normal_weights
 
 POINTS_AT_ONCE = 1 << 15
@@ -45,11 +45,9 @@ class LobeRays:
             face_emission: (F, 3).
             unknown: (3,) for hits without a patch.
         """
-        table = np.concatenate([patch_radiance, unknown[None], np.zeros((1, 3))]).astype(np.float32)
-        n = len(patch_radiance)
-        index = np.where(self.target == ESCAPED, n + 1, np.where(self.target < 0, n, self.target))
+        rows = table_rows(self.target, len(patch_radiance), self.target == ESCAPED)
         lit = face_emission.any(1)
-        incoming = table[index]
+        incoming = radiance_table(patch_radiance, unknown)[rows]
         on_lamp = (self.face >= 0) & lit[self.face]
         incoming[on_lamp] = face_emission[self.face[on_lamp]]
         w0, w1 = self.weight0.astype(np.float32), self.weight1.astype(np.float32)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..emission.candidates import brightness
 from ..emission.search import refine_lights
+from ..emission.solve import mean_radiance
 from ..emission.types import LightProblem, Lights
 from ..progress import Progress
 from ..response.observations import Observations
@@ -60,8 +61,7 @@ def scene_of(problem: LightProblem, lights: Lights) -> Scene:
     emission = lights.face_emission(len(problem.parts))
     for part, radiance in zip(problem.hidden.parts, lights.hidden_radiance, strict=False):
         emission[problem.parts == part] = radiance
-    n = problem.transport.n_seen
-    unknown = 0.7 * np.median(lights.patch_radiance[:n], axis=0)
+    unknown = mean_radiance(lights.patch_radiance, problem)
     return Scene(problem.tracer, problem.transport, problem.parts, lights.patch_radiance, emission, unknown)
 
 

@@ -69,9 +69,7 @@ class Transport:
         Returns:
             (N, 3) irradiance / pi, without emitters and without light from outside.
         """
-        table = torch.from_numpy(
-            np.concatenate([radiance, np.asarray(unknown)[None], np.zeros((1, 3))]).astype(np.float32)
-        )
+        table = torch.from_numpy(radiance_table(radiance, unknown))
         rows = [
             _mean_of_targets(table.to(self.device), target, rays.face, emitter_faces, self.n_patches)
             for target, rays in ((self.target, self.rays), (self.unseen_target, self.unseen_rays))
@@ -83,8 +81,18 @@ def _mean_of_targets(
     table: torch.Tensor, target: NDArray[np.int32], face: NDArray[np.int32], emitters: NDArray[np.bool_], n: int
 ) -> NDArray[np.float32]:
     dark = (target == ESCAPED) | ((face >= 0) & emitters[face])
-    index = np.where(dark, n + 1, np.where(target == UNKNOWN, n, target)).astype(np.int32)
+    index = table_rows(target, n, dark)
     return torch.nn.functional.embedding_bag(torch.from_numpy(index).to(table.device), table, mode="mean").cpu().numpy()
+
+
+def radiance_table(radiance: NDArray[np.floating], unknown: NDArray[np.floating]) -> NDArray[np.float32]:
+    """(N + 2, 3) radiance of the patches, then of surfaces without a patch, then darkness; see :func:`table_rows`."""
+    return np.concatenate([radiance, np.asarray(unknown)[None], np.zeros((1, 3))]).astype(np.float32)
+
+
+def table_rows(target: NDArray[np.int32], n: int, dark: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Row of the table of ``n`` patches for every ray; ``dark`` rays carry nothing."""
+    return np.where(dark, n + 1, np.where(target == UNKNOWN, n, target)).astype(np.int32)
 
 
 def facing_normals(tracer: Tracer, face: NDArray[np.integer], direction: NDArray[np.floating]) -> NDArray[np.float32]:
