@@ -21,6 +21,7 @@ from iris_addon.config import PRESETS
 from iris_addon.errors import Cancelled, IrisError
 from iris_addon.progress import Progress, console, json_lines
 
+from .caller import stop_with_stdin
 from .environment import delegate, missing_packages, unusable
 
 USAGE_CODE = 2
@@ -45,6 +46,8 @@ def main(argv: list[str]) -> int:
             return delegate(argv, missing)
         from . import commands
 
+        if getattr(args, "stop_with_stdin", False):  # only the commands that speak JSON lines have it
+            stop_with_stdin(progress)
         with _signals(progress):
             outcome = getattr(commands, args.command)(args, progress)
     except KeyboardInterrupt:
@@ -110,6 +113,7 @@ def make_parser() -> _Parser:
     common.add_argument("--debug", action="store_true", help="show a traceback with an error")
     lines = _Parser(add_help=False)
     lines.add_argument("--json", action="store_true", help="progress and result as JSON lines on stdout")
+    lines.add_argument("--stop-with-stdin", action="store_true", help="stop when stdin closes: the caller is gone")
     parser = _Parser(prog="run.py", description="Photos and mesh of a room in, a relightable .blend out.")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
@@ -129,6 +133,11 @@ def make_parser() -> _Parser:
     solve.add_argument("--hdr", type=Path, metavar="DIR", help="one EXR of radiance per photo, in place of the photos")
     solve.add_argument("--resume", action="store_true", help="go on from the last finished stage")
     solve.add_argument("--seed", type=_whole, default=0)
+
+    inspect = add("inspect", "a look at a capture: clipping, exposure, alignment of photos and mesh")
+    inspect.add_argument("capture", type=Path)
+    inspect.add_argument("--out", type=Path, required=True)
+    inspect.add_argument("--exposures", type=_word_or_path("auto", "none"), default="auto", metavar="auto|none|FILE")
 
     apply = add("apply", "Principled materials and emissive lights as a .blend")
     apply.add_argument("result", type=Path)

@@ -40,6 +40,17 @@ def solve(args: argparse.Namespace, progress: Progress) -> Outcome:
     return Outcome.of(f"Solved {capture.name}", figures)
 
 
+def inspect(args: argparse.Namespace, progress: Progress) -> Outcome:
+    """What can be said about a capture before it is solved."""
+    from iris_addon.capture import read_capture
+    from iris_addon.capture.inspection import inspect as look
+
+    with progress.stage("reading"):
+        capture = read_capture(args.capture, exposures=args.exposures)
+    content = look(capture, args.out, progress)
+    return Outcome.of(f"Looked at {capture.name}", {"photos": len(capture.views), "warnings": content["warnings"]})
+
+
 def apply(args: argparse.Namespace, progress: Progress) -> Outcome:
     """Result folder to .blend."""
     from iris_addon.blender.apply import apply as write_blend

@@ -19,6 +19,7 @@ _SOLVER = (*_IMAGES, "torch", "scipy", "trimesh", "embreex")
 NEEDS = {
     "demo": (*_SOLVER, "bpy"),
     "solve": _SOLVER,
+    "inspect": (*_IMAGES, "scipy", "trimesh", "embreex"),
     "batch": _SOLVER,
     "apply": ("numpy", "bpy"),
     "render": (*_IMAGES, "scipy", "bpy"),

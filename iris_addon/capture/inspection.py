@@ -1,0 +1,129 @@
+"""A look at a capture before anybody waits for a solve, written as files that Blender's own Python can read.
+
+::
+
+    capture.json     name, root, up, warnings; per photo: file, camera, exposure, share of saturated and black
+                     channels, histogram, share of the mesh in view, alignment with it
+    mesh.npz         vertices, faces, and uv and parts where the mesh has them
+    photos/          photos with the lens distortion taken out, where there was any
+
+capture.json is written last: a folder without it holds nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..imaging import atomic_write, write_png
+from ..progress import Progress
+from ..result.json_files import write_json
+from ..transport.tracer import Tracer
+from .alignment import Alignment, align, shrink, small_camera
+from .photos import load_photo
+from .types import Camera, Capture, Mesh, Photo, View
+
+SATURATED = 254.5 / 255
+BLACK = 0.5 / 255
+BINS = 32
+MANY_SATURATED = 0.25
+"""Share of saturated pixels from which a photo is warned about."""
+
+
+def inspect(capture: Capture, folder: Path, progress: Progress) -> dict[str, Any]:
+    """Measure every training photo of ``capture`` and write ``folder``; returns the content of capture.json.
+
+    Raises:
+        BadInput: a photo cannot be read.
+        Cancelled: nothing that is in ``folder`` counts.
+        IrisError: the disk is full.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "capture.json").unlink(missing_ok=True)
+    tracer = Tracer(capture.mesh)
+    rows = []
+    with progress.stage("photos"):
+        for index, view in enumerate(capture.views):
+            rows.append(_inspect_view(view, tracer, folder))
+            progress.update((index + 1) / len(capture.views))
+    _write_mesh(folder / "mesh.npz", capture.mesh)
+    content = {
+        "name": capture.name,
+        "root": capture.root.resolve(),
+        "up": capture.up,
+        "warnings": [*capture.warnings, *_warnings(rows)],
+        "views": rows,
+    }
+    write_json(folder / "capture.json", content)
+    return content
+
+
+def _inspect_view(view: View, tracer: Tracer, folder: Path) -> dict[str, Any]:
+    photo = load_photo(view)
+    shown = view.photo
+    if view.distortion is not None and not photo.hdr:
+        shown = folder / "photos" / f"{view.name}.png"
+        write_png(shown, np.round(photo.values * 255).astype(np.uint8))
+    seen, alignment = _alignment(view.camera, photo, tracer)
+    values = photo.values[photo.valid]
+    histogram, _ = np.histogram(values.max(axis=1), BINS, (0.0, 1.0)) if not photo.hdr else (np.zeros(BINS), None)
+    camera = view.camera
+    return {
+        "name": view.name,
+        "photo": None if shown is None else shown.resolve(),
+        "camera": {key: value for key, value in asdict(camera).items()},
+        "exposure": view.exposure,
+        "saturated": 0.0 if photo.hdr else float((values >= SATURATED).any(axis=1).mean()),
+        "black": 0.0 if photo.hdr else float((values <= BLACK).all(axis=1).mean()),
+        "histogram": histogram / max(int(np.sum(histogram)), 1),
+        "seen": seen,
+        "alignment": asdict(alignment),
+    }
+
+
+def _alignment(camera: Camera, photo: Photo, tracer: Tracer) -> tuple[float, Alignment]:
+    """Share of the photo that shows the mesh, and how its edges lie over those of the mesh."""
+    small = small_camera(camera)
+    origins, directions = small.rays()
+    hits = tracer.closest(origins, directions)
+    met = hits.face >= 0
+    along = hits.distance * (directions @ -small.c2w[:3, 2])
+    depth = np.where(met, along, np.inf).reshape(small.height, small.width)
+    normal = np.where(met[:, None], tracer.normals[hits.face], 0.0).reshape(small.height, small.width, 3)
+    values = photo.values / np.quantile(photo.values, 0.99) if photo.hdr else photo.values
+    values = shrink(np.clip(values, 0, 1), small.height, small.width)
+    return float(met.mean()), align(values, depth, normal, camera.width / small.width)
+
+
+def _warnings(rows: list[dict[str, Any]]) -> list[str]:
+    warnings = []
+    clipped = [row["name"] for row in rows if row["saturated"] > MANY_SATURATED]
+    if clipped:
+        warnings.append(
+            f"{len(clipped)} of {len(rows)} photos have more than {MANY_SATURATED:.0%} saturated pixels "
+            f"({_some(clipped)}): expose darker, or add darker photos"
+        )
+    shifted = [row for row in rows if row["alignment"]["verdict"] == "shifted"]
+    if shifted:
+        worst = max(row["alignment"]["shift"] for row in shifted)
+        warnings.append(
+            f"{len(shifted)} of {len(rows)} photos lie up to {worst:.0f} pixels beside the mesh "
+            f"({_some([row['name'] for row in shifted])}): look at their overlay, align poses and mesh"
+        )
+    return warnings
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:3]) + (" …" if len(names) > 3 else "")
+
+
+def _write_mesh(path: Path, mesh: Mesh) -> None:
+    arrays: dict[str, NDArray] = {"vertices": mesh.vertices, "faces": mesh.faces.astype(np.int32)}
+    for name in ("uv", "parts"):
+        if getattr(mesh, name) is not None:
+            arrays[name] = getattr(mesh, name)
+    atomic_write(path, lambda temporary: np.savez(temporary, **arrays))
