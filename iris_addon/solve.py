@@ -28,8 +28,9 @@ from .photo_samples import PhotoSamples, sample_photos
 from .photometry import Photometry, measure_photometry
 from .progress import Progress
 from .reflectance.bake import pixel_albedo, pixel_weight
+from .reflectance.diffuse_lobe import choose_diffuse
 from .reflectance.ggx import DIELECTRIC_F0
-from .reflectance.gloss import Gloss
+from .reflectance.gloss import LEVELS, Gloss, rough_everywhere
 from .reflectance.materials import MaterialProblem, scene_of, smooth_irradiance, solve_materials
 from .reflectance.shading import IrradianceField
 from .reflectance.specular import specular_lobes, subtract_specular
@@ -45,6 +46,7 @@ from .surface.parts import edge_adjacency, initial_parts
 from .surface.samples import PixelSamples
 from .surface.segment import split_scan
 from .transport.cache import cached_transport
+from .transport.diffuse import grazing_gain, schlick
 from .transport.tracer import Tracer
 from .transport.transport import Transport
 
@@ -99,6 +101,7 @@ def solve(
     with progress.stage("materials"):
         solved = checkpoints.stage("materials", lambda: _materials(problem, lights, config.rounds, progress))
         lights, gloss = Lights.from_arrays(solved), Gloss.from_arrays(solved)
+        problem = problem.with_gloss(gloss)
     with progress.stage("textures"):
         result, rerenders = _textures(capture, config, problem, photos, photometry, lights, gloss, progress)
     result.report.update(
@@ -129,6 +132,8 @@ def _problem(
 ) -> MaterialProblem:
     linear = linearise(observations, photometry.response, photometry.exposures)
     n = len(surface.part)
+    angle = schlick(photos.samples.cosine[observations.sample].astype(np.float64))
+    diffuse = choose_diffuse(observations, linear, angle)
     light = LightProblem(
         tracer,
         photos.samples,
@@ -141,9 +146,13 @@ def _problem(
         config.shadow_rays,
         config.seed,
     )
-    observed = group_radiance(linear, observations.patch, observations.count, n)
     part = parts[photos.samples.face[observations.sample]]
-    return MaterialProblem(light, observations, linear, observed, field, part, config.specular_rays, config.seed)
+    view_factor = 1 + grazing_gain(diffuse.lobe, np.array(LEVELS[-1])) * angle
+    observed = group_radiance(linear, observations.patch, observations.count, n, view_factor=view_factor)
+    problem = MaterialProblem(
+        light, observations, linear, observed, field, part, angle, diffuse, config.specular_rays, config.seed
+    )
+    return problem.with_gloss(rough_everywhere(int(parts.max()) + 1))
 
 
 def _lights(problem: MaterialProblem, progress: Progress) -> dict[str, NDArray]:
@@ -184,7 +193,9 @@ def _textures(
     metallic = gloss.metallic[part]
     specular = subtract_specular(ls0, ls1, metallic)
     linear = photometry.linearise_pixels(photos.z, samples.view)
-    albedo = pixel_albedo(linear.radiance, specular, ls0, irradiance, metallic)
+    view_factor = 1 + grazing_gain(problem.diffuse.lobe, gloss.roughness[part]) * schlick(samples.cosine)
+    diffuse_light = irradiance * view_factor[:, None].astype(np.float32)
+    albedo = pixel_albedo(linear.radiance, specular, ls0, diffuse_light, metallic)
     seen_well = pixel_weight(samples.cosine, samples.footprint, np.ones(len(part)))
     lit = irradiance / (irradiance + DIM * np.median(irradiance))
     weight = seen_well[:, None] * linear.open * linear.precision * lit**2
@@ -198,7 +209,7 @@ def _textures(
         uv, config.atlas_size, light.parts, lights.mask, gloss, samples, albedo, weight * ~held_out[:, None]
     )
     emission = lights.face_emission(len(light.parts))[samples.face]
-    predicted = _predict(base_color, metallic, irradiance, ls0, ls1, emission)
+    predicted = _predict(base_color, metallic, diffuse_light, ls0, ls1, emission)
     z = photometry.develop(predicted, samples.view)
     error = (z - np.clip(photos.z + 0.5 / 255, 0, 1))[held_out] if not photos.hdr else (z - photos.z)[held_out]
     report = {"holdout_psnr": float(-10 * np.log10(np.mean(error**2)))}
@@ -300,6 +311,7 @@ def _report(
             "outside_directions": len(problem.light.hidden.directions),
             "glossy_parts": int(((gloss.roughness < 1) & (gloss.metallic < 0.5)).sum()),
             "metallic_parts": int((gloss.metallic > 0.5).sum()),
+            "diffuse": {"lobe": problem.diffuse.lobe, "gain_of_burley": round(problem.diffuse.gain, 4)},
             "pixels_per_patch": round(surface.pixels_per_patch, 2),
         },
         "warnings": [*capture.warnings, *photometry.warnings],

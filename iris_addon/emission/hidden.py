@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..result.sh import sh_basis
+from ..transport.gather import GatherRays, Origins, with_schlick
 from ..transport.transport import ESCAPED, Transport
 
 MIN_SHARE = 2e-3
@@ -29,7 +30,7 @@ class HiddenSources:
         parts: part ids that no photo sees.
         on_hidden: (N,) bool, patches of those parts; their radiance is an unknown, not inferred.
         directions: (D, 3) unit centres of the direction bins of outside light; D in {0, 1, 12}.
-        form_factors: (N, len(parts) + D) share of each patch's hemisphere.
+        form_factors: (N, len(parts) + D, 2) share of each patch's hemisphere, plain and times Schlick's S.
     """
 
     parts: NDArray[np.int64]
@@ -83,8 +84,11 @@ def find_hidden(transport: Transport, n_parts: int) -> HiddenSources:
     if escaped > MIN_SHARE:
         directions = dodecahedron() if escaped > DIRECTIONAL_SHARE else np.array([[0.0, 0.0, 1.0]])
     blocks = [
-        _form_factors(target, rays.direction, patch_label, len(ids), directions)
-        for target, rays in ((transport.target, transport.rays), (transport.unseen_target, transport.unseen_rays))
+        _form_factors(target, origins, rays, patch_label, len(ids), directions)
+        for target, origins, rays in (
+            (transport.target, transport.origins, transport.rays),
+            (transport.unseen_target, transport.unseen_origins, transport.unseen_rays),
+        )
     ]
     return HiddenSources(ids, patch_label >= 0, directions, np.concatenate(blocks))
 
@@ -98,20 +102,27 @@ def _shares(transport: Transport, unseen: NDArray[np.bool_], n_parts: int) -> tu
 
 def _form_factors(
     target: NDArray[np.int32],
-    direction: NDArray[np.float16],
+    origins: Origins,
+    rays: GatherRays,
     patch_label: NDArray[np.int64],
     n_parts: int,
     directions: NDArray[np.float64],
 ) -> NDArray[np.float32]:
-    """(rows, n_parts + D) share of each row's rays that end on a hidden part or leave in a direction's bin."""
-    rows, rays = target.shape
-    result = np.zeros((rows, n_parts + len(directions)), np.float32)
+    """(rows, n_parts + D, 2) share of each row's rays that end on a hidden part or leave in a direction's bin."""
+    n_rows, n_rays = target.shape
+    result = np.zeros((n_rows, n_parts + len(directions), 2), np.float32)
+
+    def add(row: NDArray[np.integer], column: NDArray[np.integer], source: NDArray[np.integer]) -> None:
+        normal = origins.normal[row, column % origins.normal.shape[1]]
+        cosine = (normal * rays.direction[row, column].astype(np.float32)).sum(1)
+        np.add.at(result, (row, source), with_schlick(cosine) / n_rays)
+
     row, column = np.nonzero(target >= 0)
     label = patch_label[target[row, column]]
     hidden = label >= 0
-    np.add.at(result, (row[hidden], label[hidden]), 1.0 / rays)
+    add(row[hidden], column[hidden], label[hidden])
     if len(directions):
         row, column = np.nonzero(target == ESCAPED)
-        bins = (direction[row, column].astype(np.float32) @ directions.T.astype(np.float32)).argmax(1)
-        np.add.at(result, (row, n_parts + bins), 1.0 / rays)
+        bins = (rays.direction[row, column].astype(np.float32) @ directions.T.astype(np.float32)).argmax(1)
+        add(row, column, n_parts + bins)
     return result

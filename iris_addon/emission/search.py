@@ -82,7 +82,7 @@ def refine_lights(
     known = {faces.tobytes(): k for k, faces in enumerate(lights.emitters)}
     columns = [known.get(faces.tobytes(), -1) for faces in emitters]
     fresh = [faces for faces, k in zip(emitters, columns, strict=True) if k < 0]
-    factors = np.empty((problem.transport.n_patches, len(emitters)), np.float32)
+    factors = np.empty((problem.transport.n_patches, len(emitters), 2), np.float32)
     traced = form_factors_of(problem, fresh, progress)
     at = 0
     for index, k in enumerate(columns):

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from ..progress import Progress
 from ..response.radiance import GroupRadiance
+from ..transport.diffuse import under_lobe
 from ..transport.gather import emitter_form_factors
 from .balance import Evidence, solve_balance
 from .candidates import tie_fixtures
@@ -45,10 +46,11 @@ def solve_lights(
     dark = on_lamp | hidden.on_hidden
     radiance = _start_radiance(observed, before, dark)
     evidence = _with_hidden(_lamp_evidence(problem, emitters), before.hidden_radiance)
-    direct = form_factors
+    kappa = problem.transport.kappa
+    direct = under_lobe(form_factors, kappa)
     if problem.bounce is not None:
-        direct = form_factors + problem.bounce.form_factors(emitters, n_faces)
-    all_factors = np.concatenate([direct, hidden.form_factors], 1)
+        direct += problem.bounce.form_factors(emitters, n_faces)
+    all_factors = np.concatenate([direct, under_lobe(hidden.form_factors, kappa)], 1)
     start = np.maximum(_first_finite(evidence.measured, 2.0 * evidence.bound, evidence.expected), 1e-3)
     usable = observed.known.all(1) & ~on_lamp[: problem.transport.n_seen]
     say = usable * (np.sqrt(np.minimum(observed.weight, 50.0)) if weight is None else weight)
@@ -109,14 +111,16 @@ def lights_without_lamps(problem: LightProblem, observed: GroupRadiance) -> Ligh
     radiance[len(observed.radiance) :] = unknown
     none = np.zeros(len(problem.parts), bool)
     hidden = np.tile(unknown, (problem.hidden.form_factors.shape[1], 1))
-    irradiance = problem.transport.gather_radiance(radiance, unknown, none) + problem.hidden.form_factors @ hidden
-    return Lights([], np.zeros((0, 3)), hidden, np.zeros(0), np.zeros((n, 0), np.float32), none, irradiance, radiance)
+    irradiance = problem.transport.gather_radiance(radiance, unknown, none)
+    irradiance = irradiance + under_lobe(problem.hidden.form_factors, problem.transport.kappa) @ hidden
+    no_factors = np.zeros((n, 0, 2), np.float32)
+    return Lights([], np.zeros((0, 3)), hidden, np.zeros(0), no_factors, none, irradiance, radiance)
 
 
 def form_factors_of(
     problem: LightProblem, emitters: list[NDArray[np.int64]], progress: Progress
 ) -> NDArray[np.float32]:
-    """(N, E) form factors of lamps at all patches, seen and unseen; the shadow-ray budget is shared out evenly."""
+    """(N, E, 2) form factors of lamps at all patches, seen and unseen; the shadow-ray budget is shared out evenly."""
     rng = np.random.default_rng([problem.seed, 17])
     t = problem.transport
     samples = int(np.clip(problem.shadow_rays // max(1, len(emitters)), 6, 64))

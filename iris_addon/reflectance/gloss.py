@@ -72,6 +72,7 @@ def fit_gloss(
     weight: NDArray[np.floating],
     radiance: NDArray[np.floating],
     irradiance: NDArray[np.floating],
+    diffuse: NDArray[np.floating],
     lobes: list[tuple[NDArray[np.floating], NDArray[np.floating]]],
     n_parts: int,
 ) -> Gloss:
@@ -81,6 +82,7 @@ def fit_gloss(
         part, patch, weight: (m,) of each observation.
         radiance: (m, 3) observed.
         irradiance: (m, 3) irradiance / pi at it.
+        diffuse: (levels, m) factor of the diffuse lobe towards the camera.
         lobes: per level of LEVELS, (Ls0, Ls1), (m, 3) each.
     """
     gloss = rough_everywhere(n_parts)
@@ -92,7 +94,9 @@ def fit_gloss(
         rows = order[start : start + n]
         _, local = np.unique(patch[rows], return_inverse=True)
         fit = _PartFit(local, weight[rows], radiance[rows], np.maximum(irradiance[rows], 1e-5))
-        plastic = np.array([fit.dielectric(s0[rows], s1[rows]) for s0, s1 in lobes])
+        plastic = np.array(
+            [fit.dielectric(*(x[rows] for x in (d, *lobe))) for d, lobe in zip(diffuse, lobes, strict=True)]
+        )
         metal = np.array([fit.metal(s0[rows], s1[rows]) for s0, s1 in lobes])
         _decide(gloss, int(label), plastic, metal)
     return gloss
@@ -129,9 +133,9 @@ class _PartFit:
     radiance: NDArray[np.floating]
     irradiance: NDArray[np.floating]
 
-    def dielectric(self, s0: NDArray[np.floating], s1: NDArray[np.floating]) -> float:
-        """Robust cost with albedo free per patch and the 4 % lobe taken off."""
-        return self._cost(self.radiance - DIELECTRIC_F0 * s0 - s1, self.irradiance)
+    def dielectric(self, diffuse: NDArray[np.floating], s0: NDArray[np.floating], s1: NDArray[np.floating]) -> float:
+        """Robust cost with albedo free per patch and the 4 % lobe taken off; ``diffuse`` (m,) view factor."""
+        return self._cost(self.radiance - DIELECTRIC_F0 * s0 - s1, self.irradiance * diffuse[:, None])
 
     def metal(self, s0: NDArray[np.floating], s1: NDArray[np.floating]) -> float:
         """Robust cost with the specular colour free per patch and no diffuse part."""

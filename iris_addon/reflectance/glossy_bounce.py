@@ -17,7 +17,7 @@ from ..response.observations import group_sums
 from ..transport.gather import GatherRays, Origins
 from ..transport.sampling import ggx_directions
 from ..transport.tracer import Tracer
-from ..transport.transport import ESCAPED, Transport, facing_normals, find_patches, radiance_table, table_rows
+from ..transport.transport import ESCAPED, Transport, facing_normals, find_patches, lobe_at, radiance_table, table_rows
 from .specular_weights import visible_normal_weights
 
 
@@ -83,9 +83,10 @@ def trace_glossy_bounce(
         (transport.n_seen, transport.unseen_origins, transport.unseen_rays),
     ):
         row, column = np.nonzero((rays.face >= 0) & glossy[parts[rays.face]])
+        kappa = transport.kappa[start : start + len(rays.face)]
         for rows in np.array_split(np.arange(len(row)), max(1, len(row) >> 19)):
             piece = _continue_rays(
-                tracer, transport, parts, roughness, specular_color, origins, rays, row[rows], column[rows], rng
+                tracer, transport, parts, roughness, specular_color, origins, rays, kappa, row[rows], column[rows], rng
             )
             pieces.append((piece[0] + start, *piece[1:]))
     columns = [np.concatenate(column) for column in zip(*pieces, strict=True)]
@@ -100,6 +101,7 @@ def _continue_rays(
     specular_color: NDArray[np.floating],
     origins: Origins,
     rays: GatherRays,
+    kappa: NDArray[np.floating],
     row: NDArray[np.integer],
     column: NDArray[np.integer],
     rng: np.random.Generator,
@@ -107,7 +109,8 @@ def _continue_rays(
     direction = rays.direction[row, column].astype(np.float32)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     face = rays.face[row, column]
-    start = origins.position[row, column % origins.position.shape[1]]
+    point_on_patch = column % origins.position.shape[1]
+    start = origins.position[row, point_on_patch]
     normal = facing_normals(tracer, face, direction)
     point = start + direction * rays.distance[row, column][:, None] + 4 * tracer.epsilon * normal
     part = parts[face]
@@ -118,4 +121,7 @@ def _continue_rays(
     end = point + reflected * np.where(hits.face >= 0, hits.distance, 0)[:, None]
     target = find_patches(tracer, transport.grids, parts, hits.face, end, reflected)
     weight = specular_color[part] * weight0[:, None] + weight1[:, None]
+    # The diffuse lobes at both ends of the path.
+    leaving = 1 + kappa[row] * rays.schlick_start[row, column]
+    weight *= (leaving * lobe_at(tracer, transport.kappa, target, hits.face, reflected))[:, None]
     return row, (weight / rays.face.shape[1]).astype(np.float32), target, hits.face

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..transport.diffuse import schlick
 from ..transport.sampling import ggx_directions, r2_sequence
 from ..transport.tracer import Tracer
 from ..transport.transport import ESCAPED, Transport, find_patches, radiance_table, table_rows
@@ -28,26 +29,34 @@ class LobeRays:
         target: (n, S) int32 patch hit, UNKNOWN or ESCAPED.
         face: (n, S) int32 face hit, -1 where escaped.
         weight0, weight1: (n, S) float16, G1 F0 and G1 F1.
+        schlick: (n, S) float16, S of the angle at which each ray arrives.
     """
 
     target: NDArray[np.int32]
     face: NDArray[np.int32]
     weight0: NDArray[np.float16]
     weight1: NDArray[np.float16]
+    schlick: NDArray[np.float16]
 
     def radiance(
-        self, patch_radiance: NDArray[np.floating], face_emission: NDArray[np.floating], unknown: NDArray[np.floating]
+        self,
+        patch_radiance: NDArray[np.floating],
+        kappa: NDArray[np.floating],
+        face_emission: NDArray[np.floating],
+        unknown: NDArray[np.floating],
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """``Ls0`` and ``Ls1``, (n, 3) each.
 
         Args:
-            patch_radiance: (N, 3) reflected radiance of every patch.
+            patch_radiance: (N, 3) reflected radiance of every patch, and ``kappa`` (N,) of its diffuse lobe.
             face_emission: (F, 3).
             unknown: (3,) for hits without a patch.
         """
         rows = table_rows(self.target, len(patch_radiance), self.target == ESCAPED)
         lit = face_emission.any(1)
-        incoming = radiance_table(patch_radiance, unknown)[rows]
+        own = np.where(self.target >= 0, kappa[self.target], 0.0)
+        spread = (1 + own * self.schlick).astype(np.float32)
+        incoming = radiance_table(patch_radiance, unknown)[rows] * spread[..., None]
         on_lamp = (self.face >= 0) & lit[self.face]
         incoming[on_lamp] = face_emission[self.face[on_lamp]]
         w0, w1 = self.weight0.astype(np.float32), self.weight1.astype(np.float32)
@@ -77,6 +86,7 @@ def trace_lobes(
     face = np.empty((n, n_rays), np.int32)
     weight0 = np.empty((n, n_rays), np.float16)
     weight1 = np.empty((n, n_rays), np.float16)
+    arrival = np.empty((n, n_rays), np.float16)
     for start in range(0, n, POINTS_AT_ONCE):
         rows = slice(start, min(start + POINTS_AT_ONCE, n))
         u = r2_sequence(rows.stop - rows.start, n_rays, rng).reshape(-1, 2)
@@ -93,4 +103,6 @@ def trace_lobes(
         face[rows] = hits.face.reshape(shape)
         weight0[rows] = w0.reshape(shape)
         weight1[rows] = w1.reshape(shape)
-    return LobeRays(target, face, weight0, weight1)
+        cosine = np.abs((tracer.normals[hits.face] * direction).sum(1))
+        arrival[rows] = schlick(cosine).reshape(shape)
+    return LobeRays(target, face, weight0, weight1, arrival)

@@ -18,6 +18,8 @@ from ..emission.types import LightProblem, Lights
 from ..progress import Progress
 from ..response.observations import Observations
 from ..response.radiance import GroupRadiance, Linearised, group_radiance
+from ..transport.diffuse import grazing_gain
+from .diffuse_lobe import DiffuseChoice
 from .ggx import DIELECTRIC_F0
 from .gloss import LEVELS, Gloss, choose_observations, fit_gloss
 from .glossy_bounce import GlossyBounce, trace_glossy_bounce
@@ -38,8 +40,10 @@ class MaterialProblem:
 
     Attributes:
         light: the light problem, brightness as seen.
-        observed: radiance per patch, all of it.
+        observed: radiance per patch, all of it, without the view factor of rough surfaces.
         part: (M,) part of each observation.
+        schlick: (M,) Schlick's S of the direction each observation was made from.
+        diffuse: the lobe of every diffuse surface.
     """
 
     light: LightProblem
@@ -48,8 +52,20 @@ class MaterialProblem:
     observed: GroupRadiance
     field: IrradianceField
     part: NDArray[np.int32]
+    schlick: NDArray[np.floating]
+    diffuse: DiffuseChoice
     specular_rays: int
     seed: int
+
+    def view_factor(self, gloss: Gloss) -> NDArray[np.float64]:
+        """(M,) factor by which the diffuse lobe of each observation's part differs from Lambert towards its camera."""
+        return 1 + grazing_gain(self.diffuse.lobe, gloss.roughness)[self.part] * self.schlick
+
+    def with_gloss(self, gloss: Gloss) -> MaterialProblem:
+        """The same problem between patches whose diffuse lobes have the roughness of ``gloss``."""
+        transport = self.light.transport
+        kappa = grazing_gain(self.diffuse.lobe, gloss.roughness)[transport.part]
+        return replace(self, light=replace(self.light, transport=replace(transport, kappa=kappa)))
 
     def with_outside(self, directions: int) -> MaterialProblem:
         """The same problem with so many directions of outside light."""
@@ -82,8 +98,10 @@ def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progr
             problem.observations.count,
             len(problem.observed.weight),
             specular,
+            problem.view_factor(gloss),
         )
         seen = brightness(problem.observations, problem.linear, len(problem.observed.weight), specular)
+        problem = problem.with_gloss(gloss)
         bounce = _bounce(problem, lights, gloss, round_)
         light_problem = replace(problem.light, brightness=seen, bounce=bounce)
         say = _say(problem, gloss, diffuse)
@@ -191,16 +209,18 @@ class _GlossFit:
         irradiance = smooth_irradiance(problem.field, lights)
         at = o.sample[self.rows]
         local = problem.field.at_samples(samples.take(at), o.patch[self.rows], irradiance)
-        lobes = [r.radiance(scene.patch_radiance, scene.face_emission, scene.unknown) for r in self.rays]
+        lobes = [scene.lobes(rays) for rays in self.rays]
         # Wide lobes come from irradiance, as everywhere: the noise of few rays would make smooth levels look better.
         rough = (level for level in LEVELS if level >= ROUGH)
         lobes += [rough_lobes(np.full(len(at), level), samples.cosine[at], local) for level in rough]
+        diffuse = 1 + grazing_gain(problem.diffuse.lobe, np.array(LEVELS))[:, None] * problem.schlick[self.rows]
         return fit_gloss(
             problem.part[self.rows],
             o.patch[self.rows],
             np.minimum(o.count[self.rows], 20.0),
             problem.linear.radiance[self.rows],
             local,
+            diffuse,
             lobes,
             int(problem.light.parts.max()) + 1,
         )

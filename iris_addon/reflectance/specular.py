@@ -13,7 +13,7 @@ from ..transport.tracer import Tracer
 from ..transport.transport import Transport
 from .ggx import DIELECTRIC_F0, specular_integrals
 from .gloss import Gloss
-from .lobes import trace_lobes
+from .lobes import LobeRays, trace_lobes
 
 ROUGH = 0.75
 """From this roughness on the lobe is so wide that it sees about what the whole hemisphere sees."""
@@ -37,6 +37,10 @@ class Scene:
     patch_radiance: NDArray[np.floating]
     face_emission: NDArray[np.floating]
     unknown: NDArray[np.floating]
+
+    def lobes(self, rays: LobeRays) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """``Ls0`` and ``Ls1`` (n, 3) of the points whose reflected rays these are."""
+        return rays.radiance(self.patch_radiance, self.transport.kappa, self.face_emission, self.unknown)
 
 
 def rough_lobes(
@@ -86,7 +90,7 @@ def specular_lobes(
             n_rays,
             rng,
         )
-        ls0[at], ls1[at] = rays.radiance(scene.patch_radiance, scene.face_emission, scene.unknown)
+        ls0[at], ls1[at] = scene.lobes(rays)
         progress.update(start / len(traced))
     return ls0, ls1
 

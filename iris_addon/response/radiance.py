@@ -80,6 +80,7 @@ def group_radiance(
     count: NDArray[np.floating],
     n_groups: int,
     subtract: NDArray[np.floating] | None = None,
+    view_factor: NDArray[np.floating] | None = None,
 ) -> GroupRadiance:
     """Robust mean radiance per group of observations.
 
@@ -87,8 +88,12 @@ def group_radiance(
         group: (M,) patch or face of each observation.
         count: (M,) pixels of each observation.
         subtract: (M, 3) specular radiance to take off first, or None.
+        view_factor: (M,) of the diffuse lobe in each observation's direction, divided out; None for Lambert.
     """
     radiance = linear.radiance if subtract is None else np.maximum(linear.radiance - subtract, 0.02 * linear.radiance)
+    lower = linear.bound
+    if view_factor is not None:
+        radiance, lower = radiance / view_factor[:, None], lower / view_factor[:, None]
     weight = linear.open * linear.precision * np.minimum(count, 25.0)[:, None]
 
     def mean(w: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -99,6 +104,6 @@ def group_radiance(
     distance = np.log(np.maximum(radiance, 1e-6) / np.maximum(first[group], 1e-6)).mean(1, keepdims=True)
     robust, _ = mean(weight / (1 + (distance / OUTLIER_LOG) ** 2))
     bound = np.zeros((n_groups, 3))
-    np.maximum.at(bound, group, linear.bound)
+    np.maximum.at(bound, group, lower)
     known = norm > 0
     return GroupRadiance(np.where(known, robust, bound), known, bound, norm.min(1) * MODEL_NOISE**2)

@@ -22,7 +22,7 @@ from .gather import GatherRays, Origins
 from .tracer import Tracer
 from .transport import Transport, build_transport
 
-FORMAT = 1
+FORMAT = 2
 MAX_ENTRIES = 6
 
 
@@ -79,7 +79,7 @@ def _prune(folder: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-_RAYS = ("face", "direction", "distance")
+_RAYS = ("face", "direction", "distance", "schlick_start", "schlick_end")
 _GRID = ("origin", "block_keys", "block_levels", "cell_keys", "cell_patches")
 
 
@@ -118,6 +118,7 @@ def _read(path: Path) -> Transport | None:
             a["unseen_target"],
             a["part"],
             (grids[0], grids[1]),
+            np.zeros(len(a["part"])),
         )
     except (KeyError, ValueError, TypeError):
         # A foreign file: traced again and overwritten.

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..progress import Progress
+from .diffuse import schlick
 from .sampling import cosine_directions, r2_sequence
 from .tracer import Tracer, points_on_faces
 
@@ -42,11 +43,14 @@ class GatherRays:
         face: (P, R) int32 face, -1 where the ray escaped.
         direction: (P, R, 3) float16 unit direction, away from the patch.
         distance: (P, R) float32 metres.
+        schlick_start, schlick_end: (P, R) float16 Schlick's S of the angles at which a ray leaves and arrives.
     """
 
     face: NDArray[np.int32]
     direction: NDArray[np.float16]
     distance: NDArray[np.float32]
+    schlick_start: NDArray[np.float16]
+    schlick_end: NDArray[np.float16]
 
 
 def ray_origins(origins: Origins, start: int, stop: int, n_rays: int, epsilon: float) -> tuple[NDArray, NDArray]:
@@ -70,6 +74,8 @@ def gather(
     point = np.empty((n, n_rays, 3), np.float32)
     direction = np.empty((n, n_rays, 3), np.float16)
     distance = np.empty((n, n_rays), np.float32)
+    schlick_start = np.empty((n, n_rays), np.float16)
+    schlick_end = np.empty((n, n_rays), np.float16)
     for start in range(0, n, ROWS_AT_ONCE):
         stop = min(start + ROWS_AT_ONCE, n)
         position, normal = ray_origins(origins, start, stop, n_rays, tracer.epsilon)
@@ -81,8 +87,11 @@ def gather(
         point[start:stop] = (position + d * reach[:, None]).reshape(-1, n_rays, 3)
         direction[start:stop] = d.reshape(-1, n_rays, 3)
         distance[start:stop] = hits.distance.reshape(-1, n_rays)
+        schlick_start[start:stop] = schlick(np.einsum("nc,nc->n", d, normal)).reshape(-1, n_rays)
+        arriving = np.abs(np.einsum("nc,nc->n", d, tracer.normals[hits.face]))
+        schlick_end[start:stop] = schlick(arriving).reshape(-1, n_rays)
         progress.update(stop / n)
-    return GatherRays(face, direction, distance), point
+    return GatherRays(face, direction, distance, schlick_start, schlick_end), point
 
 
 def _choose_faces(areas: NDArray[np.floating], u: NDArray[np.floating]) -> NDArray[np.int64]:
@@ -100,14 +109,15 @@ def emitter_form_factors(
     rng: np.random.Generator,
     progress: Progress,
 ) -> NDArray[np.float32]:
-    """``B`` (P, E): the share of a patch's cosine-weighted hemisphere that each emitter fills, with visibility.
+    """``B`` (P, E, 2): the share of a patch's cosine-weighted hemisphere that each emitter fills, with visibility,
+    and the same weighted by Schlick's S, for diffuse lobes (:func:`iris_addon.transport.diffuse.under_lobe`).
 
     Args:
         emitters: face indices of each emitter.
         n_samples: points sampled on each emitter per patch, before patches that cannot see it are left out.
     """
     n, n_rays = rays.face.shape
-    result = np.zeros((n, len(emitters)), np.float32)
+    result = np.zeros((n, len(emitters), 2), np.float32)
     label = np.full(len(tracer.areas), -1, np.int32)
     for index, faces in enumerate(emitters):
         label[faces] = index
@@ -140,7 +150,12 @@ def _add_gathered(
     cos_surface = np.abs((origins.normal[row, column % origins.normal.shape[1]] * direction).sum(1))
     per_area = cos_surface * cos_light / np.maximum(np.pi * rays.distance[row, column] ** 2, 1e-9)
     weight = n_rays * per_area / (n_rays * per_area + n_samples / area[k])
-    np.add.at(result, (row, k), weight / n_rays)
+    np.add.at(result, (row, k), (weight / n_rays)[:, None] * with_schlick(cos_surface))
+
+
+def with_schlick(cosine: NDArray[np.floating]) -> NDArray[np.floating]:
+    """(n, 2) of 1 and S of the cosines (n,)."""
+    return np.stack([np.ones_like(cosine), schlick(cosine)], -1)
 
 
 def _add_sampled(
@@ -153,7 +168,7 @@ def _add_sampled(
     n_samples: int,
     rng: np.random.Generator,
 ) -> None:
-    """Add shadow rays to ``n_samples`` points on one emitter."""
+    """Add shadow rays to ``n_samples`` points on one emitter; ``column`` (P, 2)."""
     for start in range(0, len(column), ROWS_AT_ONCE):
         stop = min(start + ROWS_AT_ONCE, len(column))
         position, normal = ray_origins(origins, start, stop, n_samples, tracer.epsilon)
@@ -173,4 +188,6 @@ def _add_sampled(
         per_area = cos_surface[live] * cos_light[live] / (np.pi * square[live])
         weight = (n_samples / area) / (n_samples / area + n_rays * per_area)
         value = weight * per_area * area / n_samples
-        column[start:stop] += np.bincount(live // n_samples, value, minlength=stop - start).astype(np.float32)
+        for kind, factor in enumerate(with_schlick(cos_surface[live]).T):
+            total = np.bincount(live // n_samples, value * factor, minlength=stop - start)
+            column[start:stop, kind] += total.astype(np.float32)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..progress import Progress
 from ..surface.build import Surface
 from ..surface.patches import PatchGrid, cell_keys
+from .diffuse import schlick
 from .gather import GatherRays, Origins, gather
 from .tracer import Tracer
 
@@ -34,6 +35,7 @@ class Transport:
         target, unseen_target: (P, R) and (N - P, R') int32 patch hit, UNKNOWN or ESCAPED.
         part: (N,) part of each patch.
         device: where torch sums over rays.
+        kappa: (N,) grazing gain of the diffuse lobe of each patch, see :mod:`iris_addon.transport.diffuse`.
     """
 
     n_seen: int
@@ -45,6 +47,7 @@ class Transport:
     unseen_target: NDArray[np.int32]
     part: NDArray[np.int32]
     grids: tuple[PatchGrid, PatchGrid]
+    kappa: NDArray[np.float64]
     device: str = "cpu"
 
     @property
@@ -59,30 +62,71 @@ class Transport:
     def gather_radiance(
         self, radiance: NDArray[np.floating], unknown: NDArray[np.floating], emitter_faces: NDArray[np.bool_]
     ) -> NDArray[np.float32]:
-        """``G L``: mean radiance over each patch's rays.
+        """``G L``: mean radiance over each patch's rays, weighted by the diffuse lobes at both ends.
 
         Args:
-            radiance: (N, 3) per patch.
+            radiance: (N, 3) per patch, without the view factor of its lobe.
             unknown: (3,) for rays that end on a surface without a patch.
             emitter_faces: (F,) faces whose light is counted elsewhere; rays that end there carry nothing.
 
         Returns:
             (N, 3) irradiance / pi, without emitters and without light from outside.
         """
-        table = torch.from_numpy(radiance_table(radiance, unknown))
+        table = torch.from_numpy(radiance_table(radiance, unknown)).to(self.device)
+        own = np.split(self.kappa, [self.n_seen])
         rows = [
-            _mean_of_targets(table.to(self.device), target, rays.face, emitter_faces, self.n_patches)
-            for target, rays in ((self.target, self.rays), (self.unseen_target, self.unseen_rays))
+            _mean_of_targets(table, rays, target, emitter_faces, kappa, self.kappa)
+            for rays, target, kappa in (
+                (self.rays, self.target, own[0]),
+                (self.unseen_rays, self.unseen_target, own[1]),
+            )
         ]
         return np.concatenate(rows)
 
 
 def _mean_of_targets(
-    table: torch.Tensor, target: NDArray[np.int32], face: NDArray[np.int32], emitters: NDArray[np.bool_], n: int
+    table: torch.Tensor,
+    rays: GatherRays,
+    target: NDArray[np.int32],
+    emitters: NDArray[np.bool_],
+    own: NDArray[np.floating],
+    kappa: NDArray[np.floating],
 ) -> NDArray[np.float32]:
-    dark = (target == ESCAPED) | ((face >= 0) & emitters[face])
-    index = table_rows(target, n, dark)
-    return torch.nn.functional.embedding_bag(torch.from_numpy(index).to(table.device), table, mode="mean").cpu().numpy()
+    dark = (target == ESCAPED) | ((rays.face >= 0) & emitters[rays.face])
+    index = torch.from_numpy(table_rows(target, len(kappa), dark)).to(table.device)
+    if not kappa.any():
+        return torch.nn.functional.embedding_bag(index, table, mode="mean").cpu().numpy()
+    weight = torch.from_numpy(_lobe_weights(rays, target, own, kappa)).to(table.device)
+    total = torch.nn.functional.embedding_bag(index, table, mode="sum", per_sample_weights=weight)
+    return (total / target.shape[1]).cpu().numpy()
+
+
+def _lobe_weights(rays: GatherRays, target: NDArray[np.int32], own: NDArray, kappa: NDArray) -> NDArray[np.float32]:
+    """(rows, R) ``1 + κ S`` where a ray starts, κ being ``own`` (rows,), times the same where it ends."""
+    own, kappa = own.astype(np.float32), kappa.astype(np.float32)
+    ending = np.where(target >= 0, kappa[target], np.float32(0))
+    return (1 + own[:, None] * rays.schlick_start) * (1 + ending * rays.schlick_end)
+
+
+def lobe_at(
+    tracer: Tracer,
+    kappa: NDArray[np.floating],
+    target: NDArray[np.int32],
+    face: NDArray[np.int32],
+    direction: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """``1 + κ S`` at the hit of each ray: what the patch there sends along the ray over what it sends head-on.
+
+    Args:
+        kappa: (N,) per patch.
+        target, face: of each ray, any shape.
+        direction: the same shape and 3, unit.
+    """
+    if not kappa.any():
+        return np.ones(target.shape, np.float32)
+    cosine = np.abs(np.einsum("...c,...c->...", tracer.normals[face], direction))
+    own = np.where(target >= 0, kappa[target], 0.0)
+    return (1 + own * schlick(cosine)).astype(np.float32)
 
 
 def radiance_table(radiance: NDArray[np.floating], unknown: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -189,4 +233,5 @@ def build_transport(
         unseen_target,
         np.concatenate([surface.part, unseen_part]),
         grids,
+        np.zeros(len(surface.part) + len(unseen_part)),
     )
