@@ -19,9 +19,10 @@ from scipy.ndimage import distance_transform_edt
 from .capture.types import Capture
 from .checkpoint import Checkpoints, fingerprint
 from .compute import choose_device, peak_memory_bytes
-from .config import SolveConfig
+from .config import Refinements, SolveConfig
 from .emission.candidates import brightness
-from .emission.hidden import find_hidden
+from .emission.given import read_given_emitters
+from .emission.hidden import find_hidden, nothing_hidden
 from .emission.search import choose_outside
 from .emission.types import LightProblem, Lights
 from .photo_samples import PhotoSamples, sample_photos
@@ -93,7 +94,7 @@ def solve(
         )
     problem = _problem(config, tracer, photos, parts, adjacency, surface, transport, observations, photometry, field)
     with progress.stage("lights"):
-        arrays = checkpoints.stage("lights", lambda: _lights(problem, progress))
+        arrays = checkpoints.stage("lights", lambda: _lights(problem, config.refinements, progress))
         lights = Lights.from_arrays(arrays)
         problem = problem.with_outside(int(arrays["directions"]))
     with progress.stage("materials"):
@@ -128,7 +129,7 @@ def _problem(
     field: IrradianceField,
 ) -> MaterialProblem:
     linear = linearise(observations, photometry.response, photometry.exposures)
-    n = len(surface.part)
+    n, forced = len(surface.part), config.refinements
     light = LightProblem(
         tracer,
         photos.samples,
@@ -137,17 +138,20 @@ def _problem(
         parts,
         adjacency,
         brightness(observations, linear, n),
-        find_hidden(transport, int(parts.max()) + 1),
+        nothing_hidden(transport) if forced.hidden_light is False else find_hidden(transport, int(parts.max()) + 1),
         config.shadow_rays,
         config.seed,
+        given=read_given_emitters(config.emitters, len(parts)) if isinstance(config.emitters, Path) else None,
     )
     observed = group_radiance(linear, observations.patch, observations.count, n)
     part = parts[photos.samples.face[observations.sample]]
-    return MaterialProblem(light, observations, linear, observed, field, part, config.specular_rays, config.seed)
+    return MaterialProblem(
+        light, observations, linear, observed, field, part, config.specular_rays, config.seed, forced.gloss
+    )
 
 
-def _lights(problem: MaterialProblem, progress: Progress) -> dict[str, NDArray]:
-    light, lights = choose_outside(problem.light, problem.observed, progress)
+def _lights(problem: MaterialProblem, forced: Refinements, progress: Progress) -> dict[str, NDArray]:
+    light, lights = choose_outside(problem.light, problem.observed, progress, forced.hidden_light is True)
     return {**lights.arrays(), "directions": np.array(len(light.hidden.directions))}
 
 

@@ -40,6 +40,7 @@ class MaterialProblem:
         light: the light problem, brightness as seen.
         observed: radiance per patch, all of it.
         part: (M,) part of each observation.
+        gloss: None lets every part earn its gloss, True takes the best fit, False leaves all rough.
     """
 
     light: LightProblem
@@ -50,6 +51,7 @@ class MaterialProblem:
     part: NDArray[np.int32]
     specular_rays: int
     seed: int
+    gloss: bool | None = None
 
     def with_outside(self, directions: int) -> MaterialProblem:
         """The same problem with so many directions of outside light."""
@@ -203,4 +205,5 @@ class _GlossFit:
             local,
             lobes,
             int(problem.light.parts.max()) + 1,
+            problem.gloss,
         )
