@@ -14,7 +14,7 @@ from iris_addon.blender.scene_out import build_scene
 from iris_addon.capture.types import View
 from iris_addon.errors import BadInput, IrisError
 from iris_addon.response.curve import gamma
-from iris_addon.result.edits import ObjectFile, SceneEdit, Sphere
+from iris_addon.result.edits import ObjectFile, Placement, SceneEdit, Sphere
 from iris_addon.result.types import OutsideLight
 from tests.blender_room import camera, room
 
@@ -128,7 +128,7 @@ def test_a_ball_in_a_photo_is_rendered_and_leaves_far_pixels_alone():
 def test_objects_from_files_stand_upright_in_the_room(tmp_path):
     cube = tmp_path / "cube.obj"
     cube.write_text("v 0 0 0\nv 1 0 0\nv 0 2 0\nf 1 2 3\n")  # 2 high, in the Y-up axes of .obj
-    placed = ObjectFile(cube, (0.1, -0.5, 0.2), scale=(0.5, 0.5, 0.5))
+    placed = ObjectFile(cube, Placement((0.1, -0.5, 0.2), scale=(0.5, 0.5, 0.5)))
     built = build_scene(solved(), SceneEdit(objects=(placed,)))
     built.scene.view_layers[0].update()
     thing = next(thing for thing in built.inserted if thing.type == "MESH")

@@ -73,7 +73,7 @@ def apply_to_scene(result: Result, scene: bpy.types.Scene, views: Sequence[View]
     anchor.matrix_world = upright.to_4x4()
     collection.objects.link(anchor)
 
-    add_room(result, SceneEdit(), collection).parent = anchor
+    add_room(result, SceneEdit(), collection)[0].parent = anchor
     cameras = [add_camera(view.camera, f"IRIS {view.name}", collection) for view in views]
     for camera_object in cameras:
         camera_object.parent = anchor
