@@ -1,7 +1,7 @@
 """Lights an edit adds: one-sided quads as emissive meshes, the others as Blender's own lights.
 
-Blender gives point and spot lights as watts that leave in all directions, whatever their cone, and counts radiometry
-with a factor 1/π: a light of energy E has the radiant intensity E / (4π²). A sun's energy is its irradiance.
+Blender gives point and spot lights the watts that would leave to all sides, whatever their cone: energy E is the
+radiant intensity E / 4π. A sun's energy is its irradiance.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..result.edits import Light, Quad, SpotLight, SunLight
 from .materials import black_material, one_sided_lamp_material
 
-ENERGY_PER_INTENSITY = 4 * np.pi**2
+ENERGY_PER_INTENSITY = 4 * np.pi
 
 
 def add_light(light: Light, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
