@@ -7,6 +7,7 @@ axis to Blender's +Z; their own transforms stay those of the capture. The world 
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -24,14 +25,20 @@ from .camera import add_camera, look_through
 from .images import srgb_image
 from .render import set_cycles
 from .scene_out import add_room, datablocks
+from .scene_state import show_like_the_photos
 from .version import require_build_option
 from .world import make_world
 
 
 def apply(
-    result: Result, blend: Path, *, views: Sequence[View] = (), glb: Path | None = None, usd: Path | None = None
+    result: Result,
+    blend: Path | None,
+    *,
+    views: Sequence[View] = (),
+    glb: Path | None = None,
+    usd: Path | None = None,
 ) -> None:
-    """Write ``result`` as ``blend``, and as ``glb`` and ``usd`` where given; the open scene is left alone.
+    """Write ``result`` as ``blend``, ``glb`` and ``usd``, each where given; the open scene is left alone.
 
     Files appear whole or not at all. Textures are packed into the .blend, lamps carry their radiance as emission
     strength (KHR_materials_emissive_strength in glTF), cameras of ``views`` come along.
@@ -45,7 +52,8 @@ def apply(
     scene = bpy.data.scenes.new("IRIS")
     try:
         apply_to_scene(result, scene, views)
-        _write_whole(blend, lambda path: bpy.data.libraries.write(str(path), {scene}, compress=True))
+        if blend is not None:
+            _write_whole(blend, lambda path: bpy.data.libraries.write(str(path), {scene}, compress=True))
         if glb is not None or usd is not None:
             _use_srgb_base_color(scene)
         with _in_window(scene):
@@ -83,16 +91,22 @@ def apply_to_scene(result: Result, scene: bpy.types.Scene, views: Sequence[View]
     for image in bpy.data.images:
         if image.name.startswith("IRIS ") and image.source == "GENERATED":
             image.pack()
-    _show_like_the_photos(result, scene)
+    set_cycles(scene, samples=128, denoise=True, seed=0, max_bounces=24)
+    show_like_the_photos(result, scene)
     return anchor
 
 
-def _show_like_the_photos(result: Result, scene: bpy.types.Scene) -> None:
-    set_cycles(scene, samples=128, denoise=True, seed=0, max_bounces=24)
-    scene.view_settings.view_transform = "Standard"
-    scene.view_settings.look = "None"
-    exposures = [float(np.mean(exposure)) for exposure in result.exposures.values()]
-    scene.view_settings.exposure = float(np.clip(np.log2(np.median(exposures)), -32, 32)) if exposures else 0.0
+def export_textures(result: Path, folder: Path) -> None:
+    """Copy the texture set and the mesh of the result folder ``result`` to ``folder``.
+
+    Raises:
+        IrisError: there are no textures, or they cannot be written.
+    """
+    try:
+        shutil.copytree(result / "materials", folder, dirs_exist_ok=True)
+    except (OSError, shutil.Error) as error:
+        what = f"the textures cannot be copied ({getattr(error, 'strerror', None) or error})"
+        raise IrisError(what, "free disk space or choose another place", folder) from error
 
 
 def _use_srgb_base_color(scene: bpy.types.Scene) -> None:
