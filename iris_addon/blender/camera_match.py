@@ -10,6 +10,8 @@ table of response.json within 1/255 (see the tests). Exposures beyond 1 clip, as
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import bpy
 import numpy as np
 from numpy.typing import NDArray
@@ -66,8 +68,8 @@ def show_through_camera(
 ) -> bpy.types.Node:
     """Lead ``picture``, a socket of the scene's compositing tree with radiance, through the camera to the output.
 
-    Also sets the view transform the group is made for. Returns the group's node, whose input Exposure is that of the
-    photo to be matched.
+    Also sets the view transform the group is made for; the exposure of the view, which the viewport needs, is taken off
+    again. Returns the group's node, whose input Exposure is that of the photo to be matched.
     """
     tree = own_compositor_tree(scene)
     node = tree.nodes.new("CompositorNodeGroup")
@@ -75,17 +77,25 @@ def show_through_camera(
     node.name = node.label = CAMERA_GROUP
     set_photo(node, exposure)
     tree.links.new(picture, node.inputs["Image"])
-    tree.links.new(node.outputs["Image"], compositor_output(tree))
+    view = scene.view_settings
+    view.view_transform, view.look, view.gamma = "Standard", "None", 1.0
+    unexposed = tree.nodes.new("CompositorNodeExposure")
+    unexposed.inputs["Exposure"].default_value = -view.exposure
+    tree.links.new(node.outputs["Image"], unexposed.inputs["Image"])
+    tree.links.new(unexposed.outputs["Image"], compositor_output(tree))
     scene.render.use_compositing = True
     scene.render.dither_intensity = 0.0
-    view = scene.view_settings
-    view.view_transform, view.look, view.exposure, view.gamma = "Standard", "None", 0.0, 1.0
     return node
 
 
 def set_photo(node: bpy.types.Node, exposure: NDArray[np.floating]) -> None:
     """Expose the camera ``node`` like the photo with the (3,) factors ``exposure``."""
     node.inputs["Exposure"].default_value = (*(float(factor) for factor in exposure), 1.0)
+
+
+def median_exposure(exposures: Mapping[str, NDArray[np.floating]]) -> NDArray[np.float64]:
+    """(3,) exposure and white balance that is typical of the photos; 1 where none is known."""
+    return np.median(np.stack(list(exposures.values())), axis=0) if exposures else np.ones(3)
 
 
 def _set_curves(mapping: bpy.types.CurveMapping, response: Response) -> None:

@@ -16,7 +16,7 @@ from mathutils import Matrix
 from numpy.typing import NDArray
 
 from ..capture.types import Mesh
-from ..result.edits import SceneEdit, Sphere
+from ..result.edits import SceneEdit, Sphere, lamp_name
 from ..result.types import Result
 from .lights import add_light
 from .materials import LAMP_ID, UV_MAP, black_material, lamp_material, sphere_material, surface_material
@@ -86,7 +86,7 @@ def add_room(
     """
     slots, slot_of_face = face_materials(result, edit)
     every_face = np.arange(len(slot_of_face))
-    lamps = [(f"IRIS Lamp {lamp.id:02d}", lamp.faces) for lamp in result.emitters] if lamps_apart else []
+    lamps = [(lamp_name(lamp.id), lamp.faces) for lamp in result.emitters] if lamps_apart else []
     rest = np.setdiff1d(every_face, np.concatenate([faces for _, faces in lamps])) if lamps else every_face
     made = []
     for name, faces in [("IRIS Room Mesh", rest), *lamps]:
@@ -165,7 +165,7 @@ def face_materials(
     lamps, lamp_of_face = np.unique(np.c_[emitter_of_face[lit], emission[lit]], axis=0, return_inverse=True)
     slot_of_face[lit] = len(slots) + lamp_of_face.ravel()
     for emitter_id, *radiance in lamps:
-        name = f"IRIS Lamp {int(emitter_id):02d}" if emitter_id >= 0 else "IRIS Lamp"
+        name = lamp_name(int(emitter_id)) if emitter_id >= 0 else "IRIS Lamp"
         slots.append(lamp_material(name, radiance))
         slots[-1][LAMP_ID] = int(emitter_id)
 

@@ -83,7 +83,9 @@ def enable_gpu() -> bool:
 def own_compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree:
     """The compositing tree of ``scene``, made and switched on where there is none; what is in it stays."""
     if bpy.app.version < (5, 0, 0):
-        scene.use_nodes = True
+        if not scene.use_nodes:
+            scene.use_nodes = True
+            scene.node_tree.nodes.clear()  # it is born with nodes that render whatever scene is open
         return scene.node_tree
     if scene.compositing_node_group is None:
         scene.compositing_node_group = bpy.data.node_groups.new(f"{scene.name} Compositing", "CompositorNodeTree")

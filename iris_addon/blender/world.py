@@ -10,7 +10,7 @@ from mathutils import Matrix, Vector
 from numpy.typing import NDArray
 
 from ..errors import BadInput
-from ..result.edits import Panorama
+from ..result.edits import OUTSIDE, Panorama
 from ..result.sh import sh_radiance
 from ..result.types import OutsideLight
 from .images import LINEAR, image_from_array
@@ -38,7 +38,7 @@ def make_world(
     Raises:
         BadInput: the picture of a panorama cannot be read.
     """
-    world = bpy.data.worlds.new("IRIS Outside")
+    world = bpy.data.worlds.new(OUTSIDE)
     tree = node_tree(world)
     output = tree.nodes.new("ShaderNodeOutputWorld")
     output.location = (250, 0)
@@ -66,7 +66,7 @@ def _outside_background(
         panorama = sh_radiance(outside.sh, equirect_directions(WIDTH, HEIGHT) @ to_blender)
         texture = tree.nodes.new("ShaderNodeTexEnvironment")
         texture.location = (-300, 0)
-        texture.image = image_from_array("IRIS Outside", panorama, colorspace=LINEAR, float_buffer=True)
+        texture.image = image_from_array(OUTSIDE, panorama, colorspace=LINEAR, float_buffer=True)
         tree.links.new(texture.outputs["Color"], background.inputs["Color"])
     return background
 

@@ -17,6 +17,15 @@ Vector = tuple[float, float, float]
 Shape = Literal["sphere", "box", "cylinder", "cone", "card"]
 Snap = Literal["none", "down", "surface"]
 
+OUTSIDE = "IRIS Outside"
+"""Name of the light from beyond the mesh, wherever lights are named."""
+
+
+def lamp_name(emitter_id: int) -> str:
+    """Name of a recovered lamp: of its object, its material, its light group."""
+    return f"IRIS Lamp {emitter_id:02d}"
+
+
 # ---- lights --------------------------------------------------------------------------------------------------------
 
 
