@@ -22,6 +22,8 @@ from ..errors import IrisError
 from ..result.edits import SceneEdit
 from ..result.types import Result
 from .camera import add_camera, look_through
+from .camera_match import median_exposure
+from .compositing import add_compositing
 from .images import srgb_image
 from .render import set_cycles
 from .scene_out import add_room, datablocks
@@ -51,7 +53,9 @@ def apply(
     before = set(datablocks())
     scene = bpy.data.scenes.new("IRIS")
     try:
-        apply_to_scene(result, scene, views)
+        anchor = apply_to_scene(result, scene, views, lamps_apart=True)
+        lamps = [thing for thing in anchor.children_recursive if thing.name.startswith("IRIS Lamp")]
+        add_compositing(scene, lamps, result.response, median_exposure(result.exposures))
         if blend is not None:
             _write_whole(blend, lambda path: bpy.data.libraries.write(str(path), {scene}, compress=True))
         if glb is not None or usd is not None:
@@ -65,11 +69,16 @@ def apply(
         bpy.data.batch_remove(set(datablocks()) - before)
 
 
-def apply_to_scene(result: Result, scene: bpy.types.Scene, views: Sequence[View] = ()) -> bpy.types.Object:
+def apply_to_scene(
+    result: Result, scene: bpy.types.Scene, views: Sequence[View] = (), *, lamps_apart: bool = False
+) -> bpy.types.Object:
     """Add the room to ``scene`` in a collection "IRIS", with its world, its cameras and settings that show it well.
 
     The view exposure is that of the photos' median, in the Standard view transform: what the photos show at
     mid-brightness is so in the viewport.
+
+    Args:
+        lamps_apart: every lamp becomes an object of its own, child of the room's mesh.
 
     Returns:
         The empty "IRIS Room", parent of everything that was added.
@@ -81,7 +90,7 @@ def apply_to_scene(result: Result, scene: bpy.types.Scene, views: Sequence[View]
     anchor.matrix_world = upright.to_4x4()
     collection.objects.link(anchor)
 
-    add_room(result, SceneEdit(), collection)[0].parent = anchor
+    add_room(result, SceneEdit(), collection, lamps_apart=lamps_apart)[0].parent = anchor
     cameras = [add_camera(view.camera, f"IRIS {view.name}", collection) for view in views]
     for camera_object in cameras:
         camera_object.parent = anchor
