@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import argparse
 import json
-import signal
 import sys
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
 
@@ -23,6 +21,7 @@ from iris_addon.progress import Progress, console, json_lines
 
 from .caller import stop_with_stdin
 from .environment import delegate, missing_packages, unusable
+from .signals import cancelled_by_signals
 
 USAGE_CODE = 2
 
@@ -44,11 +43,11 @@ def main(argv: list[str]) -> int:
         missing = missing_packages(args.command)
         if missing:
             return delegate(argv, missing)
-        from . import commands
-
         if getattr(args, "stop_with_stdin", False):  # only the commands that speak JSON lines have it
             stop_with_stdin(progress)
-        with _signals(progress):
+        with cancelled_by_signals(progress, lambda: _fail(Cancelled(), lines)):
+            from . import commands
+
             outcome = getattr(commands, args.command)(args, progress)
     except KeyboardInterrupt:
         return _fail(Cancelled(), lines)
@@ -80,28 +79,6 @@ def _fail(error: IrisError, lines: bool) -> int:
         print(json.dumps(message), flush=True)
     print(f"error: {error}", file=sys.stderr, flush=True)
     return error.exit_code
-
-
-@contextmanager
-def _signals(progress: Progress) -> Iterator[None]:
-    """Let SIGINT and SIGTERM cancel ``progress``; a second one does not wait for the next checkpoint."""
-    asked = False
-
-    def stop(_number: int, _frame: object) -> None:
-        nonlocal asked
-        if asked:
-            raise KeyboardInterrupt
-        asked = True
-        progress.cancel()
-
-    names = ("SIGINT", "SIGTERM", "SIGBREAK")  # the last is how a process is asked to stop on Windows
-    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
-    before = {number: signal.signal(number, stop) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 # ---- arguments -----------------------------------------------------------------------------------------------------

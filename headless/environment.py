@@ -22,11 +22,11 @@ NEEDS = {
     "inspect": (*_IMAGES, "scipy", "trimesh", "embreex"),
     "batch": _SOLVER,
     "apply": ("numpy", "bpy"),
-    "render": (*_IMAGES, "scipy", "bpy"),
-    "relight": (*_IMAGES, "scipy", "bpy"),
-    "insert": (*_IMAGES, "scipy", "bpy"),
+    "render": (*_IMAGES, "scipy", "trimesh", "bpy"),
+    "relight": (*_IMAGES, "scipy", "trimesh", "bpy"),
+    "insert": (*_IMAGES, "scipy", "trimesh", "bpy"),
     "synth": (*_IMAGES, "bpy"),
-    "evaluate": (*_IMAGES, "scipy", "embreex"),
+    "evaluate": (*_IMAGES, "scipy", "trimesh", "embreex"),
 }
 RUN = Path(__file__).with_name("run.py")
 

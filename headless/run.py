@@ -22,6 +22,10 @@ def arguments(argv: list[str]) -> list[str]:
 
 if __name__ == "__main__":
     sys.path[:] = [str(ROOT)] + [entry for entry in sys.path if entry != str(ROOT / "headless")]
-    from headless.cli import main
+    try:
+        from headless.cli import main
 
-    sys.exit(main(arguments(sys.argv)))
+        sys.exit(main(arguments(sys.argv)))
+    except KeyboardInterrupt:  # before or after anything that could say it better
+        print("error: cancelled — run again", file=sys.stderr)
+        sys.exit(130)

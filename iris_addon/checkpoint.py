@@ -34,7 +34,7 @@ def fingerprint(capture: Capture, config: SolveConfig) -> str:
         lens = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, view.distortion)
         digest.update(repr((view.name, view.exposure, lens)).encode())
         digest.update(camera.c2w.tobytes())
-    files = [view.photo for view in capture.views] + [config.response]
+    files = [view.photo for view in capture.views] + [config.response, config.emitters]
     for path in files:
         if isinstance(path, Path) and path.is_file():
             stat = path.stat()

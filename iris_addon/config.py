@@ -10,6 +10,28 @@ PresetName = Literal["draft", "balanced", "final"]
 
 
 @dataclass(frozen=True)
+class Refinements:
+    """Parts of the model that a scene may do without. None lets held-out data decide; True and False force it.
+
+    Attributes:
+        channel_curves: a response curve per colour channel.
+        white_balance: an exposure factor per channel, where exposures are unknown.
+        hidden_light: light from where no photo looks: from beyond the mesh, by direction, and from behind corners.
+        gloss: roughness and metallic of a part; without it all is rough.
+    """
+
+    channel_curves: bool | None = None
+    white_balance: bool | None = None
+    hidden_light: bool | None = None
+    gloss: bool | None = None
+
+
+AUTO = Refinements()
+FULL = Refinements(True, True, True, True)
+MINIMAL = Refinements(False, False, False, False)
+
+
+@dataclass(frozen=True)
 class SolveConfig:
     """Everything a person may turn about a solve.
 
@@ -18,6 +40,9 @@ class SolveConfig:
         response: "auto" estimates the curve, "gamma" is z = x^(1/2.2), a path names a file with a curve.
         exposures: "auto" takes what the capture knows, "none" withholds it, a path names a file.
         hdr: folder with one EXR of linear radiance per photo, in place of the photos.
+        emitters: "search" finds the lamps; a path names a file with the faces of each (an emitters.json): these and no
+            others.
+        refinements: what the model is made to do, or to do without, for comparisons.
         device: where torch runs.
         seed: of all randomness.
         max_patches: upper bound on surface patches; the patch size adapts to it.
@@ -32,6 +57,8 @@ class SolveConfig:
     response: str | Path = "auto"
     exposures: str | Path = "auto"
     hdr: Path | None = None
+    emitters: Literal["search"] | Path = "search"
+    refinements: Refinements = AUTO
     device: Literal["auto", "cpu", "cuda"] = "auto"
     seed: int = 0
     max_patches: int = 100_000

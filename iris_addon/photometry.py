@@ -107,7 +107,7 @@ def measure_photometry(
         factors = np.ones(n) if given is None or config.hdr is not None else given
         return Photometry(curve.identity(), np.repeat(factors[:, None], 3, 1), np.nan, False, True)
     fixed = _fixed_response(config)
-    fit = fit_overlap(observations, given, n, rng, fixed)
+    fit = fit_overlap(observations, given, n, rng, fixed, config.refinements)
     return Photometry(fit.response, fit.exposures, fit.residual, fit.per_channel, known)
 
 

@@ -19,9 +19,10 @@ from scipy.ndimage import distance_transform_edt
 from .capture.types import Capture
 from .checkpoint import Checkpoints, fingerprint
 from .compute import choose_device, peak_memory_bytes
-from .config import SolveConfig
+from .config import Refinements, SolveConfig
 from .emission.candidates import brightness
-from .emission.hidden import find_hidden
+from .emission.given import read_given_emitters
+from .emission.hidden import find_hidden, nothing_hidden
 from .emission.search import choose_outside
 from .emission.types import LightProblem, Lights
 from .photo_samples import PhotoSamples, sample_photos
@@ -95,7 +96,7 @@ def solve(
         )
     problem = _problem(config, tracer, photos, parts, adjacency, surface, transport, observations, photometry, field)
     with progress.stage("lights"):
-        arrays = checkpoints.stage("lights", lambda: _lights(problem, progress))
+        arrays = checkpoints.stage("lights", lambda: _lights(problem, config.refinements, progress))
         lights = Lights.from_arrays(arrays)
         problem = problem.with_outside(int(arrays["directions"]))
     with progress.stage("materials"):
@@ -131,7 +132,7 @@ def _problem(
     field: IrradianceField,
 ) -> MaterialProblem:
     linear = linearise(observations, photometry.response, photometry.exposures)
-    n = len(surface.part)
+    n, forced = len(surface.part), config.refinements
     angle = schlick(photos.samples.cosine[observations.sample].astype(np.float64))
     diffuse = choose_diffuse(observations, linear, angle)
     light = LightProblem(
@@ -142,21 +143,32 @@ def _problem(
         parts,
         adjacency,
         brightness(observations, linear, n),
-        find_hidden(transport, int(parts.max()) + 1),
+        nothing_hidden(transport) if forced.hidden_light is False else find_hidden(transport, int(parts.max()) + 1),
         config.shadow_rays,
         config.seed,
+        given=read_given_emitters(config.emitters, len(parts)) if isinstance(config.emitters, Path) else None,
     )
     part = parts[photos.samples.face[observations.sample]]
     view_factor = 1 + grazing_gain(diffuse.lobe, np.array(LEVELS[-1])) * angle
     observed = group_radiance(linear, observations.patch, observations.count, n, view_factor=view_factor)
     problem = MaterialProblem(
-        light, observations, linear, observed, field, part, angle, diffuse, config.specular_rays, config.seed
+        light,
+        observations,
+        linear,
+        observed,
+        field,
+        part,
+        angle,
+        diffuse,
+        config.specular_rays,
+        config.seed,
+        forced.gloss,
     )
     return problem.with_gloss(rough_everywhere(int(parts.max()) + 1))
 
 
-def _lights(problem: MaterialProblem, progress: Progress) -> dict[str, NDArray]:
-    light, lights = choose_outside(problem.light, problem.observed, progress)
+def _lights(problem: MaterialProblem, forced: Refinements, progress: Progress) -> dict[str, NDArray]:
+    light, lights = choose_outside(problem.light, problem.observed, progress, forced.hidden_light is True)
     return {**lights.arrays(), "directions": np.array(len(light.hidden.directions))}
 
 

@@ -1,17 +1,43 @@
-"""What Blender shows and runs: preferences, scene settings, operators, the panel."""
+"""What Blender shows and runs: preferences, scene settings, operators, panels."""
 
 from __future__ import annotations
 
 import bpy
 
-from . import panel, preferences, settings, solve
+from . import apply, check, data, export, panel, preferences, review, settings, solve, watch
 
 CLASSES = (
     preferences.IrisPreferences,
+    preferences.IRIS_OT_test_python,
+    preferences.IRIS_OT_make_environment,
+    settings.IrisView,
+    settings.IrisLamp,
     settings.IrisSettings,
+    watch.IRIS_OT_cancel,
+    watch.IRIS_OT_copy_error,
+    watch.IRIS_OT_show_log,
+    data.IRIS_OT_import_capture,
+    data.IRIS_OT_import_demo,
+    data.IRIS_OT_use_scene,
+    data.IRIS_OT_add_capture,
+    data.IRIS_FH_capture,
+    check.IRIS_OT_check,
+    check.IRIS_OT_step_photo,
     solve.IRIS_OT_solve,
-    solve.IRIS_OT_cancel,
+    review.IRIS_OT_review,
+    review.IRIS_OT_confidence,
+    apply.IRIS_OT_apply,
+    apply.IRIS_OT_restore,
+    export.IRIS_OT_export,
+    panel.IRIS_UL_views,
+    panel.IRIS_UL_lamps,
+    panel.IRIS_PT_iris,
+    panel.IRIS_PT_data,
+    panel.IRIS_PT_check,
     panel.IRIS_PT_solve,
+    panel.IRIS_PT_review,
+    panel.IRIS_PT_relight,
+    panel.IRIS_PT_export,
 )
 
 
@@ -20,11 +46,14 @@ def register() -> None:
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     bpy.types.Scene.iris = bpy.props.PointerProperty(type=settings.IrisSettings)
+    data.register()
+    watch.register()
 
 
 def unregister() -> None:
-    """Stop a solve that runs and take everything out of Blender."""
-    solve.stop()
+    """Stop what runs and take everything out of Blender."""
+    watch.unregister()
+    data.unregister()
     del bpy.types.Scene.iris
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

@@ -1,40 +1,298 @@
-"""The tab "IRIS" in the sidebar of the 3D view."""
+"""The tab "IRIS" in the sidebar of the 3D view: one sub-panel per step, in work order, each with its state."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from textwrap import wrap
+
 import bpy
 
-from . import solve
-from .preferences import solver_python
+from ..iris_addon.blender import jobs
+from ..iris_addon.blender.onto_objects import APPLIED
+from ..iris_addon.blender.review import model_lines
+from ..iris_addon.errors import IrisError
+from ..iris_addon.result.json_files import read_json
+from . import project
+from .preferences import ROOT_PACKAGE, solver_python
+from .project import ICONS, Step
+
+StepOf = Callable[[bpy.types.Scene], Step]
 
 
-class IRIS_PT_solve(bpy.types.Panel):  # noqa: N801 - Blender's naming
-    """Capture, preset, solve, progress."""
-
-    bl_label = "Solve"
-    bl_idname = "IRIS_PT_solve"
+class _Sidebar:
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "IRIS"
 
+
+class IRIS_PT_iris(_Sidebar, bpy.types.Panel):  # noqa: N801 - Blender's naming
+    """Parent of the steps; says which one comes next."""
+
+    bl_label = "IRIS"
+
     def draw(self, context: bpy.types.Context) -> None:
-        """The panel as Blender shows it."""
-        layout, settings = self.layout, context.scene.iris
-        layout.use_property_split = True
-        layout.use_property_decorate = False
-        column = layout.column()
-        column.enabled = solve.current() is None
-        column.prop(settings, "capture")
-        column.prop(settings, "result")
-        column.prop(settings, "preset")
+        """The next thing to do."""
+        layout = self.layout
         if not solver_python(context):
-            layout.label(text="Set the solver's Python in the preferences", icon="ERROR")
-        worker = solve.current()
-        if worker is None:
-            layout.operator("iris.solve", icon="LIGHT_SUN")
+            box = layout.box()
+            box.label(text="The solver needs a Python of its own", icon="ERROR")
+            opened = box.operator("preferences.addon_show", text="Open Preferences", icon="PREFERENCES")
+            opened.module = ROOT_PACKAGE
+        for panel in STEPS:
+            step = panel.step(context.scene)
+            if step.state not in ("done",):
+                paragraph(layout, f"{panel.bl_label}: {step.hint or step.state}", context, "FORWARD")
+                return
+        layout.label(text="All done", icon="CHECKMARK")
+
+
+class _Step(_Sidebar):
+    bl_parent_id = "IRIS_PT_iris"
+    step: StepOf
+
+    def draw_header(self, context: bpy.types.Context) -> None:
+        """The state as an icon."""
+        self.layout.label(text="", icon=ICONS[type(self).step(context.scene).state])  # type: ignore[attr-defined]
+
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        """The state as a word."""
+        row = self.layout.row()  # type: ignore[attr-defined]
+        row.active = False
+        row.label(text=type(self).step(context.scene).state)
+
+
+class IRIS_PT_data(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
+    """Where photos, poses and mesh come from."""
+
+    bl_label = "Data"
+    step = staticmethod(project.data_step)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Import, or what was imported."""
+        layout, settings = self.layout, context.scene.iris
+        column = layout.column(align=True)
+        column.operator("iris.import_capture", icon="IMPORT")
+        column.operator("iris.use_scene", icon="CAMERA_DATA")
+        column.operator("iris.import_demo", icon="HOME")
+        if settings.views:
+            known = sum(view.exposure > 0 for view in settings.views)
+            exposures = "all known" if known == len(settings.views) else f"{known} known, all are estimated"
+            column = layout.column(align=True)
+            column.label(text=f"{len(settings.views)} photos; exposures: {exposures}")
+            if settings.room is not None:
+                column.label(text=f"{len(settings.room.data.polygons)} faces in {settings.room.name}")
+        if settings.source == "SCENE" and context.scene.camera is not None:
+            camera = context.scene.camera
+            if "exposure" in camera.data:
+                layout.prop(camera.data, '["exposure"]', text=f"Exposure of {camera.name}")
+        layout.prop(settings, "result")
+
+
+class IRIS_PT_check(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
+    """Photo over mesh, and what was measured."""
+
+    bl_label = "Check"
+    step = staticmethod(project.check_step)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """The photo that is looked at, then the list of all, then warnings."""
+        layout, settings = self.layout, context.scene.iris
+        job_box(layout, "inspect", context)
+        if not settings.views:
             return
-        text = worker.stage or "Starting"
-        if worker.seconds_left is not None:
-            text += f", {worker.seconds_left:.0f} s left"
-        layout.progress(factor=worker.overall, text=text)
-        layout.operator("iris.cancel", icon="CANCEL")
+        row = layout.row(align=True)
+        row.operator("iris.step_photo", text="", icon="TRIA_LEFT").by = -1
+        index = min(settings.view_index, len(settings.views) - 1)
+        row.operator("iris.step_photo", text=f"{settings.views[index].name}  {index + 1}/{len(settings.views)}").by = 0
+        row.operator("iris.step_photo", text="", icon="TRIA_RIGHT").by = 1
+        layout.prop(settings, "overlay", slider=True)
+        layout.template_list("IRIS_UL_views", "", settings, "views", settings, "view_index", rows=4)
+        view = settings.views[index]
+        column = layout.column(align=True)
+        fits = {"aligned": "lies on the mesh", "unclear": "too few common edges to tell"}
+        column.label(
+            text=f"Alignment {view.score:.2f}: " + fits.get(view.verdict, f"{view.shift:.0f} px beside the mesh")
+        )
+        exposure = f"{view.exposure:.3g}" if view.exposure else "unknown"
+        column.label(text=f"Saturated {view.saturated:.0%}, exposure {exposure}, mesh in view {view.seen:.0%}")
+        for warning in settings.warnings.splitlines():
+            paragraph(layout, warning, context, "ERROR")
+        layout.operator("iris.check", icon="FILE_REFRESH")
+
+
+class IRIS_UL_views(bpy.types.UIList):  # noqa: N801 - Blender's naming
+    """Photos with their alignment and their share of saturated pixels."""
+
+    def draw_item(self, _context, layout, _data, item, _icon, _active, _name) -> None:  # noqa: ANN001 - Blender's
+        """One photo."""
+        icon = {"aligned": "CHECKMARK", "shifted": "ERROR", "unclear": "QUESTION"}[item.verdict]
+        row = layout.row(align=True)
+        row.label(text=item.name, icon=icon)
+        row.label(text=f"{item.score:.2f}")
+        row.label(text=f"{item.saturated:.0%}", icon="LIGHT_SUN")
+
+
+class IRIS_PT_solve(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
+    """Preset, solve, progress."""
+
+    bl_label = "Solve"
+    step = staticmethod(project.solve_step)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Settings while nothing runs, bars while it does."""
+        layout, settings = self.layout, context.scene.iris
+        running = jobs.running("solve", project.folder(context.scene)) is not None
+        column = layout.column()
+        column.use_property_split, column.use_property_decorate = True, False
+        column.enabled = not running
+        for name in ("preset", "device", "seed"):
+            column.prop(settings, name)
+        if not running:
+            state = project.solve_step(context.scene).state
+            record = jobs.record("solve", project.folder(context.scene))
+            again = {"done": "Solve Again", "stale": "Solve Again"}.get(state, "Solve")
+            text = "Resume" if record.state in ("cancelled", "interrupted", "failed") else again
+            column.operator("iris.solve", text=text, icon="PLAY")
+        job_box(layout, "solve", context)
+
+
+class IRIS_PT_review(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
+    """Judge the result, then put it onto the objects."""
+
+    bl_label = "Review"
+    step = staticmethod(project.review_step)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Pictures, figures, apply."""
+        layout, scene = self.layout, context.scene
+        if not project.result_key(scene):
+            layout.label(text="No result yet", icon="INFO")
+            return
+        row = layout.row(align=True)
+        for kind, text in (("photo", "Photo"), ("render", "Re-render"), ("error", "Error"), ("curve", "Response")):
+            row.operator("iris.review", text=text).kind = kind
+        try:
+            report = read_json(project.folder(scene) / "report.json")
+        except IrisError as error:
+            paragraph(layout, str(error), context, "ERROR")
+            return
+        column = layout.column(align=True)
+        for label, text in model_lines(report):
+            split = column.split(factor=0.6)
+            split.label(text=label)
+            split.label(text=text)
+        for warning in report.get("warnings") or ():
+            paragraph(layout, str(warning), context, "ERROR")
+        layout.operator("iris.apply", icon="MATERIAL")
+        if APPLIED in scene:
+            row = layout.row(align=True)
+            row.operator("iris.confidence", text="Show Confidence").on = True
+            row.operator("iris.confidence", text="Hide").on = False
+            layout.operator("iris.restore", icon="LOOP_BACK")
+
+
+class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
+    """The recovered lamps."""
+
+    bl_label = "Relight / Insert"
+    step = staticmethod(project.relight_step)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Each lamp with a switch, its colour and its strength."""
+        layout, scene = self.layout, context.scene
+        settings = scene.iris
+        if APPLIED not in scene:
+            layout.label(text="Apply a result first", icon="INFO")
+            return
+        layout.template_list("IRIS_UL_lamps", "", settings, "lamps", settings, "lamp_index", rows=4)
+        if settings.lamps:
+            lamp = settings.lamps[min(settings.lamp_index, len(settings.lamps) - 1)]
+            layout.label(text=f"{lamp.area:.2g} m², confidence {lamp.confidence:.0%}")
+        world = scene.world
+        background = world.node_tree.nodes.get("Background") if world is not None and world.node_tree else None
+        if background is not None:
+            layout.prop(background.inputs["Strength"], "default_value", text="Light from Outside")
+        paragraph(layout, "To insert: add objects to the scene and render; they are lit by these lamps", context)
+
+
+class IRIS_UL_lamps(bpy.types.UIList):  # noqa: N801 - Blender's naming
+    """Recovered lamps with switch, swatch and strength."""
+
+    def draw_item(self, _context, layout, _data, item, _icon, _active, _name) -> None:  # noqa: ANN001 - Blender's
+        """One lamp."""
+        row = layout.row(align=True)
+        row.prop(item, "on", text="", icon="LIGHT_SUN" if item.on else "LIGHT", emboss=False)
+        row.label(text=item.name)
+        row.prop(item, "color", text="")
+        row.prop(item, "strength", text="")
+
+
+class IRIS_PT_export(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
+    """The room as a file."""
+
+    bl_label = "Export"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 - Blender's form
+    step = staticmethod(project.export_step)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """A button per format."""
+        layout = self.layout
+        row = layout.row(align=True)
+        row.operator("iris.export", text=".blend").format = "BLEND"
+        row.operator("iris.export", text=".glb").format = "GLB"
+        usd = row.row(align=True)
+        usd.enabled = bool(bpy.app.build_options.usd)
+        usd.operator("iris.export", text=".usd").format = "USD"
+        row.operator("iris.export", text="Textures").format = "TEXTURES"
+        if not bpy.app.build_options.usd:
+            paragraph(layout, "This Blender was built without USD", context, "INFO")
+
+
+STEPS = (IRIS_PT_data, IRIS_PT_check, IRIS_PT_solve, IRIS_PT_review, IRIS_PT_relight)
+
+
+# ---- pieces --------------------------------------------------------------------------------------------------------
+
+
+def paragraph(layout: bpy.types.UILayout, text: str, context: bpy.types.Context, icon: str = "NONE") -> None:
+    """``text`` over as many lines as the width of the region needs."""
+    pixels = 7 * context.preferences.system.ui_scale
+    width = max(20, int((context.region.width if context.region else 300) / pixels) - 6)
+    column = layout.column(align=True)
+    column.scale_y = 0.8
+    for number, line in enumerate(wrap(text, width)):
+        column.label(text=line, icon=icon if number == 0 else "BLANK1" if icon != "NONE" else "NONE")
+
+
+def job_box(layout: bpy.types.UILayout, name: jobs.JobName, context: bpy.types.Context) -> None:
+    """Bars and Cancel while a job runs; reason, mend, Copy and Log when it failed; nothing when there was none."""
+    folder = project.folder(context.scene) if name == "solve" else project.inspection_folder(context.scene)
+    job, record = jobs.running(name, folder), jobs.record(name, folder)
+    if job is not None:
+        worker = job.worker
+        column = layout.column(align=True)
+        stage = "Stopping" if worker.stopping else (worker.stage or "starting").capitalize()
+        column.progress(factor=worker.fraction, text=stage)
+        column.progress(factor=worker.overall, text=f"{worker.overall:.0%}{time_left(worker.seconds_left)}")
+        row = layout.row(align=True)
+        row.operator("iris.cancel", icon="CANCEL").job = name
+        row.operator("iris.show_log", icon="TEXT").job = name
+        return
+    if record.state in ("failed", "interrupted"):
+        box = layout.box()
+        paragraph(box, record.what, context, "ERROR")
+        paragraph(box, f"Mend: {record.fix}", context, "INFO")
+        row = box.row(align=True)
+        row.operator("iris.copy_error", icon="COPYDOWN").job = name
+        row.operator("iris.show_log", icon="TEXT").job = name
+    elif record.state == "cancelled":
+        layout.label(text="Cancelled; finished stages are kept", icon="INFO")
+    elif record.state == "done":
+        layout.operator("iris.show_log", icon="TEXT").job = name
+
+
+def time_left(seconds: float | None) -> str:
+    """The estimate in the words of people."""
+    if seconds is None:
+        return ""
+    return f", {seconds:.0f} s left" if seconds < 90 else f", {seconds / 60:.0f} min left"

@@ -1,20 +1,110 @@
-"""What a scene remembers about its capture."""
+"""What a scene remembers: its capture, how to solve it, the photos and the recovered lamps."""
 # Blender declares properties as annotations.
 # pyright: reportInvalidTypeForm=false
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import bpy
+
+from ..iris_addon.blender import lamps
+
+# ---- callbacks -----------------------------------------------------------------------------------------------------
+
+
+def _get(read: Callable[[bpy.types.Material | None], Any]) -> Callable[[bpy.types.PropertyGroup], Any]:
+    return lambda lamp: read(lamp.material)
+
+
+def _set(write: Callable[[bpy.types.Material | None, Any], None]) -> Callable[[bpy.types.PropertyGroup, Any], None]:
+    return lambda lamp, value: write(lamp.material, value)
+
+
+def _look(settings: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
+    from .check import look_at_photo
+
+    look_at_photo(context, settings.view_index)
+
+
+def _set_overlay(settings: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
+    for view in settings.views:
+        if view.camera is not None:
+            for behind in view.camera.data.background_images:
+                behind.alpha = settings.overlay
+
+
+# ---- properties -----------------------------------------------------------------------------------------------------
+
+
+class IrisView(bpy.types.PropertyGroup):
+    """One photo as the check found it; ``name`` is that of the view."""
+
+    camera: bpy.props.PointerProperty(type=bpy.types.Object)
+    exposure: bpy.props.FloatProperty(name="Exposure", description="Relative exposure; 0 where it is unknown", min=0.0)
+    saturated: bpy.props.FloatProperty(name="Saturated", description="Share of pixels at the upper end", min=0, max=1)
+    seen: bpy.props.FloatProperty(name="Mesh in view", min=0, max=1)
+    score: bpy.props.FloatProperty(name="Alignment", description="Correlation of the photo's edges with the mesh's")
+    shift: bpy.props.FloatProperty(name="Shift", description="Pixels by which the photo lies beside the mesh")
+    verdict: bpy.props.EnumProperty(
+        name="Verdict",
+        items=(
+            ("aligned", "Aligned", "Edges of photo and mesh lie on each other"),
+            ("shifted", "Shifted", "Edges of photo and mesh lie beside each other"),
+            ("unclear", "Unclear", "Too few edges in common to tell: look at the overlay"),
+        ),
+        default="unclear",
+    )
+
+
+class IrisLamp(bpy.types.PropertyGroup):
+    """A recovered lamp; its values are those of the material, wherever they are changed."""
+
+    material: bpy.props.PointerProperty(type=bpy.types.Material)
+    area: bpy.props.FloatProperty(name="Area", description="Square metres")
+    confidence: bpy.props.FloatProperty(name="Confidence", min=0.0, max=1.0)
+    on: bpy.props.BoolProperty(
+        name="On",
+        description="Whether the lamp shines",
+        get=_get(lamps.is_on),
+        set=_set(lamps.switch),
+    )
+    strength: bpy.props.FloatProperty(
+        name="Strength",
+        description="Radiance of the brightest channel",
+        min=0.0,
+        soft_max=100.0,
+        get=_get(lamps.strength),
+        set=_set(lamps.set_strength),
+    )
+    color: bpy.props.FloatVectorProperty(
+        name="Colour",
+        subtype="COLOR",
+        size=3,
+        min=0.0,
+        max=1.0,
+        get=_get(lamps.color),
+        set=_set(lamps.set_color),
+    )
 
 
 class IrisSettings(bpy.types.PropertyGroup):
-    """Scene.iris: the capture to solve and how."""
+    """Scene.iris: what is solved, how, into which folder."""
 
+    source: bpy.props.EnumProperty(
+        name="Source",
+        items=(
+            ("CAPTURE", "Capture", "A folder with photos, poses and mesh"),
+            ("SCENE", "This scene", "The cameras of this scene that have a background image, and its mesh objects"),
+        ),
+        default="CAPTURE",
+    )
     capture: bpy.props.StringProperty(
         name="Capture", description="Folder with photos, poses and mesh of the room", subtype="DIR_PATH"
     )
     result: bpy.props.StringProperty(
-        name="Result", description="Folder for the result; empty: beside the capture", subtype="DIR_PATH"
+        name="Result", description="Folder for checks and results; empty: beside the capture", subtype="DIR_PATH"
     )
     preset: bpy.props.EnumProperty(
         name="Preset",
@@ -24,4 +114,29 @@ class IrisSettings(bpy.types.PropertyGroup):
             ("final", "Final", "Fine patches, many rays, large textures"),
         ),
         default="balanced",
+    )
+    device: bpy.props.EnumProperty(
+        name="Device",
+        items=(
+            ("auto", "Automatic", "A CUDA card where there is one"),
+            ("cpu", "CPU", "Processor only"),
+            ("cuda", "CUDA", "NVIDIA card"),
+        ),
+        default="auto",
+    )
+    seed: bpy.props.IntProperty(name="Seed", description="Same seed, same result", min=0)
+    room: bpy.props.PointerProperty(type=bpy.types.Object, name="Room", description="The mesh of the capture")
+    warnings: bpy.props.StringProperty(description="What the check found, one per line")
+    views: bpy.props.CollectionProperty(type=IrisView)
+    view_index: bpy.props.IntProperty(update=_look)
+    lamps: bpy.props.CollectionProperty(type=IrisLamp)
+    lamp_index: bpy.props.IntProperty()
+    overlay: bpy.props.FloatProperty(
+        name="Photo",
+        description="How much of the photo is shown over the mesh",
+        min=0.0,
+        max=1.0,
+        default=0.5,
+        subtype="FACTOR",
+        update=_set_overlay,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -133,7 +134,7 @@ def irradiance_at(
     lamps = room.lamps()
     table = np.concatenate([radiosity, np.zeros((1, 3))])
     indirect = table[rays.face].mean(1)
-    direct = emitter_form_factors(tracer, origins, rays, lamps, n_rays, rng, Progress())
+    direct = emitter_form_factors(tracer, origins, rays, lamps, n_rays, rng, Progress())[..., 0]
     return indirect + direct @ np.array([room.emission[room.parts[faces[0]]] for faces in lamps])
 
 
@@ -149,7 +150,7 @@ def radiosity(room: Room, tracer: Tracer, n_rays: int = 256) -> np.ndarray:
     origins = room_origins(room, tracer, 8, rng)
     rays, _ = gather(tracer, origins, n_rays, rng, Progress())
     lamps = room.lamps()
-    direct = emitter_form_factors(tracer, origins, rays, lamps, n_rays, rng, Progress())
+    direct = emitter_form_factors(tracer, origins, rays, lamps, n_rays, rng, Progress())[..., 0]
     source = direct @ np.array([room.emission[room.parts[faces[0]]] for faces in lamps])
     albedo = np.where(room.albedo > 0, room.albedo + matte_specular(MEAN_COSINES).mean(), 0)[room.parts]
     result = albedo * source
@@ -195,3 +196,39 @@ def photograph(
         write_png(photo, np.floor(255 * response.apply(np.clip(radiance[k] * exposure, 0, 1))).astype(np.uint8))
         entries.append(View(f"{k:03d}", camera, photo, float(exposure)))
     return Capture("room", folder, tuple(entries), (), room.mesh)
+
+
+# ---- on disk -------------------------------------------------------------------------------------------------------
+
+
+def write_capture(capture: Capture) -> Path:
+    """Make the folder of :func:`photograph` a nerfstudio capture with an OBJ of one group per part."""
+    camera, mesh = capture.views[0].camera, capture.mesh
+    assert mesh.parts is not None
+    frames = [
+        {"file_path": f"{view.name}.png", "transform_matrix": view.camera.c2w.tolist(), "exposure": view.exposure}
+        for view in capture.views
+    ]
+    lens = {"w": camera.width, "h": camera.height, "fl_x": camera.fx, "fl_y": camera.fy}
+    (capture.root / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+    lines = [f"v {x} {y} {z}" for x, y, z in mesh.vertices]
+    for part in np.unique(mesh.parts):
+        lines += [f"g part{part}", *(f"f {a} {b} {c}" for a, b, c in mesh.faces[mesh.parts == part] + 1)]
+    (capture.root / "mesh.obj").write_text("\n".join(lines) + "\n")
+    return capture.root
+
+
+VOLATILE = ("seconds", "peak_memory_bytes", "rays_traced")
+"""What two runs of the same solve may differ in; a run that read its transport from disk traced fewer rays."""
+
+
+def same_results(a: Path, b: Path) -> bool:
+    reports = [json.loads((folder / "report.json").read_text()) for folder in (a, b)]
+    for report in reports:
+        for name in VOLATILE:
+            report.pop(name, None)
+    files = [sorted(path.name for path in (folder / "materials").iterdir()) for folder in (a, b)]
+    equal = all((a / "materials" / n).read_bytes() == (b / "materials" / n).read_bytes() for n in files[0])
+    lights = (a / "emitters.json").read_text() == (b / "emitters.json").read_text()
+    curves = (a / "response.json").read_text() == (b / "response.json").read_text()
+    return reports[0] == reports[1] and files[0] == files[1] and equal and lights and curves

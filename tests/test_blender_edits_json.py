@@ -41,7 +41,7 @@ def test_a_relighting_job_changes_lamps_by_id_after_all(lit):
     edit = relight_edit(lit, {"recovered": {"all": {"scale": 2}, "1": {"color": [0, 0, 1], "scale": 0.5}}})
     np.testing.assert_allclose(edit.face_emission[8], [18, 18, 18])
     luminance = 0.2126 * 2 + 0.7152
-    np.testing.assert_allclose(edit.face_emission[6], [0, 0, luminance / 0.0722])
+    np.testing.assert_allclose(edit.face_emission[6], [0, 0, 0.5 * luminance / 0.0722])
     assert not edit.black_faces.any()
     assert relight_edit(lit, {}).face_emission is None
 
@@ -59,7 +59,7 @@ def test_insertion_jobs_name_their_view(lit, tmp_path):
     assert view == 3
     assert edit.spheres[0].roughness == 0.3
     assert edit.objects[0].file == tmp_path / "chair.glb"
-    assert edit.objects[0].scale == (2.0, 2.0, 2.0)
+    assert edit.objects[0].placement.scale == (2.0, 2.0, 2.0)
 
 
 @pytest.mark.parametrize(

@@ -100,6 +100,22 @@ def test_missing_packages_exit_4_and_name_the_way_out(tmp_path):
     assert "torch" in done.stderr and "IRIS_PYTHON" in done.stderr and done.stderr.count("\n") == 1
 
 
+@pytest.mark.parametrize("command", ["evaluate", pytest.param("render", marks=pytest.mark.bpy)])
+def test_a_command_needs_no_more_packages_than_it_names(solved, command):
+    """Else a Python that lacks one of the others would fail where it should hand over to IRIS_PYTHON."""
+    if command == "render":
+        pytest.importorskip("bpy")
+    every = {name for needed in environment.NEEDS.values() for name in needed} - {"bpy"}  # its presence means Blender
+    without = f"import sys, runpy; sys.modules.update(dict.fromkeys({every - {*environment.NEEDS[command]}}));"
+    start = f"{without} sys.argv[:] = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__')"
+    result, room_ = str(solved / "result"), str(solved / "room")
+    more = ["--gt", room_, "--no-render"]
+    if command == "render":
+        more = ["--views", room_ + "/val", "--samples", "1", "--out", str(solved / "png")]
+    done = run(command, result, *more, python=(sys.executable, "-c", start))
+    assert done.returncode == 0, done.stderr
+
+
 def test_iris_python_takes_over(tmp_path):
     done = run("solve", tmp_path / "nothing", "--out", tmp_path / "out", python=BARE, IRIS_PYTHON=sys.executable)
     assert done.returncode == 3 and "nothing" in done.stderr

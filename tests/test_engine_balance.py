@@ -50,7 +50,7 @@ def exact_shading(room: Room) -> Shading:
     origins = room_origins(room, tracer, 4, rng)
     rays, _ = gather(tracer, origins, 128, rng, Progress())
     lamps = room.lamps()
-    factors = emitter_form_factors(tracer, origins, rays, lamps, 48, rng, Progress()).astype(np.float64)
+    factors = emitter_form_factors(tracer, origins, rays, lamps, 48, rng, Progress())[..., 0].astype(np.float64)
     truth = np.array([room.emission[room.parts[faces[0]]] for faces in lamps])
     albedo = room.albedo[room.parts]
     radiance = np.zeros_like(albedo)

@@ -48,7 +48,9 @@ class Scene:
             self.tracer, self.transport, self.room.parts, s.position[rows], s.normal[rows], s.direction[rows],
             np.full(len(rows), roughness), n_rays, rng,
         )  # fmt: skip
-        return rays.radiance(self.patch_radiance, self.face_emission, np.full(3, 0.1))
+        return rays.radiance(
+            self.patch_radiance, np.zeros(len(self.patch_radiance)), self.face_emission, np.full(3, 0.1)
+        )
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +75,9 @@ def fit_floor(scene: Scene, radiance: np.ndarray, rows: np.ndarray) -> Gloss:
     lobes = [scene.lobes(rows, level, 16, 5 + k) for k, level in enumerate(LEVELS[:-1])]
     lobes.append(rough_lobes(np.ones(len(rows)), scene.samples.cosine[rows], irradiance))
     part = scene.room.parts[scene.samples.face[rows]]
-    return fit_gloss(part, patch, np.ones(len(rows)), radiance, irradiance, lobes, len(scene.room.albedo))
+    return fit_gloss(
+        part, patch, np.ones(len(rows)), radiance, irradiance, np.ones((6, len(rows))), lobes, len(scene.room.albedo)
+    )
 
 
 def rows_on(scene: Scene, part: int) -> np.ndarray:
@@ -136,7 +140,7 @@ def test_lobes_of_uniform_light_are_the_integrals_of_the_model(scene: Scene) -> 
             scene.tracer, scene.transport, scene.room.parts, s.position[rows], s.normal[rows], s.direction[rows],
             np.full(len(rows), roughness), 128, np.random.default_rng(1),
         )  # fmt: skip
-        s0, s1 = rays.radiance(ones, faces, np.ones(3))
+        s0, s1 = rays.radiance(ones, np.zeros(len(ones)), faces, np.ones(3))
         f0, f1 = specular_integrals(np.full(len(rows), roughness), s.cosine[rows].astype(np.float64))
         assert s0[:, 0].mean() == pytest.approx(f0.mean(), abs=0.01)
         assert s1[:, 0].mean() == pytest.approx(f1.mean(), abs=0.005)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from iris_addon.result.types import Result
 from iris_addon.solve import solve
 from iris_addon.surface.atlas_texels import rasterise_atlas
 from iris_addon.transport.tracer import Tracer
-from tests.engine_room import LAMP_PARTS, Room, cameras, furnished_room, photograph, render
+from tests.engine_room import LAMP_PARTS, Room, cameras, furnished_room, photograph, render, same_results
 
 TINY = preset("draft", max_patches=4000, gather_rays=64, shadow_rays=64, atlas_size=128, rounds=1)
 FAST = replace(TINY, response="gamma")
@@ -122,21 +121,6 @@ def test_saturated_white_walls_are_not_lamps(shoot: Shoot) -> None:
 
 
 # Repeating, stopping, going on ---------------------------------------------------------------------------------------
-
-VOLATILE = ("seconds", "peak_memory_bytes", "rays_traced")
-"""What two runs of the same solve may differ in; a run that read its transport from disk traced fewer rays."""
-
-
-def same_results(a: Path, b: Path) -> bool:
-    reports = [json.loads((folder / "report.json").read_text()) for folder in (a, b)]
-    for report in reports:
-        for name in VOLATILE:
-            report.pop(name, None)
-    files = [sorted(path.name for path in (folder / "materials").iterdir()) for folder in (a, b)]
-    equal = all((a / "materials" / n).read_bytes() == (b / "materials" / n).read_bytes() for n in files[0])
-    lights = (a / "emitters.json").read_text() == (b / "emitters.json").read_text()
-    curves = (a / "response.json").read_text() == (b / "response.json").read_text()
-    return reports[0] == reports[1] and files[0] == files[1] and equal and lights and curves
 
 
 class Watch:

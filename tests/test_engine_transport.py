@@ -34,7 +34,7 @@ def patch_at(point, n: int) -> Origins:
 def form_factors(mesh: Mesh, emitters: list[np.ndarray], origins: Origins, n_rays: int, n_samples: int, seed: int = 3):
     tracer, rng = Tracer(mesh), np.random.default_rng(seed)
     rays, _ = gather(tracer, origins, n_rays, rng, Progress())
-    return emitter_form_factors(tracer, origins, rays, emitters, n_samples, rng, Progress())
+    return emitter_form_factors(tracer, origins, rays, emitters, n_samples, rng, Progress())[..., 0]
 
 
 def corner_to_rectangle(a: float, b: float, h: float) -> float:
@@ -206,7 +206,7 @@ def test_lamps_and_walls_share_the_furnace() -> None:
     ones = np.ones((transport.n_patches, 3))
     walls = transport.gather_radiance(ones, ones[0], mask)[: transport.n_seen, 0]
     rng = np.random.default_rng(10)
-    direct = emitter_form_factors(tracer, transport.origins, transport.rays, lamps, 64, rng, Progress()).sum(1)
+    direct = emitter_form_factors(tracer, transport.origins, transport.rays, lamps, 64, rng, Progress())[..., 0].sum(1)
     assert (walls + direct).mean() == pytest.approx(1, abs=2e-3)
     assert (walls + direct).std() < 0.03
 
@@ -228,7 +228,7 @@ def test_a_convex_body_in_uniform_light_sees_nothing_but_it() -> None:
     hidden = find_hidden(transport, 1)
     assert len(hidden.directions) == 12
     light = np.tile([0.7, 0.8, 0.9], (12, 1))
-    irradiance = hidden.form_factors @ light
+    irradiance = hidden.form_factors[..., 0] @ light
     assert irradiance == pytest.approx(np.tile(light[0], (transport.n_patches, 1)), rel=1e-5)
     sh = hidden.outside_sh(light)
     assert sh is not None

@@ -7,6 +7,7 @@ axis to Blender's +Z; their own transforms stay those of the capture. The world 
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -21,17 +22,25 @@ from ..errors import IrisError
 from ..result.edits import SceneEdit
 from ..result.types import Result
 from .camera import add_camera, look_through
+from .camera_match import median_exposure
+from .compositing import add_compositing
 from .images import srgb_image
 from .render import set_cycles
 from .scene_out import add_room, datablocks
+from .scene_state import show_like_the_photos
 from .version import require_build_option
 from .world import make_world
 
 
 def apply(
-    result: Result, blend: Path, *, views: Sequence[View] = (), glb: Path | None = None, usd: Path | None = None
+    result: Result,
+    blend: Path | None,
+    *,
+    views: Sequence[View] = (),
+    glb: Path | None = None,
+    usd: Path | None = None,
 ) -> None:
-    """Write ``result`` as ``blend``, and as ``glb`` and ``usd`` where given; the open scene is left alone.
+    """Write ``result`` as ``blend``, ``glb`` and ``usd``, each where given; the open scene is left alone.
 
     Files appear whole or not at all. Textures are packed into the .blend, lamps carry their radiance as emission
     strength (KHR_materials_emissive_strength in glTF), cameras of ``views`` come along.
@@ -44,8 +53,11 @@ def apply(
     before = set(datablocks())
     scene = bpy.data.scenes.new("IRIS")
     try:
-        apply_to_scene(result, scene, views)
-        _write_whole(blend, lambda path: bpy.data.libraries.write(str(path), {scene}, compress=True))
+        anchor = apply_to_scene(result, scene, views, lamps_apart=True)
+        lamps = [thing for thing in anchor.children_recursive if thing.name.startswith("IRIS Lamp")]
+        add_compositing(scene, lamps, result.response, median_exposure(result.exposures))
+        if blend is not None:
+            _write_whole(blend, lambda path: bpy.data.libraries.write(str(path), {scene}, compress=True))
         if glb is not None or usd is not None:
             _use_srgb_base_color(scene)
         with _in_window(scene):
@@ -57,11 +69,16 @@ def apply(
         bpy.data.batch_remove(set(datablocks()) - before)
 
 
-def apply_to_scene(result: Result, scene: bpy.types.Scene, views: Sequence[View] = ()) -> bpy.types.Object:
+def apply_to_scene(
+    result: Result, scene: bpy.types.Scene, views: Sequence[View] = (), *, lamps_apart: bool = False
+) -> bpy.types.Object:
     """Add the room to ``scene`` in a collection "IRIS", with its world, its cameras and settings that show it well.
 
     The view exposure is that of the photos' median, in the Standard view transform: what the photos show at
     mid-brightness is so in the viewport.
+
+    Args:
+        lamps_apart: every lamp becomes an object of its own, child of the room's mesh.
 
     Returns:
         The empty "IRIS Room", parent of everything that was added.
@@ -73,7 +90,7 @@ def apply_to_scene(result: Result, scene: bpy.types.Scene, views: Sequence[View]
     anchor.matrix_world = upright.to_4x4()
     collection.objects.link(anchor)
 
-    add_room(result, SceneEdit(), collection).parent = anchor
+    add_room(result, SceneEdit(), collection, lamps_apart=lamps_apart)[0].parent = anchor
     cameras = [add_camera(view.camera, f"IRIS {view.name}", collection) for view in views]
     for camera_object in cameras:
         camera_object.parent = anchor
@@ -83,16 +100,22 @@ def apply_to_scene(result: Result, scene: bpy.types.Scene, views: Sequence[View]
     for image in bpy.data.images:
         if image.name.startswith("IRIS ") and image.source == "GENERATED":
             image.pack()
-    _show_like_the_photos(result, scene)
+    set_cycles(scene, samples=128, denoise=True, seed=0, max_bounces=24)
+    show_like_the_photos(result, scene)
     return anchor
 
 
-def _show_like_the_photos(result: Result, scene: bpy.types.Scene) -> None:
-    set_cycles(scene, samples=128, denoise=True, seed=0, max_bounces=24)
-    scene.view_settings.view_transform = "Standard"
-    scene.view_settings.look = "None"
-    exposures = [float(np.mean(exposure)) for exposure in result.exposures.values()]
-    scene.view_settings.exposure = float(np.clip(np.log2(np.median(exposures)), -32, 32)) if exposures else 0.0
+def export_textures(result: Path, folder: Path) -> None:
+    """Copy the texture set and the mesh of the result folder ``result`` to ``folder``.
+
+    Raises:
+        IrisError: there are no textures, or they cannot be written.
+    """
+    try:
+        shutil.copytree(result / "materials", folder, dirs_exist_ok=True)
+    except (OSError, shutil.Error) as error:
+        what = f"the textures cannot be copied ({getattr(error, 'strerror', None) or error})"
+        raise IrisError(what, "free disk space or choose another place", folder) from error
 
 
 def _use_srgb_base_color(scene: bpy.types.Scene) -> None:

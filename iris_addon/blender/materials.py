@@ -16,13 +16,15 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..result.edits import Sphere
+from ..result.edits import Material, Sphere
 from ..result.types import Textures
 from .images import LINEAR, image_from_array
 from .version import node_tree
 
 SURFACE = "IRIS Surface"
 UV_MAP = "IRIS"
+LAMP_ID = "iris_lamp"
+"""Custom property of a lamp's material: the id of its emitter in the result."""
 
 # Share of the base's light that is left under the dielectric (GGX, IOR 1.5), averaged over the cosine-weighted
 # hemisphere.
@@ -43,12 +45,12 @@ def layered_base_color(
     return np.minimum(base_color * gain[..., None], 1.0).astype(np.float32)
 
 
-def surface_material(textures: Textures) -> bpy.types.Material:
+def surface_material(textures: Textures, uv_map: str = UV_MAP) -> bpy.types.Material:
     """The material of everything that is not a lamp: base colour, roughness and metallic from the atlas."""
     material, shader = _principled(SURFACE)
     tree = material.node_tree
     uv = tree.nodes.new("ShaderNodeUVMap")
-    uv.uv_map, uv.location = UV_MAP, (-700, 0)
+    uv.uv_map, uv.location = uv_map, (-700, 0)
     base_color = layered_base_color(textures.base_color, textures.roughness, textures.metallic)
     maps = (
         ("Base Color", image_from_array("IRIS Base Color", base_color, colorspace=LINEAR, float_buffer=True)),
@@ -93,15 +95,18 @@ def black_material(name: str = "IRIS Black") -> bpy.types.Material:
     return _black(name)[0]
 
 
-def sphere_material(name: str, sphere: Sphere) -> bpy.types.Material:
-    """The Principled material of an inserted ball; its values mean what they mean for the room."""
+def sphere_material(name: str, sphere: Sphere | Material) -> bpy.types.Material:
+    """The Principled material of what is put in; its values mean what they mean for the room."""
     material, shader = _principled(name)
     roughness, metallic = np.array(sphere.roughness), np.array(sphere.metallic)
-    base_color = layered_base_color(sphere.base_color, roughness, metallic)
+    base_color = layered_base_color(np.array(sphere.base_color), roughness, metallic)
     shader.inputs["Base Color"].default_value = (*base_color, 1.0)
     shader.inputs["Roughness"].default_value = sphere.roughness
     shader.inputs["Metallic"].default_value = sphere.metallic
     shader.inputs["Specular IOR Level"].default_value = sphere.specular
+    if isinstance(sphere, Material) and max(sphere.emission) > 0:
+        _emit(shader, sphere.emission)
+        material.cycles.emission_sampling = "FRONT_BACK"
     return material
 
 

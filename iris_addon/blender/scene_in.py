@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
@@ -10,11 +11,33 @@ import numpy as np
 from ..capture.types import Camera, Mesh
 from ..errors import BadInput
 from .camera import read_camera
+from .onto_objects import FaceRun
+
+
+@dataclass(frozen=True)
+class SceneMesh:
+    """The geometry of a scene as one mesh.
+
+    Attributes:
+        mesh: in Blender's units and axes; ``parts`` is set.
+        part_names: "object / material" per part.
+        runs: the faces of each object, in order.
+    """
+
+    mesh: Mesh
+    part_names: list[str]
+    runs: list[FaceRun]
 
 
 def read_mesh(
     depsgraph: bpy.types.Depsgraph, objects: Iterable[bpy.types.Object] | None = None
 ) -> tuple[Mesh, list[str]]:
+    """Mesh and part names of :func:`read_scene_mesh`."""
+    room = read_scene_mesh(depsgraph, objects)
+    return room.mesh, room.part_names
+
+
+def read_scene_mesh(depsgraph: bpy.types.Depsgraph, objects: Iterable[bpy.types.Object] | None = None) -> SceneMesh:
     """What Cycles would see of the scene's geometry: modifiers applied, instances real, in world space.
 
     Each pair of object and material slot is a part. Faces follow the order of the depsgraph's instances; UVs are those
@@ -23,15 +46,12 @@ def read_mesh(
     Args:
         objects: take these (and what they instance) instead of all that render.
 
-    Returns:
-        The mesh in Blender's units and axes, and the name "object / material" of each part.
-
     Raises:
         BadInput: there is no face.
     """
     wanted = None if objects is None else {thing.original for thing in objects}
-    vertices, faces, uvs, parts, names = [], [], [], [], []
-    n_vertices = 0
+    vertices, faces, uvs, parts, names, runs = [], [], [], [], [], []
+    n_vertices = n_faces = 0
     for instance in depsgraph.object_instances:
         source = instance.parent if instance.is_instance else instance.object
         if not instance.show_self or (wanted is not None and source.original not in wanted):
@@ -52,13 +72,15 @@ def read_mesh(
             uvs.append(uv)
             parts.append(part.ravel() + len(names))
             names += [f"{source.name} / {_slot_name(evaluated, index)}" for index in used]
+            runs.append(FaceRun(source.name, n_faces, n_faces + len(corners), instance.is_instance, matrix))
             n_vertices += len(points)
+            n_faces += len(corners)
         evaluated.to_mesh_clear()
     if not faces:
         raise BadInput("the scene has no mesh that renders", "add the room's mesh, or enable it for renders")
     uv = None if any(layer is None for layer in uvs) else np.concatenate(uvs).astype(np.float32)
     mesh = Mesh(np.concatenate(vertices), np.concatenate(faces), uv, np.concatenate(parts).astype(np.int32))
-    return mesh, names
+    return SceneMesh(mesh, names, runs)
 
 
 def read_cameras(scene: bpy.types.Scene) -> dict[str, Camera]:

@@ -16,17 +16,11 @@ from mathutils import Matrix
 from numpy.typing import NDArray
 
 from ..capture.types import Mesh
-from ..result.edits import Quad, SceneEdit, Sphere
+from ..result.edits import SceneEdit, Sphere, lamp_name
 from ..result.types import Result
-from .materials import (
-    UV_MAP,
-    black_material,
-    lamp_material,
-    one_sided_lamp_material,
-    sphere_material,
-    surface_material,
-)
-from .object_files import load_objects
+from .lights import add_light
+from .materials import LAMP_ID, UV_MAP, black_material, lamp_material, sphere_material, surface_material
+from .placing import Room, add_object
 from .world import make_world
 
 
@@ -35,13 +29,15 @@ class BuiltScene:
     """What :func:`build_scene` made.
 
     Attributes:
-        room: the room's mesh, faces in the order of the result.
-        lights: quads added by the edit.
+        room: the room's mesh, faces in the order of the result; without the lamps if those were kept apart.
+        lamps: the recovered lamps as objects of their own, in the order of the result; empty if they are in ``room``.
+        lights: lights added by the edit.
         inserted: balls and objects added by the edit.
     """
 
     scene: bpy.types.Scene
     room: bpy.types.Object
+    lamps: list[bpy.types.Object] = field(default_factory=list)
     lights: list[bpy.types.Object] = field(default_factory=list)
     inserted: list[bpy.types.Object] = field(default_factory=list)
     owned: set[bpy.types.ID] = field(default_factory=set)
@@ -52,25 +48,28 @@ class BuiltScene:
         self.owned = set()
 
 
-def build_scene(result: Result, edit: SceneEdit | None = None) -> BuiltScene:
+def build_scene(result: Result, edit: SceneEdit | None = None, *, lamps_apart: bool = False) -> BuiltScene:
     """A new scene with the room of ``result`` as changed by ``edit``, in the capture's axes and metres.
 
     Args:
         result: ``mesh.uv`` must be set.
         edit: None leaves the room as recovered.
+        lamps_apart: every recovered lamp is an object of its own.
     """
     edit = edit or SceneEdit()
     before = set(datablocks())
     try:
         scene = bpy.data.scenes.new("IRIS")
-        built = BuiltScene(scene, add_room(result, edit, scene.collection))
-        scene.world = make_world(result.outside, edit.outside_scale, np.eye(3))
-        for number, quad in enumerate(edit.lights):
-            built.lights.append(add_quad(quad, f"IRIS Light {number:02d}", scene.collection))
+        room, *lamps = add_room(result, edit, scene.collection, lamps_apart=lamps_apart)
+        built = BuiltScene(scene, room, lamps)
+        scene.world = make_world(result.outside, edit.outside_scale, np.eye(3), edit.panoramas, result.up)
+        for number, light in enumerate(edit.lights):
+            built.lights.append(add_light(light, f"IRIS Light {number:02d}", scene.collection))
         for number, sphere in enumerate(edit.spheres):
             built.inserted.append(add_sphere(sphere, f"IRIS Ball {number:02d}", scene.collection))
-        for placed in edit.objects:
-            built.inserted += load_objects(placed, result.up, scene.collection)
+        ground = Room(result.mesh, result.up) if edit.objects else None
+        for number, thing in enumerate(edit.objects):
+            built.inserted += add_object(thing, f"IRIS Object {number:02d}", ground, scene.collection)
     except BaseException:
         bpy.data.batch_remove(set(datablocks()) - before)
         raise
@@ -78,22 +77,47 @@ def build_scene(result: Result, edit: SceneEdit | None = None) -> BuiltScene:
     return built
 
 
-def add_room(result: Result, edit: SceneEdit, collection: bpy.types.Collection) -> bpy.types.Object:
-    """The room as one mesh object named "IRIS Room Mesh": UV map "IRIS", flat shaded, a material slot per lamp."""
-    data = room_mesh(result.mesh, "IRIS Room Mesh")
-    slots, slot_of_face = _face_materials(result, edit)
-    for material in slots:
-        data.materials.append(material)
-    data.polygons.foreach_set("material_index", slot_of_face)
-    room = bpy.data.objects.new("IRIS Room Mesh", data)
-    collection.objects.link(room)
-    return room
+def add_room(
+    result: Result, edit: SceneEdit, collection: bpy.types.Collection, *, lamps_apart: bool = False
+) -> list[bpy.types.Object]:
+    """The room as a mesh object named "IRIS Room Mesh": UV map "IRIS", flat shaded, a material slot per lamp.
+
+    With ``lamps_apart`` the recovered lamps follow it as objects "IRIS Lamp 00" … and are its children.
+    """
+    slots, slot_of_face = face_materials(result, edit)
+    every_face = np.arange(len(slot_of_face))
+    lamps = [(lamp_name(lamp.id), lamp.faces) for lamp in result.emitters] if lamps_apart else []
+    rest = np.setdiff1d(every_face, np.concatenate([faces for _, faces in lamps])) if lamps else every_face
+    made = []
+    for name, faces in [("IRIS Room Mesh", rest), *lamps]:
+        data = room_mesh(_part(result.mesh, faces) if lamps else result.mesh, name)
+        used, own_slot = np.unique(slot_of_face[faces], return_inverse=True)
+        for slot in used:
+            data.materials.append(slots[slot])
+        data.polygons.foreach_set("material_index", own_slot.astype(np.int32))
+        made.append(bpy.data.objects.new(name, data))
+        collection.objects.link(made[-1])
+        if len(made) > 1:
+            made[-1].parent = made[0]
+    return made
+
+
+def _part(mesh: Mesh, faces: NDArray[np.integer]) -> Mesh:
+    """Some ``faces`` of ``mesh`` with the vertices they use."""
+    used, corners = np.unique(mesh.faces[faces], return_inverse=True)
+    uv = None if mesh.uv is None else mesh.uv[faces]
+    return Mesh(mesh.vertices[used], corners.reshape(-1, 3), uv)
 
 
 def room_mesh(mesh: Mesh, name: str) -> bpy.types.Mesh:
     """``mesh`` as a flat-shaded Blender mesh with face order kept and ``mesh.uv`` as UV map "IRIS"."""
     if mesh.uv is None:
         raise ValueError("the mesh of a result must have UVs")
+    return plain_mesh(mesh, name)
+
+
+def plain_mesh(mesh: Mesh, name: str) -> bpy.types.Mesh:
+    """As :func:`room_mesh`, and without a UV map where ``mesh`` has none."""
     vertices, faces = _separate_awkward_faces(mesh)
     n = len(faces)
     data = bpy.data.meshes.new(name)
@@ -103,27 +127,12 @@ def room_mesh(mesh: Mesh, name: str) -> bpy.types.Mesh:
     data.loops.foreach_set("vertex_index", faces.astype(np.int32).ravel())
     data.polygons.add(n)
     data.polygons.foreach_set("loop_start", np.arange(0, 3 * n, 3, dtype=np.int32))
-    layer = data.uv_layers.new(name=UV_MAP, do_init=False)
-    layer.uv.foreach_set("vector", np.ascontiguousarray(mesh.uv, np.float32).ravel())
+    if mesh.uv is not None:
+        layer = data.uv_layers.new(name=UV_MAP, do_init=False)
+        layer.uv.foreach_set("vector", np.ascontiguousarray(mesh.uv, np.float32).ravel())
     data.update(calc_edges=True)
     data.shade_flat()
     return data
-
-
-def add_quad(quad: Quad, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
-    """A one-sided rectangular light; its winding is made to agree with ``quad.normal``."""
-    corners = np.asarray(quad.corners, float)
-    if np.cross(corners[1] - corners[0], corners[2] - corners[0]) @ quad.normal < 0:
-        corners = corners[::-1]
-    data = bpy.data.meshes.new(name)
-    data.from_pydata(corners.tolist(), [], [(0, 1, 2, 3)])
-    if np.max(quad.radiance) > 0:
-        data.materials.append(one_sided_lamp_material(name, quad.radiance))
-    else:
-        data.materials.append(black_material(name))
-    light = bpy.data.objects.new(name, data)
-    collection.objects.link(light)
-    return light
 
 
 def add_sphere(sphere: Sphere, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
@@ -141,11 +150,13 @@ def add_sphere(sphere: Sphere, name: str, collection: bpy.types.Collection) -> b
     return ball
 
 
-def _face_materials(result: Result, edit: SceneEdit) -> tuple[list[bpy.types.Material], NDArray[np.int32]]:
+def face_materials(
+    result: Result, edit: SceneEdit, uv_map: str = UV_MAP
+) -> tuple[list[bpy.types.Material], NDArray[np.int32]]:
     """The materials of the room's slots, and (F,) the slot of each face: 0 the surface, then lamps, then black."""
     emission = result.face_emission() if edit.face_emission is None else np.asarray(edit.face_emission, float)
     slot_of_face = np.zeros(len(emission), np.int32)
-    slots = [surface_material(result.textures)]
+    slots = [surface_material(result.textures, uv_map)]
 
     lit = np.flatnonzero(emission.max(axis=1) > 0)
     emitter_of_face = np.full(len(emission), -1)
@@ -154,8 +165,9 @@ def _face_materials(result: Result, edit: SceneEdit) -> tuple[list[bpy.types.Mat
     lamps, lamp_of_face = np.unique(np.c_[emitter_of_face[lit], emission[lit]], axis=0, return_inverse=True)
     slot_of_face[lit] = len(slots) + lamp_of_face.ravel()
     for emitter_id, *radiance in lamps:
-        name = f"IRIS Lamp {int(emitter_id):02d}" if emitter_id >= 0 else "IRIS Lamp"
+        name = lamp_name(int(emitter_id)) if emitter_id >= 0 else "IRIS Lamp"
         slots.append(lamp_material(name, radiance))
+        slots[-1][LAMP_ID] = int(emitter_id)
 
     if edit.black_faces is not None:
         black = edit.black_faces & (slot_of_face == 0)  # a lamp is black already

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from ..capture.types import Camera
 from ..result.edits import Quad, Sphere
 from .camera import add_camera, look_through
+from .lights import add_quad
 from .materials import black_material
 from .render import render_linear, set_cycles
-from .scene_out import add_quad, add_sphere
+from .scene_out import add_sphere
 from .synth_maps import Maps, render_maps
 from .synth_scene import SceneEmitter
 from .world import make_world

@@ -34,6 +34,12 @@ def multilayer_exr(settings: bpy.types.ImageFormatSettings) -> Iterator[None]:
         settings.file_format = "OPEN_EXR"
 
 
+def compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
+    """The node tree that renders of ``scene`` pass through, None where there is none."""
+    name = "node_tree" if bpy.app.version < (5, 0, 0) else "compositing_node_group"
+    return getattr(scene, name)
+
+
 def can_denoise() -> bool:
     """Whether Cycles of this build has OpenImageDenoise; builds from a distribution often lack it."""
     import _cycles  # the extension module exists only inside Blender
@@ -69,3 +75,52 @@ def enable_gpu() -> bool:
             return True
     preferences.compute_device_type = "NONE"
     return False
+
+
+# ---- compositor: a tree of the scene up to 4.5; a node group with shader nodes for arithmetic since 5.0 --------------
+
+
+def own_compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree:
+    """The compositing tree of ``scene``, made and switched on where there is none; what is in it stays."""
+    if bpy.app.version < (5, 0, 0):
+        if not scene.use_nodes:
+            scene.use_nodes = True
+            scene.node_tree.nodes.clear()  # it is born with nodes that render whatever scene is open
+        return scene.node_tree
+    if scene.compositing_node_group is None:
+        scene.compositing_node_group = bpy.data.node_groups.new(f"{scene.name} Compositing", "CompositorNodeTree")
+    return scene.compositing_node_group
+
+
+def compositor_output(tree: bpy.types.NodeTree) -> bpy.types.NodeSocket:
+    """The socket of ``tree`` that takes the finished picture."""
+    if bpy.app.version < (5, 0, 0):
+        return tree.nodes.new("CompositorNodeComposite").inputs["Image"]
+    if not any(item.item_type == "SOCKET" and item.in_out == "OUTPUT" for item in tree.interface.items_tree):
+        tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+    return tree.nodes.new("NodeGroupOutput").inputs[0]
+
+
+def compositor_math(tree: bpy.types.NodeTree, operation: str) -> bpy.types.Node:
+    """A node for arithmetic on one channel: inputs 0 and 1, output 0."""
+    node = tree.nodes.new("CompositorNodeMath" if bpy.app.version < (5, 0, 0) else "ShaderNodeMath")
+    node.operation = operation
+    return node
+
+
+def compositor_mix(
+    tree: bpy.types.NodeTree, blend_type: str
+) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket, bpy.types.NodeSocket]:
+    """A node that combines two colours ("ADD", "MULTIPLY") in full: its sockets A, B and result."""
+    if bpy.app.version < (5, 0, 0):
+        node = tree.nodes.new("CompositorNodeMixRGB")
+        node.inputs[0].default_value = 1.0
+        a, b, result = node.inputs[1], node.inputs[2], node.outputs[0]
+    else:
+        node = tree.nodes.new("ShaderNodeMix")
+        node.data_type, node.clamp_result = "RGBA", False
+        node.inputs[0].default_value = 1.0
+        a, b = (socket for socket in node.inputs if socket.type == "RGBA")
+        result = next(socket for socket in node.outputs if socket.type == "RGBA")
+    node.blend_type = blend_type
+    return a, b, result

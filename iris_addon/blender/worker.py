@@ -1,7 +1,8 @@
 """The solver as a process of its own, seen from Blender: start, messages, stop. Nothing here touches bpy.
 
 The worker writes newline-delimited JSON on stdout (:func:`iris_addon.progress.json_lines`) and its errors on stderr;
-threads move both into queues, so that :meth:`Worker.poll` never blocks.
+threads move both into queues, so that :meth:`Worker.poll` never blocks. Its stdin is a pipe that nobody writes to: it
+closes when this process ends, however it ends, and a worker started with ``--stop-with-stdin`` stops then.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,16 +22,11 @@ from typing import IO, Any
 
 from ..errors import Cancelled, IrisError
 
-GRACE_SECONDS = 5.0
+CANCEL_SECONDS = 0.8
+"""How long a worker may take to stop by itself. Checkpoints appear whole or not at all, so that killing harms none."""
 CANCELLED_CODE = 130
-STDERR_LINES = 200
-
-
-def solve_command(python: str, addon: Path, capture: Path, out: Path, preset: str) -> list[str]:
-    """The command line of a solve that goes on where an earlier one stopped and writes nothing into the add-on's
-    folder."""
-    run = addon / "headless" / "run.py"
-    return [python, "-B", str(run), "solve", str(capture), "--out", str(out), "--preset", preset, "--resume", "--json"]
+LOG_LINES = 500
+MESSAGES_PER_POLL = 200
 
 
 class Worker:
@@ -37,31 +34,41 @@ class Worker:
 
     Attributes:
         stage, fraction, overall, seconds_left: the latest progress (see :class:`iris_addon.progress.ProgressEvent`).
+        log: the last lines of what it said, stages included.
+        result: what its message "done" carried.
+
+    Args:
+        command: program and arguments.
+        log_file: where everything it says is kept as well; None for nowhere.
 
     Raises:
-        IrisError: the program cannot be started.
+        IrisError: the program cannot be started, or ``log_file`` not written.
     """
 
-    def __init__(self, command: Sequence[str]) -> None:
+    def __init__(self, command: Sequence[str], log_file: Path | None = None) -> None:
         self.stage, self.fraction, self.overall = "", 0.0, 0.0
         self.seconds_left: float | None = None
+        self.log: deque[str] = deque(maxlen=LOG_LINES)
+        self.result: dict[str, Any] = {}
+        self._error: IrisError | None = None
+        self._kill_at = float("inf")
+        self._cancelled = False
         self._messages: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-        self._errors: deque[str] = deque(maxlen=STDERR_LINES)
-        # Blender's PYTHONHOME and PYTHONPATH would make another Python load Blender's library.
-        environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
-        environment["PYTHONUTF8"] = "1"
+        self._log_file = _open_log(log_file)
+        self._log_lock = threading.Lock()
         try:
             self._process = subprocess.Popen(
                 list(command),
-                stdin=subprocess.DEVNULL,
+                stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 encoding="utf-8",
                 errors="replace",
-                env=environment,
+                env=worker_environment(),
                 creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
             )
         except OSError as error:
+            self._close_log()
             what = f"{command[0]}: the solver cannot be started ({error.strerror})"
             raise IrisError(what, "set the solver's Python in the preferences") from error
         self._threads = [
@@ -72,46 +79,60 @@ class Worker:
             thread.start()
 
     @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
+    @property
     def running(self) -> bool:
         """Whether the process lives or has messages that were not polled."""
-        return self._process.poll() is None or not self._messages.empty()
+        alive = self._process.poll() is None or any(thread.is_alive() for thread in self._threads)
+        return alive or not self._messages.empty()
+
+    @property
+    def stopping(self) -> bool:
+        """Whether it was asked to stop."""
+        return self._cancelled
 
     def poll(self) -> bool:
-        """Take the messages that have come; True if there were any. Never blocks."""
-        news = False
-        while True:
+        """Take messages that have come; True if there were any. Never blocks; kills what does not stop when asked."""
+        if time.monotonic() > self._kill_at and self._process.poll() is None:
+            self._process.kill()
+        for taken in range(MESSAGES_PER_POLL):
             try:
-                message = self._messages.get_nowait()
+                self._take(self._messages.get_nowait())
             except queue.Empty:
-                return news
-            if message.get("type") == "progress":
-                self.stage, self.fraction = message["stage"], message["fraction"]
-                self.overall, self.seconds_left = message["overall"], message["seconds_left"]
-                news = True
+                return taken > 0
+        return True
 
     def wait(self) -> None:
-        """Block until the process has ended."""
-        self._process.wait()
-        self.poll()
+        """Block until the process has ended and everything it said was taken."""
+        while self.running:
+            self.poll()
+            time.sleep(0.02)
 
     def interrupt(self) -> None:
-        """Ask the process to stop at its next checkpoint, as Ctrl-C does."""
-        if self._process.poll() is None:
+        """Ask the process to stop at its next checkpoint, as Ctrl-C does; :meth:`poll` kills it if it takes long."""
+        if self._process.poll() is None and not self._cancelled:
+            self._cancelled = True
+            self._kill_at = time.monotonic() + CANCEL_SECONDS
             self._process.send_signal(signal.CTRL_BREAK_EVENT if sys.platform == "win32" else signal.SIGINT)
 
     def close(self) -> None:
         """Make sure that the process is gone: interrupted, and killed if it does not listen."""
         self.interrupt()
         try:
-            self._process.wait(GRACE_SECONDS)
+            self._process.wait(CANCEL_SECONDS)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
         for thread in self._threads:
-            thread.join()
-        for pipe in (self._process.stdout, self._process.stderr):
+            thread.join(CANCEL_SECONDS)
+        self.poll()
+        for pipe in (self._process.stdin, self._process.stdout, self._process.stderr):
             if pipe is not None:
                 pipe.close()
+        self._close_log()
 
     def raise_if_failed(self) -> None:
         """Raise what the ended process failed with.
@@ -123,26 +144,87 @@ class Worker:
         code = self._process.returncode
         if code == 0:
             return
-        if code in (CANCELLED_CODE, -signal.SIGINT):
+        if self._cancelled or code in (CANCELLED_CODE, -signal.SIGINT):
             raise Cancelled
-        said = next((line for line in reversed(self._errors) if line.startswith("error: ")), None)
+        if self._error is not None:
+            raise self._error
+        said = next((line for line in reversed(self.log) if line.startswith("error: ")), None)
         if said is not None:
             what, _, fix = said.removeprefix("error: ").partition(" — ")
-            raise IrisError(what, fix or "see the system console")
-        how = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"
-        last = self._errors[-1] if self._errors else "no message"
+            raise IrisError(what, fix or "see the log")
+        how = _how_it_ended(code)
+        last = self.log[-1] if self.log else "no message"
         raise IrisError(f"the solver {how} ({last})", "solve again: it goes on from the last finished stage")
+
+    # ---- messages --------------------------------------------------------------------------------------------------
+
+    def _take(self, message: dict[str, Any]) -> None:
+        kind = message.get("type")
+        if kind == "progress":
+            if message["stage"] != self.stage or message.get("message"):
+                self._say(f"{message['stage']} {message.get('message', '')}".rstrip())
+            self.stage, self.fraction = message["stage"], message["fraction"]
+            self.overall, self.seconds_left = message["overall"], message["seconds_left"]
+        elif kind == "done":
+            self.result = message.get("result") or {}
+        elif kind == "error":
+            self._error = IrisError(str(message.get("what")), str(message.get("fix")))
 
     def _read_messages(self, pipe: IO[str]) -> None:
         for line in pipe:
             try:
                 message = json.loads(line)
             except ValueError:
-                self._errors.append(line.rstrip())  # a library that prints: kept for the log, no message of ours
+                self._say(line.rstrip())  # a library that prints: kept for the log, no message of ours
                 continue
             if isinstance(message, dict):
                 self._messages.put(message)
 
     def _read_errors(self, pipe: IO[str]) -> None:
         for line in pipe:
-            self._errors.append(line.rstrip())
+            self._say(line.rstrip())
+
+    def _say(self, line: str) -> None:
+        self.log.append(line)
+        with self._log_lock:
+            if self._log_file is None:
+                return
+            try:
+                self._log_file.write(line + "\n")
+                self._log_file.flush()
+            except OSError as error:  # the log on disk is a convenience: a full disk must not end the solve here
+                self.log.append(f"the log file ends here ({error.strerror})")
+                self._log_file = None
+
+    def _close_log(self) -> None:
+        with self._log_lock:
+            if self._log_file is not None:
+                self._log_file.close()
+                self._log_file = None
+
+
+def worker_environment() -> dict[str, str]:
+    """The environment of this process without what belongs to Blender's Python.
+
+    Its PYTHONHOME and PYTHONPATH would make another Python load Blender's library; IRIS_PYTHON would hand the work over
+    to yet another program, which nobody could stop.
+    """
+    kept = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON") and k != "IRIS_PYTHON"}
+    return {**kept, "PYTHONUTF8": "1"}
+
+
+def _open_log(path: Path | None) -> IO[str] | None:
+    if path is None:
+        return None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path.open("w", encoding="utf-8")
+    except OSError as error:
+        fix = "free some disk space, or choose another folder for the result"
+        raise IrisError(f"cannot be written ({error.strerror})", fix, path) from error
+
+
+def _how_it_ended(code: int) -> str:
+    if code == -9:
+        return "was killed (signal 9), often by the system because memory ran out"
+    return f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"

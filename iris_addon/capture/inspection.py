@@ -75,7 +75,7 @@ def _inspect_view(view: View, tracer: Tracer, folder: Path) -> dict[str, Any]:
     return {
         "name": view.name,
         "photo": None if shown is None else shown.resolve(),
-        "camera": {key: value for key, value in asdict(camera).items()},
+        "camera": asdict(camera),
         "exposure": view.exposure,
         "saturated": 0.0 if photo.hdr else float((values >= SATURATED).any(axis=1).mean()),
         "black": 0.0 if photo.hdr else float((values <= BLACK).all(axis=1).mean()),

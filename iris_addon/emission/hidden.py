@@ -68,6 +68,12 @@ def dodecahedron() -> NDArray[np.float64]:
     return points / np.linalg.norm(points[0])
 
 
+def nothing_hidden(transport: Transport) -> HiddenSources:
+    """No light but that of surfaces the photos show."""
+    n = transport.n_patches
+    return HiddenSources(np.zeros(0, np.int64), np.zeros(n, bool), np.zeros((0, 3)), np.zeros((n, 0, 2), np.float32))
+
+
 def find_hidden(transport: Transport, n_parts: int) -> HiddenSources:
     """Parts never seen and directions of escape that reach the seen surfaces."""
     n_seen, part = transport.n_seen, transport.part

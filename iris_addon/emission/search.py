@@ -27,6 +27,8 @@ THRESHOLDS = (3.0, 1.6, 1.25)
 def find_lights(problem: LightProblem, observed: GroupRadiance, progress: Progress) -> Lights:
     """Search for lamps from nothing: certain ones first, then those that stand out only under their light."""
     lights = lights_without_lamps(problem, observed)
+    if problem.given is not None:
+        return solve_lights(problem, observed, problem.given, lights, progress)
     for threshold in THRESHOLDS:
         emitters = _candidates(problem, lights, threshold)
         if threshold == THRESHOLDS[0] or not same_emitters(emitters, lights.emitters):
@@ -34,17 +36,20 @@ def find_lights(problem: LightProblem, observed: GroupRadiance, progress: Progre
     return _without_negligible(problem, observed, lights, progress)
 
 
-def choose_outside(problem: LightProblem, observed: GroupRadiance, progress: Progress) -> tuple[LightProblem, Lights]:
+def choose_outside(
+    problem: LightProblem, observed: GroupRadiance, progress: Progress, forced: bool = False
+) -> tuple[LightProblem, Lights]:
     """Lamps, with as much light from outside the mesh as earns its place: none, constant, or by direction.
 
     Each hypothesis is scored by the light balance of patches that it was not fitted to. The next larger one is taken
-    only if it lowers that score by OUTSIDE_GAIN.
+    only if it lowers that score by OUTSIDE_GAIN; ``forced`` takes the largest at once.
     """
     directions = len(problem.hidden.directions)
     best: tuple[LightProblem, Lights] | None = None
     # A mesh with large holes is not a closed room: without outside light everything in it would seem to glow.
     is_open = float((problem.transport.target == ESCAPED).mean()) > OPEN_SHARE
-    for count in sorted({min(1, directions), directions} | (set() if is_open else {0})):
+    hypotheses = sorted({min(1, directions), directions} | (set() if is_open else {0}))
+    for count in hypotheses[-1:] if forced else hypotheses:
         tried = replace(problem, hidden=problem.hidden.with_directions(count))
         if best is None:
             lights = find_lights(tried, observed, progress)
@@ -78,7 +83,7 @@ def refine_lights(
         weight: (P,) say of each seen patch.
         diffuse: (P, 3) radiance without its specular part.
     """
-    emitters = _candidates(problem, lights, THRESHOLDS[-1])
+    emitters = _candidates(problem, lights, THRESHOLDS[-1]) if problem.given is None else problem.given
     known = {faces.tobytes(): k for k, faces in enumerate(lights.emitters)}
     columns = [known.get(faces.tobytes(), -1) for faces in emitters]
     fresh = [faces for faces, k in zip(emitters, columns, strict=True) if k < 0]

@@ -85,6 +85,7 @@ class LightProblem:
         brightness: how bright each seen patch was.
         hidden: unknowns beside the lamps.
         bounce: once materials are known, what glossy surfaces pass on; patches then cast only their diffuse light.
+        given: faces of the lamps where they are known beforehand, None to search for them.
     """
 
     tracer: Tracer
@@ -98,6 +99,7 @@ class LightProblem:
     shadow_rays: int
     seed: int
     bounce: Bounce | None = None
+    given: list[NDArray[np.int64]] | None = None
 
 
 class Bounce(Protocol):

@@ -75,6 +75,7 @@ def fit_gloss(
     diffuse: NDArray[np.floating],
     lobes: list[tuple[NDArray[np.floating], NDArray[np.floating]]],
     n_parts: int,
+    forced: bool | None = None,
 ) -> Gloss:
     """Fit every part with enough observations.
 
@@ -84,8 +85,11 @@ def fit_gloss(
         irradiance: (m, 3) irradiance / pi at it.
         diffuse: (levels, m) factor of the diffuse lobe towards the camera.
         lobes: per level of LEVELS, (Ls0, Ls1), (m, 3) each.
+        forced: True takes the best material however little it gains, False none but the rough dielectric.
     """
     gloss = rough_everywhere(n_parts)
+    if forced is False:
+        return gloss
     order = np.argsort(part, kind="stable")
     ids, first, count = np.unique(part[order], return_index=True, return_counts=True)
     for label, start, n in zip(ids, first, count, strict=True):
@@ -98,19 +102,19 @@ def fit_gloss(
             [fit.dielectric(*(x[rows] for x in (d, *lobe))) for d, lobe in zip(diffuse, lobes, strict=True)]
         )
         metal = np.array([fit.metal(s0[rows], s1[rows]) for s0, s1 in lobes])
-        _decide(gloss, int(label), plastic, metal)
+        _decide(gloss, int(label), plastic, metal, 0.0 if forced else 1.0)
     return gloss
 
 
-def _decide(gloss: Gloss, label: int, plastic: NDArray[np.float64], metal: NDArray[np.float64]) -> None:
-    """Write the simplest material that explains the part about as well as any."""
+def _decide(gloss: Gloss, label: int, plastic: NDArray[np.float64], metal: NDArray[np.float64], caution: float) -> None:
+    """Write the simplest material that explains the part about as well as any; ``caution`` scales the gains needed."""
     null = plastic[-1]
     best_metal, best_plastic = float(metal.min()), float(plastic.min())
     gloss.decided[label] = True
-    if best_metal < (1 - METAL_GAIN_NEEDED) * best_plastic:
+    if best_metal < (1 - caution * METAL_GAIN_NEEDED) * best_plastic:
         gloss.metallic[label] = 1.0
         gloss.roughness[label] = _interpolate_minimum(metal)
-    elif best_plastic < (1 - GAIN_NEEDED) * null:
+    elif best_plastic < (1 - caution * GAIN_NEEDED) * null:
         gloss.roughness[label] = _interpolate_minimum(plastic)
 
 

@@ -44,6 +44,7 @@ class MaterialProblem:
         part: (M,) part of each observation.
         schlick: (M,) Schlick's S of the direction each observation was made from.
         diffuse: the lobe of every diffuse surface.
+        gloss: None lets every part earn its gloss, True takes the best fit, False leaves all rough.
     """
 
     light: LightProblem
@@ -56,6 +57,7 @@ class MaterialProblem:
     diffuse: DiffuseChoice
     specular_rays: int
     seed: int
+    gloss: bool | None = None
 
     def view_factor(self, gloss: Gloss) -> NDArray[np.float64]:
         """(M,) factor by which the diffuse lobe of each observation's part differs from Lambert towards its camera."""
@@ -223,4 +225,5 @@ class _GlossFit:
             diffuse,
             lobes,
             int(problem.light.parts.max()) + 1,
+            problem.gloss,
         )

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from ..config import AUTO, Refinements
 from . import family
 from .curve import Response
 from .observations import Observations, group_means, group_sums
@@ -91,15 +92,17 @@ def fit_overlap(
     n_views: int,
     rng: np.random.Generator,
     fixed: Response | None = None,
+    refinements: Refinements = AUTO,
 ) -> OverlapFit:
     """Recover the response, and the exposures where ``exposures`` is None.
 
     Args:
         exposures: (V,) known factors, or None.
         fixed: a response that is given; only exposures are then looked for.
+        refinements: whether curves and exposures per channel are forced, forbidden or have to earn their place.
     """
     index = _select(observations, rng)
-    problem = _Problem.build(observations, index, exposures, n_views)
+    problem = _Problem.build(observations, index, exposures, n_views, refinements.white_balance)
     if fixed is not None:
         return OverlapFit(fixed, problem.exposures(fixed), np.nan, False)
     if exposures is None and problem.exposure_spread() < MIN_EXPOSURE_SPREAD:
@@ -109,10 +112,13 @@ def fit_overlap(
     held_out = rng.random(problem.n_patches) < 0.2
     training, testing = problem.restrict(~held_out), problem.restrict(held_out)
     shared = training.minimise([family.PRIOR_MEAN], MAX_STEPS)
+    if refinements.channel_curves is False:
+        response = family.to_response(shared)
+        return OverlapFit(response, problem.exposures(response), testing.disagreement(shared), False)
     separate = training.minimise(shared * 3, SEPARATE_STEPS)
     # One curve is the null hypothesis: cameras apply the same curve to all channels far more often than not.
     scores = [testing.disagreement(knots) for knots in (shared, separate)]
-    per_channel = scores[1] < 0.97 * scores[0]
+    per_channel = refinements.channel_curves or scores[1] < 0.97 * scores[0]
     best = training.minimise(separate, MAX_STEPS) if per_channel else shared
     response = family.to_response(best)
     return OverlapFit(response, problem.exposures(response), min(scores), per_channel)
@@ -120,7 +126,10 @@ def fit_overlap(
 
 @dataclass(frozen=True)
 class _Problem:
-    """m observations of n patches. ``log_t`` is (V,), or None where exposures are unknown."""
+    """m observations of n patches. ``log_t`` is (V,), or None where exposures are unknown.
+
+    ``white_balance`` forces or forbids unknown exposures per channel; None lets them earn their place.
+    """
 
     z: NDArray[np.float64]  # (m, 3)
     share: NDArray[np.float64]  # (m, 3) of pixels clipped
@@ -131,10 +140,15 @@ class _Problem:
     n_patches: int
     n_views: int
     log_t: NDArray[np.float64] | None
+    white_balance: bool | None
 
     @staticmethod
     def build(
-        o: Observations, index: NDArray[np.int64], exposures: NDArray[np.floating] | None, n_views: int
+        o: Observations,
+        index: NDArray[np.int64],
+        exposures: NDArray[np.floating] | None,
+        n_views: int,
+        white_balance: bool | None,
     ) -> _Problem:
         patches, patch = np.unique(o.patch[index], return_inverse=True)
         return _Problem(
@@ -147,6 +161,7 @@ class _Problem:
             len(patches),
             n_views,
             None if exposures is None else np.log(np.asarray(exposures, np.float64)),
+            white_balance,
         )
 
     def restrict(self, keep: NDArray[np.bool_]) -> _Problem:
@@ -190,14 +205,14 @@ class _Problem:
         """
         log_t = self.solve_radiance(response)[0]
         shared = np.repeat(log_t[:, None], 3, 1)
-        if self.log_t is not None:
+        if self.log_t is not None or self.white_balance is False:
             return np.exp(shared)
         log_x = np.log(np.maximum(response.invert(self.z), 1e-5))
         per_channel = np.stack(
             [_chain_exposures(log_x[:, c], self.patch, self.view, ~self.clipped, self.n_views) for c in range(3)], -1
         )
         better = self._spread(log_x, per_channel) < WHITE_BALANCE_GAIN * self._spread(log_x, shared)
-        return np.exp(per_channel if better else shared)
+        return np.exp(per_channel if self.white_balance or better else shared)
 
     def _spread(self, log_x: NDArray[np.float64], log_t: NDArray[np.float64]) -> float:
         """Median disagreement of views about a patch's log radiance under given log exposures (V, 3)."""

@@ -7,8 +7,9 @@
     emitters.json    id, faces, radiance, area, confidence; light from outside as spherical harmonics
     materials/       base_color.exr, roughness.png, metallic.png, confidence.png, emission.exr, mesh.glb
 
-Saving moves finished files in place, report.json last: a folder without report.json is no result. Loading trusts
-nothing it reads, and needs numpy alone if it is handed a reader of images, because Blender's Python has no more.
+Saving writes everything into a folder of its own, gives it the name WHOLE, and only then moves the files to where they
+are read. A process may be killed at any point: what is found is the old result or the new one, never a mixture. Loading
+trusts nothing it reads, and needs numpy alone if it is handed a reader of images, because Blender's Python has no more.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import shutil
 import struct
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +35,8 @@ from .json_files import MEND, dump_json, from_ranges, json_object, numbers, read
 from .types import Emitter, OutsideLight, Result, Textures
 
 SCHEMA_VERSION = 1
+WHOLE = ".whole"
+"""Folder of a result that is written and not yet moved in place."""
 MAX_TEXTURE_SIDE = 16384
 EMISSION_SIDE = 1024
 """Side of the emission picture in texels; what emits is said exactly by emitters.json."""
@@ -58,20 +62,31 @@ def save_result(result: Result, folder: Path) -> None:
     staging: Path | None = None
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        _complete_save(folder)
+        for abandoned in folder.glob(".tmp-*"):  # by a process that was killed
+            shutil.rmtree(abandoned, ignore_errors=True)
         staging = Path(tempfile.mkdtemp(prefix=".tmp-", dir=folder))
         _write_all(result, staging)
-        (folder / "materials").mkdir(exist_ok=True)
-        # Between the first and the last move the folder is a mixture, which must not pass for a result.
-        (folder / "report.json").unlink(missing_ok=True)
-        names = sorted(str(path.relative_to(staging)) for path in staging.rglob("*") if path.is_file())
-        for name in sorted(names, key=lambda name: name == "report.json"):
-            os.replace(staging / name, folder / name)
+        os.replace(staging, folder / WHOLE)
+        _complete_save(folder)
     except OSError as error:
         fix = "free some space and run again" if error.errno == errno.ENOSPC else "check the folder and its permissions"
         raise IrisError(f"the result cannot be written ({error.strerror or error})", fix, folder) from error
     finally:
         if staging is not None:
             shutil.rmtree(staging, ignore_errors=True)
+
+
+def _complete_save(folder: Path) -> None:
+    """Move what a save has written whole to its place, also for one that was killed while it did this itself."""
+    whole = folder / WHOLE
+    if not whole.is_dir():
+        return
+    (folder / "materials").mkdir(exist_ok=True)
+    names = sorted(str(path.relative_to(whole)) for path in whole.rglob("*") if path.is_file())
+    for name in sorted(names, key=lambda name: name == "report.json"):
+        os.replace(whole / name, folder / name)
+    shutil.rmtree(whole)
 
 
 def _write_all(result: Result, folder: Path) -> None:
@@ -151,6 +166,8 @@ def load_result(folder: Path, read_image: ReadImage | None = None) -> Result:
         BadInput: no result there, made by another version, or a file of it is missing, damaged or contradicts itself.
     """
     folder = Path(folder)
+    with suppress(OSError):  # a folder that may only be read holds no unfinished save of ours
+        _complete_save(folder)
     if not (folder / "report.json").is_file():
         raise BadInput("is not a finished result (it has no report.json)", "give the folder that solve wrote", folder)
     report = read_json(folder / "report.json")

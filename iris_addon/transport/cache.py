@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
+import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from .transport import Transport, build_transport
 
 FORMAT = 2
 MAX_ENTRIES = 6
+ABANDONED_SECONDS = 3600
 
 
 def cache_folder() -> Path:
@@ -73,9 +75,10 @@ def _key(capture: Capture, surface: Surface, parts: NDArray[np.int32], n_rays: i
 
 
 def _prune(folder: Path) -> None:
-    """Keep the entries used last."""
+    """Keep the entries used last; remove what processes that were killed had begun to write."""
     entries = sorted(folder.glob("transport-*.npz"), key=lambda path: path.stat().st_mtime, reverse=True)
-    for path in entries[MAX_ENTRIES:]:
+    begun = [path for path in folder.glob(".transport-*.npz") if time.time() - path.stat().st_mtime > ABANDONED_SECONDS]
+    for path in entries[MAX_ENTRIES:] + begun:
         path.unlink(missing_ok=True)
 
 

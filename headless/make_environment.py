@@ -1,0 +1,127 @@
+"""Make or test the solver's environment; run by Blender's Python in a process of its own, standard library alone.
+
+    make_environment.py FOLDER          a virtual environment in FOLDER/venv with what solver_requirements.txt pins
+    make_environment.py --test PYTHON   import everything a solve needs in PYTHON
+
+Speaks the JSON lines of the worker. Cancelled by a signal, or when stdin closes.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any, NoReturn
+
+HERE = Path(__file__).resolve().parent
+REQUIREMENTS = HERE / "solver_requirements.txt"
+IMPORTS = ("numpy", "scipy", "torch", "trimesh", "embreex.rtcore_scene", "OpenEXR", "PIL.Image")
+FAILED, CANCELLED = 1, 130
+
+_child: subprocess.Popen[str] | None = None
+_stop = threading.Event()
+
+
+def main(arguments: list[str]) -> None:
+    """Do what the arguments say."""
+    for name in ("SIGINT", "SIGTERM", "SIGBREAK"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), lambda *_: stop())
+    threading.Thread(target=stop_with_stdin, daemon=True).start()
+    if arguments[0] == "--test":
+        test(arguments[1])
+    else:
+        make(Path(arguments[0]))
+    say(type="done", result={})
+
+
+def make(folder: Path) -> None:
+    """Virtual environment, packages, test."""
+    venv = folder / "venv"
+    python = venv / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+    progress("making the environment", 0.0)
+    # Without pip first: Blender's Python brings no ensurepip everywhere, and its failure has its own mend.
+    if call([sys.executable, "-m", "venv", "--clear", str(venv)]):
+        fail(
+            f"{sys.executable} cannot make a virtual environment",
+            "install Python with venv and pip (python3-venv on Debian), make one by hand as the manual says, "
+            "and name its Python here",
+        )
+    progress("downloading and installing, this takes minutes", 0.1)
+    pip = [str(python), "-m", "pip", "install", "--disable-pip-version-check", "--no-input", "--only-binary", ":all:"]
+    if call([*pip, "--progress-bar", "off", "-r", str(REQUIREMENTS)]):
+        fail("pip could not install the solver's packages", "read the log: mostly the network, the disk, or a proxy")
+    test(str(python), 0.9)
+
+
+def test(python: str, at: float = 0.0) -> None:
+    """Import everything; name what is missing."""
+    progress("importing the packages", at)
+    missing = []
+    for number, name in enumerate(IMPORTS):
+        try:
+            if call([python, "-c", f"import {name}"]):
+                missing.append(name.partition(".")[0])
+        except OSError as error:
+            fail(
+                f"{python}: cannot be started ({error.strerror})",
+                "choose a Python, for example bin/python of an environment",
+            )
+        progress("importing the packages", at + (1 - at) * (number + 1) / len(IMPORTS))
+    if missing:
+        fail(f"{python} lacks {', '.join(missing)}", "install them into it, or press Create Environment")
+    call([python, "-c", "import sys, torch; print('Python', sys.version.split()[0], 'torch', torch.__version__)"])
+
+
+def call(command: list[str]) -> int:
+    """Exit code of ``command``; what it says goes to the log. Leaves if somebody asked to stop."""
+    global _child
+    _child = subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
+    )
+    assert _child.stdout is not None
+    for line in _child.stdout:
+        print(line.rstrip(), file=sys.stderr, flush=True)
+    code = _child.wait()
+    if _stop.is_set():
+        say(type="error", what="cancelled", fix="start it again", exit_code=CANCELLED)
+        sys.exit(CANCELLED)
+    return code
+
+
+def stop() -> None:
+    """End the command that runs."""
+    _stop.set()
+    if _child is not None and _child.poll() is None:
+        _child.terminate()
+
+
+def stop_with_stdin() -> None:
+    """Stop when the caller is gone."""
+    while os.read(0, 4096):
+        pass
+    stop()
+
+
+def progress(stage: str, overall: float) -> None:
+    """Tell how far it is."""
+    say(type="progress", stage=stage, fraction=overall, overall=overall, seconds_left=None, message="")
+
+
+def say(**message: Any) -> None:
+    """One JSON line."""
+    print(json.dumps(message), flush=True)
+
+
+def fail(what: str, fix: str) -> NoReturn:
+    """One error, and out."""
+    say(type="error", what=what, fix=fix, exit_code=FAILED)
+    sys.exit(FAILED)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,34 @@
+"""Command lines of the jobs that Blender starts. Nothing here touches bpy."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+ADDON = Path(__file__).resolve().parents[2]
+RUN = ADDON / "headless" / "run.py"
+JSON_LINES = ["--json", "--stop-with-stdin"]
+
+
+def inspect_command(python: str, capture: Path, out: Path) -> list[str]:
+    """A look at ``capture`` into ``out``."""
+    return [*_program(python), "inspect", str(capture), "--out", str(out), *JSON_LINES]
+
+
+def solve_command(
+    python: str, capture: Path, out: Path, preset: str, device: str = "auto", seed: int = 0, resume: bool = True
+) -> list[str]:
+    """A solve of ``capture`` into ``out``, by default one that goes on where an earlier one stopped."""
+    options = ["--preset", preset, "--device", device, "--seed", str(seed), *(["--resume"] if resume else [])]
+    return [*_program(python), "solve", str(capture), "--out", str(out), *options, *JSON_LINES]
+
+
+def environment_command(folder: Path, test_only: Path | None = None) -> list[str]:
+    """Make the solver's environment in ``folder`` with Blender's own Python, or only test that of ``test_only``."""
+    script = [sys.executable, "-B", str(ADDON / "headless" / "make_environment.py")]
+    return [*script, "--test", str(test_only)] if test_only is not None else [*script, str(folder)]
+
+
+def _program(python: str) -> list[str]:
+    # -B: nothing may be written into the add-on's folder.
+    return [python, "-B", str(RUN)]

@@ -1,0 +1,159 @@
+"""Work that runs outside Blender, by the folder it writes into: what runs now, and what a folder says about the past.
+
+A job outlives undo, the scene and the file that is open, so it belongs to none of them. What a scene remembers is the
+folder; this module tells from it, and from the processes of this Blender, how things stand. Nothing here touches bpy.
+
+``job-NAME.json`` in the folder is written when a job starts and when it ends. A record that says "running" although
+nothing runs is that of a Blender which was killed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+from ..errors import Cancelled, IrisError
+from .worker import Worker
+
+JobName = Literal["inspect", "solve", "environment", "test"]
+State = Literal["missing", "running", "done", "failed", "cancelled", "interrupted"]
+
+
+@dataclass(frozen=True)
+class Record:
+    """How a job stands: ``what`` is wrong and its ``fix`` where it failed."""
+
+    state: State
+    what: str = ""
+    fix: str = ""
+
+
+MISSING = Record("missing")
+INTERRUPTED = Record("interrupted", "Blender ended while this ran", "start it again: finished stages are kept")
+CANCELLED = Record("cancelled")
+
+
+@dataclass
+class Job:
+    """A process that runs for ``folder``; ``on_end`` is told once, on the thread that polls."""
+
+    name: JobName
+    folder: Path
+    worker: Worker
+    on_end: Callable[[Record], None]
+
+
+_running: dict[tuple[JobName, Path], Job] = {}
+_ended: dict[tuple[JobName, Path], Record] = {}
+"""What ended here, for the case that its record could not be written: the disk is full."""
+
+
+def start(name: JobName, folder: Path, command: list[str], on_end: Callable[[Record], None]) -> Job:
+    """Start ``command`` as the job ``name`` of ``folder``.
+
+    Raises:
+        IrisError: it runs already, the folder cannot be written, or the program not started.
+    """
+    key = (name, folder)
+    if key in _running:
+        raise IrisError(f"{folder}: this runs already", "wait for it or cancel it")
+    worker = Worker(command, folder / f"{name}.log")
+    try:
+        _write(name, folder, Record("running"))
+    except IrisError:
+        worker.close()
+        raise
+    _running[key] = job = Job(name, folder, worker, on_end)
+    return job
+
+
+def running(name: JobName, folder: Path) -> Job | None:
+    """The job ``name`` of ``folder`` if it runs in this Blender."""
+    return _running.get((name, folder))
+
+
+def all_running() -> Iterator[Job]:
+    """Everything that runs."""
+    yield from list(_running.values())
+
+
+def record(name: JobName, folder: Path) -> Record:
+    """How the job ``name`` of ``folder`` stands."""
+    if (name, folder) in _running:
+        return Record("running")
+    if (name, folder) in _ended and folder.is_dir():
+        return _ended[name, folder]
+    try:
+        content = json.loads(_path(name, folder).read_text(encoding="utf-8"))
+        found = Record(content["state"], content["what"], content["fix"])
+    except (OSError, ValueError, KeyError, TypeError):  # nobody wrote one, or somebody else did
+        return MISSING
+    return INTERRUPTED if found.state == "running" else found
+
+
+def poll() -> bool:
+    """Take news of every job and end those that are through; True if anything changed. Call it on the main thread."""
+    news = False
+    for key, job in list(_running.items()):
+        news |= job.worker.poll()
+        if not job.worker.running:
+            del _running[key]
+            job.on_end(_end(job))
+            news = True
+    return news
+
+
+def wait(job: Job) -> None:
+    """Block until ``job`` has ended, and end it."""
+    job.worker.wait()
+    if _running.pop((job.name, job.folder), None) is not None:
+        job.on_end(_end(job))
+
+
+def stop_all() -> None:
+    """End everything within about a second; finished stages stay on disk."""
+    for job in all_running():
+        job.worker.interrupt()
+    for key, job in list(_running.items()):
+        del _running[key]
+        _end(job)
+
+
+def _end(job: Job) -> Record:
+    job.worker.close()
+    try:
+        job.worker.raise_if_failed()
+        ended = Record("done")
+    except Cancelled:
+        ended = CANCELLED
+    except IrisError as error:
+        ended = Record("failed", error.what, error.fix)
+    try:
+        _write(job.name, job.folder, ended)
+    except IrisError as error:
+        job.worker.log.append(f"error: {error}")
+    _ended[job.name, job.folder] = ended
+    return ended
+
+
+def _path(name: JobName, folder: Path) -> Path:
+    return folder / f"job-{name}.json"
+
+
+def _write(name: JobName, folder: Path, content: Record) -> None:
+    path = _path(name, folder)
+    temporary = path.with_suffix(f".{os.getpid()}.tmp")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        text = json.dumps({**asdict(content), "time": time.time()}, indent=1)
+        temporary.write_text(text + "\n", encoding="utf-8")
+        os.replace(temporary, path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        fix = "free some disk space, or choose another folder for the result"
+        raise IrisError(f"cannot be written ({error.strerror})", fix, path) from error

@@ -1,0 +1,73 @@
+"""A recovered lamp is a plain emissive material; switching, dimming and tinting it is turning two of its sockets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import bpy
+
+from .materials import LAMP_ID
+
+OFF_STRENGTH = "iris_strength"
+"""Custom property: the strength of a lamp that is switched off."""
+
+
+def lamp_materials(objects: Iterable[bpy.types.Object]) -> list[bpy.types.Material]:
+    """The materials of lamps on ``objects``, by the id of their emitter."""
+    used = {slot.material for thing in objects for slot in thing.material_slots if slot.material is not None}
+    lamps = [material for material in used if LAMP_ID in material]
+    return sorted(lamps, key=lambda material: (material[LAMP_ID], material.name))
+
+
+def is_on(material: bpy.types.Material | None) -> bool:
+    """Whether it shines."""
+    return material is not None and OFF_STRENGTH not in material
+
+
+def switch(material: bpy.types.Material | None, on: bool) -> None:
+    """Let it shine with the strength it had, or not at all."""
+    if material is None or on == is_on(material):
+        return
+    socket = _socket(material, "Emission Strength")
+    if on:
+        socket.default_value = material[OFF_STRENGTH]
+        del material[OFF_STRENGTH]
+    else:
+        material[OFF_STRENGTH] = socket.default_value
+        socket.default_value = 0.0
+
+
+def strength(material: bpy.types.Material | None) -> float:
+    """Radiance of the brightest channel, also of a lamp that is off."""
+    if material is None:
+        return 0.0
+    return float(material.get(OFF_STRENGTH, _socket(material, "Emission Strength").default_value))
+
+
+def set_strength(material: bpy.types.Material | None, value: float) -> None:
+    """Set the radiance of the brightest channel; a lamp that is off stays off."""
+    if material is None:
+        return
+    if OFF_STRENGTH in material:
+        material[OFF_STRENGTH] = value
+    else:
+        _socket(material, "Emission Strength").default_value = value
+
+
+def color(material: bpy.types.Material | None) -> tuple[float, float, float]:
+    """Linear colour of its light."""
+    if material is None:
+        return (0.0, 0.0, 0.0)
+    red, green, blue, _ = _socket(material, "Emission Color").default_value
+    return (red, green, blue)
+
+
+def set_color(material: bpy.types.Material | None, value: Sequence[float]) -> None:
+    """Set the linear colour of its light."""
+    if material is not None:
+        _socket(material, "Emission Color").default_value = (*value, 1.0)
+
+
+def _socket(material: bpy.types.Material, name: str) -> bpy.types.NodeSocket:
+    shader = next(node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
+    return shader.inputs[name]

@@ -1,0 +1,163 @@
+"""Shapes and objects put into the room: made or imported, then stood up, scaled in metres and set on a surface."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import bmesh
+import bpy
+import numpy as np
+from mathutils import Euler, Matrix, Vector
+from mathutils.bvhtree import BVHTree
+from numpy.typing import NDArray
+
+from ..capture.types import Mesh
+from ..errors import BadInput
+from ..result.edits import ObjectFile, Placement, Primitive
+from .materials import sphere_material
+from .object_files import import_objects
+
+CONTACT_GAP = 2e-4  # metres between an object and what it stands on: faces in one plane flicker
+REACH = 1e-2  # metres that something placed just under a surface is lifted before it falls
+
+
+class Room:
+    """The room as placing sees it.
+
+    Attributes:
+        up: unit up vector.
+    """
+
+    def __init__(self, mesh: Mesh, up: tuple[float, float, float]) -> None:
+        self.up = Vector(up)
+        self._tree = BVHTree.FromPolygons(mesh.vertices.tolist(), mesh.faces.tolist())
+
+    def along(self, origin: Vector, direction: Vector) -> tuple[Vector, Vector] | None:
+        """Point and normal (towards ``origin``) of the first surface along a ray, or None."""
+        point, normal, _face, _distance = self._tree.ray_cast(origin, direction)
+        return None if point is None else (point, -normal if normal.dot(direction) > 0 else normal)
+
+    def nearest(self, at: Vector) -> tuple[Vector, Vector]:
+        """Nearest point of the room and the normal there, on the side of ``at`` where that is to be told."""
+        point, normal, _face, _distance = self._tree.find_nearest(at)
+        return point, -normal if normal.dot(at - point) < 0 else normal
+
+
+def add_object(
+    thing: Primitive | ObjectFile, name: str, room: Room, collection: bpy.types.Collection
+) -> list[bpy.types.Object]:
+    """``thing`` in ``collection``, under one empty that places it; returns all of it.
+
+    Raises:
+        BadInput: the file cannot be used, or there is no surface where one is asked for.
+    """
+    if isinstance(thing, Primitive):
+        objects = [_add_primitive(thing, name, collection)]
+    else:
+        objects = import_objects(thing, collection)
+        if thing.material is not None:
+            _use_material(objects, sphere_material(name, thing.material))
+    bpy.context.evaluated_depsgraph_get()  # world matrices of what was just imported
+    for layer in collection.id_data.view_layers if isinstance(collection.id_data, bpy.types.Scene) else ():
+        layer.update()
+    anchor = bpy.data.objects.new(name, None)
+    anchor.matrix_world = placement_matrix(thing.placement, room, _corners(objects))
+    collection.objects.link(anchor)
+    for child in objects:
+        if child.parent is None:
+            child.parent = anchor
+    return [anchor, *objects]
+
+
+def placement_matrix(placed: Placement, room: Room, corners: NDArray[np.floating]) -> Matrix:
+    """The matrix that carries an object's axes (+Z up) to where it stands.
+
+    Args:
+        corners: (n, 3) points of the object in its own axes; its lowest one touches the surface it is snapped to.
+    """
+    at, normal = _support(placed, room)
+    upright = Vector((0.0, 0.0, 1.0)).rotation_difference(normal).to_matrix().to_4x4()
+    turned = Euler(np.radians(placed.rotation)).to_matrix().to_4x4() @ Matrix.Diagonal((*placed.scale, 1.0))
+    heights = corners @ np.array(turned)[2, :3] if len(corners) else np.zeros(1)
+    extent = float(np.ptp(heights))
+    scale = 1.0
+    if placed.height is not None:
+        if extent <= 0:
+            raise BadInput("an object without height cannot be scaled to one", "give 'scale' in place of 'height'")
+        scale = placed.height / extent
+    lift = CONTACT_GAP - scale * float(heights.min()) if placed.snap != "none" else 0.0
+    return Matrix.Translation(at) @ upright @ Matrix.Translation((0.0, 0.0, lift)) @ Matrix.Scale(scale, 4) @ turned
+
+
+def _support(placed: Placement, room: Room) -> tuple[Vector, Vector]:
+    """Where the object stands and which way is up for it."""
+    at, normal = Vector(placed.location), room.up
+    if placed.ray is not None:
+        hit = room.along(*map(Vector, placed.ray))
+        if hit is None:
+            raise BadInput("there is no surface behind 'pixel'", "point at the room, or give 'location'")
+        at, normal = hit
+    elif placed.snap == "surface":
+        at, normal = room.nearest(at)
+    if placed.snap != "down":
+        return at, normal if placed.snap == "surface" else room.up
+    if placed.ray is not None and normal.dot(room.up) > 0.5:
+        return at, room.up  # it was pointed at what it is to stand on
+    hit = room.along(at + REACH * (room.up + normal), -room.up)
+    if hit is None:
+        raise BadInput(
+            f"there is nothing below {[round(v, 3) for v in at]} to stand on", "move the object, or use snap 'none'"
+        )
+    return hit[0], room.up
+
+
+def _add_primitive(thing: Primitive, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
+    """A mesh of the shape's ``size`` around the origin."""
+    data = bpy.data.meshes.new(name)
+    mesh = bmesh.new()
+    if thing.shape == "card":
+        bmesh.ops.create_grid(mesh, x_segments=1, y_segments=1, size=0.5)
+    elif thing.shape == "box":
+        bmesh.ops.create_cube(mesh, size=1.0)
+    elif thing.shape == "sphere":
+        bmesh.ops.create_uvsphere(mesh, u_segments=128, v_segments=64, radius=0.5)
+    else:
+        top = 0.5 if thing.shape == "cylinder" else 0.0
+        bmesh.ops.create_cone(mesh, cap_ends=True, segments=96, radius1=0.5, radius2=top, depth=1.0)
+    size = thing.size if thing.shape != "card" else (*thing.size[:2], 1.0)
+    bmesh.ops.scale(mesh, vec=size, verts=mesh.verts)
+    mesh.to_mesh(data)
+    mesh.free()
+    if thing.shape == "sphere":
+        data.shade_smooth()
+    elif thing.shape in ("cylinder", "cone"):
+        for polygon in data.polygons:
+            polygon.use_smooth = len(polygon.vertices) < 5  # the mantle is round, its caps are flat
+        data.set_sharp_from_angle(angle=np.radians(40.0))
+    data.materials.append(sphere_material(name, thing.material))
+    shape = bpy.data.objects.new(f"{name} Mesh", data)
+    collection.objects.link(shape)
+    return shape
+
+
+def _use_material(objects: Iterable[bpy.types.Object], material: bpy.types.Material) -> None:
+    for thing in objects:
+        if thing.type == "MESH":
+            thing.data.materials.clear()
+            thing.data.materials.append(material)
+
+
+def _corners(objects: Iterable[bpy.types.Object]) -> NDArray[np.float64]:
+    """(n, 3) vertices of the meshes and corners of the boxes of anything else that has an extent."""
+    found = [np.empty((0, 3))]
+    for thing in objects:
+        if thing.type == "MESH":
+            points = np.empty((len(thing.data.vertices), 3), np.float32)
+            thing.data.vertices.foreach_get("co", points.ravel())
+        elif thing.type in ("CURVE", "SURFACE", "FONT", "META"):
+            points = np.array(thing.bound_box)
+        else:
+            continue
+        matrix = np.array(thing.matrix_world)
+        found.append(points @ matrix[:3, :3].T + matrix[:3, 3])
+    return np.concatenate(found)

@@ -1,0 +1,52 @@
+"""What applying a result changes about a scene itself, kept on the scene so that it can be given back."""
+
+from __future__ import annotations
+
+import json
+
+import bpy
+import numpy as np
+
+from ..result.types import Result
+
+STATE, WORLD = "iris_original_scene", "iris_original_world"
+
+
+def keep_scene(scene: bpy.types.Scene) -> None:
+    """Write down on ``scene`` its world, render engine and view settings."""
+    view = scene.view_settings
+    scene[STATE] = json.dumps(
+        {
+            "engine": scene.render.engine,
+            "view_transform": view.view_transform,
+            "look": view.look,
+            "exposure": view.exposure,
+        }
+    )
+    if scene.world is not None:
+        scene[WORLD] = scene.world
+
+
+def restore_scene(scene: bpy.types.Scene) -> None:
+    """Give ``scene`` back what :func:`keep_scene` wrote down."""
+    kept = json.loads(scene[STATE])
+    scene.world = scene.get(WORLD)
+    scene.render.engine = kept["engine"]
+    view = scene.view_settings
+    view.view_transform = kept["view_transform"]
+    view.look, view.exposure = kept["look"], kept["exposure"]
+
+
+def forget_scene(scene: bpy.types.Scene) -> None:
+    """Remove what :func:`keep_scene` wrote."""
+    for name in (STATE, WORLD):
+        if name in scene:
+            del scene[name]
+
+
+def show_like_the_photos(result: Result, scene: bpy.types.Scene) -> None:
+    """Cycles and the exposure of the photos' median in the Standard view: mid-brightness is as in the photos."""
+    scene.render.engine = "CYCLES"
+    scene.view_settings.view_transform, scene.view_settings.look = "Standard", "None"
+    exposures = [float(np.mean(exposure)) for exposure in result.exposures.values()]
+    scene.view_settings.exposure = float(np.clip(np.log2(np.median(exposures)), -32, 32)) if exposures else 0.0

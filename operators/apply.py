@@ -1,0 +1,85 @@
+"""The result onto the objects, and off again."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..iris_addon.blender.images import read_image
+from ..iris_addon.blender.lamps import lamp_materials
+from ..iris_addon.blender.materials import LAMP_ID
+from ..iris_addon.blender.onto_objects import APPLIED, FaceRun, apply_to_objects, restore
+from ..iris_addon.blender.scene_capture import read_face_runs, whole_object
+from ..iris_addon.errors import IrisError
+from ..iris_addon.result.io import load_result
+from ..iris_addon.result.types import Result
+from .project import folder, result_key
+
+
+class IRIS_OT_apply(bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Put the recovered materials and lights onto the objects; what they have now is kept and can be restored"""
+
+    bl_idname = "iris.apply"
+    bl_label = "Apply"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There is a result."""
+        if not result_key(context.scene):
+            cls.poll_message_set("Solve first")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Apply it."""
+        scene = context.scene
+        try:
+            result = load_result(folder(scene), read_image=read_image)
+            runs = face_runs(scene)
+            changed = apply_to_objects(result, runs, scene, result_key(scene))
+        except IrisError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        if changed:
+            list_lamps(scene, result)
+        self.report({"INFO"}, f"{len(result.emitters)} lights" if changed else "This result is applied already")
+        return {"FINISHED"}
+
+
+class IRIS_OT_restore(bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Give the objects back the meshes, materials and modifiers they had, and the scene its world and view"""
+
+    bl_idname = "iris.restore"
+    bl_label = "Restore Originals"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Something was applied."""
+        return APPLIED in context.scene
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Restore."""
+        context.scene.iris.lamps.clear()
+        count = restore(context.scene)
+        self.report({"INFO"}, f"Restored {count} objects")
+        return {"FINISHED"}
+
+
+def face_runs(scene: bpy.types.Scene) -> list[FaceRun]:
+    """Which faces of the result belong to which object of ``scene``; raises BadInput."""
+    if scene.iris.source == "SCENE":
+        return read_face_runs(folder(scene))
+    return whole_object(scene.iris.room)
+
+
+def list_lamps(scene: bpy.types.Scene, result: Result) -> None:
+    """Fill the list of lamps from the materials of the scene."""
+    emitters = {emitter.id: emitter for emitter in result.emitters}
+    scene.iris.lamps.clear()
+    for material in lamp_materials(scene.objects):
+        item = scene.iris.lamps.add()
+        item.name, item.material = material.name, material
+        emitter = emitters.get(material[LAMP_ID])
+        if emitter is not None:
+            item.area, item.confidence = emitter.area, emitter.confidence

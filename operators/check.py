@@ -1,0 +1,75 @@
+"""Look before you wait: photo over mesh from each camera, and what was measured about it."""
+# Blender declares properties as annotations.
+# pyright: reportInvalidTypeForm=false
+
+from __future__ import annotations
+
+import bpy
+
+from ..iris_addon.blender.capture_in import photo_of
+from .data import needs_python, start_import
+
+
+class IRIS_OT_check(bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Measure clipping, exposure and alignment of every photo again"""
+
+    bl_idname = "iris.check"
+    bl_label = "Check Again"
+    bl_options = {"REGISTER"}  # noqa: RUF012 - Blender's form
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There is something to check and a Python to do it."""
+        settings = context.scene.iris
+        if settings.source == "CAPTURE" and not settings.capture:
+            cls.poll_message_set("Import a capture first")
+            return False
+        return needs_python(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Start it."""
+        return start_import(self, context)
+
+
+class IRIS_OT_step_photo(bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Look through the camera of another photo, with the photo over the mesh"""
+
+    bl_idname = "iris.step_photo"
+    bl_label = "Photo"
+    bl_options = {"REGISTER"}  # noqa: RUF012 - Blender's form
+
+    by: bpy.props.IntProperty(default=1, options={"HIDDEN"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There are photos."""
+        return len(context.scene.iris.views) > 0
+
+    @classmethod
+    def description(cls, _context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
+        """What the button does."""
+        return "Show this photo over the mesh" if not properties.by else cls.__doc__ or ""
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Go on to it, around the end."""
+        settings = context.scene.iris
+        settings.view_index = (settings.view_index + self.by) % len(settings.views)
+        return {"FINISHED"}
+
+
+def look_at_photo(context: bpy.types.Context, index: int) -> None:
+    """Make the camera of photo ``index`` the active one, give the frame its size and look through it."""
+    scene = context.scene
+    if not 0 <= index < len(scene.iris.views):
+        return
+    camera = scene.iris.views[index].camera
+    if camera is None or camera.name not in scene.objects:
+        return
+    scene.camera = camera
+    image = photo_of(camera)
+    if scene.iris.source == "CAPTURE" and image is not None and image.size[0]:
+        scene.render.resolution_x, scene.render.resolution_y = image.size
+    for area in context.screen.areas if context.screen is not None else ():
+        if area.type == "VIEW_3D":
+            area.spaces.active.region_3d.view_perspective = "CAMERA"
+            area.tag_redraw()

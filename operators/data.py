@@ -1,0 +1,206 @@
+"""Captures into the scene: import through the solver's reader, from File > Import, the panel, or by dropping a file."""
+# Blender declares properties as annotations.
+# pyright: reportInvalidTypeForm=false
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from ..iris_addon.blender import jobs
+from ..iris_addon.blender.capture_in import Inspected, add_capture, read_inspected
+from ..iris_addon.blender.commands import ADDON, inspect_command
+from ..iris_addon.blender.scene_capture import write_scene_capture
+from ..iris_addon.errors import IrisError
+from .preferences import solver_python
+from .project import capture_path, folder, inspection_folder
+from .watch import run
+
+DEMO = ADDON / "assets" / "demo_room"
+
+
+class IRIS_OT_import_capture(bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Read photos, poses and mesh of a room, check them and add them to this scene"""
+
+    bl_idname = "iris.import_capture"
+    bl_label = "Import Capture"
+    bl_options = {"REGISTER"}  # noqa: RUF012 - Blender's form
+
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+    directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
+    filter_glob: bpy.props.StringProperty(default="*.json;*.bin;*.txt;*.xml", options={"HIDDEN"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There is a Python that can read captures."""
+        return needs_python(cls, context)
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        """Ask for the file or folder, unless one was dropped."""
+        if self.filepath:
+            return self.execute(context)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Start reading; what was read is added when it is there."""
+        path = Path(bpy.path.abspath(self.filepath or self.directory))
+        if path.name == "" or (not path.exists() and path.parent.is_dir() and "." not in path.name):
+            path = path.parent  # the file browser in a folder with no file chosen
+        # A folder is known by its poses; a file elsewhere (dropped, or chosen by name) stands for itself.
+        if path.name == "transforms.json":
+            path = path.parent.parent if path.parent.name == "train" else path.parent
+        settings = context.scene.iris
+        settings.source, settings.capture, settings.result = "CAPTURE", str(path), ""
+        return start_import(self, context)
+
+
+class IRIS_OT_import_demo(bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Import the small room that comes with the extension"""
+
+    bl_idname = "iris.import_demo"
+    bl_label = "Demo Room"
+    bl_options = {"REGISTER"}  # noqa: RUF012 - Blender's form
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There is a Python that can read captures."""
+        return needs_python(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Import it; its results go to the user's folder, never into the extension's."""
+        from .preferences import ROOT_PACKAGE
+
+        settings = context.scene.iris
+        settings.source, settings.capture = "CAPTURE", str(DEMO)
+        settings.result = bpy.utils.extension_path_user(ROOT_PACKAGE, path="demo_room-iris")
+        return start_import(self, context)
+
+
+class IRIS_OT_use_scene(bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Take the cameras of this scene that have a background image as photos, and its mesh objects as the room"""
+
+    bl_idname = "iris.use_scene"
+    bl_label = "Use This Scene"
+    bl_options = {"REGISTER"}  # noqa: RUF012 - Blender's form
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There is a Python that can check what comes out."""
+        return needs_python(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Write the scene as a capture and check it."""
+        settings = context.scene.iris
+        settings.source, settings.capture, settings.room = "SCENE", "", None
+        return start_import(self, context)
+
+
+class IRIS_OT_add_capture(bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Add a capture that was read to the scene"""
+
+    bl_idname = "iris.add_capture"
+    bl_label = "Add Capture"
+    bl_options = {"UNDO", "INTERNAL"}  # noqa: RUF012 - Blender's form
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Read the folder of the check and make objects of it."""
+        scene = context.scene
+        try:
+            inspected = read_inspected(inspection_folder(scene))
+        except IrisError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        settings = scene.iris
+        if settings.source == "CAPTURE":
+            present = {view.name: view.camera for view in settings.views if view.camera is not None}
+            cameras = [present.get(view.name) for view in inspected.views]
+            if settings.room is None or settings.room.name not in scene.objects or None in cameras:
+                settings.room, cameras = add_capture(inspected, scene)
+        else:
+            cameras = [scene.objects.get(view.name) for view in inspected.views]
+        _fill(settings, inspected, cameras)
+        self.report({"INFO"}, f"{inspected.name}: {len(inspected.views)} photos")
+        return {"FINISHED"}
+
+
+def start_import(operator: bpy.types.Operator, context: bpy.types.Context) -> set[str]:
+    """Let the worker read and check the capture of the scene, then add it; returns what the operator returns."""
+    scene, name = context.scene, context.scene.name
+    target = inspection_folder(scene)
+    if scene.iris.source == "SCENE":
+        try:
+            warnings = write_scene_capture(scene, context.evaluated_depsgraph_get(), folder(scene))
+        except IrisError as error:
+            operator.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        for warning in warnings:
+            operator.report({"WARNING"}, warning)
+
+    def ended(record: jobs.Record) -> None:
+        # The file that was open may be another one by now; it finds the check again by its folder.
+        scene = bpy.data.scenes.get(name)
+        if record.state == "done" and scene is not None and inspection_folder(scene) == target:
+            with bpy.context.temp_override(**_window_of(scene)):
+                bpy.ops.iris.add_capture("EXEC_DEFAULT", True)
+
+    capture = capture_path(scene)
+    assert capture is not None
+    return run(operator, "inspect", target, inspect_command(solver_python(context), capture, target), ended)
+
+
+def _window_of(scene: bpy.types.Scene) -> dict[str, object]:
+    # A timer has no window in its context, and an operator takes the scene of the window.
+    windows = bpy.context.window_manager.windows
+    window = next((window for window in windows if window.scene == scene), None)
+    return {"scene": scene} if window is None else {"window": window, "scene": scene}
+
+
+def needs_python(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Poll of operators that start the worker."""
+    if not solver_python(context):
+        cls.poll_message_set("Set the solver's Python in the preferences of IRIS first")
+        return False
+    return jobs.running("inspect", inspection_folder(context.scene)) is None
+
+
+def _fill(settings: bpy.types.PropertyGroup, inspected: Inspected, cameras: list[bpy.types.Object | None]) -> None:
+    settings.views.clear()
+    for view, camera in zip(inspected.views, cameras, strict=True):
+        item = settings.views.add()
+        item.name, item.camera = view.name, camera
+        item.exposure = view.exposure or 0.0
+        item.saturated, item.seen = view.saturated, view.seen
+        item.score, item.shift, item.verdict = view.score, view.shift, view.verdict
+    settings.warnings = "\n".join(inspected.warnings)
+    settings.view_index = 0
+
+
+class IRIS_FH_capture(bpy.types.FileHandler):  # noqa: N801 - Blender's naming
+    """Drop a transforms.json into the 3D view."""
+
+    bl_idname = "IRIS_FH_capture"
+    bl_label = "IRIS Capture"
+    bl_import_operator = "iris.import_capture"
+    bl_file_extensions = ".json"
+
+    @classmethod
+    def poll_drop(cls, context: bpy.types.Context) -> bool:
+        """Over a 3D view."""
+        return context.area is not None and context.area.type == "VIEW_3D"
+
+
+def menu(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
+    """Entry of File > Import."""
+    self.layout.operator("iris.import_capture", text="IRIS Capture (transforms.json)")
+
+
+def register() -> None:
+    """Add the menu entry."""
+    bpy.types.TOPBAR_MT_file_import.append(menu)
+
+
+def unregister() -> None:
+    """Take the menu entry out."""
+    bpy.types.TOPBAR_MT_file_import.remove(menu)

@@ -1,0 +1,65 @@
+"""The solved room as a file of its own."""
+# Blender declares properties as annotations.
+# pyright: reportInvalidTypeForm=false
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from ..iris_addon.blender.apply import apply, export_textures
+from ..iris_addon.blender.images import read_image
+from ..iris_addon.errors import IrisError
+from ..iris_addon.result.io import load_result
+from .project import folder, result_key
+
+FORMATS = (
+    ("BLEND", ".blend", "Room, lamps and world with textures packed"),
+    ("GLB", ".glb", "glTF with KHR_materials_emissive_strength"),
+    ("USD", ".usdc", "USD with its textures beside it"),
+    ("TEXTURES", "Textures", "Base colour and emission as EXR; roughness, metallic and confidence as 16-bit PNG"),
+)
+SUFFIX = {"BLEND": ".blend", "GLB": ".glb", "USD": ".usdc", "TEXTURES": ""}
+
+
+class IRIS_OT_export(bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Write the solved room as a file of its own; this scene is left alone"""
+
+    bl_idname = "iris.export"
+    bl_label = "Export"
+
+    format: bpy.props.EnumProperty(name="Format", items=FORMATS)
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH")
+    check_existing: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There is a result."""
+        if not result_key(context.scene):
+            cls.poll_message_set("Solve first")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        """Ask for the file."""
+        name = "room-textures" if self.format == "TEXTURES" else f"room{SUFFIX[self.format]}"
+        self.filepath = str(folder(context.scene) / name)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Write it."""
+        path, source = Path(bpy.path.abspath(self.filepath)), folder(context.scene)
+        try:
+            if self.format == "TEXTURES":
+                export_textures(source, path)
+            else:
+                path = path.with_suffix(SUFFIX[self.format])
+                blend, glb, usd = (path if self.format == kind else None for kind in ("BLEND", "GLB", "USD"))
+                apply(load_result(source, read_image=read_image), blend, glb=glb, usd=usd)
+        except IrisError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"Wrote {path}")
+        return {"FINISHED"}

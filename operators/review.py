@@ -1,0 +1,74 @@
+"""Judge a result: pictures in an Image Editor, the response curve, the confidence in the viewport."""
+# Blender declares properties as annotations.
+# pyright: reportInvalidTypeForm=false
+
+from __future__ import annotations
+
+import bpy
+
+from ..iris_addon.blender.review import curve_image, read_curve, review_image, reviewed_views, show_confidence
+from ..iris_addon.errors import IrisError
+from .project import folder, result_key
+from .watch import show_in_window
+
+
+class IRIS_OT_review(bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Show this picture of the result in an Image Editor"""
+
+    bl_idname = "iris.review"
+    bl_label = "Review"
+
+    kind: bpy.props.EnumProperty(
+        items=(
+            ("photo", "Photo", "The photo"),
+            ("render", "Re-render", "What the result predicts for it"),
+            ("error", "Error", "Four times the difference"),
+            ("curve", "Response", "The recovered camera response"),
+        )
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There is a result."""
+        return bool(result_key(context.scene))
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Load it and show it."""
+        settings, out = context.scene.iris, folder(context.scene)
+        try:
+            if self.kind == "curve":
+                image = curve_image(read_curve(out))
+            else:
+                shown = reviewed_views(out)
+                name = settings.views[settings.view_index].name if settings.views else ""
+                # The report compares a few photos: the one looked at if it is among them, else the next.
+                view = name if name in shown or not shown else min(shown, key=lambda other: (other < name, other))
+                image = review_image(out, view, self.kind)
+        except IrisError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        show_in_window(context, "IMAGE_EDITOR", "image", image)
+        self.report({"INFO"}, image.name)
+        return {"FINISHED"}
+
+
+class IRIS_OT_confidence(bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Show in the solid view how sure the textures are: white where many photos agree, black where nothing was seen"""
+
+    bl_idname = "iris.confidence"
+    bl_label = "Confidence"
+    bl_options = {"REGISTER"}  # noqa: RUF012 - Blender's form
+
+    on: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Swap the texture that is shown; what renders is left alone."""
+        if not show_confidence(list(context.scene.objects), self.on):
+            self.report({"ERROR"}, "nothing is applied — apply the result first")
+            return {"CANCELLED"}
+        for area in context.screen.areas if context.screen is not None else ():
+            if area.type == "VIEW_3D":
+                shading = area.spaces.active.shading
+                shading.type, shading.color_type = "SOLID", "TEXTURE" if self.on else "MATERIAL"
+                shading.light = "FLAT" if self.on else "STUDIO"
+        return {"FINISHED"}

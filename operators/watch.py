@@ -1,0 +1,164 @@
+"""Jobs and the interface: a timer takes their news on the main thread, operators cancel them and show their log."""
+# Blender declares properties as annotations.
+# pyright: reportInvalidTypeForm=false
+
+from __future__ import annotations
+
+import atexit
+from collections.abc import Callable
+from pathlib import Path
+
+import bpy
+
+from ..iris_addon.blender import jobs
+from ..iris_addon.errors import IrisError
+
+TICK_SECONDS = 0.1
+
+
+def run(
+    operator: bpy.types.Operator,
+    name: jobs.JobName,
+    folder: Path,
+    command: list[str],
+    on_end: Callable[[jobs.Record], None] = lambda record: None,
+) -> set[str]:
+    """Start a job for ``operator`` and return what the operator returns: at once with a window, after it without."""
+    try:
+        job = jobs.start(name, folder, command, on_end)
+    except IrisError as error:
+        operator.report({"ERROR"}, str(error))
+        return {"CANCELLED"}
+    if not bpy.app.background:
+        if not bpy.app.timers.is_registered(_tick):
+            bpy.app.timers.register(_tick, first_interval=TICK_SECONDS, persistent=True)
+        return {"FINISHED"}
+    jobs.wait(job)
+    record = jobs.record(name, folder)
+    if record.state == "done":
+        return {"FINISHED"}
+    operator.report({"ERROR"}, f"{record.what} — {record.fix}" if record.what else record.state)
+    return {"CANCELLED"}
+
+
+def _tick() -> float | None:
+    if jobs.poll():
+        redraw_sidebars()
+    return TICK_SECONDS if any(True for _ in jobs.all_running()) else None
+
+
+def redraw_sidebars() -> None:
+    """Draw the panels again, and nothing else: a 3D view takes long."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            for region in area.regions:
+                if (area.type, region.type) in (("VIEW_3D", "UI"), ("PREFERENCES", "WINDOW")):
+                    region.tag_redraw()
+
+
+def folder_of(name: str, context: bpy.types.Context) -> Path:
+    """The folder of the job ``name`` that the scene, or the preferences, are about."""
+    from .preferences import environment_folder
+    from .project import folder, inspection_folder
+
+    if name in ("environment", "test"):
+        return environment_folder()
+    return inspection_folder(context.scene) if name == "inspect" else folder(context.scene)
+
+
+def register() -> None:
+    """Make sure that no process outlives Blender."""
+    atexit.register(jobs.stop_all)
+
+
+def unregister() -> None:
+    """Stop everything."""
+    if bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.unregister(_tick)
+    jobs.stop_all()
+    atexit.unregister(jobs.stop_all)
+
+
+JOB_NAMES = tuple((name, name.title(), "") for name in ("solve", "inspect", "environment", "test"))
+
+
+class IRIS_OT_cancel(bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Stop; what is finished is kept and used the next time"""
+
+    bl_idname = "iris.cancel"
+    bl_label = "Cancel"
+
+    job: bpy.props.EnumProperty(items=JOB_NAMES, options={"HIDDEN"})
+
+    @classmethod
+    def poll(cls, _context: bpy.types.Context) -> bool:
+        """Something runs."""
+        return any(True for _ in jobs.all_running())
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Ask the process to stop; the timer notices its end and kills it if it does not listen."""
+        job = jobs.running(self.job, folder_of(self.job, context))
+        if job is not None:
+            job.worker.interrupt()
+        return {"FINISHED"}
+
+
+class IRIS_OT_copy_error(bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Copy the reason and the last lines of the log, for a bug report"""
+
+    bl_idname = "iris.copy_error"
+    bl_label = "Copy"
+
+    job: bpy.props.EnumProperty(items=JOB_NAMES, options={"HIDDEN"})
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Put it into the clipboard."""
+        folder = folder_of(self.job, context)
+        record = jobs.record(self.job, folder)
+        log = _log(folder / f"{self.job}.log").splitlines()[-40:]
+        context.window_manager.clipboard = "\n".join([f"error: {record.what} — {record.fix}", *log])
+        self.report({"INFO"}, "Copied")
+        return {"FINISHED"}
+
+
+class IRIS_OT_show_log(bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Open what the process said in a text editor"""
+
+    bl_idname = "iris.show_log"
+    bl_label = "Log"
+
+    job: bpy.props.EnumProperty(items=JOB_NAMES, options={"HIDDEN"})
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Fill a text and show it in a window of its own."""
+        name = f"IRIS {self.job} log"
+        text = bpy.data.texts.get(name) or bpy.data.texts.new(name)
+        text.from_string(_log(folder_of(self.job, context) / f"{self.job}.log"))
+        show_in_window(context, "TEXT_EDITOR", "text", text)
+        return {"FINISHED"}
+
+
+def show_in_window(context: bpy.types.Context, area_type: str, attribute: str, block: bpy.types.ID) -> None:
+    """Show ``block`` in an editor of ``area_type``: in one that is open, else in the largest area beside the 3D view.
+
+    In background nothing is shown.
+    """
+    if context.screen is None:
+        return
+    areas = [area for area in context.screen.areas if area.type == area_type]
+    others = [area for area in context.screen.areas if area.type not in ("VIEW_3D", "PROPERTIES", "OUTLINER")]
+    candidates = areas or others
+    if not candidates:
+        return
+    area = max(candidates, key=lambda area: area.width * area.height)
+    area.type = area_type
+    setattr(area.spaces.active, attribute, block)
+
+
+def _log(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            file.seek(max(0, path.stat().st_size - 1_000_000))
+            return file.read().decode("utf-8", "replace")
+    except OSError as error:
+        return f"{path}: cannot be read ({error.strerror})\n"

@@ -1,0 +1,105 @@
+"""Diffuse lobes: the product against Burley's exact lobe, energy between patches, and the choice from photos."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from iris_addon.progress import Progress
+from iris_addon.reflectance.diffuse_lobe import choose_diffuse
+from iris_addon.response.observations import Observations
+from iris_addon.response.radiance import Linearised
+from iris_addon.surface.build import build_surface
+from iris_addon.surface.samples import trace_pixels
+from iris_addon.transport.diffuse import MEAN_SCHLICK, grazing_gain, schlick, under_lobe
+from iris_addon.transport.gather import Origins, emitter_form_factors, gather
+from iris_addon.transport.tracer import Tracer
+from iris_addon.transport.transport import build_transport
+from tests.engine_room import assemble, cameras, furnished_room, quad
+
+
+def burley_directional_albedo(roughness: float, cosine: float, n: int = 200_000) -> float:
+    """What a white surface with Burley's exact lobe sends along ``cosine`` under uniform light of radiance 1."""
+    u = np.random.default_rng(1).random((n, 2))
+    radius, phi = np.sqrt(u[:, 0]), 2 * np.pi * u[:, 1]
+    light = np.stack([radius * np.cos(phi), radius * np.sin(phi), np.sqrt(1 - u[:, 0])], -1)
+    view = np.array([np.sqrt(1 - cosine**2), 0.0, cosine])
+    half = light + view
+    half /= np.linalg.norm(half, axis=1, keepdims=True)
+    gain = 2 * roughness * (half @ view) ** 2 - 0.5
+    return float(np.mean((1 + gain * (1 - light[:, 2]) ** 5) * (1 + gain * (1 - cosine) ** 5)))
+
+
+@pytest.mark.parametrize("roughness", [0.1, 0.5, 1.0])
+@pytest.mark.parametrize("cosine", [0.15, 0.4, 0.7, 0.95])
+def test_the_product_is_burleys_lobe_in_uniform_light(roughness: float, cosine: float) -> None:
+    kappa = grazing_gain("burley", np.array(roughness))
+    product = (1 + kappa * MEAN_SCHLICK) * (1 + kappa * schlick(np.array(cosine)))
+    assert product == pytest.approx(burley_directional_albedo(roughness, cosine), rel=0.03)
+
+
+def test_mean_schlick_is_the_cosine_weighted_mean() -> None:
+    c = (np.arange(100_000) + 0.5) / 100_000
+    assert np.mean(2 * c * schlick(c)) == pytest.approx(MEAN_SCHLICK, rel=1e-4)
+
+
+def test_a_lambertian_patch_ignores_where_light_comes_from() -> None:
+    assert np.all(grazing_gain("lambert", np.linspace(0, 1, 5)) == 0)
+    factors = np.random.default_rng(0).random((4, 3, 2))
+    np.testing.assert_allclose(under_lobe(factors, np.zeros(4)), factors[..., 0], rtol=1e-6)
+
+
+def test_a_lamp_on_the_horizon_counts_for_its_schlick_factor() -> None:
+    """A small lamp at one angle: the second form factor is the first times S of that angle."""
+    for cosine in (0.2, 0.5, 0.9):
+        sine = np.sqrt(1 - cosine**2)
+        centre = 5 * np.array([sine, 0, cosine])
+        lamp = quad(centre - [0, 0.1, 0.1], [0, 0.2, 0], [0, 0, 0.2])
+        tracer, rng = Tracer(assemble([lamp], [0])), np.random.default_rng(0)
+        up = np.tile(np.array([0, 0, 1], np.float32), (400, 1, 1))
+        origins = Origins(np.zeros((400, 1, 3), np.float32), up)
+        rays, _ = gather(tracer, origins, 16, rng, Progress())
+        factors = emitter_form_factors(tracer, origins, rays, [np.arange(2)], 16, rng, Progress())[:, 0].mean(0)
+        assert factors[1] / factors[0] == pytest.approx((1 - cosine) ** 5, rel=0.06)
+
+
+def test_uniform_radiance_arrives_with_the_mean_factor_of_both_lobes() -> None:
+    """In a closed room of uniform radiance the rays carry the product of the lobes at both of their ends."""
+    room = furnished_room()
+    tracer, rng = Tracer(room.mesh), np.random.default_rng(0)
+    samples = trace_pixels(tracer, cameras(12), 1, Progress())
+    surface = build_surface(room.mesh, samples, room.parts, 2000, rng)
+    transport = build_transport(tracer, surface, room.parts, 64, rng, Progress())
+    n, none = transport.n_patches, np.zeros(len(room.parts), bool)
+    ones, unknown = np.ones((n, 3)), np.ones(3)
+    kappa = np.full(n, 0.64)
+    lobed = type(transport)(**{**vars(transport), "kappa": kappa}).gather_radiance(ones, unknown, none)
+    flat = transport.gather_radiance(ones, unknown, none)
+    np.testing.assert_allclose(flat, 1.0, rtol=1e-5)
+    # S of the angles of arrival averages to about the same mean in a room of large walls; both factors multiply.
+    start = transport.rays.schlick_start.astype(float).mean()
+    assert start == pytest.approx(MEAN_SCHLICK, rel=0.03)
+    both = (1 + 0.64 * transport.rays.schlick_start) * (1 + 0.64 * transport.rays.schlick_end * (transport.target >= 0))
+    np.testing.assert_allclose(lobed[: transport.n_seen, 0], both.mean(1), rtol=2e-3)
+    assert 1.02 < lobed.mean() < 1.12
+
+
+@pytest.mark.parametrize("lobe", ["lambert", "burley"])
+def test_the_lobe_is_chosen_from_the_views(lobe: str) -> None:
+    rng = np.random.default_rng(0)
+    patches, views = 800, 6
+    patch = np.repeat(np.arange(patches), views).astype(np.int32)
+    m = len(patch)
+    s = schlick(rng.uniform(0.1, 1.0, m))
+    albedo = np.exp(rng.normal(-1, 0.5, patches))[patch]
+    radiance = albedo * (1 + grazing_gain(lobe, np.array(1.0)) * s) * np.exp(rng.normal(0, 0.03, m))  # type: ignore[arg-type]
+    rgb = np.repeat(radiance[:, None], 3, 1)
+    zeros = np.zeros((m, 3), np.float32)
+    observations = Observations(
+        patch, np.tile(np.arange(views), patches).astype(np.int16), np.full(m, 9, np.float32),
+        rgb.astype(np.float32), zeros, zeros, np.arange(m), np.arange(m, dtype=np.int32),
+    )  # fmt: skip
+    linear = Linearised(rgb, np.ones((m, 3), bool), np.zeros((m, 3)), np.ones((m, 3)))
+    chosen = choose_diffuse(observations, linear, s)
+    assert chosen.lobe == lobe
+    assert (chosen.gain > 0.2) == (lobe == "burley")

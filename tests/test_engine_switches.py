@@ -1,0 +1,122 @@
+"""What a solve can be made to do, or to do without: given lamps, and refinements that are forced or forbidden."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from iris_addon.config import AUTO, FULL, MINIMAL, Refinements, preset
+from iris_addon.emission.given import read_given_emitters
+from iris_addon.errors import BadInput
+from iris_addon.reflectance.gloss import LEVELS, fit_gloss
+from iris_addon.response.curve import gamma
+from iris_addon.result.json_files import to_ranges
+from iris_addon.result.types import Result
+from iris_addon.solve import solve
+from iris_addon.transport.tracer import Tracer
+from tests.engine_room import LAMP_PARTS, Room, cameras, furnished_room, photograph, render
+
+TINY = preset("draft", max_patches=2000, gather_rays=48, shadow_rays=48, atlas_size=128, rounds=1, response="gamma")
+N_VIEWS = 8
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory: pytest.TempPathFactory):
+    """Solve the furnished room, its mesh without one part if asked, with some fields of the configuration replaced."""
+    folder = tmp_path_factory.mktemp("switches")
+    fine, views = furnished_room(), cameras(N_VIEWS, 48, 36)
+    radiance = render(fine, Tracer(fine.mesh), views, 48)
+    room = furnished_room(np.inf)
+    exposures = 0.25 / np.median(radiance.mean(-1).reshape(N_VIEWS, -1), 1) * 2.0 ** np.linspace(-3, 1, N_VIEWS)
+
+    def run(name: str, known: bool = True, without: int = -1, **changes: object) -> tuple[Room, Result]:
+        capture = photograph(room, views, radiance, exposures, gamma(), folder / name)
+        kept = room.parts != without
+        capture = replace(capture, mesh=replace(room.mesh, faces=room.mesh.faces[kept], parts=room.parts[kept]))
+        if not known:
+            capture = replace(capture, views=tuple(replace(view, exposure=None) for view in capture.views))
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("IRIS_CACHE", str(folder / "cache"))
+            return room, solve(capture, replace(TINY, **changes), folder / f"out-{name}")
+
+    return run
+
+
+def write_mask(path: Path, lamps: list[np.ndarray]) -> Path:
+    path.write_text(json.dumps({"emitters": [{"faces": np.asarray(to_ranges(faces)).tolist()} for faces in lamps]}))
+    return path
+
+
+def test_given_lamps_are_the_lamps_and_nothing_else_is(solved, tmp_path):
+    room = furnished_room(np.inf)
+    both = [np.flatnonzero(room.parts == part) for part in LAMP_PARTS]
+    _, told = solved("told", emitters=write_mask(tmp_path / "both.json", both))
+    assert [emitter.faces.tolist() for emitter in told.emitters] == [faces.tolist() for faces in both]
+    for emitter in told.emitters:
+        assert emitter.radiance == pytest.approx(room.emission[room.parts[emitter.faces[0]]], rel=0.25)
+    _, one = solved("one", emitters=write_mask(tmp_path / "one.json", both[:1]))
+    assert len(one.emitters) == 1, "the missed lamp is not searched for"
+    assert one.emitters[0].radiance.mean() != pytest.approx(told.emitters[0].radiance.mean(), rel=1e-3)
+
+
+def test_no_given_lamp_is_an_answer_too(solved, tmp_path):
+    _, result = solved("dark", emitters=write_mask(tmp_path / "none.json", []), refinements=MINIMAL)
+    assert result.emitters == () and np.isfinite(result.textures.base_color).all()
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [("{}", "emitters"), ('{"emitters": [{"faces": [[0, 99]]}]}', "beyond"), ('{"emitters": [3]}', r"emitters\[0\]")],
+)
+def test_a_mask_that_cannot_be_used_is_named(tmp_path, content, said):
+    path = tmp_path / "mask.json"
+    path.write_text(content)
+    with pytest.raises(BadInput, match=said):
+        read_given_emitters(path, 12)
+
+
+def test_forced_full_and_minimal_use_all_and_nothing(solved):
+    _, full = solved("full", known=False, response="auto", refinements=FULL)
+    _, minimal = solved("minimal", known=False, response="auto", refinements=MINIMAL)
+    curves = [result.report["model"]["response"]["curves"] for result in (full, minimal)]
+    assert curves == [3, 1]
+    assert not np.allclose(full.response.samples[0], full.response.samples[1])
+    per_channel = [np.ptp(np.array(list(result.exposures.values())), axis=1).max() for result in (full, minimal)]
+    assert per_channel[0] > 0 and per_channel[1] == 0
+    assert minimal.report["model"]["glossy_parts"] == 0
+    assert minimal.report["model"]["hidden_parts"] == 0 and minimal.report["model"]["outside_directions"] == 0
+
+
+def test_light_from_outside_is_forced_and_forbidden(solved):
+    directions = []
+    for forced in (True, False):
+        _, result = solved(f"open-{forced}", without=5, refinements=Refinements(hidden_light=forced))
+        directions.append(result.report["model"]["outside_directions"])
+        assert (result.outside is not None) == forced
+    assert directions == [12, 0]
+
+
+def test_a_forced_gloss_takes_what_caution_refuses():
+    """Radiance that a slightly glossy lobe explains a little better than none: 3 % is not enough unless forced."""
+    rng = np.random.default_rng(0)
+    n = 200
+    patch = np.repeat(np.arange(n // 4), 4)
+    irradiance = np.full((n, 3), 1.0)
+    s1 = 0.02 * rng.random((n, 1)) * np.ones(3)
+    noise = np.exp(0.15 * rng.standard_normal((n, 1)))
+    radiance = 0.5 * irradiance * noise + 4 * s1
+    lobes = [(np.zeros((n, 3)), s1 * scale) for scale in np.linspace(4, 0, len(LEVELS))]
+    fits = [
+        fit_gloss(np.zeros(n, int), patch, np.ones(n), radiance, irradiance, np.ones((6, n)), lobes, 1, forced)
+        for forced in (None, True, False)
+    ]
+    assert fits[0].roughness[0] == 1 and fits[1].roughness[0] < 1 and fits[2].roughness[0] == 1
+    assert not fits[2].decided.any()
+
+
+def test_nothing_is_forced_by_default():
+    assert preset("balanced").refinements == AUTO and preset("balanced").emitters == "search"
