@@ -114,7 +114,8 @@ class IRIS_PT_check(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
             text=f"Alignment {view.score:.2f}: " + fits.get(view.verdict, f"{view.shift:.0f} px beside the mesh")
         )
         exposure = f"{view.exposure:.3g}" if view.exposure else "unknown"
-        column.label(text=f"Saturated {view.saturated:.0%}, exposure {exposure}, mesh in view {view.seen:.0%}")
+        column.label(text=f"Saturated {view.saturated:.0%}, exposure {exposure}")
+        column.label(text=f"Mesh in {view.seen:.0%} of the picture")
         for warning in settings.warnings.splitlines():
             paragraph(layout, warning, context, "ERROR")
         layout.operator("iris.check", icon="FILE_REFRESH")
@@ -126,10 +127,10 @@ class IRIS_UL_views(bpy.types.UIList):  # noqa: N801 - Blender's naming
     def draw_item(self, _context, layout, _data, item, _icon, _active, _name) -> None:  # noqa: ANN001 - Blender's
         """One photo."""
         icon = {"aligned": "CHECKMARK", "shifted": "ERROR", "unclear": "QUESTION"}[item.verdict]
-        row = layout.row(align=True)
-        row.label(text=item.name, icon=icon)
-        row.label(text=f"{item.score:.2f}")
-        row.label(text=f"{item.saturated:.0%}", icon="LIGHT_SUN")
+        split = layout.split(factor=0.55, align=True)
+        split.label(text=item.name, icon=icon)
+        split.label(text=f"{item.score:.2f}")
+        split.label(text=f"{item.saturated:.0%}")
 
 
 class IRIS_PT_solve(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
@@ -176,11 +177,15 @@ class IRIS_PT_review(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         except IrisError as error:
             paragraph(layout, str(error), context, "ERROR")
             return
-        column = layout.column(align=True)
-        for label, text in model_lines(report):
-            split = column.split(factor=0.6)
-            split.label(text=label)
-            split.label(text=text)
+        header, body = layout.panel("IRIS_PT_model", default_closed=True)
+        psnr = report.get("holdout_psnr")
+        header.label(text="Model" if psnr is None else f"Model: {psnr:.1f} dB on held-out pixels")
+        if body is not None:
+            column = body.column(align=True)
+            for label, text in model_lines(report):
+                split = column.split(factor=0.6)
+                split.label(text=label)
+                split.label(text=text)
         for warning in report.get("warnings") or ():
             paragraph(layout, str(warning), context, "ERROR")
         layout.operator("iris.apply", icon="MATERIAL")
@@ -212,6 +217,9 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         background = world.node_tree.nodes.get("Background") if world is not None and world.node_tree else None
         if background is not None:
             layout.prop(background.inputs["Strength"], "default_value", text="Light from Outside")
+        lights = [thing.name for thing in scene.objects if thing.type == "LIGHT" and not thing.hide_render]
+        if lights:
+            paragraph(layout, f"Shine as well: {', '.join(lights[:3])}", context, "INFO")
         paragraph(layout, "To insert: add objects to the scene and render; they are lit by these lamps", context)
 
 
@@ -220,9 +228,12 @@ class IRIS_UL_lamps(bpy.types.UIList):  # noqa: N801 - Blender's naming
 
     def draw_item(self, _context, layout, _data, item, _icon, _active, _name) -> None:  # noqa: ANN001 - Blender's
         """One lamp."""
-        row = layout.row(align=True)
-        row.prop(item, "on", text="", icon="LIGHT_SUN" if item.on else "LIGHT", emboss=False)
+        split = layout.split(factor=0.5, align=True)
+        row = split.row(align=True)
+        row.prop(item, "on", text="", icon="OUTLINER_OB_LIGHT" if item.on else "LIGHT", emboss=False)
         row.label(text=item.name)
+        row = split.row(align=True)
+        row.active = item.on
         row.prop(item, "color", text="")
         row.prop(item, "strength", text="")
 
@@ -287,7 +298,7 @@ def job_box(layout: bpy.types.UILayout, name: jobs.JobName, context: bpy.types.C
         row.operator("iris.show_log", icon="TEXT").job = name
     elif record.state == "cancelled":
         layout.label(text="Cancelled; finished stages are kept", icon="INFO")
-    elif record.state == "done":
+    elif record.state == "done" and name == "solve":
         layout.operator("iris.show_log", icon="TEXT").job = name
 
 

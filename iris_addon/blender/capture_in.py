@@ -127,7 +127,7 @@ def add_capture(inspected: Inspected, scene: bpy.types.Scene) -> tuple[bpy.types
     for view in inspected.views:
         camera = add_camera(view.camera, view.name, photos)
         camera.parent = anchor
-        camera.data.display_size = 0.15
+        camera.data.display_size = 0.1
         show_photo(camera, view.photo)
         cameras.append(camera)
     look_through(scene, inspected.views[0].camera, cameras[0])

@@ -250,8 +250,9 @@ def _restore_object(thing: bpy.types.Object) -> None:
             modifier.show_viewport, modifier.show_render = viewport, render
     thing.hide_viewport, thing.hide_render = kept["hidden"]
     thing.active_material_index = kept["active_slot"]
-    for name in [*(ORIGINAL, ORIGINAL_MESH), *(name for name in thing.keys() if name.startswith(SLOT))]:  # noqa: SIM118 - no dict
-        del thing[name]
+    for name in (ORIGINAL, ORIGINAL_MESH, *(f"{SLOT}{index}" for index in range(len(kept["links"])))):
+        if name in thing:
+            del thing[name]
 
 
 def _remove_made(scene: bpy.types.Scene) -> None:

@@ -74,8 +74,6 @@ def model_lines(report: dict[str, Any]) -> list[tuple[str, str]]:
     """What the model switched on, as (label, value) for the panel."""
     model = report.get("model")
     lines = []
-    if isinstance(report.get("holdout_psnr"), float):
-        lines.append(("Held-out pixels", f"{report['holdout_psnr']:.1f} dB"))
     for name, value in model.items() if isinstance(model, dict) else ():
         label = str(name).replace("_", " ").capitalize()
         if isinstance(value, dict):

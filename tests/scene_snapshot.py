@@ -1,0 +1,55 @@
+"""Everything about a Blender scene that a person would call its state, as plain values to compare."""
+
+import hashlib
+from typing import Any
+
+import bpy
+import numpy as np
+
+KINDS = ("meshes", "materials", "images", "worlds", "objects", "node_groups", "collections", "textures")
+
+
+def snapshot(scene: bpy.types.Scene) -> dict[str, Any]:
+    """Objects with data, slots, modifiers, transform and custom properties; the scene's settings; all datablocks."""
+    view = scene.view_settings
+    return {
+        "objects": {thing.name: _object(thing) for thing in scene.objects},
+        "scene": (
+            scene.world.name if scene.world else None,
+            scene.camera.name if scene.camera else None,
+            scene.render.engine,
+            (scene.render.resolution_x, scene.render.resolution_y),
+            (view.view_transform, view.look, view.exposure),
+            sorted(key for key in scene.keys() if key.startswith("iris_")),  # noqa: SIM118
+        ),
+        "blocks": {
+            kind: sorted((block.name, block.use_fake_user) for block in getattr(bpy.data, kind)) for kind in KINDS
+        },
+        "meshes": {mesh.name: _mesh(mesh) for mesh in bpy.data.meshes},
+    }
+
+
+def _object(thing: bpy.types.Object) -> tuple:
+    return (
+        thing.data.name if thing.data else None,
+        [(slot.link, slot.material.name if slot.material else None) for slot in thing.material_slots],
+        [(m.name, m.type, m.show_viewport, m.show_render) for m in thing.modifiers],
+        [list(row) for row in thing.matrix_world],
+        (thing.hide_viewport, thing.hide_render, thing.active_material_index),
+        sorted(thing.keys()),
+        sorted(collection.name for collection in thing.users_collection),
+    )
+
+
+def _mesh(mesh: bpy.types.Mesh) -> tuple:
+    points = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.vertices.foreach_get("co", points)
+    corners, slots = np.empty(len(mesh.loops), np.int32), np.empty(len(mesh.polygons), np.int32)
+    mesh.loops.foreach_get("vertex_index", corners)
+    mesh.polygons.foreach_get("material_index", slots)
+    digest = hashlib.sha1(points.tobytes() + corners.tobytes() + slots.tobytes())
+    for layer in mesh.uv_layers:
+        uv = np.empty(2 * len(mesh.loops), np.float32)
+        layer.uv.foreach_get("vector", uv)
+        digest.update(layer.name.encode() + uv.tobytes())
+    return digest.hexdigest(), [material.name if material else None for material in mesh.materials]

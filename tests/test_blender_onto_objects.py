@@ -1,0 +1,289 @@
+"""A result on the user's own objects: what renders, what is kept, and that taking it off leaves nothing behind."""
+
+from dataclasses import replace
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Matrix
+
+from iris_addon.blender.lamps import color, is_on, lamp_materials, set_color, set_strength, strength, switch
+from iris_addon.blender.onto_objects import apply_to_objects, restore
+from iris_addon.blender.review import show_confidence
+from iris_addon.blender.scene_capture import read_face_runs, whole_object, write_scene_capture
+from iris_addon.blender.scene_in import read_scene_mesh
+from iris_addon.capture.types import Mesh
+from iris_addon.errors import BadInput
+from iris_addon.result.types import Emitter, OutsideLight, Result
+from tests.blender_room import room
+from tests.scene_snapshot import snapshot
+
+pytestmark = pytest.mark.bpy
+
+QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+
+
+@pytest.fixture(autouse=True)
+def empty_blender():
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+def cube(name: str, material: str | None = "paint", **placed) -> bpy.types.Object:
+    """A cube of quads from -1 to 1 with one material, a UV map of its own and a transform."""
+    data = bpy.data.meshes.new(name)
+    corners = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+    data.from_pydata(corners, [], QUADS)
+    data.uv_layers.new(name="Own")
+    if material:
+        data.materials.append(bpy.data.materials.get(material) or bpy.data.materials.new(material))
+    thing = bpy.data.objects.new(name, data)
+    for attribute, value in placed.items():
+        setattr(thing, attribute, value)
+    bpy.context.scene.collection.objects.link(thing)
+    return thing
+
+
+def solve(lamp_faces=(), uv=None, scale=1.0) -> tuple[Result, list]:
+    """A result for the open scene as the solver would give it, and its face runs."""
+    bpy.context.view_layer.update()
+    seen = read_scene_mesh(bpy.context.evaluated_depsgraph_get())
+    n = len(seen.mesh.faces)
+    if uv is None:  # every pair of triangles that is one quad in a cell of its own
+        cells = np.arange(n) // 2
+        u, v = (cells % 16) / 16, (cells // 16) / 16
+        corner = np.array([[[0, 0], [1, 0], [1, 1]], [[0, 0], [1, 1], [0, 1]]]) / 16
+        uv = (np.stack([u, v], -1)[:, None] + corner[np.arange(n) % 2]).astype(np.float32)
+    mesh = Mesh(seen.mesh.vertices * scale, seen.mesh.faces, uv, seen.mesh.parts)
+    base = room(albedo=(0.8, 0.4, 0.2), mesh=mesh, roughness=0.6)
+    emitters = (Emitter(7, np.array(lamp_faces), np.array([3.0, 6.0, 1.5]), 1.5, 0.75),) if len(lamp_faces) else ()
+    exposures = {"a": np.full(3, 0.25)}
+    return replace(base, emitters=emitters, outside=OutsideLight(np.full((1, 3), 0.5)), exposures=exposures), seen.runs
+
+
+def evaluated_faces() -> np.ndarray:
+    """(F, 3, 3) corners in world space of all that renders now, sorted."""
+    bpy.context.view_layer.update()
+    mesh = read_scene_mesh(bpy.context.evaluated_depsgraph_get()).mesh
+    return np.sort(np.round(mesh.vertices[mesh.faces], 4).reshape(-1, 9), axis=0)
+
+
+def test_a_plain_object_keeps_its_polygons_and_gets_the_materials():
+    thing = cube("box", location=(1, 2, 3), scale=(2, 2, 2))
+    original = thing.data
+    result, runs = solve(lamp_faces=[2, 3])
+    assert apply_to_objects(result, runs, bpy.context.scene, "key")
+    assert thing.data is not original and len(thing.data.polygons) == 6
+    assert [layer.name for layer in thing.data.uv_layers] == ["Own", "IRIS"]
+    shining = [p.index for p in thing.data.polygons if "Lamp" in thing.data.materials[p.material_index].name]
+    assert shining == [1]
+    (lamp,) = lamp_materials([thing])
+    np.testing.assert_allclose(np.array(color(lamp)) * strength(lamp), [3, 6, 1.5])
+    for polygon in thing.data.polygons:
+        uv = np.array([thing.data.uv_layers["IRIS"].uv[loop].vector for loop in polygon.loop_indices])
+        assert len(np.unique(uv, axis=0)) == 4 and np.ptp(uv, axis=0) == pytest.approx([1 / 16, 1 / 16])
+    scene = bpy.context.scene
+    assert scene.view_settings.exposure == pytest.approx(-2)
+    background = next(node for node in scene.world.node_tree.nodes if node.bl_idname == "ShaderNodeBackground")
+    np.testing.assert_allclose(background.inputs["Color"].default_value[:3], 0.5 * 0.2820948, rtol=1e-5)
+
+
+def awkward_scene() -> None:
+    """Everything that a result cannot simply be painted on, and some things that must survive."""
+    plain = cube("plain", rotation_euler=(0.3, 0.2, 0.1))
+    twin = bpy.data.objects.new("twin", plain.data)  # shares its mesh
+    twin.location = (5, 0, 0)
+    bpy.context.scene.collection.objects.link(twin)
+    mirrored = cube("mirrored", "metal", location=(0, 5, 0), scale=(-1, 1, 1))
+    mirrored.material_slots[0].link = "OBJECT"
+    mirrored.material_slots[0].material = bpy.data.materials.new("own")
+    modified = cube("modified", None, location=(0, 0, 5))
+    modified.modifiers.new("copies", "ARRAY").count = 2
+    child = cube("child", location=(2, 0, 0))
+    child.parent = modified
+    inside = bpy.data.collections.new("instanced")
+    source = cube("source")
+    bpy.context.scene.collection.objects.unlink(source)
+    inside.objects.link(source)
+    empty = bpy.data.objects.new("empty", None)
+    empty.instance_type, empty.instance_collection = "COLLECTION", inside
+    empty.matrix_world = Matrix.Translation((0, -5, 0)) @ Matrix.Scale(0.5, 4)
+    bpy.context.scene.collection.objects.link(empty)
+    bpy.context.scene.world = bpy.data.worlds.new("mine")
+    bpy.context.scene.view_settings.exposure = 0.5
+    bpy.data.materials["paint"].use_fake_user = True
+
+
+def test_what_renders_is_the_same_geometry_before_and_after():
+    awkward_scene()
+    result, runs = solve(lamp_faces=[0])
+    assert {run.object for run in runs if run.instance} == {"empty"}
+    before = evaluated_faces()
+    apply_to_objects(result, runs, bpy.context.scene, "key")
+    np.testing.assert_allclose(evaluated_faces(), before, atol=2e-4)
+
+
+def test_restoring_leaves_no_trace():
+    awkward_scene()
+    result, runs = solve(lamp_faces=[0, 30])
+    before = snapshot(bpy.context.scene)
+    apply_to_objects(result, runs, bpy.context.scene, "key")
+    assert snapshot(bpy.context.scene) != before
+    restore(bpy.context.scene)
+    bpy.context.view_layer.update()
+    after = snapshot(bpy.context.scene)
+    for part, expected in before.items():
+        assert after[part] == expected, part
+
+
+def test_applying_twice_changes_nothing_and_another_result_replaces_the_first():
+    awkward_scene()
+    result, runs = solve(lamp_faces=[0])
+    before = snapshot(bpy.context.scene)
+    scene = bpy.context.scene
+    apply_to_objects(result, runs, scene, "key")
+    applied = snapshot(scene)
+    assert not apply_to_objects(result, runs, scene, "key")
+    assert snapshot(scene) == applied
+    assert apply_to_objects(result, runs, scene, "another key")
+    assert {kind: len(names) for kind, names in snapshot(scene)["blocks"].items()} == {
+        kind: len(names) for kind, names in applied["blocks"].items()
+    }
+    restore(scene)
+    bpy.context.view_layer.update()
+    assert snapshot(scene) == before
+
+
+def test_originals_come_back_after_save_and_reload(tmp_path):
+    awkward_scene()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "before.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "before.blend"))
+    result, runs = solve(lamp_faces=[0])
+    before = snapshot(bpy.context.scene)
+    apply_to_objects(result, runs, bpy.context.scene, "key")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "applied.blend"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "applied.blend"))
+    assert all(image.packed_file for image in bpy.data.images if image.name.startswith("IRIS"))
+    assert restore(bpy.context.scene) == 6
+    bpy.context.view_layer.update()
+    after = snapshot(bpy.context.scene)
+    for part, expected in before.items():
+        assert after[part] == expected, part
+
+
+def test_the_object_s_own_uv_map_is_used_where_the_result_is_on_it():
+    thing = cube("box")
+    runs_uv = np.random.default_rng(0).random((8, 2)).astype(np.float32)
+    layer = thing.data.uv_layers["Own"]
+    for loop in range(len(thing.data.loops)):
+        layer.uv[loop].vector = runs_uv[loop % 8]
+    bpy.context.view_layer.update()
+    uv = read_scene_mesh(bpy.context.evaluated_depsgraph_get()).mesh.uv
+    result, runs = solve(uv=uv)
+    apply_to_objects(result, runs, bpy.context.scene, "key")
+    assert [layer.name for layer in thing.data.uv_layers] == ["Own"]
+    node = next(n for n in thing.data.materials[0].node_tree.nodes if n.bl_idname == "ShaderNodeUVMap")
+    assert node.uv_map == "Own"
+
+
+def test_an_n_gon_that_the_atlas_cuts_is_made_of_triangles():
+    thing = cube("box")
+    uv = np.random.default_rng(0).random((12, 3, 2)).astype(np.float32)
+    result, runs = solve(uv=uv)
+    apply_to_objects(result, runs, bpy.context.scene, "key")
+    assert len(thing.data.polygons) == 12
+    kept = np.array([[tuple(thing.data.uv_layers["IRIS"].uv[3 * f + c].vector) for c in range(3)] for f in range(12)])
+    np.testing.assert_allclose(kept, uv, atol=1e-6)
+
+
+def test_a_scene_that_changed_is_refused_before_anything_is_touched():
+    thing = cube("box")
+    result, runs = solve()
+    thing.name = "renamed"
+    before = snapshot(bpy.context.scene)
+    with pytest.raises(BadInput, match="'box' is gone"):
+        apply_to_objects(result, runs, bpy.context.scene, "key")
+    assert snapshot(bpy.context.scene) == before
+    with pytest.raises(BadInput, match="not in this scene"):
+        whole_object(None)
+
+
+def test_lamps_are_switched_dimmed_and_tinted_in_their_materials():
+    thing = cube("box")
+    result, runs = solve(lamp_faces=[4, 5])
+    apply_to_objects(result, runs, bpy.context.scene, "key")
+    (lamp,) = lamp_materials(bpy.context.scene.objects)
+    socket = lamp.node_tree.nodes["Principled BSDF"].inputs
+    assert is_on(lamp) and strength(lamp) == 6
+    switch(lamp, False)
+    assert not is_on(lamp) and socket["Emission Strength"].default_value == 0 and strength(lamp) == 6
+    set_strength(lamp, 9)
+    assert socket["Emission Strength"].default_value == 0
+    switch(lamp, True)
+    switch(lamp, True)
+    assert socket["Emission Strength"].default_value == 9
+    set_color(lamp, (1, 0, 0))
+    assert tuple(socket["Emission Color"].default_value) == (1, 0, 0, 1)
+    assert show_confidence([thing], True)
+    assert thing.data.materials[0].node_tree.nodes.active.name == "IRIS Confidence"
+
+
+def photo(path, width=40, height=30):
+    image = bpy.data.images.new("photo", width, height)
+    image.filepath_raw, image.file_format = str(path), "PNG"
+    image.save()
+    bpy.data.images.remove(image)
+    return path
+
+
+def test_a_scene_becomes_a_capture_in_metres_that_the_solver_reads(tmp_path):
+    """Shift, sensor fit, a frame that is not square, centimetres as unit: rays through the photo's corners agree."""
+    from iris_addon.capture import read_capture
+
+    cube("room", scale=(300, 200, 150))
+    cube("table", "oak", location=(50, 0, -120), scale=(40, 40, 30))
+    scene = bpy.context.scene
+    scene.unit_settings.scale_length = 0.01
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 200, 150, 40
+    for number, fit in enumerate(("AUTO", "HORIZONTAL", "VERTICAL")):
+        eye = bpy.data.objects.new(f"cam {number}", bpy.data.cameras.new("cam"))
+        eye.data.sensor_fit, eye.data.lens, eye.data.shift_x, eye.data.shift_y = fit, 20, 0.1, -0.05
+        eye.data["exposure"] = 0.5 + number
+        eye.rotation_euler, eye.location = (1.5, 0.0, 0.5 * number), (30.0 * number, 0, 0)
+        scene.collection.objects.link(eye)
+        behind = eye.data.background_images.new()
+        behind.image = bpy.data.images.load(str(photo(tmp_path / f"photo {number}.png")))
+    bpy.context.view_layer.update()
+    assert write_scene_capture(scene, bpy.context.evaluated_depsgraph_get(), tmp_path / "job") == []
+    capture = read_capture(tmp_path / "job" / "capture")
+    assert [view.exposure for view in capture.views] == [0.5, 1.5, 2.5]
+    np.testing.assert_allclose(np.ptp(capture.mesh.vertices, axis=0), [6, 4, 3], atol=1e-5)
+    assert len(np.unique(capture.mesh.parts)) == 2
+    for view in capture.views:
+        eye = scene.objects[view.name.replace("_", " ")] if view.name not in scene.objects else scene.objects[view.name]
+        frame = [eye.matrix_world @ corner for corner in eye.data.view_frame(scene=scene)]  # from the top right, on
+        camera = view.camera
+        for corner, (i, j) in zip(frame, ((40, 0), (40, 30), (0, 30), (0, 0)), strict=True):
+            local = np.array([(i - camera.cx) / camera.fx, -(j - camera.cy) / camera.fy, -1.0])
+            ours = camera.c2w[:3, :3] @ local
+            theirs = np.array(corner - eye.matrix_world.translation)
+            np.testing.assert_allclose(ours / np.linalg.norm(ours), theirs / np.linalg.norm(theirs), atol=1e-5)
+    runs = read_face_runs(tmp_path / "job")
+    assert [(run.object, run.stop - run.start) for run in runs] == [("room", 12), ("table", 12)]
+    np.testing.assert_allclose(runs[0].to_capture[:3, :3], np.diag([3, 2, 1.5]), atol=1e-6)
+
+
+def test_a_scene_without_usable_photos_is_refused(tmp_path):
+    cube("room")
+    scene, graph = bpy.context.scene, bpy.context.evaluated_depsgraph_get
+    with pytest.raises(BadInput, match="no camera of this scene has a photo"):
+        write_scene_capture(scene, graph(), tmp_path)
+    eye = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
+    scene.collection.objects.link(eye)
+    eye.data.background_images.new().image = bpy.data.images.load(str(photo(tmp_path / "a.png")))
+    with pytest.raises(BadInput, match="is 40x30, the frame of the scene 1920x1080"):
+        write_scene_capture(scene, graph(), tmp_path)
+    scene.render.resolution_x, scene.render.resolution_y = 400, 300
+    (tmp_path / "a.png").unlink()
+    with pytest.raises(BadInput, match="the photo of camera 'eye' is missing"):
+        write_scene_capture(scene, graph(), tmp_path)
