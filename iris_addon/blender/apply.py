@@ -24,6 +24,7 @@ from ..result.types import Result
 from .camera import add_camera, look_through
 from .camera_match import median_exposure
 from .compositing import add_compositing
+from .diffuse_nodes import remove_burley
 from .images import srgb_image
 from .render import set_cycles
 from .scene_out import add_room, datablocks
@@ -60,6 +61,7 @@ def apply(
             _write_whole(blend, lambda path: bpy.data.libraries.write(str(path), {scene}, compress=True))
         if glb is not None or usd is not None:
             _use_srgb_base_color(scene)
+            _leave_out_burley(scene)
         with _in_window(scene):
             if glb is not None:
                 _write_whole(glb, lambda path: bpy.ops.export_scene.gltf(filepath=str(path), use_active_scene=True))
@@ -124,6 +126,13 @@ def _use_srgb_base_color(scene: bpy.types.Scene) -> None:
     for node in (node for material in materials for node in material.node_tree.nodes):
         if node.bl_idname == "ShaderNodeTexImage" and node.image.is_float:
             node.image = srgb_image(node.image)
+
+
+def _leave_out_burley(scene: bpy.types.Scene) -> None:
+    # Exporters look for the texture right behind the base colour; their formats know Lambert's lobe alone.
+    materials = {slot.material for thing in scene.objects for slot in thing.material_slots}
+    for material in materials:
+        remove_burley(material.node_tree)
 
 
 @contextmanager

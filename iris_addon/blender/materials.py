@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from ..result.edits import Material, Sphere
 from ..result.types import Textures
+from ..transport.diffuse import DiffuseLobe
+from .diffuse_nodes import insert_burley
 from .images import LINEAR, image_from_array
 from .version import node_tree
 
@@ -45,7 +47,7 @@ def layered_base_color(
     return np.minimum(base_color * gain[..., None], 1.0).astype(np.float32)
 
 
-def surface_material(textures: Textures, uv_map: str = UV_MAP) -> bpy.types.Material:
+def surface_material(textures: Textures, uv_map: str = UV_MAP, diffuse: DiffuseLobe = "lambert") -> bpy.types.Material:
     """The material of everything that is not a lamp: base colour, roughness and metallic from the atlas."""
     material, shader = _principled(SURFACE)
     tree = material.node_tree
@@ -62,6 +64,8 @@ def surface_material(textures: Textures, uv_map: str = UV_MAP) -> bpy.types.Mate
         node.image, node.extension, node.location = image, "EXTEND", (-450, 300 - 300 * row)
         tree.links.new(uv.outputs["UV"], node.inputs["Vector"])
         tree.links.new(node.outputs["Color"], shader.inputs[socket])
+    if diffuse == "burley":
+        insert_burley(tree, shader)
     return material
 
 

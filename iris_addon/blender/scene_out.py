@@ -156,7 +156,7 @@ def face_materials(
     """The materials of the room's slots, and (F,) the slot of each face: 0 the surface, then lamps, then black."""
     emission = result.face_emission() if edit.face_emission is None else np.asarray(edit.face_emission, float)
     slot_of_face = np.zeros(len(emission), np.int32)
-    slots = [surface_material(result.textures, uv_map)]
+    slots = [surface_material(result.textures, uv_map, result.diffuse_lobe)]
 
     lit = np.flatnonzero(emission.max(axis=1) > 0)
     emitter_of_face = np.full(len(emission), -1)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..capture.types import Mesh
 from ..response.curve import Response
+from ..transport.diffuse import DiffuseLobe
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,13 @@ class Result:
     exposures: dict[str, NDArray[np.float64]]
     report: dict[str, Any] = field(default_factory=dict)
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    @property
+    def diffuse_lobe(self) -> DiffuseLobe:
+        """Lobe of the diffuse surfaces, as report.json names it."""
+        model = self.report.get("model")
+        chosen = model.get("diffuse") if isinstance(model, dict) else None
+        return "burley" if isinstance(chosen, dict) and chosen.get("lobe") == "burley" else "lambert"
 
     def face_emission(self) -> NDArray[np.float64]:
         """(F, 3) radiance each face emits."""

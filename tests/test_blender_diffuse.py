@@ -1,0 +1,69 @@
+"""Burley's diffuse lobe as Blender nodes: what Cycles renders, and that exports come without it."""
+
+import json
+import struct
+from dataclasses import replace
+
+import bpy
+import numpy as np
+import pytest
+
+from iris_addon.blender.apply import apply
+from iris_addon.blender.camera import add_camera, look_through
+from iris_addon.blender.render import render_linear, set_cycles
+from iris_addon.blender.scene_out import build_scene
+from iris_addon.capture.types import Mesh
+from iris_addon.result.types import OutsideLight
+from iris_addon.transport.diffuse import MEAN_SCHLICK, grazing_gain, schlick
+from tests.blender_room import camera, room
+
+pytestmark = pytest.mark.bpy
+
+BURLEY = {"model": {"diffuse": {"lobe": "burley"}}}
+PLANE = Mesh(
+    np.array([[-90, -90, 0], [90, -90, 0], [90, 90, 0], [-90, 90, 0]], float),
+    np.array([[0, 1, 2], [0, 2, 3]]),
+    np.array([[[0, 0], [1, 0], [1, 1]], [[0, 0], [1, 1], [0, 1]]], np.float32),
+)
+WHITE_WORLD = OutsideLight(np.full((1, 3), 1 / 0.28209479177387814))
+
+
+@pytest.fixture(autouse=True)
+def empty_blender():
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+def radiance_along(cosine: float, roughness: float, albedo: float, report: dict) -> float:
+    """What a plane under a sky of radiance 1 sends towards a camera at this angle."""
+    result = replace(room(albedo, outside=WHITE_WORLD, mesh=PLANE, roughness=roughness), report=report)
+    sine = np.sqrt(1 - cosine**2)
+    view = camera(width=4, height=4, fx=400.0, fy=400.0)
+    view.c2w[:3] = np.array([[1, 0, 0, 0], [0, cosine, -sine, -3 * sine], [0, sine, cosine, 3 * cosine]])
+    built = build_scene(result)
+    set_cycles(built.scene, samples=1024, denoise=False, seed=0, max_bounces=2)
+    look_through(built.scene, view, add_camera(view, "view", built.scene.collection))
+    value = float(render_linear(built.scene).mean())
+    built.free()
+    return value
+
+
+@pytest.mark.parametrize("roughness", [0.2, 1.0])
+@pytest.mark.parametrize("cosine", [0.25, 0.9])
+def test_burley_over_lambert_is_the_factor_of_the_lobe(roughness: float, cosine: float) -> None:
+    """The specular layer is the same in both renders, so the difference is the diffuse part alone."""
+    lambert, burley = (
+        [radiance_along(cosine, roughness, albedo, report) for albedo in (0.0, 0.5)] for report in ({}, BURLEY)
+    )
+    kappa = grazing_gain("burley", np.array(roughness))
+    factor = (1 + kappa * MEAN_SCHLICK) * (1 + kappa * schlick(np.array(cosine)))
+    assert (burley[1] - burley[0]) / (lambert[1] - lambert[0]) == pytest.approx(factor, rel=0.01)
+
+
+def test_exports_keep_the_texture_and_leave_the_lobe_out(tmp_path) -> None:
+    apply(replace(room(0.5), report=BURLEY), tmp_path / "scene.blend", glb=tmp_path / "room.glb")
+    with bpy.data.libraries.load(str(tmp_path / "scene.blend")) as (inside, _):
+        assert any(name.startswith("IRIS Burley") for name in inside.node_groups)
+    data = (tmp_path / "room.glb").read_bytes()
+    length = struct.unpack("<I", data[12:16])[0]
+    materials = json.loads(data[20 : 20 + length])["materials"]
+    assert any("baseColorTexture" in m.get("pbrMetallicRoughness", {}) for m in materials)
