@@ -261,6 +261,7 @@ def test_each_mishap_has_its_message(package, tmp_path, worker, nerfstudio_room,
 
 
 def test_going_online_is_asked_for_and_a_python_is_tested(package, tmp_path):
+    pytest.importorskip("torch")
     body = f"""
     assert not bpy.app.online_access
     assert not bpy.ops.iris.make_environment.poll()
