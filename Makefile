@@ -1,6 +1,6 @@
 # Everything runs from the repository root through .venv; nothing is installed into the system.
 
-.PHONY: help setup demo test test-all lint format clean bench stability scaling profile
+.PHONY: help setup demo test test-all lint format clean bench stability scaling profile figures
 .DEFAULT_GOAL := help
 
 VENV := .venv
@@ -14,8 +14,9 @@ help:
 	@echo "make setup      create $(VENV) with everything pinned in pyproject.toml"
 	@echo "make demo       solve, relight and report the bundled room into out/demo"
 	@echo "make test       unit tests;  make test-all  the slow ones too"
-	@echo "make bench      speed against accuracy with peers, a night;  make profile  where the time goes, minutes"
-	@echo "make stability  every perturbation, hours;  make scaling  cost against size, hours"
+	@echo "make bench      speed against accuracy with peers, 1½ hours;  make profile  where the time goes, minutes"
+	@echo "make stability  every perturbation, an hour;  make scaling  cost against size, 20 minutes"
+	@echo "make figures    charts and tables out of what was measured; nothing is measured"
 	@echo "make lint       ruff and pyright;  make format  let ruff format"
 
 setup: $(STAMP)
@@ -65,6 +66,9 @@ bench stability scaling: $(VENV)/.bench
 
 profile: $(VENV)/.bench
 	@$(VENV)/bin/python -m benchmarks.profile_floor
+
+figures: $(VENV)/.bench
+	@$(VENV)/bin/python -m benchmarks.report
 
 clean:
 	rm -rf out dist .pytest_cache .ruff_cache

@@ -229,9 +229,10 @@ def scaling(panels: Mapping[str, Mapping[str, tuple[Sequence[float], Sequence[fl
     return figure
 
 
-def save(figure: Figure, stem: Path) -> None:
+def save(figure: Figure, stem: Path, svg: bool = True) -> None:
     """Write ``stem``.png, 1280 pixels wide or more, and ``stem``.svg."""
     stem.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(stem.with_suffix(".png"), dpi=110, metadata={"Software": None})
-    with mpl.rc_context(STYLE):
-        figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None})
+    if svg:
+        with mpl.rc_context(STYLE):
+            figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None})

@@ -16,7 +16,7 @@ import numpy as np
 from iris_addon.capture import read_capture
 from iris_addon.capture.fipt import PhotoSet
 from iris_addon.capture.types import Capture
-from iris_addon.config import PresetName, SolveConfig, preset
+from iris_addon.config import FULL, MINIMAL, PRESETS, Refinements, SolveConfig, preset
 from iris_addon.errors import BadInput
 from iris_addon.response.family import PRIOR_MEAN, to_response
 from iris_addon.result.json_files import write_json
@@ -26,6 +26,10 @@ from .perturb_photos import copy_capture, hold_exposure
 MASK = "mask.json"
 """A lamp mask in a capture folder that replaces the true one; the perturbations of masks write it."""
 
+SWEEP = preset("draft", max_patches=8_000, gather_rays=48, shadow_rays=32, specular_rays=4, atlas_size=512, rounds=1)
+"""`draft` for captures of half the size: a sweep is hundreds of solves, and looks for decibels, not for tenths."""
+CLOSED_ROOM = Refinements(channel_curves=False, white_balance=False, hidden_light=False)
+"""One curve, one exposure per photo, no light but that of surfaces the photos show."""
 Setting = object
 Settings = Callable[[Path, Path], dict[str, Setting]]
 """(capture folder, scratch folder) to fields of SolveConfig; raises BadInput where the capture lacks what is needed."""
@@ -47,7 +51,7 @@ class Configuration:
     settings: Settings
     one_exposure: bool = False
 
-    def solve_config(self, preset_name: PresetName, seed: int, capture: Path, scratch: Path) -> SolveConfig:
+    def solve_config(self, preset_name: str, seed: int, capture: Path, scratch: Path) -> SolveConfig:
         """The configuration of a solve.
 
         Raises:
@@ -57,7 +61,8 @@ class Configuration:
         unknown = settings.keys() - {field.name for field in fields(SolveConfig)}
         if unknown:
             raise BadInput(f"the engine has no switch {', '.join(sorted(unknown))}", f"leave out {self.name}")
-        return replace(preset(preset_name, seed=seed), **settings)  # type: ignore[arg-type]
+        base = SWEEP if preset_name == "sweep" else PRESETS[preset_name]  # type: ignore[index]
+        return replace(base, seed=seed, **settings)  # type: ignore[arg-type]
 
     def read(self, config: SolveConfig, folder: Path, scratch: Path) -> Capture:
         """The capture with the photos and exposures of this configuration. Raises BadInput."""
@@ -104,7 +109,7 @@ def _iris(capture: Path, scratch: Path) -> dict[str, Setting]:
     return {
         "emitters": _given_mask(capture, scratch),
         "exposures": _given_exposures(capture, scratch),
-        "hidden_light": False,
+        "refinements": CLOSED_ROOM,
     }
 
 
@@ -116,13 +121,17 @@ def _fipt_hdr(capture: Path, scratch: Path) -> dict[str, Setting]:
     folder = capture / "gt" / "train" / "Image"
     if not folder.is_dir():
         raise BadInput("there is no radiance of the training photos", "make the capture without --compact", folder)
-    return {"emitters": _given_mask(capture, scratch), "hdr": folder, "hidden_light": False}
+    return {"emitters": _given_mask(capture, scratch), "hdr": folder, "refinements": CLOSED_ROOM}
 
 
 def _single_bounce(capture: Path, scratch: Path) -> dict[str, Setting]:
     path = scratch / "no_lamps.json"
     write_json(path, {"emitters": []})
-    return {"emitters": path, "exposures": _given_exposures(capture, scratch), "hidden_light": False}
+    return {"emitters": path, "exposures": _given_exposures(capture, scratch), "refinements": CLOSED_ROOM}
+
+
+def _forced(refinements: Refinements) -> Settings:
+    return lambda _capture, _scratch: {"refinements": refinements}
 
 
 def _gamma(_capture: Path, _scratch: Path) -> dict[str, Setting]:
@@ -149,6 +158,8 @@ CONFIGURATIONS: dict[str, Configuration] = {
             "NeILF++, NeFII: every surface casts the light it was seen with, clipped lamps included",
             _single_bounce,
         ),
+        Configuration("forced-full", "every refinement of the model switched on", _forced(FULL)),
+        Configuration("forced-minimal", "every refinement of the model switched off", _forced(MINIMAL)),
         Configuration("constant-exposure", "response ablation: all photos with one exposure", _ours, True),
         Configuration("mean-response", "response ablation: the mean of measured responses", _mean_response),
         Configuration("gamma", "response ablation: z = x^(1/2.2)", _gamma),

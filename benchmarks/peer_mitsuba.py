@@ -1,6 +1,6 @@
 """Peer: differentiable path tracing with Mitsuba 3 (path replay backpropagation, Vicini et al. 2021).
 
-    python -m benchmarks.peer_mitsuba RECORD CAPTURE [--seconds 30 60 ... 1200] [--tune]
+    python -m benchmarks.peer_mitsuba RECORD CAPTURE [--limit 1200] [--tune]
 
 Base colour and roughness on our texture atlas and the radiance of every lamp, by Adam on the squared error of the
 photos. It is given what our solver has to find: the true response, the true exposures, the true faces of the lamps. One
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from iris_addon.errors import IrisError
 from iris_addon.progress import Progress
-from iris_addon.response.curve import N_SAMPLES
+from iris_addon.response.curve import Response
 from iris_addon.result.json_files import read_json
 from iris_addon.result.types import Emitter, Result, Textures
 from iris_addon.surface.parts import initial_parts
@@ -38,9 +38,10 @@ from .runs import Record, Run, relative, run_isolated, save_record
 
 NAME = "mitsuba-prb"
 SNAPSHOTS = (30, 60, 120, 300, 600, 1200)
-SAMPLES = 8
-BEYOND, BEYOND_SLOPE = 4.0, 0.3
-"""How far and how steeply the response goes on above 1 while optimising."""
+SAMPLES = 2
+"""Per pixel and step: many noisy steps go further in the same time than few clean ones."""
+STEEPEST = 6.0
+"""Largest slope of the response that weights an error; it grows without bound towards black."""
 TUNED_TEXTURE_RATES = (0.01, 0.03, 0.06)
 TUNED_LAMP_RATES = (0.03, 0.1, 0.2)
 TUNING_SECONDS = 60
@@ -48,17 +49,20 @@ TUNING_SECONDS = 60
 
 @dataclass(frozen=True)
 class Rates:
-    """Step sizes of Adam; they fall as 1 / sqrt(1 + t / decay), which needs no end to be known.
+    """Step sizes of Adam; they fall as 1 / sqrt(1 + n / decay) with the steps n, which needs no end to be known.
 
     Attributes:
         texture: of base colour and roughness, in [0, 1].
         lamp: of log radiance.
-        decay: seconds.
+        decay: steps.
+        warm_up: first steps, of the lamps alone: albedo is quicker to turn white than a lamp to get five times as
+            bright, and a white room does not come back.
     """
 
-    texture: float = 0.03
+    texture: float = 0.01
     lamp: float = 0.1
-    decay: float = 60.0
+    decay: float = 100.0
+    warm_up: int = 60
 
 
 # ---- optimisation --------------------------------------------------------------------------------------------------
@@ -86,13 +90,14 @@ def optimise(problem: Problem, stops: Sequence[float], rates: Rates, seed: int, 
 
     scene, sensors = make_scene(mi, problem)
     parameters = mi.traverse(scene)
-    optimiser = mi.ad.Adam(lr=rates.texture)
+    # Texels that the photo of this step says nothing about stay where they are.
+    optimiser = mi.ad.Adam(lr=rates.texture, mask_updates=True)
     optimiser[BASE_COLOR], optimiser[ROUGHNESS] = parameters[BASE_COLOR], parameters[ROUGHNESS]
     start_radiance = np.log(1.0 / problem.exposures.min())
     names = [f"log_lamp{k}" for k in range(len(problem.lamps))]
     for name in names:
         optimiser[name] = mi.Color3f(float(start_radiance))
-    curve = mi.Float(problem.response.samples.astype(np.float32).ravel())
+    targets = [Target.of(photo, problem.response) for photo in problem.photos]
     rng = np.random.default_rng(seed)
     losses: list[float] = []
     elapsed, steps = 0.0, 0
@@ -100,17 +105,17 @@ def optimise(problem: Problem, stops: Sequence[float], rates: Rates, seed: int, 
     for stop in stops:
         while elapsed < stop:
             begin = time.monotonic()
-            fall = 1 / np.sqrt(1 + elapsed / rates.decay)
+            fall = 1 / np.sqrt(1 + steps / rates.decay)
+            texture = rates.texture * fall if steps >= rates.warm_up else 0.0
             optimiser.set_learning_rate(
-                {BASE_COLOR: rates.texture * fall, ROUGHNESS: rates.texture * fall}
-                | dict.fromkeys(names, rates.lamp * fall)
+                {BASE_COLOR: texture, ROUGHNESS: texture} | dict.fromkeys(names, rates.lamp * fall)
             )
             view = int(rng.integers(len(sensors)))
             _apply(dr, parameters, optimiser, names)
             seed_here = int(rng.integers(2**31))
             image = mi.render(scene, parameters, sensor=sensors[view], spp=samples, seed=seed_here)
-            display = _develop(dr, mi, image * dr.opaque(mi.Float, float(problem.exposures[view])), curve)
-            loss = _photo_loss(dr, mi, display, problem.photos[view])
+            exposed = image * dr.opaque(mi.Float, float(problem.exposures[view]))
+            loss = photo_loss(dr, mi, exposed, targets[view])
             dr.backward(loss)
             optimiser.step()
             for name, low in ((BASE_COLOR, 0.0), (ROUGHNESS, 0.05)):
@@ -134,26 +139,41 @@ def _apply(dr: Any, parameters: Any, optimiser: Any, names: Sequence[str]) -> No
     parameters.update()
 
 
-def _develop(dr: Any, mi: Any, exposed: Any, curve: Any) -> Any:
-    """Display values of exposed radiance (H, W, 3) by linear interpolation of the response.
+@dataclass(frozen=True)
+class Target:
+    """What a photo asks of a rendering, (H, W, 3) each.
 
-    Above 1 the curve goes on with BEYOND_SLOPE up to BEYOND: a clipped rendering of an open pixel must be told so.
+    The photo is taken back to exposed radiance, because the response of a noisy rendering is darker than that of a
+    clean one: compared as photos, few samples drive the lamps up without end. Weighted by the slope of the response an
+    error is that of the photo again, to first order.
+
+    Attributes:
+        exposed: radiance times exposure.
+        weight: slope of the response.
+        clipped: 1 where the photo clips: the rendering should too, no more.
     """
-    x = dr.clip(exposed.array, 0.0, 1.0) * (N_SAMPLES - 1)
-    low = dr.minimum(mi.UInt(dr.detach(x)), N_SAMPLES - 2)
-    channel = dr.arange(mi.UInt, dr.width(x)) % 3
-    a, b = (dr.gather(mi.Float, curve, channel * N_SAMPLES + low + k) for k in (0, 1))
-    beyond = BEYOND_SLOPE * (dr.clip(exposed.array, 1.0, BEYOND) - 1.0)
-    return mi.TensorXf(a + (b - a) * (x - mi.Float(low)) + beyond, exposed.shape)
+
+    exposed: NDArray[np.float32]
+    weight: NDArray[np.float32]
+    clipped: NDArray[np.float32]
+
+    @staticmethod
+    def of(photo: NDArray[np.float32], response: Response) -> Target:
+        """The target that ``photo`` (H, W, 3), display values, sets."""
+        # A byte b stands for the values from b / 255 to (b + 1) / 255.
+        exposed = response.invert(np.clip(photo + 0.5 / 255, 0, 1))
+        clipped = photo >= 254 / 255
+        exposed[clipped] = 1.0
+        weight = np.minimum(response.slope(exposed), STEEPEST)
+        return Target(exposed.astype(np.float32), weight.astype(np.float32), clipped.astype(np.float32))
 
 
-def _photo_loss(dr: Any, mi: Any, display: Any, photo: NDArray[np.float32]) -> Any:
-    """Mean squared error against ``photo`` (H, W, 3); a clipped pixel says that the rendering should clip, no more."""
-    # A byte b stands for the values from b / 255 to (b + 1) / 255.
-    target = mi.TensorXf(np.clip(photo + 0.5 / 255, 0, 1))
-    clipped = mi.TensorXf((photo >= 254 / 255).astype(np.float32))
-    error = display - target
-    return dr.mean(dr.square(clipped * dr.minimum(error, 0.0) + (1.0 - clipped) * error), axis=None)
+def photo_loss(dr: Any, mi: Any, exposed: Any, target: Target) -> Any:
+    """Mean squared error of a rendering (H, W, 3), times its exposure, in display values."""
+    clipped = mi.TensorXf(target.clipped)
+    error = exposed - mi.TensorXf(target.exposed)
+    error = mi.TensorXf(target.weight) * (clipped * dr.minimum(error, 0.0) + (1.0 - clipped) * error)
+    return dr.mean(dr.square(error), axis=None)
 
 
 def _result(
@@ -181,30 +201,39 @@ def _result(
 # ---- records -------------------------------------------------------------------------------------------------------
 
 
-def snapshot_records(capture: Path, folder: Path, samples: int, progress: Progress) -> list[Record]:
-    """Records of all snapshots on ``capture``, read back or made in a process of its own."""
-    last = folder / f"{_run(capture, SNAPSHOTS[-1], samples).key}.json"
-    with progress.stage(NAME):
-        error = run_isolated(__name__, last, [relative(capture), "--samples", str(samples)])
+def snapshot_records(capture: Path, folder: Path, limit: float, samples: int, progress: Progress) -> list[Record]:
+    """Records of all snapshots up to ``limit`` seconds, read back or made in a process of its own."""
+    runs = [snapshot_run(capture, stop, samples) for stop in stops_until(limit)]
+    with progress.stage(f"{NAME} on {capture.name}, {limit / 60:.0f} minutes and scoring"):
+        last = folder / f"{runs[-1].key}.json"
+        error = run_isolated(__name__, last, [relative(capture), "--limit", str(limit), "--samples", str(samples)])
     if error is not None:
-        return [{"run": asdict(_run(capture, 0, samples)), "error": error}]
-    return [read_json(folder / f"{_run(capture, stop, samples).key}.json") for stop in SNAPSHOTS]
+        return [{"run": asdict(runs[-1]), "error": error}]
+    return [read_json(path) for run in runs if (path := folder / f"{run.key}.json").is_file()]
 
 
-def _run(capture: Path, seconds: float, samples: int) -> Run:
-    return Run(relative(capture), NAME, f"{seconds:g} s", samples=samples)  # type: ignore[arg-type]
+def stops_until(limit: float) -> tuple[float, ...]:
+    """Times of the snapshots, the last at ``limit`` seconds."""
+    return (*(stop for stop in SNAPSHOTS if stop < limit), limit)
+
+
+def snapshot_run(capture: Path, seconds: float, samples: int) -> Run:
+    """The run that the record of a snapshot stands for."""
+    return Run(relative(capture), NAME, f"{seconds:g} s", scored="relight", samples=samples)
 
 
 def write_snapshots(folder: Path, capture: Path, stops: Sequence[float], rates: Rates, samples: int) -> None:
-    """Optimise on ``capture``, score every snapshot and write its record."""
-    from iris_addon.blender.render import render_views
+    """Optimise on ``capture``, score every snapshot by maps and relighting, and write its record."""
     from iris_addon.evaluate import evaluate
 
+    from .worker import relight_scores
+
     for stop, shot in zip(stops, optimise(Problem.read(capture), stops, rates, 0, SAMPLES), strict=True):
-        scores = evaluate(shot.result, capture, render=render_views, samples=samples)
+        run = snapshot_run(capture, stop, samples)
+        scores = evaluate(shot.result, capture, render=None)
         scores.pop("per_view")
+        scores |= relight_scores(shot.result, capture, run.views, samples, run.seed)
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-        run = _run(capture, stop, samples)
         record = {
             "run": asdict(run),
             "machine": machine.describe(),
@@ -239,13 +268,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("record", type=Path, help="record of the last snapshot; the others are written beside it")
     parser.add_argument("capture", type=Path)
-    parser.add_argument("--seconds", type=float, nargs="+", default=SNAPSHOTS)
-    parser.add_argument("--samples", type=int, default=64, help="per pixel of the pictures that are scored")
+    parser.add_argument("--limit", type=float, default=SNAPSHOTS[-1], help="seconds; it is looked at on the way")
+    parser.add_argument("--samples", type=int, default=12, help="per pixel of the pictures that are scored")
     parser.add_argument("--tune", action="store_true", help="look for the best learning rates first")
     args = parser.parse_args(arguments)
     try:
         rates = tune(args.capture) if args.tune else Rates()
-        write_snapshots(args.record.parent, args.capture, sorted(args.seconds), rates, args.samples)
+        write_snapshots(args.record.parent, args.capture, stops_until(args.limit), rates, args.samples)
     except IrisError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code

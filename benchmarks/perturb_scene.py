@@ -14,14 +14,16 @@ from pathlib import Path
 
 import numpy as np
 
+from iris_addon.capture.fipt import read_fipt_views
 from iris_addon.errors import BadInput, IrisError
 
 from .machine import ROOT
+from .small import KEPT
 
-KEPT = ROOT / "out" / "benchmark_scenes"
-SAMPLES = 64
+SAMPLES = 32
 WALLS = ("plaster", "sage paint", "ceiling paint")
 DOMINANT = "ceiling lamp"
+BUNDLED = ROOT / "assets" / "demo_room"
 
 
 def glossier(root: Path, _truth: Path, factor: float, _rng: np.random.Generator) -> str:
@@ -46,21 +48,26 @@ def dominant_lamp(root: Path, _truth: Path, stops: float, _rng: np.random.Genera
 
 def _swap(root: Path, change: str, level: float) -> str:
     """Put the capture of the changed room in the place of ``root``."""
-    kept = rendered(change, level)
+    kept = rendered(change, level, root)
     shutil.rmtree(root)
     shutil.copytree(kept, root)
     return "the room rendered anew"
 
 
-def rendered(change: str, level: float) -> Path:
-    """The capture of the changed room, rendered if it was not before; raises IrisError.
+def rendered(change: str, level: float, like: Path) -> Path:
+    """The capture of the changed room with photos of the size of those in ``like``, rendered if it was not before.
 
     Call it once before several runs need it at the same time.
+
+    Raises:
+        IrisError: Blender failed.
     """
-    kept = KEPT / f"{change}-{level:g}"
+    camera = read_fipt_views(like, "train")[0].camera
+    kept = KEPT / f"{change}-{level:g}-{camera.width}x{camera.height}"
     if not (kept / "train").is_dir():
         # In a process of its own: Blender's state must not leak into the solve that is measured.
         command = [sys.executable, "-m", "benchmarks.perturb_scene", change, str(level), str(kept)]
+        command += [str(camera.width), str(camera.height)]
         process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
         if process.returncode:
             said = process.stderr.strip().splitlines() or ["no message"]
@@ -68,8 +75,8 @@ def rendered(change: str, level: float) -> Path:
     return kept
 
 
-def render(change: str, level: float, out: Path) -> None:
-    """Build the room, change it, and render its capture into ``out``; needs bpy."""
+def render(change: str, level: float, out: Path, resolution: tuple[int, int]) -> None:
+    """Build the room, change it, and render its capture into ``out``, photos of ``resolution``; needs bpy."""
     sys.path.insert(0, str(ROOT / "assets"))
     import bpy
     from make_demo_room import build_room
@@ -83,7 +90,7 @@ def render(change: str, level: float, out: Path) -> None:
             if material.node_tree is not None and "Principled BSDF" in material.node_tree.nodes:
                 CHANGES[change](material.name, material.node_tree.nodes["Principled BSDF"].inputs, level)
         bpy.ops.wm.save_as_mainfile(filepath=str(blend), compress=True)
-        synth(blend, out, samples=SAMPLES, compact=True)
+        synth(blend, out, resolution=resolution, samples=SAMPLES, compact=True)
 
 
 # ---- changes: name of the material, inputs of its shader, level ----------------------------------------------------
@@ -120,10 +127,10 @@ CHANGES: dict[str, Callable[[str, object, float], None]] = {
 
 
 def check_is_bundled(capture: Path) -> None:
-    """Raise BadInput for any capture but the bundled one, the only one that can be built anew."""
-    if capture.resolve() != (ROOT / "assets" / "demo_room").resolve():
+    """Raise BadInput for any capture but the bundled one and its half, the only one that can be built anew."""
+    if capture.resolve() not in (BUNDLED, KEPT / f"{BUNDLED.name}-half"):
         raise BadInput("only the bundled room can be rendered anew", "leave this axis out", capture)
 
 
 if __name__ == "__main__":
-    render(sys.argv[1], float(sys.argv[2]), Path(sys.argv[3]))
+    render(sys.argv[1], float(sys.argv[2]), Path(sys.argv[3]), (int(sys.argv[4]), int(sys.argv[5])))

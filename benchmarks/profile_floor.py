@@ -1,6 +1,6 @@
 """A solve against its floor: what its rays and its bytes would cost if nothing else did.
 
-    python -m benchmarks.profile_floor [CAPTURE] [--preset balanced] [--out docs/bench_profile.md]
+    python -m benchmarks.profile_floor [CAPTURE] [--preset balanced] [--no-report]
 
 Rays are counted per stage as they are cast, bytes as the gather products move them. The floor of a stage is its rays
 at the measured throughput of incoherent rays in the same room, plus its bytes at the measured bandwidth of memory.
@@ -17,7 +17,7 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -27,13 +27,13 @@ import numpy as np
 from iris_addon.capture import read_capture
 from iris_addon.capture.types import Mesh
 from iris_addon.config import PRESETS, preset
-from iris_addon.imaging import atomic_write
 from iris_addon.progress import Progress, console
 from iris_addon.transport.tracer import Tracer, points_on_faces
 from iris_addon.transport.transport import Transport
 
 from . import machine, tables
-from .runs import BUNDLED
+from .measured import machine_of, pack
+from .runs import BUNDLED, Record
 
 TRIAL_RAYS = 1 << 20
 TRIAL_BYTES = 1 << 28
@@ -58,8 +58,8 @@ class Counts:
 
     def floor(self, stage: str, floors: Floors) -> float:
         """Seconds that the counted work of ``stage`` needs at least."""
-        rays = self.closest[stage] / floors.closest + self.occluded[stage] / floors.occluded
-        return rays + self.moved[stage] / floors.bandwidth
+        rays = self.closest.get(stage, 0) / floors.closest + self.occluded.get(stage, 0) / floors.occluded
+        return rays + self.moved.get(stage, 0) / floors.bandwidth
 
 
 def measure_floors(mesh: Mesh, seed: int = 0) -> Floors:
@@ -140,8 +140,8 @@ class StageProgress(Progress):
             yield inner
 
 
-def profile(folder: Path, preset_name: str) -> str:
-    """Solve once, cold, and set every stage against its floor; a Markdown table."""
+def profile(folder: Path, preset_name: str) -> Record:
+    """Solve once, cold, and count: seconds, rays and bytes per stage, and the limits of the machine."""
     from iris_addon.solve import solve
 
     capture = read_capture(folder)
@@ -151,18 +151,41 @@ def profile(folder: Path, preset_name: str) -> str:
         os.environ["IRIS_CACHE"] = str(Path(scratch) / "cache")
         with counted(progress) as counts:
             report = solve(capture, preset(preset_name), Path(scratch) / "result", progress).report  # type: ignore[arg-type]
-    return describe(report["seconds"], counts, floors, f"`{preset_name}` on {folder.name}")
+    return {
+        "run": {"capture": folder.name, "preset": preset_name},
+        "machine": machine.describe(),
+        "seconds": report["seconds"],
+        "counts": asdict(counts),
+        "floors": asdict(floors),
+    }
+
+
+def describe_records(records: Sequence[Record], _images: Path) -> str:
+    """Tables of :func:`profile`, one per record."""
+    return "\n".join(
+        [machine_of(records) + "\n"]
+        + [
+            describe(
+                record["seconds"],
+                Counts(**record["counts"]),
+                Floors(**record["floors"]),
+                f"`{record['run']['preset']}` on {record['run']['capture']}",
+            )
+            for record in records
+        ]
+    )
 
 
 def describe(seconds: dict[str, float], counts: Counts, floors: Floors, what: str) -> str:
-    """The table of :func:`profile`."""
+    """Every stage against its floor, as Markdown."""
     body, total, total_floor = [], 0.0, 0.0
     for stage, spent in seconds.items():
         floor = counts.floor(stage, floors)
         total, total_floor = total + spent, total_floor + floor
-        rays = (counts.closest[stage] + counts.occluded[stage]) / 1e6
+        rays = (counts.closest.get(stage, 0) + counts.occluded.get(stage, 0)) / 1e6
+        moved = counts.moved.get(stage, 0) / 1e9
         ratio = f"{spent / floor:.1f}" if floor > 1e-3 else "–"
-        body.append([stage, f"{spent:.1f}", f"{rays:.2f}", f"{counts.moved[stage] / 1e9:.2f}", f"{floor:.2f}", ratio])
+        body.append([stage, f"{spent:.1f}", f"{rays:.2f}", f"{moved:.2f}", f"{floor:.2f}", ratio])
     ratio = f"{total / total_floor:.1f}" if total_floor > 0 else "–"
     body.append(["**all**", f"{total:.1f}", "", "", f"{total_floor:.2f}", ratio])
     header = ["stage", "seconds", "million rays", "GB moved", "floor, seconds", "ratio"]
@@ -170,7 +193,7 @@ def describe(seconds: dict[str, float], counts: Counts, floors: Floors, what: st
         f"{floors.closest / 1e6:.2f} million closest hits, {floors.occluded / 1e6:.2f} million visibility tests and "
         f"{floors.bandwidth / 1e9:.1f} GB per second"
     )
-    return f"{what}, {machine.name()}: {limits}.\n\n{tables.markdown(header, body)}"
+    return f"{what}: {limits}.\n\n{tables.markdown(header, body)}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -178,11 +201,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("capture", type=Path, nargs="?", default=BUNDLED)
     parser.add_argument("--preset", choices=list(PRESETS), default="balanced")
-    parser.add_argument("--out", type=Path, default=machine.ROOT / "docs" / "bench_profile.md")
+    parser.add_argument("--no-report", action="store_true", help="print alone, leave docs as they are")
     args = parser.parse_args(arguments)
-    text = profile(args.capture, args.preset)
-    atomic_write(args.out, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-    print(text)
+    record = profile(args.capture, args.preset)
+    print(describe_records([record], args.capture))
+    if not args.no_report:
+        from .report import write
+
+        pack("profile", [record])
+        write(["profile"])
     return 0
 
 

@@ -15,19 +15,19 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from statistics import fmean
 from typing import Any, Literal
 
-from iris_addon.config import PresetName
 from iris_addon.progress import Progress
 from iris_addon.result.json_files import read_json, write_json
 
-from .machine import ROOT
+from .machine import ROOT, cores
 
 Scored = Literal["maps", "relight", "all"]
 BUNDLED = ROOT / "assets" / "demo_room"
 SHARED_CAPTURES = ROOT.parent / "shared" / "captures"
 SWEPT_VIEWS = 2
-"""Views that a run scored by "relight" renders."""
+"""Held-out views that the sweeps relight."""
 Record = dict[str, Any]
 
 
@@ -39,19 +39,22 @@ class Run:
         capture: folder, relative to the repository.
         configuration: name in :data:`benchmarks.configurations.CONFIGURATIONS`.
         axis, level: perturbation of the capture; "" for none, and the index of its level.
+        preset: of the engine, or "sweep" (see :mod:`benchmarks.configurations`); of another program, its settings.
         scored: "maps" renders nothing, "relight" renders the relighting references, "all" everything.
         samples: per pixel of a rendered view.
+        views: held-out views whose relighting references are rendered, 0 for all.
         warm: whether transport may be read from the cache that the runs of one folder share.
     """
 
     capture: str
     configuration: str = "ours"
-    preset: PresetName = "balanced"
+    preset: str = "balanced"
     seed: int = 0
     axis: str = ""
     level: int = 0
     scored: Scored = "all"
     samples: int = 64
+    views: int = 0
     warm: bool = False
 
     @property
@@ -67,6 +70,11 @@ def captures() -> list[Path]:
     return [path for path in (BUNDLED, *found) if path.is_dir()]
 
 
+def has_truth(capture: Path) -> bool:
+    """Whether a result can be scored by maps: the capture has ground truth of its materials."""
+    return any((capture / folder / "DiffCol").is_dir() for folder in ("gt/train", "train"))
+
+
 def relative(capture: Path) -> str:
     """How records name a capture: relative to the repository, where every run starts."""
     return Path(os.path.relpath(capture, ROOT)).as_posix()
@@ -80,31 +88,57 @@ def run_all(runs: Sequence[Run], folder: Path, progress: Progress, jobs: int = 1
     Args:
         jobs: runs at a time. More than one spoils the seconds in the records, not the scores.
     """
-    records: dict[int, Record] = {}
+    records = {index: record for index, run in enumerate(runs) if (record := standing_record(run, folder)) is not None}
+    missing = [index for index in range(len(runs)) if index not in records]
+    spent = [record["seconds_run"] for record in records.values() if "seconds_run" in record]
     with progress.stage("runs"), ThreadPoolExecutor(jobs) as pool:
-        waiting = {pool.submit(run_once, run, folder): index for index, run in enumerate(runs)}
+        progress.update(0.0, f"{len(missing)} of {len(runs)} runs to measure{_estimate(spent, len(missing), jobs)}")
+        waiting = {pool.submit(run_once, runs[index], folder, jobs): index for index in missing}
         try:
-            for done in as_completed(waiting):
+            for count, done in enumerate(as_completed(waiting), start=1):
                 records[waiting[done]] = record = done.result()
-                key, said = runs[waiting[done]].key, record.get("error", "")
-                progress.update(len(records) / len(runs), f"{key}: {said}" if said else key)
+                spent += [record["seconds_run"]] if "seconds_run" in record else []
+                text = runs[waiting[done]].key
+                text += f": {record['error']}" if "error" in record else ""
+                text += _estimate(spent, len(missing) - count, jobs) if count in (1, 10) else ""
+                progress.update(count / len(missing), text)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return [records[index] for index in range(len(runs))]
 
 
-def run_once(run: Run, folder: Path) -> Record:
-    """The record of ``run``, read back or made in a new process."""
+def _estimate(spent: Sequence[float], left: int, jobs: int) -> str:
+    """What the runs before say about those to come, as text."""
+    if not spent or not left:
+        return ""
+    return f"; about {fmean(spent) * left / jobs / 60:.0f} minutes at {fmean(spent):.0f} s each, {jobs} at a time"
+
+
+def standing_record(run: Run, folder: Path) -> Record | None:
+    """The record of ``run`` if it stands; one of another run under the same name is removed."""
     path = folder / f"{run.key}.json"
-    if path.is_file() and read_json(path).get("run") != asdict(run):
-        path.unlink()  # measured with other settings
-    error = run_isolated("benchmarks.worker", path, [json.dumps(asdict(run))])
+    if not path.is_file():
+        return None
+    record = read_json(path)
+    if record.get("run") == asdict(run):
+        return record
+    path.unlink()  # measured with other settings
+    return None
+
+
+def run_once(run: Run, folder: Path, jobs: int = 1) -> Record:
+    """The record of ``run``, made in a new process that is one of ``jobs`` at a time."""
+    path = folder / f"{run.key}.json"
+    error = run_isolated("benchmarks.worker", path, [json.dumps(asdict(run))], jobs)
     return read_json(path) if error is None else {"run": asdict(run), "error": error}
 
 
-def run_isolated(module: str, path: Path, arguments: Sequence[str]) -> str | None:
+def run_isolated(module: str, path: Path, arguments: Sequence[str], jobs: int = 1) -> str | None:
     """Let ``python -m module RECORD_FILE arguments`` write the record at ``path``, unless it stands.
+
+    Args:
+        jobs: processes at a time; each gets its share of the cores, or their threads would wait for each other.
 
     Returns:
         None, or the last line the process said when it failed.
@@ -112,7 +146,9 @@ def run_isolated(module: str, path: Path, arguments: Sequence[str]) -> str | Non
     if path.is_file():
         return None
     command = [sys.executable, "-m", module, str(path.resolve()), *arguments]
-    process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    threads = str(max(1, cores() // jobs))
+    environment = os.environ | ({"OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads} if jobs > 1 else {})
+    process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env=environment)
     if process.returncode == 0 and path.is_file():
         return None
     said = [line for line in process.stderr.splitlines() if line.strip()]
@@ -135,7 +171,8 @@ METRICS = (
 def flat(record: Record) -> dict[str, Any]:
     """A record as one row of a table."""
     row = {**record["run"], "capture": Path(record["run"]["capture"]).name}
-    row |= {name: record.get(name) for name in ("seconds_total", "peak_memory_bytes", "rays_traced", "n_patches")}
+    costs = ("seconds_total", "seconds_run", "peak_memory_bytes", "rays_traced", "n_patches")
+    row |= {name: record.get(name) for name in costs}
     row |= {f"seconds_{stage}": value for stage, value in record.get("seconds", {}).items()}
     row |= {name: value for name, value in record.get("metrics", {}).items() if isinstance(value, int | float)}
     machine = record.get("machine", {})

@@ -1,8 +1,9 @@
 """Cost against size: seconds, memory and rays over triangles, photos and photo size; slopes on log axes.
 
-    python -m benchmarks.scaling [CAPTURE] [--preset balanced] [--out docs/bench_scaling]
+    python -m benchmarks.scaling [CAPTURE] [--preset balanced] [--sweeps NAME ...]
 
-How captures of other sizes are made: :mod:`benchmarks.scaling_worker`.
+How captures of other sizes are made: :mod:`benchmarks.scaling_worker`. Records lie in OUT/records; a run that has one
+is not repeated. At the end they are packed into docs/measured and docs/benchmarks.md is made anew.
 """
 
 from __future__ import annotations
@@ -11,14 +12,13 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from iris_addon.config import PRESETS
 from iris_addon.progress import Progress, console
-from iris_addon.result.json_files import read_json
 
-from . import charts, machine, tables
-from .runs import BUNDLED, relative, run_isolated
+from . import charts, tables
+from .measured import OUT, machine_of, pack
+from .runs import BUNDLED, Record, read_records, relative, run_isolated
 
 SWEEPS: dict[str, tuple[str, tuple[int, ...]]] = {
     "triangles": ("triangles", (10_000, 30_000, 100_000, 300_000, 1_000_000)),
@@ -29,8 +29,8 @@ SWEEPS: dict[str, tuple[str, tuple[int, ...]]] = {
 EXTRAPOLATED_TRIANGLES = 10_000_000
 
 
-def summarise(records: Sequence[dict[str, Any]], out: Path) -> str:
-    """Charts, slopes, and the cost of ten million triangles on paper."""
+def describe(records: Sequence[Record], images: Path) -> str:
+    """Charts into ``images``; slopes, and the cost of ten million triangles on paper, as Markdown."""
     panels: dict[str, dict[str, tuple[list[float], list[float]]]] = {
         "seconds": {},
         "memory, GiB": {},
@@ -50,8 +50,12 @@ def summarise(records: Sequence[dict[str, Any]], out: Path) -> str:
             panels[quantity][f"{label}, slope {tables.loglog_slope(x, y):.2f}"] = (x, y)
         if sweep == "triangles":
             stages = {s: (x, [max(r["seconds"].get(s, 0.0), 1e-2) for r in own]) for s in own[0]["seconds"]}
-    charts.save(charts.scaling(panels, title="Cost of a solve against the size of its input"), out / "scaling")
-    lines = [f"Measured on {machine.name()}.\n"]
+    charts.save(charts.scaling(panels, title="Cost of a solve against the size of its input"), images / "scaling")
+    presets = sorted({record["run"]["preset"] for record in records})
+    lines = [
+        "![Cost against size](images/benchmarks/scaling.png)\n",
+        f"{machine_of(records)} `{', '.join(presets)}`.\n",
+    ]
     lines += [f"- {quantity}: {name}" for quantity, found in panels.items() for name in found]
     if stages:
         lines += ["", *_extrapolate(stages)]
@@ -79,24 +83,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--preset", choices=list(PRESETS), default="balanced")
     parser.add_argument("--sweeps", nargs="+", choices=list(SWEEPS), default=list(SWEEPS))
     parser.add_argument("--largest", type=int, default=1_000_000, help="leave out sizes above this")
-    parser.add_argument("--out", type=Path, default=machine.ROOT / "docs" / "bench_scaling")
+    parser.add_argument("--out", type=Path, default=OUT / "scaling")
+    parser.add_argument("--no-report", action="store_true", help="leave docs alone")
     args = parser.parse_args(arguments)
     sizes = [(sweep, size) for sweep in args.sweeps for size in SWEEPS[sweep][1] if size <= args.largest]
-    progress, records = Progress(console()), []
+    progress, folder = Progress(console()), args.out / "records"
     with progress.stage("runs"):
         for index, (sweep, size) in enumerate(sizes):
-            progress.update(index / len(sizes), f"{size} {sweep}")
-            path = args.out / "records" / f"{args.capture.name}.{sweep}.{size}.{args.preset}.json"
+            progress.update(index / len(sizes), f"{size} {sweep}, {len(sizes) - index} to go")
+            path = folder / f"{args.capture.name}.{sweep}.{size}.{args.preset}.json"
             error = run_isolated(
                 "benchmarks.scaling_worker", path, [relative(args.capture), sweep, str(size), args.preset]
             )
-            if error is None:
-                records.append(read_json(path))
-            else:
+            if error is not None:
                 progress.update(index / len(sizes), f"{size} {sweep}: {error}")
-    text = summarise(records, args.out)
-    (args.out / "summary.md").write_text(text, encoding="utf-8")
-    print(text)
+    if not args.no_report:
+        from .report import write
+
+        pack("scaling", read_records(folder))
+        write(["scaling"])
     return 0
 
 

@@ -1,8 +1,10 @@
 """Stability where methods fail: every axis of :mod:`benchmarks.perturb`, ours against the IRIS-like configuration.
 
-    python -m benchmarks.stability [CAPTURE] [--axes NAME ...] [--seeds 3] [--jobs 2] [--out docs/bench_stability]
+    python -m benchmarks.stability [CAPTURE] [--axes NAME ...] [--seeds 3] [--jobs 2]
 
-Runs are at ``draft``. A run that has a record in OUT/records is not repeated: stop at any time and start again.
+The capture is halved in width and height and solved with the settings "sweep", a ``draft`` of one round. A run that has
+a record in OUT/records is not repeated: stop at any time and start again. At the end the records are packed into
+docs/measured and the charts and the table of docs/benchmarks.md are made anew (:mod:`benchmarks.report`).
 """
 
 from __future__ import annotations
@@ -17,10 +19,13 @@ from numpy.typing import NDArray
 
 from iris_addon.progress import Progress, console
 
-from . import charts, machine, tables
+from . import charts, tables
+from .machine import cores
+from .measured import OUT, machine_of, pack
 from .perturb import AXES, Axis, axis_applies
 from .perturb_scene import CHANGES, rendered
-from .runs import BUNDLED, Record, Run, flat, relative, run_all, write_csv
+from .runs import BUNDLED, SWEPT_VIEWS, Record, Run, flat, relative, run_all
+from .small import small_capture
 
 METHODS = ("ours", "iris-like")
 METRICS = ("kd_psnr_valid", "relight_psnr", "emission_log_l2")
@@ -35,7 +40,7 @@ def planned(capture: Path, axes: Sequence[str], seeds: int) -> list[Run]:
     """All runs; the capture as it is comes first and is shared by all axes."""
 
     def run(method: str, seed: int, axis: str = "", level: int = 0) -> Run:
-        return Run(relative(capture), method, "draft", seed, axis, level, "relight", SAMPLES, warm=True)
+        return Run(relative(capture), method, "sweep", seed, axis, level, "relight", SAMPLES, SWEPT_VIEWS, warm=True)
 
     runs = [run(method, seed) for seed in range(seeds) for method in METHODS]
     for seed in range(seeds):
@@ -73,29 +78,37 @@ def failure(values: Values, axis: str, method: str) -> int | None:
     return min((level for level in both if level is not None), default=None)
 
 
-def write(values: Values, axes: Sequence[str], out: Path, notes: Mapping[str, str]) -> None:
-    """A chart per axis and the summary table, hardest axes for ours first."""
+def describe(records: Sequence[Record], images: Path) -> str:
+    """A chart per axis into ``images``, the summary table as Markdown, what breaks ours first on top."""
+    measured = {record["run"]["axis"] for record in records}
+    axes = [name for name in AXES if name in measured]
+    seeds = 1 + max(record["run"]["seed"] for record in records)
+    values = collect(records, axes, seeds)
     rows = []
     for name in axes:
         axis = AXES[name]
-        if all(np.isnan(values[name, method, metric][1:]).all() for method in METHODS for metric in METRICS):
-            continue
-        charts.save(_chart(values, axis), out / name)
+        charts.save(_chart(values, axis), images / f"stability-{name}", svg=False)
         lost = {
             (method, metric): _mean(values[name, method, metric][0]) - _mean(values[name, method, metric][-1])
             for method in METHODS
             for metric in METRICS[:2]
         }
-        rows.append((lost[METHODS[0], METRICS[1]], [axis.title, *_cells(values, axis, lost)]))
-    rows.sort(key=lambda row: -np.nan_to_num(row[0], nan=np.inf))
+        worst = max(np.nan_to_num(lost[METHODS[0], metric], nan=np.inf) for metric in METRICS[:2])
+        rows.append((failure(values, name, METHODS[0]), -worst, [_link(axis), *_cells(values, axis, lost)]))
+    rows.sort(key=lambda row: (len(row[2]) if row[0] is None else row[0], row[1]))
     header = ["axis"]
     for method in METHODS:
         header += [f"{method} fails at", "kd lost, dB", "relight lost, dB"]
-    text = tables.markdown(header, [row for _, row in rows])
-    text += f"\nMeasured on {machine.name()}. Fails at: the first level where kd or relight PSNR falls by more than "
-    text += f"{tables.FAILURE_DB:g} dB; lost: at the hardest level.\n"
-    text += "".join(f"\n- {AXES[name].title}: left out, {why}" for name, why in notes.items())
-    (out / "summary.md").write_text(text + "\n", encoding="utf-8")
+    text = f"{machine_of(records)} {seeds} seeds.\n\n"
+    text += tables.markdown(header, [row for _, _, row in rows])
+    text += f"\nFails at: the first level where kd or relight PSNR is more than {tables.FAILURE_DB:g} dB below the "
+    text += "capture as it is; lost: at the hardest level. The first to fail stands first.\n"
+    failed = sorted({f"{r['run']['axis']}: {r['error']}" for r in records if "error" in r})
+    return text + "".join(f"\n- Failed runs, {line}" for line in failed)
+
+
+def _link(axis: Axis) -> str:
+    return f"[{axis.title}](images/benchmarks/stability-{axis.name}.png)"
 
 
 def _cells(values: Values, axis: Axis, lost: Mapping[tuple[str, str], float]) -> list[str]:
@@ -134,21 +147,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("capture", type=Path, nargs="?", default=BUNDLED)
     parser.add_argument("--axes", nargs="+", choices=sorted(AXES), default=list(AXES), metavar="NAME")
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--jobs", type=int, default=2, help="runs at a time")
-    parser.add_argument("--out", type=Path, default=machine.ROOT / "docs" / "bench_stability")
+    parser.add_argument("--jobs", type=int, default=cores(), help="runs at a time")
+    parser.add_argument("--out", type=Path, default=OUT / "stability")
+    parser.add_argument("--no-report", action="store_true", help="leave docs alone")
     args = parser.parse_args(arguments)
-    reasons = {name: why for name in args.axes if (why := axis_applies(name, args.capture)) is not None}
-    axes = [name for name in args.axes if name not in reasons]
     progress = Progress(console())
-    with progress.stage("rooms"):
+    capture = small_capture(args.capture.resolve())
+    reasons = {name: why for name in args.axes if (why := axis_applies(name, capture)) is not None}
+    for name, why in reasons.items():
+        print(f"{AXES[name].title}: left out, {why}", file=sys.stderr)
+    axes = [name for name in args.axes if name not in reasons]
+    with progress.stage("rooms rendered anew"):
         changed = [(name, level) for name in axes if name in CHANGES for level in AXES[name].levels[1:]]
         for index, (name, level) in enumerate(changed):
-            progress.update(index / len(changed), f"{name} {level:g}")
-            rendered(name, level)
-    records = run_all(planned(args.capture, axes, args.seeds), args.out / "records", progress, args.jobs)
-    write_csv(args.out / "records.csv", records)
-    write(collect(records, axes, args.seeds), axes, args.out, reasons)
+            progress.update(index / len(changed), f"{name} {level:g}, {len(changed) - index} to go")
+            rendered(name, level, capture)
+    records = run_all(planned(capture, axes, args.seeds), args.out / "records", progress, args.jobs)
+    if not args.no_report:
+        from .report import write
+
+        pack("stability", [slim(record) for record in records])
+        write(["stability"])
     return 0
+
+
+def slim(record: Record) -> Record:
+    """What the charts need of a record; there are hundreds."""
+    kept = {key: record[key] for key in ("run", "machine", "perturbation", "seconds_run", "error") if key in record}
+    if "metrics" in record:
+        kept["metrics"] = {name: record["metrics"].get(name) for name in METRICS}
+    return kept
 
 
 if __name__ == "__main__":

@@ -35,6 +35,20 @@ def mean(rows: Sequence[Mapping[str, Any]], metric: str) -> float:
     return float(found.mean()) if len(found) else float("nan")
 
 
+def mean_over_captures(rows: Sequence[Mapping[str, Any]], metric: str) -> float:
+    """Mean over captures of the mean over seeds: a capture with more seeds does not count for more."""
+    by_capture: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        by_capture.setdefault(row["capture"], []).append(row)
+    means = [value for own in by_capture.values() if np.isfinite(value := mean(own, metric))]
+    return float(np.mean(means)) if means else float("nan")
+
+
+def number(value: float, digits: int = 2) -> str:
+    """A figure, a dash for NaN."""
+    return f"{value:.{digits}f}" if np.isfinite(value) else "–"
+
+
 def cell(rows: Sequence[Mapping[str, Any]], metric: str, digits: int = 2) -> str:
     """Mean ± half the span over seeds; a dash where there is none."""
     found = values(rows, metric)

@@ -18,7 +18,7 @@ from iris_addon.result.types import Result
 from . import machine
 from .configurations import CONFIGURATIONS
 from .perturb import Perturbed, perturb
-from .runs import SWEPT_VIEWS, Run, save_record
+from .runs import Run, save_record
 
 
 def measure(run: Run, cache: Path) -> dict[str, Any]:
@@ -30,6 +30,7 @@ def measure(run: Run, cache: Path) -> dict[str, Any]:
     Raises:
         IrisError: the capture cannot be used, or the configuration does not apply to it.
     """
+    begin = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="iris-run-") as name:
         scratch = Path(name)
         os.environ["IRIS_CACHE"] = str(cache if run.warm else scratch / "cache")
@@ -44,6 +45,7 @@ def measure(run: Run, cache: Path) -> dict[str, Any]:
         "stands_for": CONFIGURATIONS[run.configuration].stands_for,
         "perturbation": perturbed.note,
         "seconds_total": seconds,
+        "seconds_run": time.monotonic() - begin,
         **{name: report.get(name) for name in ("seconds", "peak_memory_bytes", "rays_traced", "n_patches", "n_views")},
         "n_faces": len(result.mesh.faces),
         "model": report.get("model"),
@@ -73,13 +75,17 @@ def score(result: Result, run: Run, truth: Path) -> dict[str, Any]:
         return evaluate(result, truth, render=render_views, samples=run.samples, seed=run.seed)
     scores = evaluate(result, truth, render=None)
     if run.scored == "relight":
-        scores |= relight_scores(result, run, truth)
+        scores |= relight_scores(result, truth, run.views, run.samples, run.seed)
         scores["left_out"] = {k: v for k, v in scores["left_out"].items() if k not in scores}
     return scores
 
 
-def relight_scores(result: Result, run: Run, truth: Path) -> dict[str, float]:
-    """The relighting metrics alone, over the first views: four renders instead of two dozen."""
+def relight_scores(result: Result, truth: Path, views: int, samples: int, seed: int) -> dict[str, float]:
+    """The relighting metrics alone, over the first ``views`` held-out views, 0 for all.
+
+    Raises:
+        BadInput: the capture has no ground truth.
+    """
     from iris_addon.blender.render import render_views
     from iris_addon.evaluate.ground_truth import read_ground_truth
     from iris_addon.evaluate.metrics import combine
@@ -87,9 +93,9 @@ def relight_scores(result: Result, run: Run, truth: Path) -> dict[str, float]:
 
     ground = read_ground_truth(truth)
     if ground is None:
-        raise BadInput("has no ground truth", "sweep a capture that has it", truth)
-    ground = replace(ground, val_views=ground.val_views[:SWEPT_VIEWS])
-    pictures = relit_views(result, ground, render_views, run.samples, run.seed, Progress())
+        raise BadInput("has no ground truth", "use a capture that has it", truth)
+    ground = replace(ground, val_views=ground.val_views[: views or None])
+    pictures = relit_views(result, ground, render_views, samples, seed, Progress())
     return {name: combine(list(values.values())) for name, values in score_pictures(pictures).items()}
 
 

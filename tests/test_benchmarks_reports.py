@@ -23,7 +23,8 @@ from tests.truth_room import write_truth_room
 
 def record(run: Run, **metrics: float) -> dict:
     return {
-        "run": asdict(run), "seconds_total": 10.0, "seconds": {"photos": 1.0}, "peak_memory_bytes": 2**30,
+        "run": asdict(run), "seconds_total": 10.0, "seconds_run": 12.0, "seconds": {"photos": 1.0},
+        "peak_memory_bytes": 2**30,
         "rays_traced": 10**6, "n_patches": 1000, "machine": {"processor": "test", "cores": 2, "commit": "0"},
         "metrics": metrics,
     }  # fmt: skip
@@ -67,7 +68,7 @@ def test_every_run_has_a_record_of_its_own():
 
 
 def test_a_switch_the_engine_lacks_is_named(tmp_path):
-    odd = Configuration("odd", "", lambda _capture, _scratch: {"emitters": "x", "warp": 9})
+    odd = Configuration("odd", "", lambda _capture, _scratch: {"seed": 1, "warp": 9})
     with pytest.raises(BadInput, match="warp"):
         odd.solve_config("draft", 0, tmp_path, tmp_path)
 
@@ -173,40 +174,96 @@ def test_a_sweep_is_collected_drawn_and_summed_up(tmp_path):
     values = stability.collect(measured, axes, 2)
     assert values["mask_missed", "ours", "kd_psnr_valid"].std(0).max() == 0
     assert stability.failure(values, "pose", "ours") == 4 and stability.failure(values, "pose", "iris-like") == 1
-    stability.write(values, axes, tmp_path, {})
-    summary = (tmp_path / "summary.md").read_text()
-    assert (
-        "| error of the poses | 2 cm and half degrees | 4.0 | 4.0 | 0.25 cm and half degrees | 24.0 | 24.0 |" in summary
-    )
-    assert "| given mask: lamps missed | never | 0.0 | 0.0 | 0.25 share | 24.0 | 24.0 |" in summary
-    assert (tmp_path / "pose.png").stat().st_size > 10_000 and (tmp_path / "pose.svg").read_text().startswith("<?xml")
+    summary = stability.describe([stability.slim(entry) for entry in measured], tmp_path)
+    pose = "[error of the poses](images/benchmarks/stability-pose.png)"
+    assert f"| {pose} | 2 cm and half degrees | 4.0 | 4.0 | 0.25 cm and half degrees | 24.0 | 24.0 |" in summary
+    missed = "[given mask: lamps missed](images/benchmarks/stability-mask_missed.png)"
+    assert f"| {missed} | never | 0.0 | 0.0 | 0.25 share | 24.0 | 24.0 |" in summary
+    assert summary.index("error of the poses") < summary.index("lamps missed"), "what breaks first stands first"
+    assert (tmp_path / "stability-pose.png").stat().st_size > 10_000
+
+
+def bench_room(tmp_path: Path, name: str) -> Path:
+    """A folder that looks like a capture with ground truth."""
+    root = tmp_path / name
+    (root / "gt" / "train" / "DiffCol").mkdir(parents=True)
+    return root
+
+
+def bench_records(planned: list[Run]) -> list[dict]:
+    measured = []
+    for run in planned:
+        scores = {"kd_psnr": 20.0 + run.seed, "crf_l2": 1.5}
+        measured.append(record(run, **(scores if run.scored == "maps" else scores | {"relight_psnr": 22.0})))
+    return measured
 
 
 def test_a_benchmark_is_charted_and_tabled(tmp_path):
     bench = pytest.importorskip("benchmarks.bench", reason="matplotlib is not installed")
-    measured = []
-    for run in bench.planned([Path("room")], 3, 8):
-        measured.append(record(run, kd_psnr=20.0 + run.seed, relight_psnr=22.0, crf_l2=1.5))
-    names = {r["run"]["configuration"] for r in measured}
-    assert names == set(CONFIGURATIONS)
-    (ours,) = [p for p in bench.speed_points(measured, "kd_psnr") if p.name == "ours"]
+    from benchmarks import bench_charts
+
+    planned = bench.planned([bench_room(tmp_path, "room"), tmp_path / "scan"], bench.PARTS, 3, 8)
+    assert {run.configuration for run in planned} == set(CONFIGURATIONS)
+    assert {run.configuration for run in planned if run.capture.endswith("scan")} == {"ours"}
+    assert all(run.scored == "maps" for run in planned if run.seed), "further seeds render nothing"
+    measured = bench_records(planned)
+    (ours,) = [p for p in bench_charts.speed_points(measured[:7], "kd_psnr") if p.name == "ours"]
     assert len(ours.seconds) == 3 and ours.spread[0] == (20.0, 22.0) and ours.line
-    bench.write_charts(measured, tmp_path)
-    bench.write_tables(measured, tmp_path)
-    assert (tmp_path / "room.png").is_file() and (tmp_path / "summary.svg").is_file()
-    assert "| ours balanced | 10 ± 0 | 21.00 ± 1.00 |" in (tmp_path / "tables.md").read_text()
+    measured += [record(Run("room", "mitsuba-prb", "60 s"), kd_psnr=15.0, relight_psnr=21.0)]
+    text = bench.describe(measured, tmp_path / "images")
+    assert (tmp_path / "images" / "room.png").is_file() and (tmp_path / "images" / "summary.svg").is_file()
+    assert "| ours balanced | 10 ± 0 | 21.00 ± 1.00 |" in text
+    assert "![Speed against accuracy, summary](images/benchmarks/summary.png)" in text
+
+
+@pytest.mark.parametrize(("reached", "said"), [(21.0, "the speed-up is over 120"), (23.0, "120.0 times as long")])
+def test_the_speed_up_over_mitsuba_is_at_equal_relighting(reached, said):
+    from benchmarks import bench_tables
+
+    peer = record(Run("room", "mitsuba-prb", "1200 s"), relight_psnr=reached) | {"seconds_total": 1200.0}
+    text = bench_tables.markdown([record(Run("room"), relight_psnr=22.0), peer])
+    assert said in text and "relight 22.00 dB after 10 s" in text
+
+
+def test_captures_count_the_same_whatever_their_seeds():
+    rows = [{"capture": "a", "x": 1.0}, {"capture": "a", "x": 3.0}, {"capture": "b", "x": 4.0}]
+    assert tables.mean_over_captures(rows, "x") == 3.0
+    assert tables.number(tables.mean_over_captures([], "x")) == "–"
+
+
+def test_the_page_is_filled_from_the_committed_records_alone(tmp_path):
+    report = pytest.importorskip("benchmarks.report", reason="matplotlib is not installed")
+    from benchmarks.measured import pack
+
+    page = tmp_path / "page.md"
+    page.write_text("before\n<!-- measured: bench -->\nold\n<!-- end -->\nafter\n")
+    report.write(["bench"], tmp_path, tmp_path / "images", page)
+    assert page.read_text() == f"before\n<!-- measured: bench -->\n{report.NOT_MEASURED}\n<!-- end -->\nafter\n"
+    pack("bench", [record(Run("room"), kd_psnr=20.0), record(Run("hall"), kd_psnr=21.0)], tmp_path)
+    report.write(["bench"], tmp_path, tmp_path / "images", page)
+    first = page.read_text()
+    assert "#### room" in first and "old" not in first and first.startswith("before\n") and first.endswith("after\n")
+    report.write(["bench"], tmp_path, tmp_path / "images", page)
+    assert page.read_text() == first, "the same records give the same page"
+
+
+def test_the_page_of_the_repository_has_a_place_for_every_section():
+    report = pytest.importorskip("benchmarks.report", reason="matplotlib is not installed")
+    text = report.PAGE.read_text(encoding="utf-8")
+    assert all(f"<!-- measured: {name} -->" in text for name in report.SECTIONS)
 
 
 def test_scaling_prints_slopes_and_the_limiting_stage(tmp_path):
     scaling = pytest.importorskip("benchmarks.scaling", reason="matplotlib is not installed")
     measured = [
         {
-            "run": {"sweep": "triangles"}, "actual_size": n, "seconds_total": 10 + n / 1e4, "peak_memory_bytes": 2**30,
+            "run": {"sweep": "triangles", "preset": "balanced"}, "actual_size": n,
+            "seconds_total": 10 + n / 1e4, "peak_memory_bytes": 2**30,
             "rays_traced": 10**7, "seconds": {"surface": 1.0, "textures": n / 1e4},
         }
         for n in (10_000, 100_000, 1_000_000)
     ]  # fmt: skip
-    text = scaling.summarise(measured, tmp_path)
+    text = scaling.describe(measured, tmp_path)
     assert "Limiting stage at 10⁷ triangles: textures." in text and "| textures | 100.0 | 1.00 | 1000 |" in text
 
 
@@ -227,11 +284,22 @@ def test_only_the_side_of_a_lamp_that_faces_the_room_shines():
     assert shares[0] > 0.95 and shares[1] == 0
 
 
+def test_the_target_of_a_photo_is_the_radiance_behind_it():
+    from benchmarks.peer_mitsuba import Target, stops_until
+    from iris_addon.response.curve import gamma
+
+    exposed = np.linspace(0.02, 0.95, 24).reshape(2, 4, 3)
+    target = Target.of((np.floor(255 * gamma().apply(exposed)) / 255).astype(np.float32), gamma())
+    assert target.exposed == pytest.approx(exposed, rel=0.03) and not target.clipped.any()
+    assert Target.of(np.ones((1, 1, 3), np.float32), gamma()).clipped.all()
+    assert stops_until(100) == (30, 60, 100) and stops_until(1200)[-1] == 1200
+
+
 @pytest.mark.slow
-def test_mitsuba_takes_the_photo_our_response_takes():
+def test_mitsuba_asks_of_clipped_pixels_only_that_they_clip():
     pytest.importorskip("mitsuba")
-    from benchmarks import peer_mitsuba as peer
     from benchmarks.mitsuba_scene import load_mitsuba
+    from benchmarks.peer_mitsuba import Target, photo_loss
     from iris_addon.errors import SolverEnvironmentMissing
     from iris_addon.response.curve import gamma
 
@@ -241,11 +309,10 @@ def test_mitsuba_takes_the_photo_our_response_takes():
         pytest.skip(str(error))
     import drjit as dr
 
-    exposed = np.linspace(0.01, 0.99, 4 * 5 * 3).reshape(4, 5, 3)
-    curve = mi.Float(gamma().samples.astype(np.float32).ravel())
-    display = np.array(peer._develop(dr, mi, mi.TensorXf(exposed.astype(np.float32)), curve))
-    assert display == pytest.approx(gamma().apply(exposed), abs=1e-4)
-    # A clipped pixel asks for nothing once the rendering clips too; an open one does.
-    bright = peer._develop(dr, mi, mi.TensorXf(np.full((1, 1, 3), 2.0, np.float32)), curve)
-    assert float(peer._photo_loss(dr, mi, bright, np.ones((1, 1, 3), np.float32)).array[0]) == 0
-    assert float(peer._photo_loss(dr, mi, bright, np.full((1, 1, 3), 0.9, np.float32)).array[0]) > 0.1
+    def loss(exposed: float, photo: float) -> float:
+        image = mi.TensorXf(np.full((1, 1, 3), exposed, np.float32))
+        target = Target.of(np.full((1, 1, 3), photo, np.float32), gamma())
+        return float(photo_loss(dr, mi, image, target).array[0])
+
+    assert loss(2.0, 1.0) == 0 and loss(0.5, 1.0) > 0.01
+    assert loss(2.0, 0.9) > 0.1 and loss(0.5, 0.5 ** (1 / 2.2)) < 1e-4

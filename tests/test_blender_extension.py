@@ -1,39 +1,68 @@
-"""The extension: built, validated, installed into a Blender of its own, used, disabled. And the worker behind it."""
+"""The extension: built, validated, installed into a Blender of its own, used from import to export, disabled."""
 
-import json
-import os
-import subprocess
 import sys
-import textwrap
-import time
+import tomllib
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
-import bpy
+import numpy as np
 import pytest
 
-from iris_addon.blender.worker import Worker, solve_command
-from iris_addon.errors import Cancelled, IrisError
 from iris_addon.result.io import save_result
-from tests.blender_room import room
+from tests.blender_home import ROOT, blender_ext, build_package, fake_solver, in_blender
+from tests.blender_room import box, room
+from tests.box_room import RoomCapture, box_mesh
 
-pytestmark = pytest.mark.bpy
+pytestmark = [
+    pytest.mark.bpy,
+    pytest.mark.skipif(sys.platform == "win32", reason="the stand-in solver is a script with a #! line"),
+]
 
-ROOT = Path(__file__).parents[1]
-
-
-def blender_ext(*arguments: str) -> subprocess.CompletedProcess:
-    scripts = Path(bpy.utils.resource_path("LOCAL")) / "scripts"
-    tool = scripts / "addons_core" / "bl_pkg" / "cli" / "blender_ext.py"
-    return subprocess.run([sys.executable, str(tool), *arguments], capture_output=True, text=True, check=False)
+ALLOWED_OPS = (
+    "render.",
+    "object.bake",
+    "wm.open_mainfile",
+    "import_scene.",
+    "export_scene.",
+    "wm.usd_",
+    "wm.obj_",
+    "wm.ply_",
+    "iris.",
+)
 
 
 @pytest.fixture(scope="module")
 def package(tmp_path_factory) -> Path:
-    path = tmp_path_factory.mktemp("package") / "iris.zip"
-    built = blender_ext("build", "--source-dir", str(ROOT), "--output-filepath", str(path))
-    assert built.returncode == 0, built.stdout + built.stderr
-    return path
+    return build_package(tmp_path_factory.mktemp("package") / "iris.zip")
+
+
+@pytest.fixture
+def solved(tmp_path) -> Path:
+    """A result for the box capture."""
+    mesh = replace(box_mesh(), uv=box().uv)
+    save_result(room(mesh=mesh, emission={3: (12, 10, 8)}), tmp_path / "solved")
+    return tmp_path / "solved"
+
+
+@pytest.fixture
+def worker(tmp_path, solved) -> Path:
+    """Reads captures as the real solver does, and has every solve ready."""
+    return fake_solver(
+        tmp_path,
+        f"""
+        command = sys.argv[sys.argv.index("-B") + 2]
+        if command == "inspect":
+            os.execv({sys.executable!r}, [{sys.executable!r}, *sys.argv[1:]])
+        out = sys.argv[sys.argv.index("--out") + 1]
+        print(json.dumps(dict(type="progress", stage="x", fraction=1, overall=1, seconds_left=0, message="")))
+        shutil.copytree({str(solved)!r}, out, dirs_exist_ok=True)
+        print(json.dumps(dict(type="done", result={{}})))
+        """,
+    )
+
+
+# ---- the package ---------------------------------------------------------------------------------------------------
 
 
 def test_the_package_is_valid_and_has_nothing_else_in_it(package):
@@ -43,151 +72,214 @@ def test_the_package_is_valid_and_has_nothing_else_in_it(package):
     tops = {name.split("/")[0] for name in names}
     assert {"blender_manifest.toml", "__init__.py", "iris_addon", "operators", "headless"} <= tops
     assert not tops & {"tests", "benchmarks", "docs", "out", "dist", "pyproject.toml", ".ci", ".venv"}
-    assert not [name for name in names if "__pycache__" in name]
-    assert package.stat().st_size < 2_000_000
+    assert not [name for name in names if "__pycache__" in name or "/gt/" in name]
+    demo = [name for name in names if name.startswith("assets/")]
+    assert "assets/demo_room/scene.ply" in demo and "assets/demo_room/train/transforms.json" in demo
+    assert all(name.startswith("assets/demo_room/") for name in demo if not name.endswith("/"))
+    assert package.stat().st_size < 4_000_000
 
 
-SCRIPT = """
-import importlib.abc, sys
-from pathlib import Path
-
-class Absent(importlib.abc.MetaPathFinder):
-    # What Blender's own Python does not have.
-    def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in {"torch", "trimesh", "scipy", "embreex", "OpenEXR", "PIL", "xatlas", "iris_addon"}:
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-
-sys.meta_path.insert(0, Absent())
-import bpy
-
-package, worker, capture = sys.argv[1:4]
-bpy.ops.extensions.package_install_files(filepath=package, repo="user_default", enable_on_install=True)
-key = "bl_ext.user_default.iris"
-assert key in bpy.context.preferences.addons, "not enabled"
-preferences = bpy.context.preferences.addons[key].preferences
-assert not bpy.ops.iris.solve.poll()
-bpy.context.scene.iris.capture = capture
-assert not bpy.ops.iris.solve.poll()
-preferences.python = worker
-BODY
-bpy.ops.preferences.addon_disable(module=key)
-assert not hasattr(bpy.types.Scene, "iris") and not hasattr(bpy.types, "IRIS_PT_solve")
-bpy.ops.preferences.addon_enable(module=key)
-assert hasattr(bpy.types.Scene, "iris") and hasattr(bpy.types, "IRIS_PT_solve")
-print("ALL WELL")
-"""
+def test_what_is_downloaded_is_what_is_pinned():
+    pinned = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+    lines = (ROOT / "headless" / "solver_requirements.txt").read_text().splitlines()
+    assert [line for line in lines if not line.startswith("#")] == [p for p in pinned if not p.startswith("bpy")]
 
 
-def in_blender(package: Path, home: Path, worker: Path, capture: Path, body: str) -> str:
-    """Output of a fresh Blender with user folders of its own that installs the package and runs ``body``."""
-    own = {"BLENDER_USER_RESOURCES": str(home), "BLENDER_USER_EXTENSIONS": str(home / "extensions")}
-    script = home / "script.py"
-    script.write_text(SCRIPT.replace("BODY", textwrap.dedent(body)))
-    command = [sys.executable, str(script), str(package), str(worker), str(capture)]
-    options = {"env": {**os.environ, **own}, "cwd": home, "capture_output": True, "text": True, "timeout": 120}
-    run = subprocess.run(command, check=False, **options)
-    assert run.returncode == 0 and "ALL WELL" in run.stdout, run.stdout + run.stderr
-    return run.stdout
+def test_no_operator_of_blender_is_called_beyond_what_files_and_renders_need():
+    for path in [*(ROOT / "operators").rglob("*.py"), *(ROOT / "iris_addon").rglob("*.py")]:
+        for line in path.read_text(encoding="utf-8").splitlines():
+            for call in line.split("bpy.ops.")[1:]:
+                assert call.startswith(ALLOWED_OPS), f"{path}: {line.strip()}"
 
 
-def fake_solver(folder: Path, body: str) -> Path:
-    """A stand-in for the solver's Python: a program that gets the command line of a solve."""
-    path = folder / "solver"
-    path.write_text(f"#!{sys.executable}\nimport json, shutil, sys, time\n{textwrap.dedent(body)}")
-    path.chmod(0o755)
-    return path
+# ---- on and off ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="the stand-in solver is a script with a #! line")
-def test_the_operator_solves_and_applies_in_a_blender_without_the_solver_s_packages(package, tmp_path):
-    save_result(room(emission={3: (12, 10, 8)}), tmp_path / "solved")
-    (tmp_path / "capture").mkdir()
-    worker = fake_solver(
+def test_enabling_and_disabling_leaves_no_trace(package, tmp_path):
+    in_blender(
+        package,
         tmp_path,
-        f"""
-        assert sys.argv[2].endswith("run.py") and sys.argv[3] == "solve" and "--json" in sys.argv, sys.argv
-        print(json.dumps(dict(type="progress", stage="x", fraction=1, overall=1, seconds_left=0, message="")))
-        shutil.copytree({str(tmp_path / "solved")!r}, sys.argv[sys.argv.index("--out") + 1])
+        """
+        def traces():
+            types = {name for name in dir(bpy.types) if "IRIS" in name.upper() and name != "ShaderFxIris"}
+            handlers = [len(getattr(bpy.app.handlers, n)) for n in dir(bpy.app.handlers) if n[0] != "_"
+                        and isinstance(getattr(bpy.app.handlers, n), list)]
+            menu = len(bpy.types.TOPBAR_MT_file_import._dyn_ui_initialize())
+            scene = hasattr(bpy.types.Scene, "iris")
+            return types, handlers, menu, scene, dir(bpy.ops.iris)
+
+        on = traces()
+        bpy.ops.preferences.addon_disable(module=KEY)
+        off = traces()
+        assert not off[0] and not off[3] and not off[4], off
+        assert on[2] == off[2] + 1 and on[1] == off[1]
+        for _ in range(2):
+            bpy.ops.preferences.addon_enable(module=KEY)
+            assert traces() == on
+            bpy.ops.preferences.addon_disable(module=KEY)
+            assert traces() == off
         """,
     )
-    body = """
-    assert bpy.ops.iris.solve() == {"FINISHED"}
-    room = bpy.context.scene.objects["IRIS Room Mesh"]
-    assert len(room.data.polygons) == 12 and "IRIS Lamp 00" in room.data.materials
+
+
+# ---- in use --------------------------------------------------------------------------------------------------------
+
+
+def test_from_capture_to_files_and_back(package, tmp_path, worker, nerfstudio_room: RoomCapture):
+    """Import, check, solve, review, apply, undo, apply, relight, export, save, restore; in a Blender without torch."""
+    body = f"""
+    preferences.python = {str(worker)!r}
+    settings = scene.iris
+    bpy.ops.iris.import_capture(filepath={str(nerfstudio_room.root / "transforms.json")!r})
+    assert [view.verdict for view in settings.views].count("shifted") == 0
+    assert len(settings.views) == 6 and scene.camera == settings.views[0].camera
+    assert all(len(view.camera.data.background_images) == 1 for view in settings.views)
+    assert len(settings.room.data.polygons) == 12 and settings.room.matrix_world.is_identity
+    for expected in (1, 2):
+        bpy.ops.iris.step_photo(by=1)
+        assert settings.view_index == expected and scene.camera == settings.views[expected].camera
+    blocks = len(bpy.data.objects)
+    bpy.ops.iris.check()
+    assert len(bpy.data.objects) == blocks and len(settings.views) == 6
+
+    assert not bpy.ops.iris.apply.poll()
+    bpy.ops.iris.solve()
+    bpy.ops.iris.review(kind="curve")
+    assert tuple(bpy.data.images["IRIS Response"].size) == (256, 256)
+
+    bpy.ops.ed.undo_push(message="before")
+    plain = settings.room.data.name
+    bpy.ops.iris.apply()
+    bpy.ops.ed.undo_push(message="applied")
+    settings = bpy.context.scene.iris
+    assert settings.room.data.name != plain and len(settings.lamps) == 1
+    assert settings.lamps[0].strength == 12 and settings.lamps[0].area == 4
+    materials = len(bpy.data.materials)
+    bpy.ops.iris.apply()
+    assert len(bpy.data.materials) == materials and len(bpy.context.scene.iris.lamps) == 1
+    bpy.ops.ed.undo()
+    settings = bpy.context.scene.iris
+    assert settings.room.data.name == plain and not settings.lamps and "IRIS Surface" not in bpy.data.materials
+    assert "iris_applied" not in bpy.context.scene
+
+    bpy.ops.iris.apply()
+    lamp = bpy.context.scene.iris.lamps[0]
+    lamp.on = False
+    assert lamp.material.node_tree.nodes["Principled BSDF"].inputs["Emission Strength"].default_value == 0
+    lamp.on, lamp.strength = True, 5
+    assert lamp.material.node_tree.nodes["Principled BSDF"].inputs["Emission Strength"].default_value == 5
+    bpy.ops.iris.export(format="GLB", filepath=str(home / "room.glb"))
+    bpy.ops.iris.export(format="BLEND", filepath=str(home / "room.blend"))
+    bpy.ops.iris.export(format="TEXTURES", filepath=str(home / "textures"))
+    assert (home / "room.glb").is_file() and (home / "room.blend").is_file()
+    assert (home / "textures" / "base_color.exr").is_file()
+
+    bpy.ops.wm.save_as_mainfile(filepath=str(home / "mine.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(home / "mine.blend"))
+    scene = bpy.context.scene
+    assert scene.iris.lamps[0].strength == 5 and len(scene.iris.views) == 6
+    bpy.ops.iris.restore()
+    assert scene.iris.room.data.name == plain and not scene.iris.lamps
     """
-    in_blender(package, tmp_path, worker, tmp_path / "capture", body)
-    assert (tmp_path / "capture-iris" / "report.json").is_file()
+    said = in_blender(package, tmp_path, body)
+    assert "Traceback" not in said
+    assert not [line for line in said.splitlines() if "Warning: " in line or "rna_uiItemO" in line]
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="the stand-in solver is a script with a #! line")
-def test_the_operator_says_what_the_solver_said(package, tmp_path):
-    (tmp_path / "capture").mkdir()
-    worker = fake_solver(tmp_path, 'print("error: no photos — add some", file=sys.stderr); sys.exit(3)')
-    body = """
-    try:
-        bpy.ops.iris.solve()
-    except RuntimeError as error:
-        assert "no photos — add some" in str(error), error
-    else:
-        raise AssertionError("no error")
-    assert not bpy.context.scene.objects.get("IRIS Room Mesh")
+def test_a_scene_is_solved_on_its_own_objects(package, tmp_path, worker, nerfstudio_room):
+    body = f"""
+    preferences.python = {str(worker)!r}
+    bpy.ops.iris.import_capture(filepath={str(nerfstudio_room.root)!r})
+    scene.iris.result = str(home / "scene-result")
+    for thing in list(scene.objects):
+        if thing.name in ("Cube", "Light", "Camera"):
+            bpy.data.objects.remove(thing)
+    room = scene.iris.room
+    bpy.ops.iris.use_scene()
+    assert scene.iris.source == "SCENE" and len(scene.iris.views) == 6
+    assert (home / "scene-result" / "capture" / "transforms.json").is_file()
+    bpy.ops.iris.solve()
+    bpy.ops.iris.apply()
+    assert len(scene.iris.lamps) == 1 and room.data.name.endswith("IRIS")
+    bpy.ops.iris.restore()
     """
-    in_blender(package, tmp_path, worker, tmp_path / "capture", body)
+    in_blender(package, tmp_path, body)
 
 
-EVENT = {"type": "progress", "stage": "tracing", "fraction": 0.5, "overall": 0.25, "seconds_left": 9.0}
+# ---- what goes wrong -----------------------------------------------------------------------------------------------
 
 
-def until_it_speaks(worker: Worker) -> None:
-    for _ in range(1000):
-        if worker.poll():
-            return
-        time.sleep(0.02)
-    raise AssertionError("the worker said nothing")
+def test_each_mishap_has_its_message(package, tmp_path, worker, nerfstudio_room, monkeypatch):
+    killed = fake_solver(tmp_path, "import signal; os.kill(os.getpid(), signal.SIGKILL)", "killed")
+    bare = fake_solver(tmp_path, f"os.execv({sys.executable!r}, [{sys.executable!r}, '-S', *sys.argv[1:]])", "bare")
+    photo = sorted(nerfstudio_room.root.rglob("*.png"))[0]
+    body = f"""
+    capture = {str(nerfstudio_room.root)!r}
+    assert not bpy.ops.iris.import_capture.poll() and not bpy.ops.iris.solve.poll()
+    preferences.python = "/no/such/python"
+    fails(bpy.ops.iris.import_capture, "cannot be started", "set the solver's Python", filepath=capture)
+    preferences.python = {str(bare)!r}
+    fails(bpy.ops.iris.import_capture, "lacks numpy", filepath=capture)
+    preferences.python = {str(worker)!r}
+    photo = Path({str(photo)!r})
+    kept = photo.read_bytes()
+    photo.unlink()
+    fails(bpy.ops.iris.import_capture, "is missing", "add the photo", filepath=capture)
+    assert not scene.iris.views
+    photo.write_bytes(kept)
+    bpy.ops.iris.import_capture(filepath=capture)
+    preferences.python = {str(killed)!r}
+    fails(bpy.ops.iris.solve, "was killed (signal 9)", "goes on from the last finished stage")
+    fails(bpy.ops.iris.apply, "Solve first")
+
+    # The log and the reason can be looked at and copied.
+    bpy.ops.iris.show_log(job="solve")
+    assert "IRIS solve log" in bpy.data.texts
+
+    # A folder that cannot be written: a file stands where it should be.
+    preferences.python = {str(worker)!r}
+    (home / "in the way").write_text("")
+    scene.iris.result = str(home / "in the way" / "result")
+    fails(bpy.ops.iris.solve, "cannot be written", "another folder")
+    scene.iris.result = ""
+
+    # Everything that was written is deleted by hand.
+    bpy.ops.iris.solve()
+    shutil.rmtree(capture + "-iris")
+    assert not bpy.ops.iris.apply.poll()
+    bpy.ops.iris.solve()
+    (Path(capture + "-iris") / "materials" / "base_color.exr").unlink()
+    fails(bpy.ops.iris.apply, "base_color.exr", "restore the file or solve again")
+    bpy.data.objects.remove(scene.iris.room)
+    shutil.rmtree(capture + "-iris")
+    bpy.ops.iris.solve()
+    fails(bpy.ops.iris.apply, "import the capture again")
+    bpy.ops.iris.check()
+    bpy.ops.iris.apply()
+    """
+    in_blender(package, tmp_path, body)
 
 
-def python(code: str) -> list[str]:
-    return [sys.executable, "-c", textwrap.dedent(code)]
+def test_going_online_is_asked_for_and_a_python_is_tested(package, tmp_path):
+    pytest.importorskip("torch")
+    body = f"""
+    assert not bpy.app.online_access
+    assert not bpy.ops.iris.make_environment.poll()
+    assert not bpy.ops.iris.test_python.poll()
+    preferences.python = {sys.executable!r}
+    assert bpy.ops.iris.test_python() == {{"FINISHED"}}
+    preferences.python = "/no/such/python"
+    fails(bpy.ops.iris.test_python, "cannot be started")
+    """
+    in_blender(package, tmp_path, body)
 
 
-def test_a_worker_reports_progress_and_ends():
-    worker = Worker(python(f"print('chatter'); print({json.dumps(EVENT)!r})"))
-    worker.wait()
-    worker.close()
-    worker.poll()
-    assert (worker.stage, worker.fraction, worker.overall, worker.seconds_left) == ("tracing", 0.5, 0.25, 9.0)
-    worker.raise_if_failed()
-    assert not worker.running
+def test_the_plot_of_a_response_goes_from_corner_to_corner():
+    from iris_addon.blender.review import curve_plot
 
-
-def test_a_worker_stops_when_interrupted_and_when_it_does_not_listen(monkeypatch):
-    listens = Worker(python(f"import time; print({json.dumps(EVENT)!r}, flush=True); time.sleep(60)"))
-    until_it_speaks(listens)
-    listens.close()
-    with pytest.raises(Cancelled):
-        listens.raise_if_failed()
-    monkeypatch.setattr("iris_addon.blender.worker.GRACE_SECONDS", 0.2)
-    speak = f"print({json.dumps(EVENT)!r}, flush=True)"
-    deaf = Worker(python(f"import signal, time; signal.signal(2, signal.SIG_IGN); {speak}; time.sleep(60)"))
-    until_it_speaks(deaf)
-    deaf.close()
-    assert not deaf.running
-
-
-def test_a_worker_that_dies_says_how():
-    dead = Worker(python("import os, signal; os.kill(os.getpid(), signal.SIGKILL)"))
-    dead.wait()
-    dead.close()
-    with pytest.raises(IrisError, match="killed by signal 9"):
-        dead.raise_if_failed()
-    with pytest.raises(IrisError, match="cannot be started"):
-        Worker(["/no/such/python"])
-
-
-def test_a_worker_does_not_inherit_blender_s_python(monkeypatch):
-    monkeypatch.setenv("PYTHONHOME", "/blender")
-    worker = Worker(solve_command(sys.executable, Path("/none"), Path("c"), Path("o"), "draft"))
-    worker.wait()
-    worker.close()
-    with pytest.raises(IrisError, match=r"ended with code 2 .*/none/headless/run\.py"):
-        worker.raise_if_failed()
+    picture = curve_plot(np.tile(np.linspace(0, 1, 1024) ** (1 / 2.2), (3, 1)))
+    white = (picture == 1.0).all(axis=-1)
+    assert white[-1, 0] and white[0, -1] and white.any(axis=0).all()
+    assert np.flatnonzero(white[:, 128])[0] == pytest.approx(256 * (1 - 0.5 ** (1 / 2.2)), abs=2)
+    colored = curve_plot(np.stack([np.linspace(0, 1, 1024) ** g for g in (0.4, 0.5, 0.6)]))
+    assert not (colored == 1.0).all(axis=-1).any()

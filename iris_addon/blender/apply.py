@@ -57,12 +57,12 @@ def apply(
         anchor = apply_to_scene(result, scene, views, lamps_apart=True)
         lamps = [thing for thing in anchor.children_recursive if thing.name.startswith("IRIS Lamp")]
         add_compositing(scene, lamps, result.response, median_exposure(result.exposures))
-        if blend is not None:
-            _write_whole(blend, lambda path: bpy.data.libraries.write(str(path), {scene}, compress=True))
-        if glb is not None or usd is not None:
-            _use_srgb_base_color(scene)
-            _leave_out_burley(scene)
         with _in_window(scene):
+            if blend is not None:
+                _write_whole(blend, lambda path: bpy.data.libraries.write(str(path), {scene}, compress=True))
+            if glb is not None or usd is not None:
+                _use_srgb_base_color(scene)
+                _leave_out_burley(scene)
             if glb is not None:
                 _write_whole(glb, lambda path: bpy.ops.export_scene.gltf(filepath=str(path), use_active_scene=True))
             if usd is not None:
@@ -137,7 +137,8 @@ def _leave_out_burley(scene: bpy.types.Scene) -> None:
 
 @contextmanager
 def _in_window(scene: bpy.types.Scene) -> Iterator[None]:
-    # Exporters take the scene of the window and glTF's leaves it set, which must not outlive the scene.
+    # Exporters take the scene of the window and glTF's leaves it set, which must not outlive the scene. Blender 5.2
+    # crashes when it writes a scene that no window has shown.
     window = bpy.context.window
     before, window.scene = window.scene, scene
     try:

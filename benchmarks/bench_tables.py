@@ -1,0 +1,89 @@
+"""Tables of :mod:`benchmarks.bench`: all metrics per capture, the response ablation, the speed-up over Mitsuba."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from . import tables
+from .measured import machine_of
+from .runs import Record
+
+COLUMNS = {
+    "kd_psnr": "kd", "kd_psnr_all": "kd all", "a_psnr": "a'", "roughness_psnr": "σ", "emission_iou": "IoU",
+    "emission_log_l2": "log L2", "crf_l2": "CRF L2", "nvs_psnr": "NVS", "relight_psnr": "relight",
+    "insert_psnr": "insert",
+}  # fmt: skip
+ABLATION = {"constant-exposure": 4.074, "mean-response": 4.240, "gamma": 3.683, "ours": 1.363}
+"""CRF L2 of the same ablation in the IRIS paper, on its own rooms."""
+Rows = Sequence[Mapping[str, Any]]
+
+
+def markdown(records: Sequence[Record]) -> str:
+    """All tables."""
+    text = [f"{machine_of(records)} Mean ± half the span over seeds where there is more than one.\n"]
+    for capture, rows in tables.group(records, lambda row: row["capture"]).items():
+        text += [f"#### {capture}\n", _all_metrics(rows)]
+    text += ["#### The response: what each simplification costs\n", _ablation(records)]
+    text += ["#### Against Mitsuba\n", *_speed_up(records)]
+    failed = [record for record in records if "error" in record]
+    text += [f"- {r['run']['configuration']} on {Path(r['run']['capture']).name}: {r['error']}" for r in failed]
+    return "\n".join(text) + "\n"
+
+
+def _all_metrics(rows: Rows) -> str:
+    methods: dict[str, list] = {}
+    for row in sorted(rows, key=lambda row: (row["configuration"] != "ours", row["configuration"])):
+        methods.setdefault(f"{row['configuration']} {row['preset']}", []).append(row)
+    ordered = sorted(methods.items(), key=lambda item: (item[1][0]["configuration"] != "ours",
+                     item[1][0]["configuration"], tables.mean(item[1], "seconds_total")))  # fmt: skip
+    found = [metric for metric in COLUMNS if any(len(tables.values(own, metric)) for own in methods.values())]
+    body = [
+        [
+            name,
+            tables.cell(own, "seconds_total", 0),
+            *(tables.cell(own, m, 4 if m == "emission_log_l2" else 2) for m in found),
+        ]
+        for name, own in ordered
+    ]
+    return tables.markdown(["method", "seconds", *(COLUMNS[metric] for metric in found)], body)
+
+
+def _ablation(records: Sequence[Record]) -> str:
+    ablated = tables.group(records, lambda row: row["configuration"])
+    preset = next((rows[0]["preset"] for name, rows in ablated.items() if name in ABLATION and name != "ours"), "draft")
+    captures = {row["capture"] for name in ABLATION if name != "ours" for row in ablated.get(name, [])}
+    body = []
+    for name, published in ABLATION.items():
+        rows = [r for r in ablated.get(name, []) if r["preset"] == preset and r["capture"] in captures]
+        values = [tables.mean_over_captures(rows, m) for m in ("kd_psnr", "a_psnr", "roughness_psnr", "crf_l2")]
+        body.append([name, *(tables.number(value) for value in values), f"{published:.3f}"])
+    return tables.markdown(["response", "kd", "a'", "σ", "CRF L2", "CRF L2 in IRIS's paper (other rooms)"], body)
+
+
+def _speed_up(records: Sequence[Record]) -> list[str]:
+    """Per capture and preset: when Mitsuba gets as far, if it does."""
+    lines = []
+    for capture, rows in tables.group(records, lambda row: row["capture"]).items():
+        peer = [
+            (row["seconds_total"], row["relight_psnr"])
+            for row in rows
+            if row["configuration"] == "mitsuba-prb" and isinstance(row.get("relight_psnr"), float)
+        ]
+        if not peer:
+            continue
+        best, last = max(value for _, value in peer), max(seconds for seconds, _ in peer)
+        for preset in ("draft", "balanced"):
+            own = [row for row in rows if (row["configuration"], row["preset"]) == ("ours", preset)]
+            if not len(tables.values(own, "relight_psnr")):
+                continue
+            seconds, value = tables.mean(own, "seconds_total"), tables.mean(own, "relight_psnr")
+            reached = [t for t, v in peer if v >= value]
+            end = (
+                f"Mitsuba needs {min(reached):.0f} s for as much, {min(reached) / seconds:.1f} times as long"
+                if reached
+                else f"Mitsuba's best in {last:.0f} s is {best:.2f} dB, so the speed-up is over {last / seconds:.0f}"
+            )
+            lines.append(f"- {capture}, `{preset}`: relight {value:.2f} dB after {seconds:.0f} s; {end}.")
+    return [*lines, ""]

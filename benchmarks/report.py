@@ -1,0 +1,63 @@
+"""Charts and tables out of the committed records: ``python -m benchmarks.report``.
+
+Nothing is measured. Charts go to docs/images/benchmarks, tables between the marks ``<!-- measured: NAME -->`` and
+``<!-- end -->`` of docs/benchmarks.md; what stands outside the marks is left alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from iris_addon.imaging import atomic_write
+
+from . import bench, profile_floor, scaling, stability
+from .machine import ROOT
+from .measured import COMMITTED, IMAGES, unpack
+from .runs import Record
+
+PAGE = ROOT / "docs" / "benchmarks.md"
+Section = Callable[[Sequence[Record], Path], str]
+"""(records, folder for charts) to Markdown."""
+SECTIONS: Mapping[str, Section] = {
+    "bench": bench.describe,
+    "stability": stability.describe,
+    "scaling": scaling.describe,
+    "profile": profile_floor.describe_records,
+}
+NOT_MEASURED = "Not measured yet."
+
+
+def fill(page: str, sections: Mapping[str, str]) -> str:
+    """``page`` with the text between the marks of each section replaced; a section without marks is an error."""
+    for name, text in sections.items():
+        mark = re.compile(rf"(<!-- measured: {re.escape(name)} -->\n).*?(<!-- end -->)", re.DOTALL)
+        if not mark.search(page):
+            raise ValueError(f"the page has no place for {name!r}")
+        page = mark.sub(lambda found, text=text: f"{found[1]}{text.strip()}\n{found[2]}", page)
+    return page
+
+
+def write(names: Sequence[str], committed: Path = COMMITTED, images: Path = IMAGES, page: Path = PAGE) -> None:
+    """Draw the charts of the sections ``names`` and write their tables into ``page``."""
+    texts = {}
+    for name in names:
+        records = unpack(name, committed)
+        texts[name] = SECTIONS[name](records, images) if records else NOT_MEASURED
+    text = fill(page.read_text(encoding="utf-8"), texts)
+    atomic_write(page, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sections", nargs="*", choices=[*SECTIONS, []], default=list(SECTIONS))
+    write(parser.parse_args(arguments).sections)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
