@@ -21,6 +21,7 @@ from iris_addon.progress import Progress, console, json_lines
 
 from .caller import stop_with_stdin
 from .environment import delegate, missing_packages, unusable
+from .frame_range import FrameRange
 from .signals import cancelled_by_signals
 
 USAGE_CODE = 2
@@ -129,6 +130,8 @@ def make_parser() -> _Parser:
     insert = add("insert", "objects lit by the recovered light")
     insert.add_argument("--objects", type=Path, required=True, metavar="FILE")
     insert.add_argument("--onto-photos", action="store_true", help="differential rendering onto the views' photos")
+    render.add_argument("--light-shares", action="store_true", help="one EXR per view with every light's part apart")
+    relight.add_argument("--shares", type=Path, metavar="DIR", help="mix what render --light-shares wrote, at no cost")
     for command, exposure in ((render, "photo"), (relight, "auto"), (insert, "photo")):
         command.add_argument("result", type=Path)
         command.add_argument("--views", type=Path, required=True, metavar="transforms.json")
@@ -142,7 +145,13 @@ def make_parser() -> _Parser:
             help="that of the photos, one that puts the median of each picture at middle grey, or a factor "
             f"(default: {exposure})",
         )
+        command.add_argument("--frames", type=_frames, metavar="1-120", help="an animation; finished frames are kept")
+        command.add_argument("--fps", type=_positive, default=24, help="of film.mp4, made where there is ffmpeg")
         _add_sampling(command)
+
+    camera = add("camera", "response, exposures and white balance as .cube tables and an OpenColorIO configuration")
+    camera.add_argument("result", type=Path)
+    camera.add_argument("--out", type=Path, required=True)
 
     evaluate = add("evaluate", "the metrics of a result against ground truth or held-out photos", common)
     evaluate.add_argument("result", type=Path)
@@ -182,6 +191,13 @@ def _positive(text: str) -> int:
     if _whole(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 up")
     return int(text)
+
+
+def _frames(text: str) -> FrameRange:
+    try:
+        return FrameRange.parse(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no range of frames like 1-120") from None
 
 
 def _resolution(text: str) -> tuple[int, int]:

@@ -9,20 +9,16 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from iris_addon.capture.types import View
 from iris_addon.config import preset
-from iris_addon.errors import BadInput
 from iris_addon.progress import Progress
-from iris_addon.result.edits import SceneEdit
-from iris_addon.result.edits_json import insertion_edits, relight_edit
 from iris_addon.result.io import load_result
-from iris_addon.result.json_files import read_json, write_json
-from iris_addon.result.types import Result
+from iris_addon.result.json_files import write_json
 
 from .outcome import Outcome, summarise
+from .relighting import camera, insert, relight, render
+
+__all__ = ["apply", "batch", "camera", "demo", "evaluate", "insert", "inspect", "relight", "render", "solve", "synth"]
 
 
 def solve(args: argparse.Namespace, progress: Progress) -> Outcome:
@@ -66,83 +62,6 @@ def apply(args: argparse.Namespace, progress: Progress) -> Outcome:
     write_blend(result, args.blend, views=views, glb=args.glb, usd=args.usd)
     written = [path for path in (args.blend, args.glb, args.usd) if path is not None]
     return Outcome.of("Wrote the room", {"files": written})
-
-
-def render(args: argparse.Namespace, progress: Progress) -> Outcome:
-    """Novel views."""
-    return _render_edited(args, progress, load_result(args.result), None)
-
-
-def relight(args: argparse.Namespace, progress: Progress) -> Outcome:
-    """Views in other light."""
-    result = load_result(args.result)
-    job = read_json(args.lights)
-    try:
-        edit = relight_edit(result, job)
-    except BadInput as error:
-        raise BadInput(error.what, error.fix, args.lights) from error
-    return _render_edited(args, progress, result, edit)
-
-
-def insert(args: argparse.Namespace, progress: Progress) -> Outcome:
-    """Views with objects in them, rendered whole or onto their photos."""
-    from iris_addon.blender.insert import insert_onto_photo
-    from iris_addon.blender.render import render_views
-    from iris_addon.capture import load_photo, read_views
-
-    from .pictures import Developer, photo_exposure
-
-    result, views = load_result(args.result), read_views(args.views)
-    job = read_json(args.objects)
-    try:
-        edits = insertion_edits(result, job, args.objects.parent)
-    except BadInput as error:
-        raise BadInput(error.what, error.fix, args.objects) from error
-    beyond = [index for index, _ in edits if index >= len(views)]
-    if beyond:
-        raise BadInput(
-            f"names view {beyond[0]}, there are {len(views)}", f"count the views of {args.views}", args.objects
-        )
-    developer = Developer(result, args.out, args.exposure, args.linear)
-    written = []
-    with progress.stage("insert"):
-        for number, (index, edit) in enumerate(edits):
-            view = views[index]
-            if args.onto_photos:
-                if view.photo is None:
-                    raise BadInput(f"{view.name} has no photo", "leave out --onto-photos or add the photo", args.views)
-                exposure = photo_exposure(result, view)
-                photo = load_photo(view).values
-                values = insert_onto_photo(
-                    result, view.camera, photo, exposure, edit, samples=args.samples, seed=args.seed
-                )
-                written.append(developer.write_display(view, values))
-            else:
-                (radiance,) = render_views(result, [view.camera], edit=edit, samples=args.samples, seed=args.seed)
-                written.append(developer.write(view, radiance))
-            progress.update((number + 1) / len(edits))
-    return Outcome.of("Rendered", {"files": written})
-
-
-def _render_edited(args: argparse.Namespace, progress: Progress, result: Result, edit: SceneEdit | None) -> Outcome:
-    """Every view of ``args.views`` with ``edit``, each written as soon as it is there."""
-    from iris_addon.blender.render import render_views
-    from iris_addon.capture import read_views
-
-    from .pictures import Developer
-
-    views = read_views(args.views)
-    developer = Developer(result, args.out, args.exposure, args.linear)
-    written: list[Path] = []
-
-    def on_view(index: int, radiance: NDArray[np.float32]) -> None:
-        written.append(developer.write(views[index], radiance))
-        progress.update((index + 1) / len(views))
-
-    with progress.stage(args.command):
-        cameras = [view.camera for view in views]
-        render_views(result, cameras, edit=edit, samples=args.samples, seed=args.seed, on_view=on_view)
-    return Outcome.of("Rendered", {"files": written})
 
 
 def evaluate(args: argparse.Namespace, progress: Progress) -> Outcome:

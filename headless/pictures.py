@@ -16,15 +16,19 @@ from iris_addon.result.types import Result
 FloatArray = NDArray[np.floating]
 
 
-def photo_exposure(result: Result, view: View) -> FloatArray:
-    """(3,) the exposure of ``view``'s photo: as recovered, as recorded, or the median of the recovered ones."""
+def known_exposure(result: Result, view: View) -> FloatArray | None:
+    """(3,) the exposure of ``view``'s photo as recovered or as recorded, None if it is neither."""
     if view.split == "train" and view.name in result.exposures:
         return result.exposures[view.name]
-    if view.exposure is not None:
-        return np.full(3, view.exposure)
-    if result.exposures:
+    return None if view.exposure is None else np.full(3, view.exposure)
+
+
+def photo_exposure(result: Result, view: View) -> FloatArray:
+    """(3,) the exposure of ``view``'s photo: as recovered, as recorded, or the median of the recovered ones."""
+    known = known_exposure(result, view)
+    if known is None and result.exposures:
         return np.median(np.stack(list(result.exposures.values())), axis=0)
-    return np.ones(3)
+    return np.ones(3) if known is None else known
 
 
 @dataclass(frozen=True)
@@ -41,27 +45,34 @@ class Developer:
     exposure: str | float = "photo"
     linear: bool = False
 
+    def factor(self, view: View, radiance: FloatArray) -> FloatArray | float:
+        """What ``radiance`` (H, W, 3) of ``view`` is multiplied by before the response."""
+        if self.exposure == "photo":
+            return photo_exposure(self.result, view)
+        return grey_exposure(radiance) if self.exposure == "auto" else float(self.exposure)
+
     def develop(self, view: View, radiance: FloatArray) -> FloatArray:
         """(H, W, 3) display values in [0, 1] of ``radiance`` (H, W, 3)."""
-        if self.exposure == "photo":
-            factor = photo_exposure(self.result, view)
-        else:
-            factor = grey_exposure(radiance) if self.exposure == "auto" else float(self.exposure)
-        return self.result.response.apply(radiance * factor)
+        return self.result.response.apply(radiance * self.factor(view, radiance))
 
     def write(self, view: View, radiance: FloatArray) -> Path:
         """Write ``radiance`` under the view's name; raises IrisError if it cannot be written."""
         if not self.linear:
             return self.write_display(view, self.develop(view, radiance))
-        path = self.folder / f"{view.name}.exr"
-        write_exr(path, radiance)
-        return path
+        return write_picture(self.folder / f"{view.name}.exr", radiance)
 
     def write_display(self, view: View, values: FloatArray) -> Path:
         """Write display values (H, W, 3) under the view's name; raises IrisError if it cannot be written."""
-        path = self.folder / f"{view.name}.png"
+        return write_picture(self.folder / f"{view.name}.png", values)
+
+
+def write_picture(path: Path, values: FloatArray) -> Path:
+    """Write (H, W, 3) linear radiance as .exr or display values as .png; raises IrisError if that fails."""
+    if path.suffix == ".exr":
+        write_exr(path, values)
+    else:
         write_png(path, to_bytes(values))
-        return path
+    return path
 
 
 def to_bytes(values: FloatArray) -> NDArray[np.uint8]:

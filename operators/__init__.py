@@ -46,6 +46,7 @@ def register() -> None:
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     bpy.types.Scene.iris = bpy.props.PointerProperty(type=settings.IrisSettings)
+    bpy.types.Camera.iris_exposure = settings.EXPOSURE
     data.register()
     watch.register()
 
@@ -54,6 +55,6 @@ def unregister() -> None:
     """Stop what runs and take everything out of Blender."""
     watch.unregister()
     data.unregister()
-    del bpy.types.Scene.iris
+    del bpy.types.Scene.iris, bpy.types.Camera.iris_exposure
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

@@ -29,7 +29,7 @@ class IRIS_OT_import_capture(bpy.types.Operator):  # noqa: N801 - Blender's nami
 
     filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
     directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
-    filter_glob: bpy.props.StringProperty(default="*.json;*.bin;*.txt;*.xml", options={"HIDDEN"})
+    filter_glob: bpy.props.StringProperty(default="*.json", options={"HIDDEN"})
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -94,6 +94,8 @@ class IRIS_OT_use_scene(bpy.types.Operator):  # noqa: N801 - Blender's naming
         """Write the scene as a capture and check it."""
         settings = context.scene.iris
         settings.source, settings.capture, settings.room = "SCENE", "", None
+        # Kept by name: saving the file elsewhere, or under another name, must not lose the result.
+        settings.result = settings.result or str(folder(context.scene))
         return start_import(self, context)
 
 
@@ -129,14 +131,8 @@ def start_import(operator: bpy.types.Operator, context: bpy.types.Context) -> se
     """Let the worker read and check the capture of the scene, then add it; returns what the operator returns."""
     scene, name = context.scene, context.scene.name
     target = inspection_folder(scene)
-    if scene.iris.source == "SCENE":
-        try:
-            warnings = write_scene_capture(scene, context.evaluated_depsgraph_get(), folder(scene))
-        except IrisError as error:
-            operator.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        for warning in warnings:
-            operator.report({"WARNING"}, warning)
+    if not write_scene(operator, context):
+        return {"CANCELLED"}
 
     def ended(record: jobs.Record) -> None:
         # The file that was open may be another one by now; it finds the check again by its folder.
@@ -148,6 +144,20 @@ def start_import(operator: bpy.types.Operator, context: bpy.types.Context) -> se
     capture = capture_path(scene)
     assert capture is not None
     return run(operator, "inspect", target, inspect_command(solver_python(context), capture, target), ended)
+
+
+def write_scene(operator: bpy.types.Operator, context: bpy.types.Context) -> bool:
+    """Write the scene as a capture if that is what is solved; False, and reported, if it cannot be."""
+    scene = context.scene
+    if scene.iris.source != "SCENE":
+        return True
+    try:
+        for warning in write_scene_capture(scene, context.evaluated_depsgraph_get(), folder(scene)):
+            operator.report({"WARNING"}, warning)
+    except IrisError as error:
+        operator.report({"ERROR"}, str(error))
+        return False
+    return True
 
 
 def _window_of(scene: bpy.types.Scene) -> dict[str, object]:

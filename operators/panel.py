@@ -81,10 +81,9 @@ class IRIS_PT_data(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
             column.label(text=f"{len(settings.views)} photos; exposures: {exposures}")
             if settings.room is not None:
                 column.label(text=f"{len(settings.room.data.polygons)} faces in {settings.room.name}")
-        if settings.source == "SCENE" and context.scene.camera is not None:
-            camera = context.scene.camera
-            if "exposure" in camera.data:
-                layout.prop(camera.data, '["exposure"]', text=f"Exposure of {camera.name}")
+        camera = context.scene.camera
+        if settings.source == "SCENE" and camera is not None and camera.type == "CAMERA":
+            layout.prop(camera.data, "iris_exposure", text=f"Exposure of {camera.name}")
         layout.prop(settings, "result")
 
 

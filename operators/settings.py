@@ -35,6 +35,13 @@ def _set_overlay(settings: bpy.types.PropertyGroup, _context: bpy.types.Context)
                 behind.alpha = settings.overlay
 
 
+EXPOSURE = bpy.props.FloatProperty(
+    name="Exposure",
+    description="Relative exposure of this camera's photo, time · ISO/100 / f-number²; 0 where it is unknown",
+    min=0.0,
+)
+
+
 # ---- properties -----------------------------------------------------------------------------------------------------
 
 

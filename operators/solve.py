@@ -6,6 +6,7 @@ import bpy
 
 from ..iris_addon.blender import jobs
 from ..iris_addon.blender.commands import solve_command
+from .data import write_scene
 from .preferences import solver_python
 from .project import capture_path, folder
 from .watch import run
@@ -35,5 +36,7 @@ class IRIS_OT_solve(bpy.types.Operator):  # noqa: N801 - Blender's naming
         settings, out = context.scene.iris, folder(context.scene)
         capture = capture_path(context.scene)
         assert capture is not None
+        if not write_scene(self, context):
+            return {"CANCELLED"}
         command = solve_command(solver_python(context), capture, out, settings.preset, settings.device, settings.seed)
         return run(self, "solve", out, command)

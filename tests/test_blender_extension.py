@@ -105,7 +105,7 @@ def test_enabling_and_disabling_leaves_no_trace(package, tmp_path):
             handlers = [len(getattr(bpy.app.handlers, n)) for n in dir(bpy.app.handlers) if n[0] != "_"
                         and isinstance(getattr(bpy.app.handlers, n), list)]
             menu = len(bpy.types.TOPBAR_MT_file_import._dyn_ui_initialize())
-            scene = hasattr(bpy.types.Scene, "iris")
+            scene = hasattr(bpy.types.Scene, "iris") or hasattr(bpy.types.Camera, "iris_exposure")
             return types, handlers, menu, scene, dir(bpy.ops.iris)
 
         on = traces()

@@ -26,6 +26,9 @@ QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (
 @pytest.fixture(autouse=True)
 def empty_blender():
     bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.types.Camera.iris_exposure = bpy.props.FloatProperty()  # as the extension does
+    yield
+    del bpy.types.Camera.iris_exposure
 
 
 def cube(name: str, material: str | None = "paint", **placed) -> bpy.types.Object:
@@ -248,7 +251,7 @@ def test_a_scene_becomes_a_capture_in_metres_that_the_solver_reads(tmp_path):
     for number, fit in enumerate(("AUTO", "HORIZONTAL", "VERTICAL")):
         eye = bpy.data.objects.new(f"cam {number}", bpy.data.cameras.new("cam"))
         eye.data.sensor_fit, eye.data.lens, eye.data.shift_x, eye.data.shift_y = fit, 20, 0.1, -0.05
-        eye.data["exposure"] = 0.5 + number
+        eye.data.iris_exposure = 0.5 + number
         eye.rotation_euler, eye.location = (1.5, 0.0, 0.5 * number), (30.0 * number, 0, 0)
         scene.collection.objects.link(eye)
         behind = eye.data.background_images.new()

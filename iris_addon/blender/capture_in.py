@@ -129,6 +129,7 @@ def add_capture(inspected: Inspected, scene: bpy.types.Scene) -> tuple[bpy.types
         camera.parent = anchor
         camera.data.display_size = 0.1
         show_photo(camera, view.photo)
+        camera.data.iris_exposure = view.exposure or 0.0
         cameras.append(camera)
     look_through(scene, inspected.views[0].camera, cameras[0])
     return room, cameras

@@ -1,17 +1,45 @@
-"""Objects put into a photo by differential rendering (Debevec 1998, section 6), in the photo's own response."""
+"""Objects put into a photo by differential rendering (Debevec 1998, section 6), in the photo's own response.
+
+Two pairs of renders, each pair with and without the edit under the same random numbers: where nothing changes both
+renders of a pair are the same to the last bit, so that noise cancels and the photo stays. What the two pairs do not
+agree on is noise, and the difference is shrunk by it (:func:`shrunk_difference`).
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..capture.types import Camera
+from ..response.curve import Response
 from ..result.edits import SceneEdit
 from ..result.types import Result
 from .render import render_camera, render_coverage, render_views, set_cycles
 from .scene_out import BuiltScene, build_scene
 
 COVERAGE_SAMPLES = 32
+NOISE_RADIUS = 3  # pixels around one over which noise is estimated
+
+Pair = tuple[NDArray[np.floating], NDArray[np.floating]]
+
+
+@dataclass(frozen=True)
+class Differential:
+    """How an edit changes one view.
+
+    Attributes:
+        without: (H, W, 3) linear radiance of the room as solved.
+        with_edit: (H, W, 3) linear radiance with the edit.
+        change: (H, W, 3) their difference, less its noise.
+        covered: (H, W) share of each pixel that something inserted covers.
+    """
+
+    without: NDArray[np.floating]
+    with_edit: NDArray[np.floating]
+    change: NDArray[np.floating]
+    covered: NDArray[np.floating]
 
 
 def insert_onto_photo(
@@ -26,48 +54,145 @@ def insert_onto_photo(
     max_bounces: int = 24,
     gpu: bool = False,
 ) -> NDArray[np.float64]:
-    """The photo as it would have been with ``edit`` in the room.
-
-    With the linearised photo P, the renders W with and O without the edit (same random numbers, so that noise cancels
-    where nothing changes), and the coverage A of what was put in,
-
-        linear = W + (1 - A) (P - O)
-
-    which is the render on the object, P + (W - O) beside it, and the right blend on its rim. Back through the response
-    as a difference, so that a pixel whose light does not change keeps its value exactly. Where the photo is saturated,
-    O stands in for P if it is brighter, so that a shadow over a blown-out wall need not show.
+    """(H, W, 3) display values of the photo as it would have been with ``edit`` in the room.
 
     Args:
         photo: (H, W, 3) display values in [0, 1] of the undistorted photo.
         exposure: (3,) factor from radiance to the argument of the response.
-
-    Returns:
-        (H, W, 3) display values in [0, 1].
     """
     if edit.changes_nothing:
         return np.array(photo, dtype=np.float64)
-    settings = {"samples": samples, "seed": seed, "max_bounces": max_bounces, "gpu": gpu, "denoise": True}
-    (without,) = render_views(result, [camera], **settings)
+    without = render_pair(result, camera, None, samples=samples, seed=seed, max_bounces=max_bounces, gpu=gpu)
+    changed = render_change(result, camera, edit, without, samples=samples, seed=seed, max_bounces=max_bounces, gpu=gpu)
+    return change_photo(photo, changed, result.response, exposure)[0]
+
+
+def render_pair(
+    result: Result,
+    camera: Camera,
+    edit: SceneEdit | None,
+    *,
+    samples: int,
+    seed: int,
+    max_bounces: int = 24,
+    gpu: bool = False,
+) -> Pair:
+    """The view twice, (H, W, 3) linear radiance each, with half of ``samples`` and random numbers of its own each."""
+    first, second = (
+        render_views(
+            result,
+            [camera],
+            edit=edit,
+            samples=max(samples // 2, 1),
+            seed=2 * seed + half,
+            max_bounces=max_bounces,
+            gpu=gpu,
+        )[0]
+        for half in (0, 1)
+    )
+    return first, second
+
+
+def render_change(
+    result: Result,
+    camera: Camera,
+    edit: SceneEdit,
+    without: Pair,
+    *,
+    samples: int,
+    seed: int,
+    max_bounces: int = 24,
+    gpu: bool = False,
+) -> Differential:
+    """How ``edit`` changes the view that ``without`` (:func:`render_pair` of the room alone, same settings) shows."""
     built = build_scene(result, edit)
     try:
-        set_cycles(built.scene, **settings)
-        with_edit = render_camera(built, camera)
-        covered = _coverage(built)[..., None]
+        halves = []
+        for half in (0, 1):
+            set_cycles(
+                built.scene,
+                samples=max(samples // 2, 1),
+                denoise=True,
+                seed=2 * seed + half,
+                max_bounces=max_bounces,
+                gpu=gpu,
+            )
+            halves.append(render_camera(built, camera))
+        covered = _coverage(built)
     finally:
         built.free()
+    change = shrunk_difference((halves[0] - without[0], halves[1] - without[1]))
+    return Differential(np.mean(without, axis=0), np.mean(halves, axis=0), change, covered)
 
-    response = result.response
+
+def shrunk_difference(differences: Pair) -> NDArray[np.float64]:
+    """(H, W, 3) mean of two estimates of one difference, shrunk towards 0 where they do not agree.
+
+    A Wiener filter with the empirical signal: each value is multiplied by 1 − σ²/d², where d² is the mean square of
+    the difference around it and σ² the part of that which the two estimates say is noise.
+    """
+    first, second = (np.asarray(d, np.float64) for d in differences)
+    mean = (first + second) / 2
+    noise = _local_mean((first - second) ** 2 / 4)
+    signal = _local_mean(mean**2)
+    share = 1.0 - np.divide(noise, signal, out=np.ones_like(noise), where=signal > 0)
+    return mean * np.clip(share, 0.0, 1.0)
+
+
+def change_photo(
+    photo: NDArray[np.floating], changed: Differential, response: Response, exposure: NDArray[np.floating]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The photo with the change in it: display values and linear radiance, (H, W, 3) each.
+
+    The difference goes back through the response, so that a pixel whose light does not change keeps its value exactly.
+    Where the photo is saturated, the render stands in for it if that is brighter: a shadow over a blown-out wall need
+    not show.
+    """
     seen = response.invert(photo)
-    light = np.where(seen >= 1.0, np.maximum(seen, without * exposure), seen)
-    changed = with_edit * exposure + (1 - covered) * (light - without * exposure)
-    return np.clip(photo + response.apply(np.maximum(changed, 0.0)) - response.apply(light), 0.0, 1.0)
+    light = np.where(seen >= 1.0, np.maximum(seen, changed.without * exposure), seen)
+    after = change_light(light, changed, exposure)
+    display = np.clip(photo + response.apply(after) - response.apply(light), 0.0, 1.0)
+    return display, after / exposure
+
+
+def change_light(
+    light: NDArray[np.floating], changed: Differential, exposure: NDArray[np.floating] | float
+) -> NDArray[np.float64]:
+    """(H, W, 3) the light P of a photo with the change in it, both as radiance times ``exposure``.
+
+    With the render O of the room alone, the render W with the edit, and the coverage A of what was put in, a pixel that
+    shows nothing of it becomes, with the change D = W − O less its noise,
+
+        P (1 + D / O)   where light is lost,        P + D   where it is gained,
+
+    so that a shadow darkens by a factor, which the texture of the photo keeps, and a reflection or a bounce adds what
+    it adds. A pixel that shows it becomes W + (1 − A) (P − O): the render, and the right blend on its rim.
+    """
+    without = changed.without * exposure
+    gained = np.maximum(changed.change, 0.0) * exposure
+    lost = np.clip(-changed.change * exposure, 0.0, without)
+    beside = light * (1.0 - np.divide(lost, without, out=np.zeros_like(lost), where=without > 0)) + gained
+    covered = changed.covered[..., None]
+    shown = np.maximum(changed.with_edit * exposure + (1 - covered) * (light - without), 0.0)
+    return np.where(covered > 0, shown, beside)
 
 
 def _coverage(built: BuiltScene) -> NDArray[np.float32]:
     """(H, W) share of each pixel in which something inserted is seen, the room in front of it taken into account."""
     scene = built.scene
     scene.render.film_transparent = True
-    for hidden in (built.room, *built.lights):
+    for hidden in (built.room, *built.lamps, *built.lights):
         hidden.is_holdout = True
     set_cycles(scene, samples=COVERAGE_SAMPLES, denoise=False, seed=0, max_bounces=0)
     return render_coverage(scene)
+
+
+def _local_mean(values: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(H, W, C) mean over a square of 2 · NOISE_RADIUS + 1 pixels around each, cut off at the border."""
+    for axis in (0, 1):
+        n = values.shape[axis]
+        total = np.concatenate([np.zeros_like(values.take([0], axis)), np.cumsum(values, axis)], axis)
+        low, high = np.maximum(np.arange(n) - NOISE_RADIUS, 0), np.minimum(np.arange(n) + NOISE_RADIUS + 1, n)
+        count = np.expand_dims(high - low, tuple(a for a in range(values.ndim) if a != axis))
+        values = (total.take(high, axis) - total.take(low, axis)) / count
+    return values

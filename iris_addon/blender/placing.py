@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cached_property
 
 import bmesh
 import bpy
@@ -29,8 +30,11 @@ class Room:
     """
 
     def __init__(self, mesh: Mesh, up: tuple[float, float, float]) -> None:
-        self.up = Vector(up)
-        self._tree = BVHTree.FromPolygons(mesh.vertices.tolist(), mesh.faces.tolist())
+        self.mesh, self.up = mesh, Vector(up)
+
+    @cached_property
+    def _tree(self) -> BVHTree:
+        return BVHTree.FromPolygons(self.mesh.vertices.tolist(), self.mesh.faces.tolist())
 
     def along(self, origin: Vector, direction: Vector) -> tuple[Vector, Vector] | None:
         """Point and normal (towards ``origin``) of the first surface along a ray, or None."""
@@ -152,12 +156,12 @@ def _corners(objects: Iterable[bpy.types.Object]) -> NDArray[np.float64]:
     found = [np.empty((0, 3))]
     for thing in objects:
         if thing.type == "MESH":
-            points = np.empty((len(thing.data.vertices), 3), np.float32)
+            points = np.empty((len(thing.data.vertices), 3), np.float32)  # a type that foreach_get takes at once
             thing.data.vertices.foreach_get("co", points.ravel())
         elif thing.type in ("CURVE", "SURFACE", "FONT", "META"):
             points = np.array(thing.bound_box)
         else:
             continue
         matrix = np.array(thing.matrix_world)
-        found.append(points @ matrix[:3, :3].T + matrix[:3, 3])
+        found.append(np.asarray(points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3])
     return np.concatenate(found)

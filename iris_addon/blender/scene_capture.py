@@ -118,7 +118,7 @@ def _view(scene: bpy.types.Scene, thing: bpy.types.Object, scale: float) -> tupl
     c2w[:3, 3] *= scale
     down = height / frame.height
     camera = Camera(width, height, frame.fx * grow, frame.fy * down, frame.cx * grow, frame.cy * down, c2w)
-    return thing.name, image, camera, float(thing.data.get("exposure", 0.0))
+    return thing.name, image, camera, float(getattr(thing.data, "iris_exposure", 0.0))
 
 
 def _frame(folder: Path, name: str, image: bpy.types.Image, camera: Camera, exposure: float) -> dict[str, Any]:

@@ -67,7 +67,7 @@ def build_scene(result: Result, edit: SceneEdit | None = None, *, lamps_apart: b
             built.lights.append(add_light(light, f"IRIS Light {number:02d}", scene.collection))
         for number, sphere in enumerate(edit.spheres):
             built.inserted.append(add_sphere(sphere, f"IRIS Ball {number:02d}", scene.collection))
-        ground = Room(result.mesh, result.up) if edit.objects else None
+        ground = Room(result.mesh, result.up)
         for number, thing in enumerate(edit.objects):
             built.inserted += add_object(thing, f"IRIS Object {number:02d}", ground, scene.collection)
     except BaseException:

@@ -107,7 +107,8 @@ def _ball(thing: Json, where: str) -> Sphere:
 
 def _size(thing: Json, shape: str, where: str) -> Vector:
     if shape == "sphere" and "radius" in thing:
-        return (2 * number(thing["radius"], f"{where}.radius", above_zero=True),) * 3
+        diameter = 2 * number(thing["radius"], f"{where}.radius", above_zero=True)
+        return diameter, diameter, diameter
     size = thing.get("size")
     if shape == "card" and isinstance(size, list | tuple) and len(size) == 2:
         size = [*size, 1.0]

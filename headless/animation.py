@@ -1,0 +1,128 @@
+"""Animations: every frame of a job that is not on disk yet, then the film."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from iris_addon.capture.types import Camera, View
+from iris_addon.progress import Progress
+from iris_addon.result.edits import SceneEdit
+from iris_addon.result.json_values import json_map, whole
+from iris_addon.result.motion import at_time, camera_at
+from iris_addon.result.types import Result
+
+from .frames import Frames, open_frames, write_film
+from .onto_photos import PhotoInsertion
+from .outcome import Outcome
+from .pictures import Developer, FloatArray, write_picture
+
+
+def render_frames(
+    args: argparse.Namespace,
+    progress: Progress,
+    result: Result,
+    views: Sequence[View],
+    job: Mapping[str, Any],
+    edit_at: Callable[[float], SceneEdit | None],
+) -> Outcome:
+    """Frames rendered whole, from a camera that may move; all of them share the exposure of the first."""
+    from iris_addon.blender.render import render_views
+
+    cameras = [view.camera for view in views]
+    frames = _open(args, views, job)
+    move = json_map(job.get("camera", {}), "camera")
+
+    def camera(frame: int) -> Camera:
+        return camera_at(at_time(move, frames.time(frame)), cameras, result.up, frames.time(frame))
+
+    def save(frame: int, radiance: FloatArray) -> None:
+        if not args.linear:
+            if "exposure" not in frames.facts:
+                base = views[_first_view(move)]
+                factor = Developer(result, args.out, args.exposure).factor(base, radiance)
+                frames.remember(exposure=np.asarray(factor))
+            radiance = result.response.apply(radiance * np.asarray(frames.facts["exposure"]))
+        write_picture(frames.path(frame), radiance)
+
+    settings = {"samples": args.samples, "seed": args.seed}
+    todo = [frame for frame in args.frames if not frames.finished(frame)]
+    # A room in which nothing moves is built once for all frames.
+    batches = [[frame] for frame in todo] if _moves(job) else [todo]
+    with progress.stage("frames"):
+        for batch in filter(None, batches):
+
+            def on_view(index: int, radiance: FloatArray, batch: Sequence[int] = batch) -> None:
+                save(batch[index], radiance)
+                _tell(progress, args, frames)
+
+            edit = edit_at(frames.time(batch[0]))
+            render_views(result, [camera(frame) for frame in batch], edit=edit, on_view=on_view, **settings)
+    return _finish(args, frames, len(todo))
+
+
+def insert_frames(
+    args: argparse.Namespace,
+    progress: Progress,
+    insertion: PhotoInsertion,
+    job: Mapping[str, Any],
+    edit_at: Callable[[float], SceneEdit],
+) -> Outcome:
+    """Frames of one photo in which things move."""
+    frames = _open(args, [insertion.view], job, linear=insertion.photo.hdr)
+    todo = [frame for frame in args.frames if not frames.finished(frame)]
+    with progress.stage("frames"):
+        for frame in todo:
+            picture = insertion.picture(edit_at(frames.time(frame)))
+            picture.write(frames.folder, frames.path(frame).stem, linear=args.linear)
+            _tell(progress, args, frames)
+    return _finish(args, frames, len(todo))
+
+
+def _open(args: argparse.Namespace, views: Sequence[View], job: Mapping[str, Any], *, linear: bool = False) -> Frames:
+    length = whole(job.get("length", args.frames.last), "length")
+    made_of = {
+        "command": args.command,
+        "result": [_digest(args.result / name) for name in ("report.json", "response.json", "emitters.json")],
+        "views": [[view.name, view.camera.fx, view.camera.fy, view.camera.c2w] for view in views],
+        "job": job,
+        "onto_photos": getattr(args, "onto_photos", False),
+        "look": [args.samples, args.seed, args.exposure],
+    }
+    return open_frames(args.out, max(length, 1), ".exr" if args.linear or linear else ".png", made_of)
+
+
+def _finish(args: argparse.Namespace, frames: Frames, rendered: int) -> Outcome:
+    film = write_film(frames, args.fps)
+    figures = {"frames": len(args.frames), "rendered now": rendered, "folder": frames.folder, "film": film}
+    return Outcome.of("Rendered the frames", {key: value for key, value in figures.items() if value is not None})
+
+
+def _tell(progress: Progress, args: argparse.Namespace, frames: Frames) -> None:
+    done = sum(frames.finished(frame) for frame in args.frames)
+    progress.update(done / len(args.frames))
+
+
+def _moves(job: Mapping[str, Any]) -> bool:
+    """Whether anything but the camera of ``job`` changes with time."""
+    return any(_has_motion(value) for key, value in job.items() if key != "camera")
+
+
+def _has_motion(value: Any) -> bool:
+    if isinstance(value, Mapping):
+        return any(key in ("keys", "turntable") or _has_motion(item) for key, item in value.items())
+    return isinstance(value, list) and any(_has_motion(item) for item in value)
+
+
+def _first_view(move: Mapping[str, Any]) -> int:
+    path = move.get("path", "all")
+    return move.get("view", 0) if path == "all" else path[0]
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""

@@ -1,0 +1,71 @@
+"""One photo with things put into it: the photo, its exposure and the renders that are shared between edits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from iris_addon.capture import load_photo
+from iris_addon.capture.types import View
+from iris_addon.result.edits import SceneEdit
+from iris_addon.result.types import Result
+
+from .pictures import FloatArray, known_exposure, write_picture
+
+
+@dataclass(frozen=True)
+class ChangedPhoto:
+    """A photo with an edit in it.
+
+    Attributes:
+        display: (H, W, 3) display values, or None where the photo holds radiance.
+        radiance: (H, W, 3) linear.
+    """
+
+    display: FloatArray | None
+    radiance: FloatArray
+
+    def write(self, folder: Path, name: str, *, linear: bool) -> Path:
+        """Write ``name``.png, or .exr of radiance if that is wanted or all there is."""
+        if linear or self.display is None:
+            return write_picture(folder / f"{name}.exr", self.radiance)
+        return write_picture(folder / f"{name}.png", self.display)
+
+
+class PhotoInsertion:
+    """Differential rendering onto the photo of one view; the room without edits is rendered once."""
+
+    def __init__(self, result: Result, view: View, samples: int, seed: int) -> None:
+        self.result, self.view = result, view
+        self.photo = load_photo(view)
+        self.samples, self.seed = samples, seed
+        self._without: tuple[FloatArray, FloatArray] | None = None
+
+    def picture(self, edit: SceneEdit) -> ChangedPhoto:
+        """The photo as it would have been with ``edit`` in the room; the photo itself if that changes nothing."""
+        from iris_addon.blender.insert import change_light, change_photo, render_change, render_pair
+
+        values, response = self.photo.values.astype(np.float64), self.result.response
+        if edit.changes_nothing:
+            known = known_exposure(self.result, self.view)
+            linear = values if self.photo.hdr else response.invert(values) / (1.0 if known is None else known)
+            return ChangedPhoto(None if self.photo.hdr else values, linear)
+        if self._without is None:
+            self._without = render_pair(self.result, self.view.camera, None, samples=self.samples, seed=self.seed)
+        changed = render_change(
+            self.result, self.view.camera, edit, self._without, samples=self.samples, seed=self.seed
+        )
+        if self.photo.hdr:
+            return ChangedPhoto(None, change_light(values, changed, 1.0))
+        return ChangedPhoto(*change_photo(values, changed, response, self._exposure(changed.without)))
+
+    def _exposure(self, without: FloatArray) -> FloatArray:
+        """(3,) as recovered or recorded; where it is neither, the one that makes the render look like the photo."""
+        known = known_exposure(self.result, self.view)
+        if known is not None:
+            return known
+        from iris_addon.evaluate.held_out import fit_gains
+
+        return fit_gains(without, self.photo, self.result.response)

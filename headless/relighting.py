@@ -1,0 +1,213 @@
+"""The commands that render a solved room: render, relight, insert; and its camera for other programs.
+
+Each is: read, hand views and edits to Cycles, write every picture as soon as it is there.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from iris_addon.capture.types import View
+from iris_addon.errors import BadInput
+from iris_addon.progress import Progress
+from iris_addon.result.edits import SceneEdit
+from iris_addon.result.edits_json import insertion_edits, relight_edit
+from iris_addon.result.io import load_result
+from iris_addon.result.json_files import read_json
+from iris_addon.result.types import Result
+
+from .outcome import Outcome
+from .pictures import Developer
+
+EditAt = Callable[[float], SceneEdit | None]
+
+
+def camera(args: argparse.Namespace, progress: Progress) -> Outcome:
+    """Response, exposures and white balance as look-up tables."""
+    from iris_addon.response.lut import write_luts
+
+    result = load_result(args.result)
+    progress.check()
+    return Outcome.of("Wrote the camera", {"files": write_luts(args.out, result.response, result.exposures)})
+
+
+def render(args: argparse.Namespace, progress: Progress) -> Outcome:
+    """Novel views; with --light-shares every light's part of them."""
+    result, views = _read(args)
+    if args.light_shares:
+        return _render_shares(args, progress, result, views)
+    job = {"camera": {"path": "all"}}
+    return _render_edited(args, progress, result, views, job, lambda _time: None)
+
+
+def relight(args: argparse.Namespace, progress: Progress) -> Outcome:
+    """Views in other light, rendered or mixed from light shares."""
+    result, views = _read(args)
+    job = read_json(args.lights)
+    with _naming(args.lights):
+        if args.shares is not None:
+            return _mix_shares(args, progress, result, views, job)
+        relight_edit(result, job, args.lights.parent)  # what is wrong is told before anything is rendered
+
+    def edit_at(time: float) -> SceneEdit:
+        return relight_edit(result, job, args.lights.parent, time)
+
+    return _render_edited(args, progress, result, views, job, edit_at)
+
+
+def insert(args: argparse.Namespace, progress: Progress) -> Outcome:
+    """Views with objects in them, rendered whole or onto their photos."""
+    result, views = _read(args)
+    job = read_json(args.objects)
+    cameras = [view.camera for view in views]
+
+    def edits_at(time: float) -> list[tuple[int, SceneEdit]]:
+        with _naming(args.objects):
+            return insertion_edits(result, job, args.objects.parent, cameras, time)
+
+    edits = edits_at(0.0)
+    beyond = [index for index, _ in edits if index >= len(views)]
+    if beyond:
+        what = f"names view {beyond[0]}, there are {len(views)}"
+        raise BadInput(what, f"count the views of {args.views}", args.objects)
+    if args.frames is not None and len(edits) != 1:
+        raise BadInput(f"has objects for {len(edits)} views", "keep one of them for an animation", args.objects)
+    if args.onto_photos:
+        return _insert_onto_photos(args, progress, result, views, job, edits_at)
+    if args.frames is not None:
+        job = {"camera": {"view": edits[0][0]}, **job}
+        return _render_edited(args, progress, result, views, job, lambda time: edits_at(time)[0][1])
+
+    from iris_addon.blender.render import render_views
+
+    developer, written = _developer(args, result), []
+    with progress.stage("insert"):
+        for number, (index, edit) in enumerate(edits):
+            cameras = [views[index].camera]
+            (radiance,) = render_views(result, cameras, edit=edit, samples=args.samples, seed=args.seed)
+            written.append(developer.write(views[index], radiance))
+            progress.update((number + 1) / len(edits))
+    return Outcome.of("Rendered", {"files": written})
+
+
+# ---- rendered whole ------------------------------------------------------------------------------------------------
+
+
+def _render_edited(
+    args: argparse.Namespace,
+    progress: Progress,
+    result: Result,
+    views: Sequence[View],
+    job: dict[str, Any],
+    edit_at: EditAt,
+) -> Outcome:
+    """Every view under one edit, or the frames of an animation."""
+    if args.frames is not None:
+        from .animation import render_frames
+
+        return render_frames(args, progress, result, views, job, edit_at)
+    from iris_addon.blender.render import render_views
+
+    developer, written = _developer(args, result), []
+
+    def on_view(index: int, radiance: NDArray[np.float32]) -> None:
+        written.append(developer.write(views[index], radiance))
+        progress.update((index + 1) / len(views))
+
+    with progress.stage(args.command):
+        cameras = [view.camera for view in views]
+        render_views(result, cameras, edit=edit_at(0.0), samples=args.samples, seed=args.seed, on_view=on_view)
+    return Outcome.of("Rendered", {"files": written})
+
+
+# ---- onto photos ---------------------------------------------------------------------------------------------------
+
+
+def _insert_onto_photos(
+    args: argparse.Namespace,
+    progress: Progress,
+    result: Result,
+    views: Sequence[View],
+    job: dict[str, Any],
+    edits_at: Callable[[float], list[tuple[int, SceneEdit]]],
+) -> Outcome:
+    from .onto_photos import PhotoInsertion
+
+    edits = edits_at(0.0)
+    for index, _ in edits:
+        if views[index].photo is None:
+            what = f"{views[index].name} has no photo"
+            raise BadInput(what, "leave out --onto-photos or add the photo", args.views)
+    if args.frames is not None:
+        from .animation import insert_frames
+
+        insertion = PhotoInsertion(result, views[edits[0][0]], args.samples, args.seed)
+        return insert_frames(args, progress, insertion, job, lambda time: edits_at(time)[0][1])
+    written = []
+    with progress.stage("insert"):
+        for number, (index, edit) in enumerate(edits):
+            picture = PhotoInsertion(result, views[index], args.samples, args.seed).picture(edit)
+            written.append(picture.write(args.out, views[index].name, linear=args.linear))
+            progress.update((number + 1) / len(edits))
+    return Outcome.of("Rendered", {"files": written})
+
+
+# ---- light shares --------------------------------------------------------------------------------------------------
+
+
+def _render_shares(args: argparse.Namespace, progress: Progress, result: Result, views: Sequence[View]) -> Outcome:
+    from iris_addon.blender.light_groups import render_light_shares
+    from iris_addon.result.light_shares import write_shares
+
+    written = []
+    with progress.stage("render"):
+        for number, view in enumerate(views):
+            shares = render_light_shares(result, view.camera, samples=args.samples, seed=args.seed)
+            written.append(args.out / f"{view.name}.exr")
+            write_shares(written[-1], shares)
+            progress.update((number + 1) / len(views))
+    return Outcome.of("Rendered every light's share", {"files": written})
+
+
+def _mix_shares(
+    args: argparse.Namespace, progress: Progress, result: Result, views: Sequence[View], job: dict[str, Any]
+) -> Outcome:
+    from iris_addon.result.light_shares import light_gains, mix_shares, read_shares
+
+    gains, developer = light_gains(result, job), _developer(args, result)
+    written = []
+    with progress.stage("mix"):
+        for number, view in enumerate(views):
+            shares = read_shares(args.shares / f"{view.name}.exr")
+            written.append(developer.write(view, mix_shares(shares.shares, gains)))
+            progress.update((number + 1) / len(views))
+    return Outcome.of("Mixed", {"files": written})
+
+
+# ---- common --------------------------------------------------------------------------------------------------------
+
+
+def _read(args: argparse.Namespace) -> tuple[Result, tuple[View, ...]]:
+    from iris_addon.capture import read_views
+
+    return load_result(args.result), read_views(args.views)
+
+
+def _developer(args: argparse.Namespace, result: Result) -> Developer:
+    return Developer(result, args.out, args.exposure, args.linear)
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Errors about the job read inside name its file."""
+    try:
+        yield
+    except BadInput as error:
+        raise BadInput(error.what, error.fix, path) from error
