@@ -43,9 +43,9 @@ from .result.report_html import write_report
 from .result.types import Emitter, OutsideLight, Result
 from .surface.atlas import build_atlas, texel_density_from_footprint
 from .surface.build import Surface, build_surface
-from .surface.parts import edge_adjacency, initial_parts
+from .surface.parts import edge_adjacency
 from .surface.samples import PixelSamples
-from .surface.segment import split_scan
+from .surface.segment import split_parts
 from .transport.cache import cached_transport
 from .transport.diffuse import grazing_gain, schlick
 from .transport.tracer import Tracer
@@ -78,7 +78,7 @@ def solve(
         photos = sample_photos(capture, tracer, config.hdr is not None, progress)
     with progress.stage("surface"):
         adjacency = edge_adjacency(capture.mesh)
-        parts = split_scan(initial_parts(capture.mesh), adjacency, tracer.normals, photos.samples, photos.z)
+        parts = split_parts(capture.mesh, adjacency, tracer.normals, photos.samples, photos.z)
         surface = build_surface(capture.mesh, photos.samples, parts, config.max_patches, _rng(config, 1))
         field = IrradianceField.build(surface)
     with progress.stage("transport"):

@@ -7,24 +7,31 @@ the rough dielectric it started as: gloss has to earn its place.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from ..response.observations import group_sums
-from .ggx import DIELECTRIC_F0
+from .gloss_cost import LobeHalves, PartFit
 
 LEVELS = (0.1, 0.2, 0.32, 0.5, 0.7, 1.0)
 """Six roughness levels as in IRIS; between them the best level is interpolated."""
-MIN_OBSERVATIONS = 40
+MIN_OBSERVATIONS = 10
+MIN_COST = 0.02
+"""Cost below which the rough dielectric explains a part but for the noise of the photos."""
 MAX_OBSERVATIONS = 500
-GAIN_NEEDED = 0.06
+GAIN_NEEDED = 0.03
 """Relative fall of the robust residual that a gloss must bring over the rough dielectric."""
 METAL_GAIN_NEEDED = 0.15
-SPATIAL_WEIGHT = 0.35
-"""Say of "the albedo is even over the part" against "the albedo is the same from every view"."""
-ROBUST = 0.15
+NEAR = 1.0
+"""Metres over which parts of like albedo are taken for pieces of one material."""
+LIKE = 0.05
+"""Difference in log albedo at which they no longer are."""
+NEIGHBOURS = 24
+OTHERS = 1.0
+"""Say of a like part next to a part itself."""
 
 
 @dataclass(frozen=True)
@@ -66,55 +73,115 @@ def choose_observations(
     return np.sort(order[rank < MAX_OBSERVATIONS])
 
 
-def fit_gloss(
-    part: NDArray[np.integer],
-    patch: NDArray[np.integer],
-    weight: NDArray[np.floating],
-    radiance: NDArray[np.floating],
-    irradiance: NDArray[np.floating],
-    diffuse: NDArray[np.floating],
-    lobes: list[tuple[NDArray[np.floating], NDArray[np.floating]]],
-    n_parts: int,
-    forced: bool | None = None,
-) -> Gloss:
+@dataclass(frozen=True)
+class GlossObservations:
+    """Observations that gloss is fitted to, m of them.
+
+    Attributes:
+        part, patch, weight: (m,).
+        position: (m, 3) metres.
+        radiance: (m, 3) observed.
+        irradiance: (m, 3) irradiance / pi.
+        diffuse: (levels, m) factor of the diffuse lobe towards the camera.
+        lobes: per level of LEVELS, (Ls0, Ls1), (m, 3) each, from either half of the rays.
+    """
+
+    part: NDArray[np.integer]
+    patch: NDArray[np.integer]
+    weight: NDArray[np.floating]
+    position: NDArray[np.floating]
+    radiance: NDArray[np.floating]
+    irradiance: NDArray[np.floating]
+    diffuse: NDArray[np.floating]
+    lobes: Sequence[LobeHalves]
+
+
+@dataclass(frozen=True)
+class _Costs:
+    """Costs of k parts at every level, and what tells which of them are one material.
+
+    Attributes:
+        plastic, metal: (k, levels) relative to the rough dielectric.
+        count: (k,) observations.
+        centre: (k, 3) metres.
+        log_albedo: (k, 3).
+    """
+
+    ids: NDArray[np.int64]
+    plastic: NDArray[np.float64]
+    metal: NDArray[np.float64]
+    count: NDArray[np.float64]
+    centre: NDArray[np.float64]
+    log_albedo: NDArray[np.float64]
+
+    def pooled(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Costs of every part, averaged with those of near parts of like albedo: one chair's legs are one wood."""
+        _, near = cKDTree(self.centre).query(self.centre, k=min(NEIGHBOURS, len(self.ids)))
+        near = np.reshape(near, (len(self.ids), -1))
+        distance = np.linalg.norm(self.centre[near] - self.centre[:, None], axis=-1) / NEAR
+        unlike = np.abs(self.log_albedo[near] - self.log_albedo[:, None]).max(-1) / LIKE
+        say = self.count[near] * np.exp(-0.5 * (distance**2 + unlike**2)) * OTHERS
+        say = np.where(near == np.arange(len(near))[:, None], self.count[:, None], say)
+        # However many they are, a part that was well observed itself is not outvoted.
+        others = say.sum(1, keepdims=True) - self.count[:, None]
+        limit = OTHERS * MAX_OBSERVATIONS
+        say = np.where(
+            near == np.arange(len(near))[:, None], say, say * np.minimum(1.0, limit / np.maximum(others, 1e-9))
+        )
+        say /= say.sum(1, keepdims=True)
+        return np.einsum("kn,knl->kl", say, self.plastic[near]), np.einsum("kn,knl->kl", say, self.metal[near])
+
+
+def fit_gloss(observed: GlossObservations, n_parts: int, forced: bool | None = None) -> Gloss:
     """Fit every part with enough observations.
 
     Args:
-        part, patch, weight: (m,) of each observation.
-        radiance: (m, 3) observed.
-        irradiance: (m, 3) irradiance / pi at it.
-        diffuse: (levels, m) factor of the diffuse lobe towards the camera.
-        lobes: per level of LEVELS, (Ls0, Ls1), (m, 3) each.
         forced: True takes the best material however little it gains, False none but the rough dielectric.
     """
     gloss = rough_everywhere(n_parts)
-    if forced is False:
-        return gloss
-    order = np.argsort(part, kind="stable")
-    ids, first, count = np.unique(part[order], return_index=True, return_counts=True)
-    for label, start, n in zip(ids, first, count, strict=True):
-        if n < MIN_OBSERVATIONS:
-            continue
-        rows = order[start : start + n]
-        _, local = np.unique(patch[rows], return_inverse=True)
-        fit = _PartFit(local, weight[rows], radiance[rows], np.maximum(irradiance[rows], 1e-5))
-        plastic = np.array(
-            [fit.dielectric(*(x[rows] for x in (d, *lobe))) for d, lobe in zip(diffuse, lobes, strict=True)]
-        )
-        metal = np.array([fit.metal(s0[rows], s1[rows]) for s0, s1 in lobes])
-        _decide(gloss, int(label), plastic, metal, 0.0 if forced else 1.0)
+    costs = None if forced is False else _part_costs(observed)
+    if costs is not None:
+        for label, plastic, metal in zip(costs.ids, *costs.pooled(), strict=True):
+            _decide(gloss, int(label), plastic, metal, 0.0 if forced else 1.0)
     return gloss
+
+
+def _part_costs(observed: GlossObservations) -> _Costs | None:
+    o = observed
+    order = np.argsort(o.part, kind="stable")
+    ids, first, count = np.unique(o.part[order], return_index=True, return_counts=True)
+    enough = count >= MIN_OBSERVATIONS
+    if not enough.any():
+        return None
+    pieces = [order[start : start + n] for start, n in zip(first[enough], count[enough], strict=True)]
+    plastic, metal = np.empty((len(pieces), len(LEVELS))), np.empty((len(pieces), len(LEVELS)))
+    for k, rows in enumerate(pieces):
+        _, patch = np.unique(o.patch[rows], return_inverse=True)
+        fit = PartFit(patch, o.weight[rows], o.radiance[rows], np.maximum(o.irradiance[rows], 1e-5))
+        for level, halves in enumerate(o.lobes):
+            chosen = [(s0[rows], s1[rows]) for s0, s1 in halves]
+            plastic[k, level] = fit.dielectric(o.diffuse[level][rows], chosen)
+            metal[k, level] = fit.metal(LEVELS[level], chosen)
+    null = np.maximum(plastic[:, -1:], MIN_COST)
+    log_albedo = np.log(np.maximum(o.radiance, 1e-4) / np.maximum(o.irradiance, 1e-4))
+    return _Costs(
+        ids[enough],
+        plastic / null,
+        metal / null,
+        count[enough].astype(np.float64),
+        np.stack([o.position[rows].mean(0) for rows in pieces]),
+        np.stack([np.median(log_albedo[rows], axis=0) for rows in pieces]),
+    )
 
 
 def _decide(gloss: Gloss, label: int, plastic: NDArray[np.float64], metal: NDArray[np.float64], caution: float) -> None:
     """Write the simplest material that explains the part about as well as any; ``caution`` scales the gains needed."""
-    null = plastic[-1]
     best_metal, best_plastic = float(metal.min()), float(plastic.min())
     gloss.decided[label] = True
     if best_metal < (1 - caution * METAL_GAIN_NEEDED) * best_plastic:
         gloss.metallic[label] = 1.0
         gloss.roughness[label] = _interpolate_minimum(metal)
-    elif best_plastic < (1 - caution * GAIN_NEEDED) * null:
+    elif best_plastic < (1 - caution * GAIN_NEEDED) * plastic[-1]:
         gloss.roughness[label] = _interpolate_minimum(plastic)
 
 
@@ -126,36 +193,3 @@ def _interpolate_minimum(cost: NDArray[np.float64]) -> float:
         return LEVELS[k]
     a, b, _ = np.polyfit(x[k - 1 : k + 2], cost[k - 1 : k + 2], 2)
     return float(np.exp(np.clip(-b / (2 * a), x[k - 1], x[k + 1]))) if a > 0 else LEVELS[k]
-
-
-@dataclass(frozen=True)
-class _PartFit:
-    """Observations of one part; ``patch`` counts from 0."""
-
-    patch: NDArray[np.int64]
-    weight: NDArray[np.floating]
-    radiance: NDArray[np.floating]
-    irradiance: NDArray[np.floating]
-
-    def dielectric(self, diffuse: NDArray[np.floating], s0: NDArray[np.floating], s1: NDArray[np.floating]) -> float:
-        """Robust cost with albedo free per patch and the 4 % lobe taken off; ``diffuse`` (m,) view factor."""
-        return self._cost(self.radiance - DIELECTRIC_F0 * s0 - s1, self.irradiance * diffuse[:, None])
-
-    def metal(self, s0: NDArray[np.floating], s1: NDArray[np.floating]) -> float:
-        """Robust cost with the specular colour free per patch and no diffuse part."""
-        return self._cost(self.radiance - s1, np.maximum(s0, 1e-5))
-
-    def _cost(self, explained: NDArray[np.floating], per_albedo: NDArray[np.floating]) -> float:
-        """Residual of radiance relative to itself, between the views of a patch and between patches."""
-        albedo = np.clip(explained / per_albedo, 0.0, 1.2)
-        n = int(self.patch.max()) + 1
-        # The brighter the light, the surer the quotient.
-        w = self.weight[:, None] * per_albedo
-        mean = group_sums(w * albedo, self.patch, n) / np.maximum(group_sums(w, self.patch, n), 1e-9)
-        typical = np.median(mean, axis=0)
-        scale = np.maximum(self.radiance, 1e-4)
-        offset = explained - albedo * per_albedo  # what clipping the albedo could not explain
-        views = ((mean[self.patch] - albedo) * per_albedo - offset) / scale
-        space = (typical - albedo) * per_albedo / scale
-        total = np.log1p((views / ROBUST) ** 2) + SPATIAL_WEIGHT * np.log1p((space / ROBUST) ** 2)
-        return float((self.weight @ total.mean(1)) / self.weight.sum())

@@ -21,13 +21,14 @@ from ..response.radiance import GroupRadiance, Linearised, group_radiance
 from ..transport.diffuse import grazing_gain
 from .diffuse_lobe import DiffuseChoice
 from .ggx import DIELECTRIC_F0
-from .gloss import LEVELS, Gloss, choose_observations, fit_gloss
+from .gloss import LEVELS, Gloss, GlossObservations, choose_observations, fit_gloss
 from .glossy_bounce import GlossyBounce, trace_glossy_bounce
 from .lobes import LobeRays, trace_lobes
 from .shading import IrradianceField
-from .specular import ROUGH, Scene, rough_lobes, specular_lobes, subtract_specular
+from .specular import Scene, rough_lobes, specular_lobes, subtract_specular
 
-FIT_RAYS = 16
+FIT_RAYS = (8, 8, 16, 32)
+"""Reflected rays per observation and level: the wider the lobe, the more noise."""
 PASSED_ON = 0.6
 GLOSSY = 0.5
 GLOSSY_SAY = 0.3
@@ -175,10 +176,10 @@ def _observed_specular(
 
 @dataclass(frozen=True)
 class _GlossFit:
-    """Observations to fit gloss on and their reflected rays at every level, traced once."""
+    """Observations to fit gloss on and their reflected rays at every level, two halves each, traced once."""
 
     rows: NDArray[np.int64]
-    rays: list[LobeRays]
+    rays: list[list[LobeRays]]
 
     @staticmethod
     def prepare(problem: MaterialProblem, lights: Lights) -> _GlossFit:
@@ -188,19 +189,21 @@ class _GlossFit:
         rows = choose_observations(problem.part, o.patch, np.where(usable, o.count, 0), rng)
         at = o.sample[rows]
         rays = [
-            trace_lobes(
-                problem.light.tracer,
-                problem.light.transport,
-                problem.light.parts,
-                samples.position[at],
-                samples.normal[at],
-                samples.direction[at],
-                np.full(len(at), level),
-                FIT_RAYS,
-                rng,
-            )
-            for level in LEVELS
-            if level < ROUGH
+            [
+                trace_lobes(
+                    problem.light.tracer,
+                    problem.light.transport,
+                    problem.light.parts,
+                    samples.position[at],
+                    samples.normal[at],
+                    samples.direction[at],
+                    np.full(len(at), level),
+                    n_rays // 2,
+                    rng,
+                )
+                for _ in range(2)
+            ]
+            for level, n_rays in zip(LEVELS, FIT_RAYS, strict=False)
         ]
         return _GlossFit(rows, rays)
 
@@ -211,19 +214,19 @@ class _GlossFit:
         irradiance = smooth_irradiance(problem.field, lights)
         at = o.sample[self.rows]
         local = problem.field.at_samples(samples.take(at), o.patch[self.rows], irradiance)
-        lobes = [scene.lobes(rays) for rays in self.rays]
-        # Wide lobes come from irradiance, as everywhere: the noise of few rays would make smooth levels look better.
-        rough = (level for level in LEVELS if level >= ROUGH)
-        lobes += [rough_lobes(np.full(len(at), level), samples.cosine[at], local) for level in rough]
+        lobes = [[scene.lobes(half) for half in halves] for halves in self.rays]
+        # The widest lobes come from irradiance, as everywhere.
+        rough = LEVELS[len(FIT_RAYS) :]
+        lobes += [[rough_lobes(np.full(len(at), level), samples.cosine[at], local)] * 2 for level in rough]
         diffuse = 1 + grazing_gain(problem.diffuse.lobe, np.array(LEVELS))[:, None] * problem.schlick[self.rows]
-        return fit_gloss(
+        observed = GlossObservations(
             problem.part[self.rows],
             o.patch[self.rows],
             np.minimum(o.count[self.rows], 20.0),
+            samples.position[at],
             problem.linear.radiance[self.rows],
             local,
             diffuse,
             lobes,
-            int(problem.light.parts.max()) + 1,
-            problem.gloss,
         )
+        return fit_gloss(observed, int(problem.light.parts.max()) + 1, problem.gloss)

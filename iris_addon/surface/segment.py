@@ -1,4 +1,7 @@
-"""Parts of a scan: one fused surface split along edges of colour.
+"""Connected surfaces split into parts: modelled ones along sharp edges, scans along edges of colour.
+
+A room's shell is often one component, though its floor and its walls are of different materials: its large pieces
+between sharp edges become parts of their own. A scan has no sharp edges.
 
 Felzenszwalb & Huttenlocher's graph segmentation (IJCV 2004) on the faces of a component: neighbours join while the
 step between them is no larger than the steps inside the regions they belong to. Shading changes slowly over a surface
@@ -10,7 +13,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..capture.types import Mesh
 from ..response.observations import group_means
+from .parts import component_labels, initial_parts
 from .samples import PixelSamples
 
 SCAN_FACES = 20_000
@@ -20,6 +25,45 @@ GRANULARITY = 0.6
 """Log-colour step times face count up to which a small region joins whatever it touches."""
 MIN_FACES = 60
 UNSEEN_STEP = 0.15
+CREASE_COSINE = 0.8
+"""Cosine between the normals of neighbours below which their edge is sharp."""
+PIECE_SHARE = 0.01
+"""Share of all pixels from which a piece between sharp edges is a part of its own."""
+
+
+def split_parts(
+    mesh: Mesh,
+    adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
+    normals: NDArray[np.floating],
+    samples: PixelSamples,
+    z: NDArray[np.floating],
+) -> NDArray[np.int32]:
+    """(F,) part per face: the capture's own, else components, the large ones split.
+
+    Args:
+        normals: (F, 3) unit.
+        z: (n, 3) display values of the pixels.
+    """
+    parts = initial_parts(mesh)
+    if mesh.parts is not None:
+        return parts
+    return split_scan(split_creases(parts, adjacency, normals, samples), adjacency, normals, samples, z)
+
+
+def split_creases(
+    parts: NDArray[np.int32],
+    adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
+    normals: NDArray[np.floating],
+    samples: PixelSamples,
+) -> NDArray[np.int32]:
+    """(F,) parts with the large pieces between sharp edges apart; what is left of a part stays one."""
+    a, b = adjacency
+    smooth = np.abs((normals[a] * normals[b]).sum(1)) > CREASE_COSINE
+    piece = component_labels(len(parts), a[smooth], b[smooth])
+    pixels = np.bincount(piece[samples.face], minlength=int(piece.max()) + 1)
+    large = (pixels >= PIECE_SHARE * len(samples.face)) & (np.bincount(piece) < SCAN_FACES)
+    label = np.where(large[piece] & (np.bincount(parts) < SCAN_FACES)[parts], len(parts) + piece, parts)
+    return np.unique(label, return_inverse=True)[1].astype(np.int32)
 
 
 def split_scan(

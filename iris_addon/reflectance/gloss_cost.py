@@ -1,0 +1,77 @@
+"""How badly each gloss explains the photos of one part."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..response.observations import group_sums
+from .ggx import DIELECTRIC_F0
+
+SPATIAL_WEIGHT = 0.35
+"""Say of "the albedo is even over the part" against "the albedo is the same from every view"."""
+ROBUST = 0.15
+WIDE = 0.4
+"""Roughness from which the lobes of few rays are too noisy to tell a metal."""
+LobeHalves = Sequence[tuple[NDArray[np.floating], NDArray[np.floating]]]
+"""(Ls0, Ls1) from two independent sets of rays."""
+
+
+@dataclass(frozen=True)
+class PartFit:
+    """Observations of one part; ``patch`` counts from 0."""
+
+    patch: NDArray[np.int64]
+    weight: NDArray[np.floating]
+    radiance: NDArray[np.floating]
+    irradiance: NDArray[np.floating]
+
+    def dielectric(self, diffuse: NDArray[np.floating], halves: LobeHalves) -> float:
+        """Robust cost with albedo free per patch and the 4 % lobe taken off; ``diffuse`` (m,) view factor."""
+        light = self.irradiance * diffuse[:, None]
+        return self._cost(*(self._residuals(self.radiance - DIELECTRIC_F0 * s0 - s1, light) for s0, s1 in halves))
+
+    def metal(self, roughness: float, halves: LobeHalves) -> float:
+        """Robust cost with the specular colour free per patch and no diffuse part.
+
+        A wide lobe of few rays meets a lamp or misses it, and a metal has nothing else to send: such a cost keeps the
+        noise in it, which speaks against the metal.
+        """
+        if roughness >= WIDE:
+            halves = [(np.mean([s0 for s0, _ in halves], axis=0), np.mean([s1 for _, s1 in halves], axis=0))] * 2
+        return self._cost(*(self._residuals(self.radiance - s1, np.maximum(s0, 1e-5)) for s0, s1 in halves))
+
+    def _residuals(
+        self, explained: NDArray[np.floating], per_albedo: NDArray[np.floating]
+    ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """Residual of radiance relative to itself (m, 3): between the views of a patch, and between patches."""
+        n = int(self.patch.max()) + 1
+        w = self.weight[:, None]
+        total = group_sums(w * per_albedo, self.patch, n)
+        albedo = np.clip(group_sums(w * explained, self.patch, n) / np.maximum(total, 1e-9), 0.0, 1.2)
+        scale = np.maximum(self.radiance, 1e-4)
+        views = (albedo[self.patch] * per_albedo - explained) / scale
+        return views, (np.median(albedo, axis=0) * per_albedo - explained) / scale
+
+    def _cost(self, a: tuple[NDArray, NDArray], b: tuple[NDArray, NDArray]) -> float:
+        """Robust mean of the squared residuals, less the noise of few rays.
+
+        The square of a noisy residual has the noise's variance in it, and the smooth null hypothesis would always
+        win. The product of two residuals from independent halves of the rays has not; it is averaged over the views of
+        a patch before the robust loss, which would shrink what is noisy.
+        """
+        n = int(self.patch.max()) + 1
+        say = np.bincount(self.patch, self.weight, n)
+        views, space = (
+            _robust(group_sums(self.weight[:, None] * x * y, self.patch, n) / say[:, None])
+            for x, y in zip(a, b, strict=True)
+        )
+        return float(say @ (views + SPATIAL_WEIGHT * space).mean(1) / say.sum())
+
+
+def _robust(square: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Cauchy's loss of squared residuals that noise may have made negative."""
+    return np.sign(square) * np.log1p(np.abs(square) / ROBUST**2)
