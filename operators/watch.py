@@ -32,6 +32,7 @@ def run(
     if not bpy.app.background:
         if not bpy.app.timers.is_registered(_tick):
             bpy.app.timers.register(_tick, first_interval=TICK_SECONDS, persistent=True)
+        redraw_sidebars()
         return {"FINISHED"}
     jobs.wait(job)
     record = jobs.record(name, folder)
