@@ -17,6 +17,7 @@ class IRIS_OT_review(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
     bl_idname = "iris.review"
     bl_label = "Review"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
 
     kind: bpy.props.EnumProperty(
         items=(
@@ -57,7 +58,7 @@ class IRIS_OT_confidence(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
     bl_idname = "iris.confidence"
     bl_label = "Confidence"
-    bl_options = {"REGISTER"}  # noqa: RUF012 - Blender's form
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
 
     on: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
 

@@ -127,6 +127,7 @@ class IRIS_OT_show_log(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
     bl_idname = "iris.show_log"
     bl_label = "Log"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
 
     job: bpy.props.EnumProperty(items=JOB_NAMES, options={"HIDDEN"})
 
