@@ -20,6 +20,7 @@ from .render import render_camera, render_coverage, render_views, set_cycles
 from .scene_out import BuiltScene, build_scene
 
 COVERAGE_SAMPLES = 32
+SATURATED = 254.5 / 255
 NOISE_RADIUS = 3  # pixels around one over which noise is estimated
 
 Pair = tuple[NDArray[np.floating], NDArray[np.floating]]
@@ -149,9 +150,9 @@ def change_photo(
     not show.
     """
     seen = response.invert(photo)
-    light = np.where(seen >= 1.0, np.maximum(seen, changed.without * exposure), seen)
+    light = np.where(photo >= SATURATED, np.maximum(seen, changed.without * exposure), seen)
     after = change_light(light, changed, exposure)
-    display = np.clip(photo + response.apply(after) - response.apply(light), 0.0, 1.0)
+    display = np.clip(photo + (response.apply(after) - response.apply(light)), 0.0, 1.0)
     return display, after / exposure
 
 
