@@ -190,14 +190,14 @@ def test_a_scene_is_solved_on_its_own_objects(package, tmp_path, worker, nerfstu
     body = f"""
     preferences.python = {str(worker)!r}
     bpy.ops.iris.import_capture(filepath={str(nerfstudio_room.root)!r})
-    scene.iris.result = str(home / "scene-result")
     for thing in list(scene.objects):
         if thing.name in ("Cube", "Light", "Camera"):
             bpy.data.objects.remove(thing)
     room = scene.iris.room
     bpy.ops.iris.use_scene()
     assert scene.iris.source == "SCENE" and len(scene.iris.views) == 6
-    assert (home / "scene-result" / "capture" / "transforms.json").is_file()
+    assert (Path(scene.iris.result) / "capture" / "transforms.json").is_file()
+    assert Path(scene.iris.result).is_relative_to(home)  # never into the extension's folder, nor beside the capture
     bpy.ops.iris.solve()
     bpy.ops.iris.apply()
     assert len(scene.iris.lamps) == 1 and room.data.name.endswith("IRIS")

@@ -65,10 +65,10 @@ def apply_to_objects(result: Result, runs: Sequence[FaceRun], scene: bpy.types.S
     """
     if is_applied(scene, runs, key):
         return False
-    restore(scene)
     objects = [_find(run, scene) for run in runs]
     if runs and runs[-1].stop != len(result.mesh.faces):
-        raise BadInput("the result has other faces than the objects of this scene", "solve again")
+        raise BadInput("the result has other faces than the objects of this scene", "undo the edit, or solve again")
+    restore(scene)
     own_uv = _kept_uv_map(result, runs, objects)
     before = {*bpy.data.materials, *bpy.data.images}
     materials, slot_of_face = face_materials(result, SceneEdit(), own_uv or UV_MAP)
