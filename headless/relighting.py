@@ -169,7 +169,7 @@ def _render_shares(args: argparse.Namespace, progress: Progress, result: Result,
     written = []
     with progress.stage("render"):
         for number, view in enumerate(views):
-            shares = render_light_shares(result, view.camera, samples=args.samples, seed=args.seed)
+            shares = render_light_shares(result, view.camera, samples=args.samples, seed=args.seed, denoise=True)
             written.append(args.out / f"{view.name}.exr")
             write_shares(written[-1], shares)
             progress.update((number + 1) / len(views))

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from ..capture.types import Camera
 from ..response.curve import Response
+from ..response.observations import SATURATED
 from ..result.edits import SceneEdit
 from ..result.types import Result
 from .render import render_camera, render_coverage, render_views, set_cycles
 from .scene_out import BuiltScene, build_scene
 
 COVERAGE_SAMPLES = 32
-SATURATED = 254.5 / 255
 NOISE_RADIUS = 3  # pixels around one over which noise is estimated
 
 Pair = tuple[NDArray[np.floating], NDArray[np.floating]]
