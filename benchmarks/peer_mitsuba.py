@@ -218,7 +218,7 @@ def _result(
 def snapshot_records(capture: Path, folder: Path, limit: float, samples: int, progress: Progress) -> list[Record]:
     """Records of all snapshots up to ``limit`` seconds, read back or made in a process of its own."""
     runs = [snapshot_run(capture, stop, samples) for stop in stops_until(limit)]
-    with progress.stage(f"{NAME} on {capture.name}, {limit / 60:.0f} minutes and scoring"):
+    with progress.stage(f"{NAME} on {capture.name}, {limit:.0f} s and scoring"):
         last = folder / f"{runs[-1].key}.json"
         error = run_isolated(__name__, last, [relative(capture), "--limit", str(limit), "--samples", str(samples)])
     if error is not None:
