@@ -290,3 +290,15 @@ def test_a_scene_without_usable_photos_is_refused(tmp_path):
     (tmp_path / "a.png").unlink()
     with pytest.raises(BadInput, match="the photo of camera 'eye' is missing"):
         write_scene_capture(scene, graph(), tmp_path)
+
+
+def test_a_linked_object_is_refused_with_its_mend(tmp_path):
+    cube("box")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, wanted):
+        wanted.objects = ["box"]
+    bpy.context.scene.collection.objects.link(wanted.objects[0])
+    result, runs = solve()
+    with pytest.raises(BadInput, match="linked from another file — make it local"):
+        apply_to_objects(result, runs, bpy.context.scene, "key")

@@ -115,6 +115,12 @@ def _find(run: FaceRun, scene: bpy.types.Scene) -> bpy.types.Object:
     thing = scene.objects.get(run.object)
     if thing is None:
         raise BadInput(f"the object '{run.object}' is gone or renamed", "undo that, or solve again")
+    if not thing.is_editable:
+        raise BadInput(
+            f"the object '{run.object}' is linked from another file", "make it local: Object > Relations > Make Local"
+        )
+    if thing.mode == "EDIT":
+        raise BadInput(f"the object '{run.object}' is being edited", "leave edit mode (Tab)")
     return thing
 
 
