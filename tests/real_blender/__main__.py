@@ -1,7 +1,7 @@
 """``python -m tests.real_blender [--suites trixie,sid] [--seconds N]``: set up, run everything, print a table.
 
-Exit status: 1 something failed, else 0. What the machine cannot run, or what the time did not suffice for, is skipped with
-that reason.
+Exit status: 1 something failed, else 0. What the machine cannot run, or what the time did not suffice for, is skipped
+with that reason.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 
@@ -16,13 +17,17 @@ from .root import Root
 WIDTH, HEIGHT = 1600, 1000
 MENU_GREY = 24  # behind menus in Blender's default theme
 MENU_PIXELS = 40  # a menu is higher, a button is not
-SETTLE_SECONDS = 0.06  # between a movement of the mouse and the question what it is over
 
 
 class Display:
-    """A running X server. Coordinates are pixels from the top left corner."""
+    """A running X server. Coordinates are pixels from the top left corner.
+
+    Attributes:
+        settle: waits until what was done with mouse and keys has been taken; whoever runs a program on it sets this.
+    """
 
     def __init__(self, root: Root, log: Path) -> None:
+        self.settle: Callable[[], None] = lambda: time.sleep(0.2)
         self._screen = root.home / ".screen"
         self._screen.mkdir(exist_ok=True)
         self._log = log.open("w")
@@ -72,20 +77,19 @@ class Display:
     def move(self, x: float, y: float) -> None:
         """Put the mouse there, by two movements: one alone is no movement when it already was there."""
         self._run(f"xdotool mousemove {x + 1:.0f} {y:.0f} mousemove {x:.0f} {y:.0f}")
-        time.sleep(SETTLE_SECONDS)
+        self.settle()
 
     def click(self, x: float, y: float, times: int = 1, button: int = 1) -> None:
         """Move and click."""
         self.move(x, y)
-        time.sleep(0.2)
         self._run(f"xdotool click --repeat {times} --delay 80 {button}")
-        time.sleep(0.3)
+        self.settle()
 
     def scroll(self, x: float, y: float, notches: int) -> None:
         """Turn the wheel there; positive is down."""
         self.move(x, y)
         self._run(f"xdotool click --repeat {abs(notches)} --delay 40 {5 if notches > 0 else 4}")
-        time.sleep(0.3)
+        self.settle()
 
     def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
         """Press at ``start``, let go at ``end``."""
@@ -94,29 +98,29 @@ class Display:
         for part in (0.3, 0.6, 1.0):
             self.move(start[0] + part * (end[0] - start[0]), start[1] + part * (end[1] - start[1]))
         self._run("xdotool mouseup 1")
-        time.sleep(0.3)
+        self.settle()
 
     def keys(self, *names: str) -> None:
         """Press keys or chords (``ctrl+a``)."""
         self._run("xdotool key --delay 60 " + " ".join(names))
-        time.sleep(0.2)
+        self.settle()
 
     def wheel_with(self, key: str, x: float, y: float, notches: int) -> None:
         """Turn the wheel there while a key is held."""
         self.move(x, y)
         button = 5 if notches > 0 else 4
         self._run(f"xdotool keydown {key} click --repeat {abs(notches)} --delay 80 {button} keyup {key}")
-        time.sleep(0.3)
+        self.settle()
 
     def write(self, text: str) -> None:
         """Type a text."""
         self._run(f"xdotool type --delay 12 -- '{text}'")
-        time.sleep(0.2)
+        self.settle()
 
     def place(self, title: str, left: int, top: int, width: int, height: int) -> None:
         """Move and resize the window of that title, as there is no window manager to do it."""
         self._run(f"xdotool search --name '{title}' windowmove {left} {top} windowsize {width} {height}")
-        time.sleep(0.5)
+        self.settle()
 
     def look(self) -> Image.Image:
         """The screen as it is now. Read from the server's memory, which it maps into a file in xwd format: a header

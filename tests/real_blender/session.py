@@ -53,6 +53,7 @@ class Session:
             assert self.running, f"Blender ended at its start: {log.read_text()}"
             self._socket = socket.create_connection(("127.0.0.1", int(port.read_text())), ANSWER_SECONDS)
             self._lines = self._socket.makefile("r")
+            display.settle = self.settle
             display.still()
         except BaseException:
             self.close()
@@ -69,8 +70,15 @@ class Session:
         """Whether Blender lives."""
         return self.process.poll() is None
 
+    def settle(self) -> None:
+        """Wait until Blender has taken what mouse and keys did: its main loop reads events, then answers, then handles
+        them, so that the third answer comes after everything that was handled in between was drawn, too."""
+        for _ in range(3):
+            self.ask("None")
+
     def close(self) -> None:
         """End Blender without ceremony, if it still runs."""
+        self.display.settle = lambda: time.sleep(0.2)
         if self._socket is not None:
             self._socket.close()
         if self.running:

@@ -56,7 +56,9 @@ class Stage:
 
     def preferences_section(self, section: str) -> None:
         """Click through the sections until it is reached."""
-        left, top, width, height = self.session.region("PREFERENCES", "NAVIGATION_BAR", 1)
+        # Blender 5 has the list of sections in a sidebar.
+        name = "NAVIGATION_BAR" if self.session.ask("bpy.app.version[0]") < 5 else "UI"
+        left, top, width, height = self.session.region("PREFERENCES", name, 1)
         for y in range(top + 15, top + height, 20):
             self.session.display.click(left + width / 2, y)
             if self.session.ask("bpy.context.preferences.active_section") == section:

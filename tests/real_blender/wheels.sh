@@ -30,7 +30,7 @@ for version in "$@"; do
     "$folder/bin/python" -m pip install -qq --disable-pip-version-check -r "$folder/requirements.txt"; then
     "$folder/bin/python" -m pytest -m "bpy and not slow" -p no:cacheprovider | tee "$folder/log"
     [ "${PIPESTATUS[0]}" = 0 ] || failed=1
-    summary+=("bpy $version, Python $wanted: $(tail -n 1 "$folder/log")")
+    summary+=("bpy $version, Python $wanted: $(grep -aE "[0-9]+ (passed|failed|error)" "$folder/log" | tail -n 1)")
   else
     summary+=("bpy $version, Python $wanted: could not be installed"); failed=1
   fi
