@@ -86,13 +86,13 @@ def disco_job() -> dict:
                 "type": "spot",
                 "position": [2.3, 2.0, 2.35],
                 "direction": [*around.tolist(), -0.55 - 0.25 * (k % 2)],
-                "angle": 34,
+                "angle": 44,
                 "blend": 0.4,
-                "intensity": (np.array(color) * 18).tolist(),
+                "intensity": (np.array(color) * 60).tolist(),
                 "turntable": {"turns": 1, "center": [2.3, 2.0, 2.35]},
             }
         )
-    dim = {"all": {"scale": 0.004}}
+    dim = {"all": {"scale": 0.03}}
     return {"recovered": dim, "outside": 0.02, "lights": spots, "length": DISCO_FRAMES, "camera": {"view": 0}}
 
 
@@ -151,7 +151,7 @@ def main() -> None:
 
     job = write_job(out, "disco", disco_job())
     for frame in DISCO_SHOWN:
-        run("relight", result, *look, "--lights", job, "--frames", frame, "--exposure", 0.25, "--out", out / "disco")
+        run("relight", result, *look, "--lights", job, "--frames", frame, "--exposure", 0.5, "--out", out / "disco")
     save("disco.jpg", np.concatenate([read(out / "disco" / f"frame_{k:04d}.png") for k in DISCO_SHOWN], axis=1))
 
     look = look_at(PHOTO_VIEW, args.samples)

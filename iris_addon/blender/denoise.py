@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .images import DATA, image_from_array
 from .render import render_linear
-from .version import compositor_output, own_compositor_tree
+from .version import compositor_denoise, compositor_output, own_compositor_tree
 
 Picture = NDArray[np.float32]
 
@@ -21,7 +21,7 @@ def denoise_pictures(pictures: Mapping[str, Picture], albedo: Picture, normal: P
     try:
         scene = _empty_scene(albedo.shape[1], albedo.shape[0])
         tree = own_compositor_tree(scene)
-        clean = tree.nodes.new("CompositorNodeDenoise")
+        clean = compositor_denoise(tree)
         source = _image_node(tree, "picture", albedo)
         for socket, node in (
             ("Image", source),
@@ -32,7 +32,7 @@ def denoise_pictures(pictures: Mapping[str, Picture], albedo: Picture, normal: P
         tree.links.new(clean.outputs["Image"], compositor_output(tree))
         done = {}
         for name, pixels in pictures.items():
-            source.image = _float_image(name, pixels)
+            _set_pixels(source.image, pixels)  # one image for all: the compositor keeps what it cached of each
             done[name] = render_linear(scene)
         return done
     finally:
@@ -62,3 +62,10 @@ def _float_image(name: str, pixels: Picture) -> bpy.types.Image:
     image = image_from_array(f"IRIS {name}", pixels, colorspace=DATA, float_buffer=True)
     image.use_half_precision = False
     return image
+
+
+def _set_pixels(image: bpy.types.Image, pixels: Picture) -> None:
+    opaque = np.ones((*pixels.shape[:2], 4), np.float32)
+    opaque[..., :3] = pixels[::-1]
+    image.pixels.foreach_set(opaque.ravel())
+    image.update()
