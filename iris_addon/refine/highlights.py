@@ -20,7 +20,7 @@ from ..reflectance.materials import MaterialProblem, scene_of
 from ..reflectance.specular import ROUGH
 from ..response.radiance import CLIPPED_SHARE
 
-MAX_PATCHES = 4000
+MAX_PATCHES = 2500
 MIN_VIEWS = 4
 RAYS = 64
 LAMP_OBSERVATIONS = 100
