@@ -11,6 +11,7 @@ import bpy
 from ..iris_addon.blender import jobs
 from ..iris_addon.blender.capture_in import Inspected, add_capture, read_inspected
 from ..iris_addon.blender.commands import ADDON, inspect_command
+from ..iris_addon.blender.review import sparkline
 from ..iris_addon.blender.scene_capture import write_scene_capture
 from ..iris_addon.errors import IrisError
 from .preferences import ROOT_PACKAGE, solver_python
@@ -190,7 +191,7 @@ def _fill(settings: bpy.types.PropertyGroup, inspected: Inspected, cameras: list
         item = settings.views.add()
         item.name, item.camera = view.name, camera
         item.exposure = view.exposure or 0.0
-        item.saturated, item.seen = view.saturated, view.seen
+        item.saturated, item.seen, item.histogram = view.saturated, view.seen, sparkline(view.histogram)
         item.score, item.shift, item.verdict = view.score, view.shift, view.verdict
     settings.warnings = "\n".join(inspected.warnings)
     settings.view_index = 0

@@ -114,6 +114,7 @@ class IRIS_PT_check(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         )
         exposure = f"{view.exposure:.3g}" if view.exposure else "unknown"
         column.label(text=f"Saturated {view.saturated:.0%}, exposure {exposure}")
+        column.label(text=view.histogram)
         column.label(text=f"Mesh in {view.seen:.0%} of the picture")
         for warning in settings.warnings.splitlines():
             paragraph(layout, warning, context, "ERROR")

@@ -283,3 +283,11 @@ def test_the_plot_of_a_response_goes_from_corner_to_corner():
     assert np.flatnonzero(white[:, 128])[0] == pytest.approx(256 * (1 - 0.5 ** (1 / 2.2)), abs=2)
     colored = curve_plot(np.stack([np.linspace(0, 1, 1024) ** g for g in (0.4, 0.5, 0.6)]))
     assert not (colored == 1.0).all(axis=-1).any()
+
+
+def test_a_histogram_becomes_a_line_of_blocks():
+    from iris_addon.blender.review import sparkline
+
+    assert sparkline([0, 0.01, 0.25, 1]) == "▁▂▅█"
+    assert sparkline([0, 0]) == "▁▁"
+    assert sparkline([1] * 31 + [0]) == "█" * 15 + "▆"
