@@ -1,4 +1,4 @@
-"""The ends of the harness's scale: the truth scores near-perfect in every metric, an even grey as badly as it should."""
+"""The ends of the harness's scale: the truth scores near-perfect in every metric, grey as badly as it should."""
 
 from __future__ import annotations
 
