@@ -110,7 +110,7 @@ def _support(placed: Placement, room: Room) -> tuple[Vector, Vector]:
     hit = room.along(at + REACH * (room.up + normal), -room.up)
     if hit is None:
         raise BadInput(
-            f"there is nothing below {[round(v, 3) for v in at]} to stand on", "move the object, or use snap 'none'"
+            f"there is nothing below {[round(v, 3) for v in at]} to stand on", "move the object, or use snap 'surface'"
         )
     return hit[0], room.up
 
