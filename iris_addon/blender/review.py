@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..errors import BadInput
 from ..result.json_files import numbers, read_json
 from .images import image_from_array
-from .onto_objects import CONFIDENCE
+from .materials import CONFIDENCE
 
 KINDS = ("photo", "render", "error")
 CURVE_SIDE = 256
