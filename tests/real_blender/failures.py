@@ -128,7 +128,7 @@ def start_solve(stage: Stage, fresh: bool = False) -> int:
     """Press Solve and give the number of the worker, once it reports; ``fresh`` forgets what was solved before."""
     session = stage.session
     if fresh:
-        shutil.rmtree(host_path(session, session.ask("job('solve')")["folder"]) / "checkpoint", ignore_errors=True)
+        shutil.rmtree(host_path(session, session.ask("job('solve')")["folder"]) / "checkpoints", ignore_errors=True)
     session.press("iris.solve")
     until(lambda: session.ask("job('solve')").get("stage"), "the worker reports", 120)
     return session.ask("job('solve')")["pid"]

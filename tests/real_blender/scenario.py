@@ -133,7 +133,7 @@ def resume(stage: Stage) -> str:
 def review(stage: Stage) -> str:
     """Photo, re-render, error and response in the image editor."""
     session = stage.session
-    for kind in ("photo", "render", "error", "curve"):
+    for kind in ("render", "error", "curve", "photo"):
         session.press(f"iris.review(kind='{kind}'", columns=(0.15, 0.4, 0.6, 0.85))
         stage.photograph(f"08_review_{kind}")
     images = session.ask("[i.name for i in bpy.data.images]")
@@ -204,6 +204,8 @@ def enable_again(stage: Stage) -> str:
         left = session.ask("[n for n in dir(bpy.types) if n.startswith('IRIS_')] + dir(bpy.ops.iris)")
         assert bool(left) is (verb == "enable"), f"after {verb}: {left}"
     session.close_newest_window()
+    # Blender forgets an extension's preferences when it is disabled.
+    session.ask(f"set_solver('{session.root.REPOSITORY}/.venv/bin/python')")
     return "twice"
 
 

@@ -204,11 +204,12 @@ class Session:
         """Fill in and confirm the file browser in the newest window."""
         newest, count = self.windows() - 1, self.windows()
         folder, _, name = path.rpartition("/")
-        for field, text in (("params.directory", folder), ("params.filename", name)):
-            region = "UI" if field == "params.directory" else "EXECUTE"
-            place = self.find(field, "FILE_BROWSER", region, newest, (0.4,))
-            assert place is not None, f"no field {field} in the file browser"
-            self.type_into(place, text)
+        place = self.find("params.directory", "FILE_BROWSER", "UI", newest, (0.4,))
+        assert place is not None, "no field for the folder in the file browser"
+        self.type_into(place, folder)
+        # The field for the name is all there is beside the two buttons, and Blender 5 does not tell its path.
+        left, top, width, height = self.region("FILE_BROWSER", "EXECUTE", newest)
+        self.type_into((left + 0.3 * width, top + height / 2), name)
         before_confirming()
         self.press("file.execute", "FILE_BROWSER", "EXECUTE", newest, (0.9,))
         until(lambda: self.windows() < count, "the file browser closes", 30)
