@@ -1,6 +1,6 @@
 # Everything runs from the repository root through .venv; nothing is installed into the system.
 
-.PHONY: help setup demo test test-all lint format clean bench stability scaling profile figures
+.PHONY: help setup demo gallery test test-all lint format clean bench stability scaling profile figures
 .DEFAULT_GOAL := help
 
 VENV := .venv
@@ -13,7 +13,9 @@ PYTHON ?= $(shell for p in python3.11 python3.13 python3 python; do \
 help:
 	@echo "make setup      create $(VENV) with everything pinned in pyproject.toml"
 	@echo "make demo       solve, relight and report the bundled room into out/demo"
+	@echo "make gallery    the pictures of the README from the bundled room, into docs/images"
 	@echo "make test       unit tests;  make test-all  the slow ones too"
+	@echo "make test-blender  real Blenders 4.3 and 5.2 by mouse, as root on Debian;  make test-wheels  bpy 4.5 and 5.2"
 	@echo "make bench      speed against accuracy with peers, 1½ hours;  make profile  where the time goes, minutes"
 	@echo "make stability  every perturbation, an hour;  make scaling  cost against size, 20 minutes"
 	@echo "make figures    charts and tables out of what was measured; nothing is measured"
@@ -36,6 +38,9 @@ $(STAMP): pyproject.toml
 	@$(VENV)/bin/python -m pip install -qq --disable-pip-version-check -r $(VENV)/requirements.txt
 	@touch $@
 
+gallery: $(STAMP)
+	@$(VENV)/bin/python assets/make_gallery.py
+
 demo: $(STAMP)
 	@$(VENV)/bin/python headless/run.py demo
 
@@ -44,6 +49,15 @@ test: $(STAMP)
 
 test-all: $(STAMP)
 	@$(VENV)/bin/python -m pytest -m ""
+
+# SUITES="trixie sid" names Debian's suites, SECONDS a limit. Skips with its reason where a machine cannot do it.
+SUITES ?= trixie sid
+SECONDS ?= 0
+test-blender: $(STAMP)
+	@$(VENV)/bin/python -m tests.real_blender --suites "$(SUITES)" --seconds $(SECONDS)
+
+test-wheels: $(STAMP)
+	@tests/real_blender/wheels.sh
 
 lint: $(STAMP)
 	@$(VENV)/bin/ruff check --quiet

@@ -69,7 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--no-report", action="store_true", help="leave docs alone")
     args = parser.parse_args(arguments)
     folder, progress = args.out / "records", Progress(console())
-    failed = run_all(planned(args.captures, args.only, args.seeds, args.samples), folder, progress)
+    runs = planned(args.captures, args.only, args.seeds, args.samples)
+    failed = run_all(runs, folder, progress) if runs else []
     for capture in args.captures if "mitsuba" in args.only else ():
         if capture.name in MITSUBA_CAPTURES or len(args.captures) == 1:
             failed += snapshot_records(capture, folder, args.mitsuba_seconds, args.samples, progress)

@@ -78,4 +78,4 @@ def _points(name: str, metric: str, found: Sequence[tuple[str, list]]) -> charts
             seeds = tables.values(rows, metric)
             spread.append((float(seeds.min()), float(seeds.max())))
     labels = [label for label, _ in found] if name == "ours" else ()
-    return charts.Points(name, seconds, value, spread, labels, line=len(found) > 1)
+    return charts.Points(name, seconds, value, spread, labels, len(found) > 1, IN_CHARTS.index(name))

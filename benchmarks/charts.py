@@ -18,7 +18,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
-MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+MARKERS = ("o", "s", "^", "D", "v", "<", "X", "*")
 GREY = "#595959"
 STYLE: dict[Any, Any] = {
     "font.size": 12,
@@ -42,6 +42,7 @@ class Points:
         seconds, value: mean over seeds, (n,); connected in this order if ``line``.
         spread: (n, 2) least and largest value over seeds.
         labels: text beside each point.
+        style: which colour and marker, so that a method looks the same in every chart.
     """
 
     name: str
@@ -50,6 +51,7 @@ class Points:
     spread: Sequence[tuple[float, float]] = ()
     labels: Sequence[str] = ()
     line: bool = False
+    style: int = 0
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,9 @@ AXIS_NAMES = {
 }
 
 
+TIMES = {10: "10 s", 30: "30 s", 60: "1 min", 180: "3 min", 600: "10 min", 1800: "30 min", 7200: "2 h", 18000: "5 h"}
+
+
 def pareto_front(seconds: Sequence[float], value: Sequence[float]) -> list[int]:
     """Indices of the points that no other point beats in both time and value, fastest first."""
     best, front = -np.inf, []
@@ -98,8 +103,10 @@ def speed_against_accuracy(panels: Mapping[str, Sequence[Points]], *, title: str
     """One panel per metric: seconds on a log axis against the metric, the Pareto front over all that was measured."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(6.4 * len(panels), 5.4), layout="constrained")
+        first: Axes | None = None
         for column, (metric, methods) in enumerate(panels.items()):
-            axes = figure.add_subplot(1, len(panels), column + 1)
+            axes = figure.add_subplot(1, len(panels), column + 1, sharex=first)
+            first = first or axes
             _speed_panel(axes, metric, methods)
         handles, labels = figure.axes[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)), fontsize=11)
@@ -110,8 +117,8 @@ def speed_against_accuracy(panels: Mapping[str, Sequence[Points]], *, title: str
 
 def _speed_panel(axes: Axes, metric: str, methods: Sequence[Points]) -> None:
     everything = [(t, v) for method in methods for t, v in zip(method.seconds, method.value, strict=True)]
-    for index, method in enumerate(methods):
-        color, marker = OKABE_ITO[index % 8], MARKERS[index % 8]
+    for method in methods:
+        color, marker = OKABE_ITO[method.style % 8], MARKERS[method.style % 8]
         axes.plot(
             method.seconds,
             method.value,
@@ -126,7 +133,7 @@ def _speed_panel(axes: Axes, metric: str, methods: Sequence[Points]) -> None:
         for t, (low, high) in zip(method.seconds, method.spread, strict=False):
             axes.plot([t, t], [low, high], color=color, linewidth=2, zorder=2)
         for t, v, text in zip(method.seconds, method.value, method.labels, strict=False):
-            axes.annotate(text, (t, v), xytext=(4, 9), textcoords="offset points", ha="center", fontsize=10)
+            axes.annotate(text, (t, v), xytext=(-2, 9), textcoords="offset points", ha="right", fontsize=10)
     if everything:
         seconds, value = (list(column) for column in zip(*everything, strict=True))
         front = pareto_front(seconds, value)
@@ -141,7 +148,9 @@ def _speed_panel(axes: Axes, metric: str, methods: Sequence[Points]) -> None:
             zorder=1,
         )
     axes.set_xscale("log")
-    axes.set_xlabel("seconds, whole solve")
+    axes.set_xticks(list(TIMES), list(TIMES.values()))
+    axes.minorticks_off()
+    axes.set_xlabel("time of the whole solve")
     _published(axes, PUBLISHED.get(metric, ()))
     axes.set_ylabel(AXIS_NAMES.get(metric, metric))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,13 +18,14 @@ from iris_addon.evaluate.ground_truth import read_ground_truth
 from iris_addon.progress import Progress
 from iris_addon.response.curve import Response
 from iris_addon.surface.atlas import build_atlas, texel_density_from_footprint
-from iris_addon.surface.samples import trace_pixels
+from iris_addon.surface.samples import PixelSamples, trace_pixels
 from iris_addon.transport.tracer import Tracer
 
 from .configurations import true_emitters
 
 VARIANTS = ("cuda_ad_rgb", "llvm_ad_rgb")
 ATLAS_SIZE = 1024
+CLIPPED = 254 / 255
 BOUNCES = 6
 BASE_COLOR, ROUGHNESS = "room.bsdf.brdf_0.base_color.data", "room.bsdf.brdf_0.roughness.data"
 TWO_SIDES = 2e-4
@@ -40,6 +42,7 @@ class Problem:
     Attributes:
         uv: (F, 3, 2) of our atlas, v up.
         lamps: faces of each true lamp.
+        lamp_bounds: (E, 3) radiance that a lamp has at least, because its pixels clip in a photo of that exposure.
         photos: (V, H, W, 3) display values; exposures (V,).
     """
 
@@ -47,6 +50,7 @@ class Problem:
     tracer: Tracer
     uv: NDArray[np.float32]
     lamps: list[NDArray[np.int64]]
+    lamp_bounds: NDArray[np.float64]
     photos: NDArray[np.float32]
     exposures: NDArray[np.float64]
     response: Response
@@ -60,15 +64,36 @@ class Problem:
         tracer = Tracer(capture.mesh)
         samples = trace_pixels(tracer, [view.camera for view in capture.views], 1, Progress())
         density = texel_density_from_footprint(samples.face, samples.footprint, len(capture.mesh.faces))
+        lamps = [np.arange(first, last) for first, last in true_emitters(folder)]
+        photos = np.stack([load_photo(view).values for view in capture.views])
+        exposures = np.array([view.exposure for view in capture.views], np.float64)
         return Problem(
             capture,
             tracer,
             build_atlas(capture.mesh, density, ATLAS_SIZE),
-            [np.arange(first, last) for first, last in true_emitters(folder)],
-            np.stack([load_photo(view).values for view in capture.views]),
-            np.array([view.exposure for view in capture.views], np.float64),
+            lamps,
+            lamp_bounds(lamps, samples, photos, exposures),
+            photos,
+            exposures,
             truth.response,
         )
+
+
+def lamp_bounds(
+    lamps: Sequence[NDArray[np.int64]],
+    samples: PixelSamples,
+    photos: NDArray[np.float32],
+    exposures: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """(E, 3) of each lamp: 1 / exposure of the shortest exposure in which most of its pixels clip."""
+    clipped = photos.reshape(len(photos), -1, 3)[samples.view, samples.pixel] >= CLIPPED
+    bounds = np.full((len(lamps), 3), 1.0 / exposures.max())
+    for k, lamp in enumerate(lamps):
+        on_lamp = np.isin(samples.face, lamp)
+        for view in np.unique(samples.view[on_lamp]):
+            share = clipped[on_lamp & (samples.view == view)].mean(0)
+            bounds[k] = np.where(share > 0.5, np.maximum(bounds[k], 1.0 / exposures[view]), bounds[k])
+    return bounds
 
 
 def load_mitsuba() -> Any:
@@ -110,8 +135,6 @@ def make_scene(mi: Any, problem: Problem) -> tuple[Any, list[Any]]:
         },
     }
     content = {"type": "scene", "integrator": {"type": "prb", "max_depth": BOUNCES, "rr_depth": BOUNCES}}
-    # A lamp that clips in every photo is at least as bright as the shortest exposure says.
-    bound = float(1.0 / problem.exposures.min())
     room[np.concatenate(problem.lamps)] = False
     for k, lamp in enumerate(problem.lamps):
         for side, sign in SIDES.items():
@@ -119,7 +142,11 @@ def make_scene(mi: Any, problem: Problem) -> tuple[Any, list[Any]]:
             if share < MIN_SHARE:
                 continue
             weight = share * float(problem.tracer.areas[lamp].sum())
-            light = {"type": "area", "radiance": {"type": "rgb", "value": [bound] * 3}, "sampling_weight": weight}
+            light = {
+                "type": "area",
+                "radiance": {"type": "rgb", "value": problem.lamp_bounds[k].tolist()},
+                "sampling_weight": weight,
+            }
             black = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}
             moved = mesh.vertices[faces[lamp]] + 0.5 * TWO_SIDES * sign * problem.tracer.normals[lamp][:, None]
             turned = moved[:, :: int(sign)]

@@ -33,13 +33,14 @@ from iris_addon.result.types import Emitter, Result, Textures
 from iris_addon.surface.parts import initial_parts
 
 from . import machine
-from .mitsuba_scene import ATLAS_SIZE, BASE_COLOR, ROUGHNESS, SIDES, Problem, load_mitsuba, make_scene
+from .mitsuba_scene import ATLAS_SIZE, BASE_COLOR, CLIPPED, ROUGHNESS, SIDES, Problem, load_mitsuba, make_scene
 from .runs import Record, Run, relative, run_isolated, save_record
 
 NAME = "mitsuba-prb"
 SNAPSHOTS = (30, 60, 120, 300, 600, 1200)
 SAMPLES = 2
 """Per pixel and step: many noisy steps go further in the same time than few clean ones."""
+SHOWN_VIEWS, CLEAN_SAMPLES = 5, 32
 STEEPEST = 6.0
 """Largest slope of the response that weights an error; it grows without bound towards black."""
 TUNED_TEXTURE_RATES = (0.01, 0.03, 0.06)
@@ -61,8 +62,8 @@ class Rates:
 
     texture: float = 0.01
     lamp: float = 0.1
-    decay: float = 100.0
-    warm_up: int = 60
+    decay: float = 300.0
+    warm_up: int = 100
 
 
 # ---- optimisation --------------------------------------------------------------------------------------------------
@@ -74,7 +75,7 @@ class Snapshot:
 
     Attributes:
         seconds: since before the first step, without scoring.
-        loss: mean squared error of the photos over the last pass.
+        loss: mean squared error of some photos, without the noise of a step.
     """
 
     result: Result
@@ -93,13 +94,12 @@ def optimise(problem: Problem, stops: Sequence[float], rates: Rates, seed: int, 
     # Texels that the photo of this step says nothing about stay where they are.
     optimiser = mi.ad.Adam(lr=rates.texture, mask_updates=True)
     optimiser[BASE_COLOR], optimiser[ROUGHNESS] = parameters[BASE_COLOR], parameters[ROUGHNESS]
-    start_radiance = np.log(1.0 / problem.exposures.min())
     names = [f"log_lamp{k}" for k in range(len(problem.lamps))]
+    darkest = dict(zip(names, (mi.Color3f(*bound) for bound in np.log(problem.lamp_bounds).tolist()), strict=True))
     for name in names:
-        optimiser[name] = mi.Color3f(float(start_radiance))
+        optimiser[name] = darkest[name]
     targets = [Target.of(photo, problem.response) for photo in problem.photos]
     rng = np.random.default_rng(seed)
-    losses: list[float] = []
     elapsed, steps = 0.0, 0
 
     for stop in stops:
@@ -120,13 +120,27 @@ def optimise(problem: Problem, stops: Sequence[float], rates: Rates, seed: int, 
             optimiser.step()
             for name, low in ((BASE_COLOR, 0.0), (ROUGHNESS, 0.05)):
                 optimiser[name] = dr.clip(optimiser[name], low, 1.0)
-            losses.append(float(loss.array[0]))
+            for name in names:
+                optimiser[name] = dr.maximum(optimiser[name], darkest[name])
+            dr.eval(optimiser[BASE_COLOR], optimiser[ROUGHNESS])
+            dr.sync_thread()
             steps += 1
             elapsed += time.monotonic() - begin
         _apply(dr, parameters, optimiser, names)
         radiance = [np.exp(np.array(optimiser[name], np.float64)).ravel() for name in names]
         result = _result(problem, np.array(parameters[BASE_COLOR]), np.array(parameters[ROUGHNESS]), radiance)
-        yield Snapshot(result, elapsed, steps, float(np.mean(losses[-len(sensors) :])))
+        yield Snapshot(result, elapsed, steps, _clean_loss(mi, dr, scene, sensors, problem, targets))
+
+
+def _clean_loss(
+    mi: Any, dr: Any, scene: Any, sensors: Sequence[Any], problem: Problem, targets: Sequence[Target]
+) -> float:
+    """Mean of the loss over some photos, with so many samples that noise does not decide."""
+    losses = []
+    for view in range(0, len(sensors), len(sensors) // SHOWN_VIEWS or 1):
+        image = mi.render(scene, sensor=sensors[view], spp=CLEAN_SAMPLES, seed=view)
+        losses.append(photo_loss(dr, mi, image * float(problem.exposures[view]), targets[view]).array[0])
+    return float(np.mean(losses))
 
 
 def _apply(dr: Any, parameters: Any, optimiser: Any, names: Sequence[str]) -> None:
@@ -162,7 +176,7 @@ class Target:
         """The target that ``photo`` (H, W, 3), display values, sets."""
         # A byte b stands for the values from b / 255 to (b + 1) / 255.
         exposed = response.invert(np.clip(photo + 0.5 / 255, 0, 1))
-        clipped = photo >= 254 / 255
+        clipped = photo >= CLIPPED
         exposed[clipped] = 1.0
         weight = np.minimum(response.slope(exposed), STEEPEST)
         return Target(exposed.astype(np.float32), weight.astype(np.float32), clipped.astype(np.float32))
@@ -204,7 +218,7 @@ def _result(
 def snapshot_records(capture: Path, folder: Path, limit: float, samples: int, progress: Progress) -> list[Record]:
     """Records of all snapshots up to ``limit`` seconds, read back or made in a process of its own."""
     runs = [snapshot_run(capture, stop, samples) for stop in stops_until(limit)]
-    with progress.stage(f"{NAME} on {capture.name}, {limit / 60:.0f} minutes and scoring"):
+    with progress.stage(f"{NAME} on {capture.name}, {limit:.0f} s and scoring"):
         last = folder / f"{runs[-1].key}.json"
         error = run_isolated(__name__, last, [relative(capture), "--limit", str(limit), "--samples", str(samples)])
     if error is not None:

@@ -155,7 +155,7 @@ def profile(folder: Path, preset_name: str) -> Record:
         "run": {"capture": folder.name, "preset": preset_name},
         "machine": machine.describe(),
         "seconds": report["seconds"],
-        "counts": asdict(counts),
+        "counts": {name: dict(stages) for name, stages in vars(counts).items()},
         "floors": asdict(floors),
     }
 

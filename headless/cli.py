@@ -135,6 +135,7 @@ def make_parser() -> _Parser:
     for command, exposure in ((render, "photo"), (relight, "auto"), (insert, "photo")):
         command.add_argument("result", type=Path)
         command.add_argument("--views", type=Path, required=True, metavar="transforms.json")
+        command.add_argument("--only", nargs="+", metavar="NAME", help="these views alone; jobs count them from 0")
         command.add_argument("--out", type=Path, required=True)
         command.add_argument("--linear", action="store_true", help="write EXR of radiance instead of PNG")
         command.add_argument(

@@ -65,7 +65,7 @@ def make_pictures(
     from iris_addon.blender.insert import insert_onto_photo
     from iris_addon.blender.render import render_views
     from iris_addon.evaluate.maps import MapRenderer
-    from iris_addon.result.report_html import srgb
+    from iris_addon.result.report_pictures import srgb
 
     def rendered(edit: SceneEdit | None) -> FloatArray:
         (radiance,) = render_views(result, [view.camera], edit=edit, samples=SAMPLES)

@@ -169,7 +169,7 @@ def _render_shares(args: argparse.Namespace, progress: Progress, result: Result,
     written = []
     with progress.stage("render"):
         for number, view in enumerate(views):
-            shares = render_light_shares(result, view.camera, samples=args.samples, seed=args.seed)
+            shares = render_light_shares(result, view.camera, samples=args.samples, seed=args.seed, denoise=True)
             written.append(args.out / f"{view.name}.exr")
             write_shares(written[-1], shares)
             progress.update((number + 1) / len(views))
@@ -197,7 +197,13 @@ def _mix_shares(
 def _read(args: argparse.Namespace) -> tuple[Result, tuple[View, ...]]:
     from iris_addon.capture import read_views
 
-    return load_result(args.result), read_views(args.views)
+    views = read_views(args.views)
+    if args.only:
+        missing = sorted(set(args.only) - {view.name for view in views})
+        if missing:
+            raise BadInput(f"has no view named {missing[0]}", "name views as the pictures are named", args.views)
+        views = tuple(view for view in views if view.name in args.only)
+    return load_result(args.result), views
 
 
 def _developer(args: argparse.Namespace, result: Result) -> Developer:

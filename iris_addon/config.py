@@ -51,6 +51,7 @@ class SolveConfig:
         specular_rays: rays per glossy pixel.
         atlas_size: side of the texture atlas in texels.
         rounds: passes of emission and reflectance, each with the materials of the one before.
+        joint: whether lamps are refined at the end under the loss of the photos, by what glossy surfaces show of them.
     """
 
     preset: PresetName = "balanced"
@@ -67,6 +68,7 @@ class SolveConfig:
     specular_rays: int = 12
     atlas_size: int = 2048
     rounds: int = 3
+    joint: bool = False
 
 
 PRESETS: dict[PresetName, SolveConfig] = {
@@ -81,6 +83,7 @@ PRESETS: dict[PresetName, SolveConfig] = {
         shadow_rays=128,
         specular_rays=32,
         atlas_size=4096,
+        joint=True,
     ),
 }
 

@@ -28,6 +28,7 @@ from .emission.types import LightProblem, Lights
 from .photo_samples import PhotoSamples, sample_photos
 from .photometry import Photometry, measure_photometry
 from .progress import Progress
+from .refine.joint import joint_arrays, joint_report, refine_lights
 from .reflectance.bake import pixel_albedo, pixel_weight
 from .reflectance.diffuse_lobe import choose_diffuse
 from .reflectance.ggx import DIELECTRIC_F0
@@ -53,6 +54,7 @@ from .transport.transport import Transport
 
 WEIGHTS = {"photos": 3, "surface": 3, "transport": 8, "response": 6, "lights": 15, "materials": 20, "textures": 20}
 """Expected seconds per stage, for the overall progress bar."""
+JOINT_WEIGHT = {"joint": 20}
 SHOWN_PHOTOS = 4
 DIM = 0.05
 """Share of the median irradiance below which a quotient of radiance and irradiance is not worth much."""
@@ -71,7 +73,7 @@ def solve(
         IrisError: the disk is full.
     """
     progress = progress or Progress()
-    progress.expect(WEIGHTS)
+    progress.expect(WEIGHTS | JOINT_WEIGHT if config.joint else WEIGHTS)
     checkpoints = Checkpoints(out / "checkpoints", fingerprint(capture, config), resume)
     with progress.stage("photos"):
         tracer = Tracer(capture.mesh)
@@ -103,11 +105,19 @@ def solve(
         solved = checkpoints.stage("materials", lambda: _materials(problem, lights, config.rounds, progress))
         lights, gloss = Lights.from_arrays(solved), Gloss.from_arrays(solved)
         problem = problem.with_gloss(gloss)
+    joint: dict[str, Any] = {}
+    if config.joint:
+        with progress.stage("joint"):
+            arrays = checkpoints.stage(
+                "joint", lambda: joint_arrays(*refine_lights(problem, photometry, lights, gloss, progress))
+            )
+            lights, joint = Lights.from_arrays(arrays), {"joint": joint_report(arrays)}
     with progress.stage("textures"):
         result, rerenders = _textures(capture, config, problem, photos, photometry, lights, gloss, progress)
     result.report.update(
         _report(config, capture, tracer, surface, transport, photometry, problem, lights, gloss, progress)
     )
+    result.report["model"].update(joint)
     save_result(result, out)
     write_report(result, capture, out, rerenders)
     checkpoints.clear()

@@ -33,6 +33,8 @@ class IRIS_OT_apply(bpy.types.Operator):  # noqa: N801 - Blender's naming
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Apply it."""
         scene = context.scene
+        if context.window is not None:
+            context.window.cursor_set("WAIT")  # textures are decoded and packed: seconds for large ones
         try:
             result = load_result(folder(scene), read_image=read_image)
             runs = face_runs(scene)
@@ -40,6 +42,9 @@ class IRIS_OT_apply(bpy.types.Operator):  # noqa: N801 - Blender's naming
         except IrisError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
+        finally:
+            if context.window is not None:
+                context.window.cursor_set("DEFAULT")
         if changed:
             list_lamps(scene, result)
         self.report({"INFO"}, f"{len(result.emitters)} lights" if changed else "This result is applied already")

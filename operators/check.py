@@ -36,7 +36,7 @@ class IRIS_OT_step_photo(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
     bl_idname = "iris.step_photo"
     bl_label = "Photo"
-    bl_options = {"REGISTER"}  # noqa: RUF012 - Blender's form
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
 
     by: bpy.props.IntProperty(default=1, options={"HIDDEN"})
 

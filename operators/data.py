@@ -11,9 +11,10 @@ import bpy
 from ..iris_addon.blender import jobs
 from ..iris_addon.blender.capture_in import Inspected, add_capture, read_inspected
 from ..iris_addon.blender.commands import ADDON, inspect_command
+from ..iris_addon.blender.review import sparkline
 from ..iris_addon.blender.scene_capture import write_scene_capture
 from ..iris_addon.errors import IrisError
-from .preferences import solver_python
+from .preferences import ROOT_PACKAGE, solver_python
 from .project import capture_path, folder, inspection_folder
 from .watch import run
 
@@ -52,7 +53,7 @@ class IRIS_OT_import_capture(bpy.types.Operator):  # noqa: N801 - Blender's nami
         if path.name == "transforms.json":
             path = path.parent.parent if path.parent.name == "train" else path.parent
         settings = context.scene.iris
-        settings.source, settings.capture, settings.result = "CAPTURE", str(path), ""
+        choose_capture(settings, path)
         return start_import(self, context)
 
 
@@ -70,11 +71,9 @@ class IRIS_OT_import_demo(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Import it; its results go to the user's folder, never into the extension's."""
-        from .preferences import ROOT_PACKAGE
-
         settings = context.scene.iris
-        settings.source, settings.capture = "CAPTURE", str(DEMO)
-        settings.result = bpy.utils.extension_path_user(ROOT_PACKAGE, path="demo_room-iris")
+        choose_capture(settings, DEMO)
+        settings.result = settings.result or bpy.utils.extension_path_user(ROOT_PACKAGE, path="demo_room-iris")
         return start_import(self, context)
 
 
@@ -93,9 +92,12 @@ class IRIS_OT_use_scene(bpy.types.Operator):  # noqa: N801 - Blender's naming
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Write the scene as a capture and check it."""
         settings = context.scene.iris
-        settings.source, settings.capture, settings.room = "SCENE", "", None
-        # Kept by name: saving the file elsewhere, or under another name, must not lose the result.
-        settings.result = settings.result or str(folder(context.scene))
+        if settings.source != "SCENE":
+            if settings.views:  # the folder is that of the capture which was imported
+                settings.result = ""
+            settings.source, settings.capture, settings.room = "SCENE", "", None
+            # Kept by name: saving the file elsewhere, or under another name, must not lose the result.
+            settings.result = str(folder(context.scene))
         return start_import(self, context)
 
 
@@ -125,6 +127,14 @@ class IRIS_OT_add_capture(bpy.types.Operator):  # noqa: N801 - Blender's naming
         _fill(settings, inspected, cameras)
         self.report({"INFO"}, f"{inspected.name}: {len(inspected.views)} photos")
         return {"FINISHED"}
+
+
+def choose_capture(settings: bpy.types.PropertyGroup, path: Path) -> None:
+    """Make ``path`` the capture of the scene; a folder for results that belonged to another one is let go."""
+    if settings.views and (settings.source, settings.capture) != ("CAPTURE", str(path)):
+        settings.result, settings.room = "", None
+        settings.views.clear()
+    settings.source, settings.capture = "CAPTURE", str(path)
 
 
 def start_import(operator: bpy.types.Operator, context: bpy.types.Context) -> set[str]:
@@ -181,7 +191,7 @@ def _fill(settings: bpy.types.PropertyGroup, inspected: Inspected, cameras: list
         item = settings.views.add()
         item.name, item.camera = view.name, camera
         item.exposure = view.exposure or 0.0
-        item.saturated, item.seen = view.saturated, view.seen
+        item.saturated, item.seen, item.histogram = view.saturated, view.seen, sparkline(view.histogram)
         item.score, item.shift, item.verdict = view.score, view.shift, view.verdict
     settings.warnings = "\n".join(inspected.warnings)
     settings.view_index = 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from textwrap import wrap
 
 import bpy
 
@@ -13,6 +12,7 @@ from ..iris_addon.blender.review import model_lines
 from ..iris_addon.errors import IrisError
 from ..iris_addon.result.json_files import read_json
 from . import project
+from .pieces import job_box, paragraph
 from .preferences import ROOT_PACKAGE, solver_python
 from .project import ICONS, Step
 
@@ -114,6 +114,7 @@ class IRIS_PT_check(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         )
         exposure = f"{view.exposure:.3g}" if view.exposure else "unknown"
         column.label(text=f"Saturated {view.saturated:.0%}, exposure {exposure}")
+        column.label(text=view.histogram)
         column.label(text=f"Mesh in {view.seen:.0%} of the picture")
         for warning in settings.warnings.splitlines():
             paragraph(layout, warning, context, "ERROR")
@@ -259,50 +260,3 @@ class IRIS_PT_export(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
 
 
 STEPS = (IRIS_PT_data, IRIS_PT_check, IRIS_PT_solve, IRIS_PT_review, IRIS_PT_relight)
-
-
-# ---- pieces --------------------------------------------------------------------------------------------------------
-
-
-def paragraph(layout: bpy.types.UILayout, text: str, context: bpy.types.Context, icon: str = "NONE") -> None:
-    """``text`` over as many lines as the width of the region needs."""
-    pixels = 7 * context.preferences.system.ui_scale
-    width = max(20, int((context.region.width if context.region else 300) / pixels) - 6)
-    column = layout.column(align=True)
-    column.scale_y = 0.8
-    for number, line in enumerate(wrap(text, width)):
-        column.label(text=line, icon=icon if number == 0 else "BLANK1" if icon != "NONE" else "NONE")
-
-
-def job_box(layout: bpy.types.UILayout, name: jobs.JobName, context: bpy.types.Context) -> None:
-    """Bars and Cancel while a job runs; reason, mend, Copy and Log when it failed; nothing when there was none."""
-    folder = project.folder(context.scene) if name == "solve" else project.inspection_folder(context.scene)
-    job, record = jobs.running(name, folder), jobs.record(name, folder)
-    if job is not None:
-        worker = job.worker
-        column = layout.column(align=True)
-        stage = "Stopping" if worker.stopping else (worker.stage or "starting").capitalize()
-        column.progress(factor=worker.fraction, text=stage)
-        column.progress(factor=worker.overall, text=f"{worker.overall:.0%}{time_left(worker.seconds_left)}")
-        row = layout.row(align=True)
-        row.operator("iris.cancel", icon="CANCEL").job = name
-        row.operator("iris.show_log", icon="TEXT").job = name
-        return
-    if record.state in ("failed", "interrupted"):
-        box = layout.box()
-        paragraph(box, record.what, context, "ERROR")
-        paragraph(box, f"Mend: {record.fix}", context, "INFO")
-        row = box.row(align=True)
-        row.operator("iris.copy_error", icon="COPYDOWN").job = name
-        row.operator("iris.show_log", icon="TEXT").job = name
-    elif record.state == "cancelled":
-        layout.label(text="Cancelled; finished stages are kept", icon="INFO")
-    elif record.state == "done" and name == "solve":
-        layout.operator("iris.show_log", icon="TEXT").job = name
-
-
-def time_left(seconds: float | None) -> str:
-    """The estimate in the words of people."""
-    if seconds is None:
-        return ""
-    return f", {seconds:.0f} s left" if seconds < 90 else f", {seconds / 60:.0f} min left"

@@ -50,6 +50,7 @@ def _draw_job(layout: bpy.types.UILayout, name: jobs.JobName, title: str) -> Non
     elif record.state == "failed":
         layout.label(text=f"{title}: {record.what}", icon="ERROR")
         layout.label(text=f"Mend: {record.fix}", icon="BLANK1")
+        layout.operator("iris.copy_error", icon="COPYDOWN").job = name
     elif record.state in ("done", "cancelled", "interrupted"):
         icon = "CHECKMARK" if record.state == "done" else "INFO"
         layout.label(text=f"{title}: {record.state}. {record.what}", icon=icon)

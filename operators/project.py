@@ -105,7 +105,7 @@ def solve_step(scene: bpy.types.Scene) -> Step:
     if record.state in ("cancelled", "interrupted"):
         return Step("stale", "Go on where it stopped")
     if not key:
-        return Step("missing", "Solve" if scene.iris.views or capture else "First: data")
+        return Step("missing", "Choose a preset and press Solve" if scene.iris.views else "First: data")
     if capture is not None and _newer(capture, folder(scene) / "report.json"):
         return Step("stale", "The capture has changed: solve again")
     return Step("done")

@@ -6,17 +6,19 @@ from __future__ import annotations
 
 import bpy
 
+from ..iris_addon.blender.capture_in import show_instead
 from ..iris_addon.blender.review import curve_image, read_curve, review_image, reviewed_views, show_confidence
 from ..iris_addon.errors import IrisError
 from .project import folder, result_key
-from .watch import show_in_window
+from .watch import show_in_editor
 
 
 class IRIS_OT_review(bpy.types.Operator):  # noqa: N801 - Blender's naming
-    """Show this picture of the result in an Image Editor"""
+    """Show this picture of the result over the camera's view, and in the Image Editor where one is open"""
 
     bl_idname = "iris.review"
     bl_label = "Review"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
 
     kind: bpy.props.EnumProperty(
         items=(
@@ -44,12 +46,22 @@ class IRIS_OT_review(bpy.types.Operator):  # noqa: N801 - Blender's naming
                 # The report compares a few photos: the one looked at if it is among them, else the next.
                 view = name if name in shown or not shown else min(shown, key=lambda other: (other < name, other))
                 image = review_image(out, view, self.kind)
+                self._show_in_view(settings, view, image)
         except IrisError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        show_in_window(context, "IMAGE_EDITOR", "image", image)
+        # The curve has no view to lie over, so it takes an editor; pictures take one only where it is there.
+        show_in_editor(context, "IMAGE_EDITOR", "image", image, only_open=self.kind != "curve")
         self.report({"INFO"}, image.name)
         return {"FINISHED"}
+
+    def _show_in_view(self, settings: bpy.types.PropertyGroup, view: str, image: bpy.types.Image) -> None:
+        index = settings.views.find(view)
+        if index < 0 or settings.views[index].camera is None:
+            return
+        show_instead(settings.views[index].camera, None if self.kind == "photo" else image)
+        settings.overlay = 1.0
+        settings.view_index = index
 
 
 class IRIS_OT_confidence(bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -57,7 +69,7 @@ class IRIS_OT_confidence(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
     bl_idname = "iris.confidence"
     bl_label = "Confidence"
-    bl_options = {"REGISTER"}  # noqa: RUF012 - Blender's form
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
 
     on: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
 

@@ -51,6 +51,7 @@ class IrisView(bpy.types.PropertyGroup):
     camera: bpy.props.PointerProperty(type=bpy.types.Object)
     exposure: bpy.props.FloatProperty(name="Exposure", description="Relative exposure; 0 where it is unknown", min=0.0)
     saturated: bpy.props.FloatProperty(name="Saturated", description="Share of pixels at the upper end", min=0, max=1)
+    histogram: bpy.props.StringProperty(name="Histogram", description="Display values from black to saturated")
     seen: bpy.props.FloatProperty(name="Mesh in view", min=0, max=1)
     score: bpy.props.FloatProperty(name="Alignment", description="Correlation of the photo's edges with the mesh's")
     shift: bpy.props.FloatProperty(name="Shift", description="Pixels by which the photo lies beside the mesh")

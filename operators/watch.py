@@ -32,6 +32,7 @@ def run(
     if not bpy.app.background:
         if not bpy.app.timers.is_registered(_tick):
             bpy.app.timers.register(_tick, first_interval=TICK_SECONDS, persistent=True)
+        redraw_sidebars()
         return {"FINISHED"}
     jobs.wait(job)
     record = jobs.record(name, folder)
@@ -126,31 +127,34 @@ class IRIS_OT_show_log(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
     bl_idname = "iris.show_log"
     bl_label = "Log"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
 
     job: bpy.props.EnumProperty(items=JOB_NAMES, options={"HIDDEN"})
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Fill a text and show it in a window of its own."""
+        """Fill a text and show it."""
         name = f"IRIS {self.job} log"
         text = bpy.data.texts.get(name) or bpy.data.texts.new(name)
         text.from_string(_log(folder_of(self.job, context) / f"{self.job}.log"))
-        show_in_window(context, "TEXT_EDITOR", "text", text)
+        show_in_editor(context, "TEXT_EDITOR", "text", text)
         return {"FINISHED"}
 
 
-def show_in_window(context: bpy.types.Context, area_type: str, attribute: str, block: bpy.types.ID) -> None:
-    """Show ``block`` in an editor of ``area_type``: in one that is open, else in the largest area beside the 3D view.
+def show_in_editor(
+    context: bpy.types.Context, area_type: str, attribute: str, block: bpy.types.ID, *, only_open: bool = False
+) -> None:
+    """Show ``block`` in an editor of ``area_type``: in one that is open, else in the roomiest beside the 3D view.
 
     In background nothing is shown.
     """
     if context.screen is None:
         return
     areas = [area for area in context.screen.areas if area.type == area_type]
-    others = [area for area in context.screen.areas if area.type not in ("VIEW_3D", "PROPERTIES", "OUTLINER")]
+    others = [] if only_open else [area for area in context.screen.areas if area.type not in ("VIEW_3D", "OUTLINER")]
     candidates = areas or others
     if not candidates:
         return
-    area = max(candidates, key=lambda area: area.width * area.height)
+    area = max(candidates, key=lambda area: min(area.width, area.height))  # a timeline is wide and too low
     area.type = area_type
     setattr(area.spaces.active, attribute, block)
 

@@ -46,6 +46,18 @@ def test_a_relighting_job_changes_lamps_by_id_after_all(lit):
     assert relight_edit(lit, {}).face_emission is None
 
 
+def test_the_most_specific_entry_of_a_lamp_wins(lit):
+    for own in ({}, {"scale": 1}, {"off": False}):
+        edit = relight_edit(lit, {"recovered": {"0": own, "all": {"off": True}}})  # the order does not matter
+        np.testing.assert_allclose(edit.face_emission[8], [9, 9, 9])
+        assert not edit.face_emission[6].any()
+        assert np.flatnonzero(edit.black_faces).tolist() == [6, 7]
+    edit = relight_edit(lit, {"recovered": {"all": {"scale": 3, "color": [1, 0, 0]}, "0": {"color": [1, 1, 1]}}})
+    np.testing.assert_allclose(edit.face_emission[8], [27, 27, 27])
+    edit = relight_edit(lit, {"recovered": {"all": {"scale": 3}, "0": {"off": True}}})
+    assert not edit.face_emission[8].any()
+
+
 def test_parts_of_the_reference_files_are_jobs(lit):
     part = {"poses": "val/transforms.json", "original_emitters": "off", "lights": [QUAD]}
     assert not relight_edit(lit, part).face_emission.any()
@@ -72,6 +84,11 @@ def test_insertion_jobs_name_their_view(lit, tmp_path):
         ({"lights": [{**QUAD, "corners": [[0, 0, 0]]}]}, "corners"),
         ({"lights": [{**QUAD, "radiance": [1, 2, float("nan")]}]}, "radiance"),
         ({"lights": {}}, "lights"),
+        ({"lights": [{"type": "laser"}]}, "lights.0..type"),
+        ({"lights": [{"type": "spot", "position": [0, 0, 0], "intensity": 1}]}, "'direction' or 'target'"),
+        ({"lights": [{"type": "sun", "direction": [0, 0, 0], "irradiance": 1}]}, "direction"),
+        ({"lights": [{"type": "point", "position": [0, 0, 0], "intensity": -1}]}, "intensity"),
+        ({"lights": [{"type": "mesh", "shape": "sphere", "radius": 1, "location": [0, 0, 0]}]}, "radiance"),
         ({"light": []}, "'light'"),
         ({"kept_faces_of_scene_ply": [99]}, "kept_faces"),
         ([], "relighting job"),
@@ -84,7 +101,19 @@ def test_a_wrong_job_is_refused_by_the_key_that_is_wrong(lit, spec, names):
 
 
 def test_wrong_objects_are_refused(lit):
-    for thing in ({"center": [0, 0, 0], "radius": 0}, {"shape": "cube"}, {"file": 3}, 7):
+    placed = {"location": [0, 0, 0]}
+    for thing in (
+        {"center": [0, 0, 0], "radius": 0},
+        {"shape": "cube"},
+        {"file": 3},
+        7,
+        {"shape": "box", "size": 0, **placed},
+        {"shape": "box", "size": 1},
+        {"shape": "box", "size": 1, "pixel": [0, 0]},
+        {"shape": "box", "size": 1, "snap": "up", **placed},
+        {"shape": "box", "size": 1, "roughness": 2, **placed},
+        {"shape": "box", "size": 1, "colour": 2, **placed},
+    ):
         with pytest.raises(BadInput, match="objects"):
             insertion_edits(lit, {"objects": [thing]})
 

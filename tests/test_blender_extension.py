@@ -190,14 +190,14 @@ def test_a_scene_is_solved_on_its_own_objects(package, tmp_path, worker, nerfstu
     body = f"""
     preferences.python = {str(worker)!r}
     bpy.ops.iris.import_capture(filepath={str(nerfstudio_room.root)!r})
-    scene.iris.result = str(home / "scene-result")
     for thing in list(scene.objects):
         if thing.name in ("Cube", "Light", "Camera"):
             bpy.data.objects.remove(thing)
     room = scene.iris.room
     bpy.ops.iris.use_scene()
     assert scene.iris.source == "SCENE" and len(scene.iris.views) == 6
-    assert (home / "scene-result" / "capture" / "transforms.json").is_file()
+    assert (Path(scene.iris.result) / "capture" / "transforms.json").is_file()
+    assert Path(scene.iris.result).is_relative_to(home)  # never into the extension's folder, nor beside the capture
     bpy.ops.iris.solve()
     bpy.ops.iris.apply()
     assert len(scene.iris.lamps) == 1 and room.data.name.endswith("IRIS")
@@ -283,3 +283,11 @@ def test_the_plot_of_a_response_goes_from_corner_to_corner():
     assert np.flatnonzero(white[:, 128])[0] == pytest.approx(256 * (1 - 0.5 ** (1 / 2.2)), abs=2)
     colored = curve_plot(np.stack([np.linspace(0, 1, 1024) ** g for g in (0.4, 0.5, 0.6)]))
     assert not (colored == 1.0).all(axis=-1).any()
+
+
+def test_a_histogram_becomes_a_line_of_blocks():
+    from iris_addon.blender.review import sparkline
+
+    assert sparkline([0, 0.01, 0.25, 1]) == "▁▂▅█"
+    assert sparkline([0, 0]) == "▁▁"
+    assert sparkline([1] * 31 + [0]) == "█" * 15 + "▆"

@@ -10,7 +10,7 @@ from mathutils import Matrix
 from iris_addon.blender.lamps import color, is_on, lamp_materials, set_color, set_strength, strength, switch
 from iris_addon.blender.onto_objects import apply_to_objects, restore
 from iris_addon.blender.review import show_confidence
-from iris_addon.blender.scene_capture import read_face_runs, whole_object, write_scene_capture
+from iris_addon.blender.scene_capture import whole_object
 from iris_addon.blender.scene_in import read_scene_mesh
 from iris_addon.capture.types import Mesh
 from iris_addon.errors import BadInput
@@ -26,9 +26,6 @@ QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (
 @pytest.fixture(autouse=True)
 def empty_blender():
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.types.Camera.iris_exposure = bpy.props.FloatProperty()  # as the extension does
-    yield
-    del bpy.types.Camera.iris_exposure
 
 
 def cube(name: str, material: str | None = "paint", **placed) -> bpy.types.Object:
@@ -231,62 +228,47 @@ def test_lamps_are_switched_dimmed_and_tinted_in_their_materials():
     assert thing.data.materials[0].node_tree.nodes.active.name == "IRIS Confidence"
 
 
-def photo(path, width=40, height=30):
-    image = bpy.data.images.new("photo", width, height)
-    image.filepath_raw, image.file_format = str(path), "PNG"
-    image.save()
-    bpy.data.images.remove(image)
-    return path
+def test_a_linked_object_is_refused_with_its_mend(tmp_path):
+    cube("box")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, wanted):
+        wanted.objects = ["box"]
+    bpy.context.scene.collection.objects.link(wanted.objects[0])
+    result, runs = solve()
+    with pytest.raises(BadInput, match="linked from another file — make it local"):
+        apply_to_objects(result, runs, bpy.context.scene, "key")
 
 
-def test_a_scene_becomes_a_capture_in_metres_that_the_solver_reads(tmp_path):
-    """Shift, sensor fit, a frame that is not square, centimetres as unit: rays through the photo's corners agree."""
-    from iris_addon.capture import read_capture
+def scatter(thing: bpy.types.Object, leaf: bpy.types.Object) -> None:
+    """Geometry nodes that put an instance of ``leaf`` on every vertex of ``thing`` and keep its own mesh."""
+    tree = bpy.data.node_groups.new("scatter", "GeometryNodeTree")
+    for way in ("INPUT", "OUTPUT"):
+        tree.interface.new_socket("Geometry", in_out=way, socket_type="NodeSocketGeometry")
+    own, out = tree.nodes.new("NodeGroupInput"), tree.nodes.new("NodeGroupOutput")
+    points, join = tree.nodes.new("GeometryNodeInstanceOnPoints"), tree.nodes.new("GeometryNodeJoinGeometry")
+    source = tree.nodes.new("GeometryNodeObjectInfo")
+    source.inputs["Object"].default_value, source.inputs["As Instance"].default_value = leaf, True
+    for a, b in (
+        (own.outputs[0], points.inputs["Points"]),
+        (source.outputs["Geometry"], points.inputs["Instance"]),
+        (points.outputs[0], join.inputs[0]),
+        (own.outputs[0], join.inputs[0]),
+        (join.outputs[0], out.inputs[0]),
+    ):
+        tree.links.new(a, b)
+    thing.modifiers.new("scatter", "NODES").node_group = tree
 
-    cube("room", scale=(300, 200, 150))
-    cube("table", "oak", location=(50, 0, -120), scale=(40, 40, 30))
-    scene = bpy.context.scene
-    scene.unit_settings.scale_length = 0.01
-    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 200, 150, 40
-    for number, fit in enumerate(("AUTO", "HORIZONTAL", "VERTICAL")):
-        eye = bpy.data.objects.new(f"cam {number}", bpy.data.cameras.new("cam"))
-        eye.data.sensor_fit, eye.data.lens, eye.data.shift_x, eye.data.shift_y = fit, 20, 0.1, -0.05
-        eye.data.iris_exposure = 0.5 + number
-        eye.rotation_euler, eye.location = (1.5, 0.0, 0.5 * number), (30.0 * number, 0, 0)
-        scene.collection.objects.link(eye)
-        behind = eye.data.background_images.new()
-        behind.image = bpy.data.images.load(str(photo(tmp_path / f"photo {number}.png")))
+
+def test_instances_of_geometry_nodes_get_the_result_too():
+    thing, leaf = cube("host"), cube("leaf", location=(50, 0, 0), scale=(0.1, 0.1, 0.1))
+    scatter(thing, leaf)
+    geometry = evaluated_faces()
+    result, runs = solve(lamp_faces=[0])
+    assert [(run.object, run.instance) for run in runs] == [("host", False), *[("host", True)] * 8, ("leaf", False)]
+    before = snapshot(bpy.context.scene)
+    apply_to_objects(result, runs, bpy.context.scene, "key")
+    np.testing.assert_allclose(evaluated_faces(), geometry, atol=2e-4)
+    restore(bpy.context.scene)
     bpy.context.view_layer.update()
-    assert write_scene_capture(scene, bpy.context.evaluated_depsgraph_get(), tmp_path / "job") == []
-    capture = read_capture(tmp_path / "job" / "capture")
-    assert [view.exposure for view in capture.views] == [0.5, 1.5, 2.5]
-    np.testing.assert_allclose(np.ptp(capture.mesh.vertices, axis=0), [6, 4, 3], atol=1e-5)
-    assert len(np.unique(capture.mesh.parts)) == 2
-    for view in capture.views:
-        eye = scene.objects[view.name.replace("_", " ")] if view.name not in scene.objects else scene.objects[view.name]
-        frame = [eye.matrix_world @ corner for corner in eye.data.view_frame(scene=scene)]  # from the top right, on
-        camera = view.camera
-        for corner, (i, j) in zip(frame, ((40, 0), (40, 30), (0, 30), (0, 0)), strict=True):
-            local = np.array([(i - camera.cx) / camera.fx, -(j - camera.cy) / camera.fy, -1.0])
-            ours = camera.c2w[:3, :3] @ local
-            theirs = np.array(corner - eye.matrix_world.translation)
-            np.testing.assert_allclose(ours / np.linalg.norm(ours), theirs / np.linalg.norm(theirs), atol=1e-5)
-    runs = read_face_runs(tmp_path / "job")
-    assert [(run.object, run.stop - run.start) for run in runs] == [("room", 12), ("table", 12)]
-    np.testing.assert_allclose(runs[0].to_capture[:3, :3], np.diag([3, 2, 1.5]), atol=1e-6)
-
-
-def test_a_scene_without_usable_photos_is_refused(tmp_path):
-    cube("room")
-    scene, graph = bpy.context.scene, bpy.context.evaluated_depsgraph_get
-    with pytest.raises(BadInput, match="no camera of this scene has a photo"):
-        write_scene_capture(scene, graph(), tmp_path)
-    eye = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
-    scene.collection.objects.link(eye)
-    eye.data.background_images.new().image = bpy.data.images.load(str(photo(tmp_path / "a.png")))
-    with pytest.raises(BadInput, match="is 40x30, the frame of the scene 1920x1080"):
-        write_scene_capture(scene, graph(), tmp_path)
-    scene.render.resolution_x, scene.render.resolution_y = 400, 300
-    (tmp_path / "a.png").unlink()
-    with pytest.raises(BadInput, match="the photo of camera 'eye' is missing"):
-        write_scene_capture(scene, graph(), tmp_path)
+    assert snapshot(bpy.context.scene) == before

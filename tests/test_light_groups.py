@@ -10,6 +10,7 @@ from iris_addon.blender.compositing import add_compositing
 from iris_addon.blender.light_groups import MIX_GROUP, render_light_shares
 from iris_addon.blender.render import render_linear, render_views, set_cycles
 from iris_addon.blender.scene_out import build_scene
+from iris_addon.blender.version import can_denoise
 from iris_addon.errors import BadInput
 from iris_addon.response.curve import identity
 from iris_addon.result.edits_json import relight_edit
@@ -66,6 +67,20 @@ def test_mixing_is_rendering_again_with_the_lamps_changed():
     # Lamps turned up bring their noise along; the mix samples them as they were.
     assert rmse(mixed, truth) < 1.5 * noise
     np.testing.assert_allclose(mixed.mean((0, 1)), truth.mean((0, 1)), rtol=0.02)
+
+
+def test_denoised_shares_are_closer_to_the_light_of_each_lamp():
+    result = lit_room()
+    if not can_denoise():
+        pytest.skip("this Blender was built without OpenImageDenoise")
+    eye = camera(40, 32, fx=25.0, fy=25.0, position=(0.2, 0.0, 0.9))
+    truth = render_light_shares(result, eye, samples=256, seed=5).shares
+    noisy = render_light_shares(result, eye, samples=8).shares
+    clean = render_light_shares(result, eye, samples=8, denoise=True).shares
+    for name, light in truth.items():
+        wall = light.max(axis=-1) < 1.5  # not the rim of a lamp, where eight samples are all that counts
+        assert rmse(clean[name][wall], light[wall]) < 0.7 * rmse(noisy[name][wall], light[wall])
+        np.testing.assert_allclose(clean[name].mean((0, 1)), noisy[name].mean((0, 1)), rtol=0.05)
 
 
 def test_new_lights_have_shares_too():

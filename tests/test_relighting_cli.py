@@ -67,6 +67,9 @@ def test_half_written_frames_are_not_finished_and_other_jobs_are_kept_out(tmp_pa
     assert open_frames(tmp_path, 10, ".png", {"lights": 1}).finished(3)
     with pytest.raises(BadInput, match="another job"):
         open_frames(tmp_path, 10, ".png", {"lights": 2})
+    (tmp_path / "frames.json").unlink()
+    with pytest.raises(BadInput, match="another job"):
+        open_frames(tmp_path, 10, ".png", {"lights": 1})
 
 
 def test_the_film_appears_whole_or_not_at_all(tmp_path, monkeypatch):

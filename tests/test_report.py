@@ -9,7 +9,8 @@ import pytest
 from iris_addon.capture import load_photo, read_capture
 from iris_addon.capture.types import Capture
 from iris_addon.imaging import read_image
-from iris_addon.result.report_html import heat, srgb, write_report
+from iris_addon.result.report_html import write_report
+from iris_addon.result.report_pictures import heat, srgb
 from iris_addon.result.types import Result
 from tests.result_room import room
 

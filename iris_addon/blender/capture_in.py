@@ -144,6 +144,19 @@ def show_photo(camera: bpy.types.Object, photo: Path, alpha: float = 0.5) -> Non
     camera.data.show_background_images = True
 
 
+def show_instead(camera: bpy.types.Object, image: bpy.types.Image | None) -> None:
+    """Show ``image`` in place of the photo of ``camera``; None shows the photo again. The photo stays the first."""
+    shown = camera.data.background_images
+    while len(shown) > 1:
+        shown.remove(shown[-1])
+    if image is not None:
+        instead = shown.new()
+        instead.image, instead.alpha = image, 1.0
+        instead.display_depth, instead.frame_method = "FRONT", "STRETCH"
+    if len(shown):
+        shown[0].show_background_image = image is None
+
+
 def photo_of(camera: bpy.types.Object) -> bpy.types.Image | None:
     """The photo that ``camera`` shows, if it shows one."""
     if camera.type != "CAMERA":

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..response.curve import Response
 from .camera_match import show_through_camera
 from .light_groups import group_lights, mix_in_compositor
-from .version import can_denoise, own_compositor_tree
+from .version import can_denoise, compositor_denoise, own_compositor_tree
 
 
 def add_compositing(
@@ -40,7 +40,7 @@ def add_compositing(
     mixed = mix_in_compositor(tree, layers, names)
     picture = mixed.outputs["Image"]
     if denoise:
-        clean = tree.nodes.new("CompositorNodeDenoise")
+        clean = compositor_denoise(tree)
         tree.links.new(picture, clean.inputs["Image"])
         tree.links.new(layers.outputs["Denoising Albedo"], clean.inputs["Albedo"])
         tree.links.new(layers.outputs["Denoising Normal"], clean.inputs["Normal"])

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..capture.types import Camera
 from ..response.curve import Response
+from ..response.observations import SATURATED
 from ..result.edits import SceneEdit
 from ..result.types import Result
 from .render import render_camera, render_coverage, render_views, set_cycles
@@ -149,9 +150,9 @@ def change_photo(
     not show.
     """
     seen = response.invert(photo)
-    light = np.where(seen >= 1.0, np.maximum(seen, changed.without * exposure), seen)
+    light = np.where(photo >= SATURATED, np.maximum(seen, changed.without * exposure), seen)
     after = change_light(light, changed, exposure)
-    display = np.clip(photo + response.apply(after) - response.apply(light), 0.0, 1.0)
+    display = np.clip(photo + (response.apply(after) - response.apply(light)), 0.0, 1.0)
     return display, after / exposure
 
 

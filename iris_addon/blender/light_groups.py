@@ -20,9 +20,10 @@ from ..result.edits import OUTSIDE, SceneEdit
 from ..result.light_shares import LightShares
 from ..result.types import Result
 from .camera import add_camera, look_through
+from .denoise import denoise_pictures
 from .render import set_cycles
 from .scene_out import build_scene
-from .version import compositor_mix, multilayer_exr
+from .version import can_denoise, compositor_mix, multilayer_exr
 
 MIX_GROUP = "IRIS Lights"
 
@@ -39,6 +40,8 @@ def render_light_shares(
 ) -> LightShares:
     """Path-trace one view of ``result`` as changed by ``edit``, every light's part kept apart.
 
+    With ``denoise`` each share is denoised by itself: that of a light which is dim now may be turned up later.
+
     Lights are named "IRIS Lamp 00" … by the id of the recovered lamp, "IRIS Outside" for light from beyond the mesh,
     and as :func:`~iris_addon.blender.scene_out.build_scene` names what the edit adds.
     """
@@ -47,7 +50,7 @@ def render_light_shares(
         set_cycles(built.scene, samples=samples, denoise=denoise, seed=seed, max_bounces=max_bounces)
         names = group_lights(built.scene, [*built.lamps, *built.lights, *built.inserted])
         look_through(built.scene, camera, add_camera(camera, "IRIS View", built.scene.collection))
-        return _render_shares(built.scene, names)
+        return _render_shares(built.scene, names, denoise and can_denoise())
     finally:
         built.free()
 
@@ -120,9 +123,10 @@ def mix_in_compositor(tree: bpy.types.NodeTree, layers: bpy.types.Node, names: S
 # ---- pixels --------------------------------------------------------------------------------------------------------
 
 
-def _render_shares(scene: bpy.types.Scene, names: Sequence[str]) -> LightShares:
+def _render_shares(scene: bpy.types.Scene, names: Sequence[str], denoise: bool) -> LightShares:
     import OpenEXR  # absent from Blender's own Python
 
+    scene.view_layers[0].cycles.denoising_store_passes = denoise
     with tempfile.TemporaryDirectory(prefix="iris-") as folder, multilayer_exr(scene.render.image_settings):
         path = Path(folder) / "shares.exr"
         bpy.ops.render.render(scene=scene.name)
@@ -132,14 +136,17 @@ def _render_shares(scene: bpy.types.Scene, names: Sequence[str]) -> LightShares:
         # One part per pass in files of 5.0 and later, one part with all passes before.
         parts = OpenEXR.File(str(path), separate_channels=True).parts
         channels = {name: channel.pixels for part in parts for name, channel in part.channels.items()}
-    combined = _pick(channels, "Combined")
-    return LightShares(combined, {name: _pick(channels, f"Combined_{name}") for name in names})
+    shares = {name: _pick(channels, f"Combined_{name}") for name in names}
+    if denoise:
+        guides = _pick(channels, "Denoising Albedo"), _pick(channels, "Denoising Normal", "XYZ")
+        shares = denoise_pictures(shares, *guides)
+    return LightShares(_pick(channels, "Combined"), shares)
 
 
-def _pick(channels: Mapping[str, NDArray[np.floating]], name: str) -> NDArray[np.float32]:
+def _pick(channels: Mapping[str, NDArray[np.floating]], name: str, letters: str = "RGB") -> NDArray[np.float32]:
     """(H, W, 3) of the pass ``name``, whatever its view layer is called."""
     found = {key.rpartition(".")[2]: pixels for key, pixels in channels.items() if key.split(".")[-2:-1] == [name]}
-    return np.stack([found[channel] for channel in "RGB"], -1).astype(np.float32)
+    return np.stack([found[channel] for channel in letters], -1).astype(np.float32)
 
 
 def _emits(thing: bpy.types.Object) -> bool:

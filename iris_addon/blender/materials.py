@@ -25,6 +25,7 @@ from .version import node_tree
 
 SURFACE = "IRIS Surface"
 UV_MAP = "IRIS"
+CONFIDENCE = "IRIS Confidence"
 LAMP_ID = "iris_lamp"
 """Custom property of a lamp's material: the id of its emitter in the result."""
 
@@ -67,6 +68,16 @@ def surface_material(textures: Textures, uv_map: str = UV_MAP, diffuse: DiffuseL
     if diffuse == "burley":
         insert_burley(tree, shader)
     return material
+
+
+def add_confidence(material: bpy.types.Material, textures: Textures) -> None:
+    """An image node that is linked to nothing: what the solid view shows when it is the active one."""
+    node = material.node_tree.nodes.new("ShaderNodeTexImage")
+    node.name = node.label = CONFIDENCE
+    node.image = image_from_array(CONFIDENCE, textures.confidence)
+    node.extension, node.location = "EXTEND", (-450, -700)
+    uv = next(node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeUVMap")
+    material.node_tree.links.new(uv.outputs["UV"], node.inputs["Vector"])
 
 
 def lamp_material(name: str, radiance: Sequence[float] | np.ndarray) -> bpy.types.Material:

@@ -22,15 +22,13 @@ from ..capture.types import Mesh
 from ..errors import BadInput
 from ..result.edits import SceneEdit
 from ..result.types import Result
-from .images import image_from_array
-from .materials import UV_MAP
+from .materials import UV_MAP, add_confidence
 from .scene_out import face_materials, plain_mesh
 from .scene_state import forget_scene, keep_scene, restore_scene, show_like_the_photos
 from .world import make_world
 
 ORIGINAL_MESH, ORIGINAL, SLOT, MADE = "iris_original_mesh", "iris_original", "iris_slot_", "iris_made"
 APPLIED = "iris_applied"
-CONFIDENCE = "IRIS Confidence"
 SAME_UV = 1e-5
 
 
@@ -65,14 +63,14 @@ def apply_to_objects(result: Result, runs: Sequence[FaceRun], scene: bpy.types.S
     """
     if is_applied(scene, runs, key):
         return False
-    restore(scene)
     objects = [_find(run, scene) for run in runs]
     if runs and runs[-1].stop != len(result.mesh.faces):
-        raise BadInput("the result has other faces than the objects of this scene", "solve again")
+        raise BadInput("the result has other faces than the objects of this scene", "undo the edit, or solve again")
+    restore(scene)
     own_uv = _kept_uv_map(result, runs, objects)
     before = {*bpy.data.materials, *bpy.data.images}
     materials, slot_of_face = face_materials(result, SceneEdit(), own_uv or UV_MAP)
-    _add_confidence(materials[0], result)
+    add_confidence(materials[0], result.textures)
     for image in set(bpy.data.images) - before:
         image.pack()
     for run, thing in sorted(zip(runs, objects, strict=True), key=lambda pair: pair[0].instance):
@@ -115,6 +113,12 @@ def _find(run: FaceRun, scene: bpy.types.Scene) -> bpy.types.Object:
     thing = scene.objects.get(run.object)
     if thing is None:
         raise BadInput(f"the object '{run.object}' is gone or renamed", "undo that, or solve again")
+    if not thing.is_editable:
+        raise BadInput(
+            f"the object '{run.object}' is linked from another file", "make it local: Object > Relations > Make Local"
+        )
+    if thing.mode == "EDIT":
+        raise BadInput(f"the object '{run.object}' is being edited", "leave edit mode (Tab)")
     return thing
 
 
@@ -283,13 +287,3 @@ def _kept_uv_map(result: Result, runs: Sequence[FaceRun], objects: Sequence[bpy.
             return None
         names.add(layer.name)
     return names.pop() if len(names) == 1 else None
-
-
-def _add_confidence(material: bpy.types.Material, result: Result) -> None:
-    """An image node that is linked to nothing: what the solid view shows when it is the active one."""
-    node = material.node_tree.nodes.new("ShaderNodeTexImage")
-    node.name = node.label = CONFIDENCE
-    node.image = image_from_array(CONFIDENCE, result.textures.confidence)
-    node.extension, node.location = "EXTEND", (-450, -700)
-    uv = next(node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeUVMap")
-    material.node_tree.links.new(uv.outputs["UV"], node.inputs["Vector"])

@@ -19,6 +19,8 @@ from .materials import sphere_material
 from .object_files import import_objects
 
 CONTACT_GAP = 2e-4  # metres between an object and what it stands on: faces in one plane flicker
+LEVEL_RADIUS = 0.06  # metres around a point over which its surface is levelled
+SAME_SURFACE = 0.7  # cosine between normals from which on faces are of one surface
 REACH = 1e-2  # metres that something placed just under a surface is lifted before it falls
 
 
@@ -39,12 +41,22 @@ class Room:
     def along(self, origin: Vector, direction: Vector) -> tuple[Vector, Vector] | None:
         """Point and normal (towards ``origin``) of the first surface along a ray, or None."""
         point, normal, _face, _distance = self._tree.ray_cast(origin, direction)
-        return None if point is None else (point, -normal if normal.dot(direction) > 0 else normal)
+        return None if point is None else (point, self._level(point, -normal if normal.dot(direction) > 0 else normal))
 
     def nearest(self, at: Vector) -> tuple[Vector, Vector]:
         """Nearest point of the room and the normal there, on the side of ``at`` where that is to be told."""
         point, normal, _face, _distance = self._tree.find_nearest(at)
-        return point, -normal if normal.dot(at - point) < 0 else normal
+        return point, self._level(point, -normal if normal.dot(at - point) < 0 else normal)
+
+    def _level(self, at: Vector, normal: Vector) -> Vector:
+        """The mean normal of the surface around ``at``, as far as it goes on evenly: one face of a scan is noise."""
+        mean = normal * 1e-9  # a face that lies alone keeps its own
+        for _point, other, face, _distance in self._tree.find_nearest_range(at, LEVEL_RADIUS):
+            a, b, c = (Vector(self.mesh.vertices[k]) for k in self.mesh.faces[face])
+            other = -other if other.dot(normal) < 0 else other
+            if other.dot(normal) > SAME_SURFACE:
+                mean += other * (b - a).cross(c - a).length
+        return mean.normalized()
 
 
 def add_object(
@@ -110,7 +122,7 @@ def _support(placed: Placement, room: Room) -> tuple[Vector, Vector]:
     hit = room.along(at + REACH * (room.up + normal), -room.up)
     if hit is None:
         raise BadInput(
-            f"there is nothing below {[round(v, 3) for v in at]} to stand on", "move the object, or use snap 'none'"
+            f"there is nothing below {[round(v, 3) for v in at]} to stand on", "move the object, or use snap 'surface'"
         )
     return hit[0], room.up
 

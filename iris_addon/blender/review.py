@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,12 @@ from numpy.typing import NDArray
 from ..errors import BadInput
 from ..result.json_files import numbers, read_json
 from .images import image_from_array
-from .onto_objects import CONFIDENCE
+from .materials import CONFIDENCE
 
 KINDS = ("photo", "render", "error")
 CURVE_SIDE = 256
+SPARKS = 16
+BLOCKS = "▁▂▃▄▅▆▇█"
 CHANNEL_COLORS = ((0.9, 0.25, 0.2), (0.2, 0.7, 0.25), (0.25, 0.45, 0.95))
 
 
@@ -68,6 +71,17 @@ def curve_plot(samples: NDArray[np.floating]) -> NDArray[np.float32]:
         for thick in (0, 1):
             picture[np.minimum(row + thick, side - 1), column] = color
     return picture
+
+
+def sparkline(histogram: Sequence[float]) -> str:
+    """``histogram`` as at most 16 blocks, for places that show text alone; heights by square root, as most are
+    small."""
+    counts = np.asarray(histogram, float)
+    if len(counts) > SPARKS:  # what is wider than the sidebar is cut in its middle
+        counts = np.add.reduceat(counts, np.arange(0, len(counts), -(-len(counts) // SPARKS)))
+    heights = np.sqrt(counts)
+    levels = np.ceil(heights / max(float(heights.max(initial=0.0)), 1e-9) * (len(BLOCKS) - 1)).astype(int)
+    return "".join(BLOCKS[level] for level in levels)
 
 
 def model_lines(report: dict[str, Any]) -> list[tuple[str, str]]:

@@ -91,7 +91,8 @@ def shrink(values: FloatArray, height: int, width: int) -> NDArray[np.float64]:
     """``values`` (H, W, 3) smoothed and resampled to (height, width, 3)."""
     scale = values.shape[1] / width
     smooth = gaussian_filter(np.asarray(values, float), (0.4 * scale, 0.4 * scale, 0)) if scale > 1 else values
-    return zoom(smooth, (height / values.shape[0], width / values.shape[1], 1), order=1, grid_mode=True, mode="nearest")
+    factors = (height / values.shape[0], width / values.shape[1], 1)
+    return np.asarray(zoom(smooth, factors, order=1, grid_mode=True, mode="nearest"))
 
 
 def align(photo: FloatArray, depth: FloatArray, normal: FloatArray, pixels: float) -> Alignment:

@@ -9,12 +9,13 @@ import numpy as np
 
 from ..capture.types import Camera
 from ..errors import BadInput
-from .edits import Material, ObjectFile, Placement, Primitive, Shape, Sphere, Vector
+from .edits import Material, ObjectFile, Placement, Primitive, Shape, Snap, Sphere, Vector
 from .json_values import Json, array, color, file_path, json_map, known_keys, number, one_of, vector
 
 MATERIAL_KEYS = {"base_color", "roughness", "metallic", "specular", "emission"}
 PLACEMENT_KEYS = {"location", "rotation", "scale", "height", "snap", "pixel", "turntable"}
-SHAPES = get_args(Shape)
+SHAPES: tuple[Shape, ...] = get_args(Shape)
+SNAPS: tuple[Snap, ...] = get_args(Snap)
 
 
 def read_object(
@@ -41,7 +42,7 @@ def read_object(
         return _ball(thing, where)
     known_keys(thing, {"shape", "id", "size", "radius", *MATERIAL_KEYS, *PLACEMENT_KEYS}, where)
     placement = read_placement(thing, where, camera, time)
-    return Primitive(shape, _size(thing, shape, where), placement, read_material(thing, where))  # type: ignore[arg-type]
+    return Primitive(shape, _size(thing, shape, where), placement, read_material(thing, where))
 
 
 def read_material(thing: Json, where: str) -> Material:
@@ -73,7 +74,7 @@ def read_placement(thing: Json, where: str, camera: Camera | None, time: float) 
         vector(scale, f"{where}.scale"),
         vector(rotation, f"{where}.rotation"),
         None if height is None else number(height, f"{where}.height", above_zero=True),
-        one_of(thing.get("snap", "none" if ray is None else "down"), ("none", "down", "surface"), f"{where}.snap"),  # type: ignore[arg-type]
+        one_of(thing.get("snap", "none" if ray is None else "down"), SNAPS, f"{where}.snap"),
         ray,
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..errors import BadInput
 
 Json = Mapping[str, Any]
+Choice = TypeVar("Choice")
 
 
 def json_map(value: Any, where: str) -> Json:
@@ -53,10 +54,10 @@ def flag(value: Any, where: str) -> bool:
     return value
 
 
-def one_of(value: Any, choices: Sequence[str], where: str) -> str:
+def one_of(value: Any, choices: Sequence[Choice], where: str) -> Choice:
     """``value`` if it is one of ``choices``; raises BadInput."""
     if value not in choices:
-        raise BadInput(f"'{where}' is {value!r}", f"use one of {', '.join(choices)}")
+        raise BadInput(f"'{where}' is {value!r}", f"use one of {', '.join(map(str, choices))}")
     return value
 
 

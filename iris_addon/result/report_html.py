@@ -11,16 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..capture import load_photo
 from ..capture.types import Capture, View
 from ..evaluate.maps import MapRenderer, ViewMaps
-from ..imaging import atomic_write, write_png
+from ..imaging import atomic_write
+from .report_pictures import FloatArray, Pictures, heat, srgb
 from .report_style import CSS
 from .types import Result
-
-FloatArray = NDArray[np.floating]
 
 MAX_VIEWS = 6
 ERROR_GAIN = 4.0
@@ -50,7 +48,7 @@ def write_report(
     views = {view.name: view for view in (*capture.val_views, *capture.views)}
     shown = [views[name] for name in pictures if name in views] or _spread(capture.views, 3)
     shown = shown[:MAX_VIEWS]
-    saver = _Pictures(folder / "report")
+    saver = Pictures(folder / "report")
     renderer = MapRenderer(result)
     maps = {view.name: renderer.maps(view.camera) for view in shown}
     sections = [
@@ -85,47 +83,12 @@ def _spread(views: Sequence[View], count: int) -> list[View]:
 # ---- pictures ------------------------------------------------------------------------------------------------------
 
 
-class _Pictures:
-    """Saves arrays as PNG and gives back the HTML that shows them."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._taken: set[str] = set()
-
-    def figure(self, name: str, image: FloatArray, caption: str) -> str:
-        """``image`` (H, W, 3) or (H, W), display values."""
-        stem = "".join(c if c.isalnum() or c in "-_" else "-" for c in name)[:80]
-        while stem in self._taken:
-            stem += "_"
-        self._taken.add(stem)
-        codes = np.round(np.clip(np.nan_to_num(image), 0.0, 1.0) * 255).astype(np.uint8)
-        write_png(self._folder / f"{stem}.png", codes)
-        height, width = codes.shape[:2]
-        return (
-            f'<figure><img src="{self._folder.name}/{stem}.png" width="{width}" height="{height}" loading="lazy" '
-            f'alt="{escape(caption)}"><figcaption>{escape(caption)}</figcaption></figure>'
-        )
-
-
-def srgb(linear: FloatArray) -> FloatArray:
-    """Display values of scene-linear colours by the sRGB transfer curve (IEC 61966-2-1)."""
-    x = np.clip(linear, 0.0, 1.0)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
-
-
-def heat(values: FloatArray) -> FloatArray:
-    """(..., 3) black, blue, magenta, orange, white for values 0 to 1; increases in lightness throughout."""
-    stops = np.array([[0.0, 0.0, 0.02], [0.2, 0.1, 0.5], [0.75, 0.2, 0.45], [1.0, 0.6, 0.2], [1.0, 1.0, 0.9]])
-    position = np.linspace(0, 1, len(stops))
-    return np.stack([np.interp(values, position, stops[:, c]) for c in range(3)], -1)
-
-
-def _gallery(saver: _Pictures, gallery: Mapping[str, FloatArray]) -> str:
+def _gallery(saver: Pictures, gallery: Mapping[str, FloatArray]) -> str:
     figures = "".join(saver.figure(f"gallery-{caption}", image, caption) for caption, image in gallery.items())
     return f'<section><h2>With the recovered room</h2><div class="grid">{figures}</div></section>' if figures else ""
 
 
-def _photos(saver: _Pictures, shown: Sequence[View], pictures: Mapping[str, FloatArray]) -> str:
+def _photos(saver: Pictures, shown: Sequence[View], pictures: Mapping[str, FloatArray]) -> str:
     rows = []
     for view in shown:
         if view.photo is None or view.name not in pictures:
@@ -145,7 +108,7 @@ def _photos(saver: _Pictures, shown: Sequence[View], pictures: Mapping[str, Floa
     return f"<section><h2>Photo, re-render, error</h2>{''.join(rows)}</section>" if rows else ""
 
 
-def _maps(saver: _Pictures, shown: Sequence[View], maps: Mapping[str, ViewMaps]) -> str:
+def _maps(saver: Pictures, shown: Sequence[View], maps: Mapping[str, ViewMaps]) -> str:
     peak = max((float(m.emission.max()) for m in maps.values()), default=0.0)
     rows = []
     for view in shown:

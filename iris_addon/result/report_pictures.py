@@ -1,0 +1,48 @@
+"""Pictures of report.html: arrays as PNG files with their caption, and the two ways of colouring them."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..imaging import write_png
+
+FloatArray = NDArray[np.floating]
+
+
+class Pictures:
+    """Saves arrays as PNG and gives back the HTML that shows them."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._taken: set[str] = set()
+
+    def figure(self, name: str, image: FloatArray, caption: str) -> str:
+        """``image`` (H, W, 3) or (H, W), display values."""
+        stem = "".join(c if c.isalnum() or c in "-_" else "-" for c in name)[:80]
+        while stem in self._taken:
+            stem += "_"
+        self._taken.add(stem)
+        codes = np.round(np.clip(np.nan_to_num(image), 0.0, 1.0) * 255).astype(np.uint8)
+        write_png(self._folder / f"{stem}.png", codes)
+        height, width = codes.shape[:2]
+        return (
+            f'<figure><img src="{self._folder.name}/{stem}.png" width="{width}" height="{height}" loading="lazy" '
+            f'alt="{escape(caption)}"><figcaption>{escape(caption)}</figcaption></figure>'
+        )
+
+
+def srgb(linear: FloatArray) -> FloatArray:
+    """Display values of scene-linear colours by the sRGB transfer curve (IEC 61966-2-1)."""
+    x = np.clip(linear, 0.0, 1.0)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+
+def heat(values: FloatArray) -> FloatArray:
+    """(..., 3) black, blue, magenta, orange, white for values 0 to 1; increases in lightness throughout."""
+    stops = np.array([[0.0, 0.0, 0.02], [0.2, 0.1, 0.5], [0.75, 0.2, 0.45], [1.0, 0.6, 0.2], [1.0, 1.0, 0.9]])
+    position = np.linspace(0, 1, len(stops))
+    return np.stack([np.interp(values, position, stops[:, c]) for c in range(3)], -1)

@@ -1,0 +1,12 @@
+#!/bin/bash
+# in_root.sh ROOT COMMAND ... : the command with ROOT as its file system, in a mount namespace of its own, so that nothing
+# stays mounted whatever happens. IRIS_BIND has what else is seen inside: FOLDER=PLACE, separated by ":".
+exec unshare --mount --propagation private bash -c '
+  root=$1; shift
+  mount -t proc proc "$root/proc" && mount --rbind /sys "$root/sys" && mount --rbind /dev "$root/dev" || exit 125
+  IFS=:
+  for pair in $IRIS_BIND; do
+    place=$root${pair#*=}
+    mkdir -p "$place" && mount --rbind "${pair%%=*}" "$place" || exit 125
+  done
+  exec chroot "$root" /usr/bin/env PATH=/usr/sbin:/usr/bin:/sbin:/bin "$@"' in_root "$@"

@@ -1,0 +1,225 @@
+"""What an artist does, from the built zip to a relit render, by mouse. Each step leaves a picture."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from .session import until
+from .stage import ADD_X, ADDON, Stage
+
+SOLVE_SECONDS = 400.0
+IMPORT_SECONDS = 120.0
+CANCEL_SECONDS = 1.0
+LAMP_DIMMER = 0.98  # of the brightness with all lamps on
+
+
+# ---- install ---------------------------------------------------------------------------------------------------------
+
+
+def install(stage: Stage) -> str:
+    """Edit > Preferences > Get Extensions > Install from Disk."""
+    session = stage.session
+    stage.open_preferences()
+    stage.preferences_section("EXTENSIONS")
+    left, top, width, _height = session.region("PREFERENCES", "WINDOW", 1)
+    session.new_window(lambda: session.choose(left + width - 22, top + 18, -1), "File View", (300, 150, 1000, 650))
+    session.choose_file(f"{session.root.HOME}/iris.zip", lambda: stage.photograph("01_install"))
+    until(lambda: session.ask(f"{ADDON!r} in bpy.context.preferences.addons"), "the extension is enabled", 60)
+    return "enabled"
+
+
+def choose_solver(stage: Stage) -> str:
+    """Preferences > Add-ons > IRIS: the solver's Python, and its test."""
+    session = stage.session
+    stage.preferences_section("ADDONS")
+    stage.set_solver(f"{session.root.REPOSITORY}/.venv/bin/python")
+    session.press("iris.test_python", "PREFERENCES", "WINDOW", 1, (0.3,))
+    until(lambda: session.ask("job('test')")["state"] not in ("missing", "running"), "the Python is tested", 120)
+    stage.photograph("02_preferences")
+    found = session.ask("job('test')")
+    assert found["state"] == "done", found
+    session.close_newest_window()
+    return "tested"
+
+
+# ---- import and check ------------------------------------------------------------------------------------------------
+
+
+def open_tab(stage: Stage) -> str:
+    """The sidebar, its tab IRIS, wide enough for its texts."""
+    session = stage.session
+    left, top, width, height = session.region("VIEW_3D", "WINDOW")
+    session.display.move(left + width / 2, top + height / 2)
+    session.display.keys("n")
+    until(lambda: session.ask("sidebar_tab()"), "the sidebar opens", 20)
+    session.display.still()
+    left, top, width, height = session.region("VIEW_3D", "UI")
+    for y in range(top + 20, top + height, 25):
+        if session.ask("sidebar_tab()") == "IRIS":
+            session.display.drag((left, top + 0.8 * height), (left - 130, top + 0.8 * height))
+            stage.photograph("03_tab")
+            return f"{session.region('VIEW_3D', 'UI')[2]} pixels wide"
+        session.display.click(left + width - 8, y)
+    raise AssertionError("no tab IRIS")
+
+
+def import_capture(stage: Stage) -> str:
+    """The bundled room, by its button."""
+    session = stage.session
+    session.press("iris.import_demo")
+    until(lambda: stage.value("iris.views.keys()"), "the capture is imported", IMPORT_SECONDS)
+    assert session.ask("job('inspect')")["state"] == "done", session.ask("job('inspect')")
+    stage.hide_the_cube()
+    stage.photograph("04_import")
+    return f"{len(stage.value('iris.views.keys()'))} photos"
+
+
+def check(stage: Stage) -> str:
+    """Photo over mesh: the next photo."""
+    before = stage.value("iris.view_index")
+    stage.session.press("step_photo(by=1)", columns=(0.85, 0.9))
+    assert stage.value("iris.view_index") == before + 1
+    stage.photograph("05_check")
+    warnings = stage.value("iris.warnings").splitlines()
+    return f"{len(warnings)} warnings"
+
+
+# ---- solve -----------------------------------------------------------------------------------------------------------
+
+
+def solve(stage: Stage) -> str:
+    """Preset draft by the wheel, Solve, the bar moves, Cancel ends the worker within a second."""
+    session = stage.session
+    place = session.scroll_to("iris.preset", columns=(0.7,))
+    session.display.wheel_with("ctrl", *place, -1)
+    until(lambda: stage.value("iris.preset") == "draft", "the wheel sets the preset", 5)
+    session.press("iris.solve")
+    until(lambda: session.ask("job('solve')").get("overall", 0) > 0.02, "the bar moves", SOLVE_SECONDS)
+    first = session.ask("job('solve')")["overall"]
+    place = session.scroll_to("iris.cancel", columns=(0.3,))
+    until(lambda: session.ask("job('solve')").get("overall", 0) > first, "the bar moves on", SOLVE_SECONDS)
+    stage.photograph_at_once("06_solving")
+    session.display.click(*place)
+    began = time.monotonic()
+    until(lambda: session.ask("job('solve')")["state"] == "cancelled", "the solve is cancelled", 10, 0.02)
+    seconds = time.monotonic() - began
+    stage.photograph("07_cancelled")
+    assert seconds < CANCEL_SECONDS + 0.5, f"cancelling took {seconds:.1f} s"
+    return f"cancelled at {first:.0%}, in {seconds:.2f} s after the click"
+
+
+def resume(stage: Stage) -> str:
+    """Resume to the end; meanwhile the interface is watched."""
+    session = stage.session
+    stage.idle_gaps()
+    session.press("iris.solve")
+    session.ask("monitor.take() and None")
+    seen = []
+
+    def through() -> bool:
+        found = session.ask("job('solve')")
+        seen.append(found.get("overall", 0.0))
+        return found["state"] not in ("running",)
+
+    until(through, "the solve ends", SOLVE_SECONDS, 0.2)
+    found = session.ask("job('solve')")
+    assert found["state"] == "done", found
+    assert len(set(seen)) > 5, f"the bar stood still: {sorted(set(seen))}"
+    stage.judge_gaps()
+    return f"{len(set(seen))} positions of the bar"
+
+
+def review(stage: Stage) -> str:
+    """Photo, re-render, error and response in the image editor."""
+    session = stage.session
+    for kind in ("render", "error", "curve", "photo"):
+        session.press(f"iris.review(kind='{kind}'", columns=(0.15, 0.4, 0.6, 0.85))
+        stage.photograph(f"08_review_{kind}")
+    images = session.ask("[i.name for i in bpy.data.images]")
+    return f"{len(images)} images"
+
+
+# ---- apply, relight, insert ------------------------------------------------------------------------------------------
+
+
+def apply(stage: Stage) -> str:
+    """Apply, undo, redo, apply again: undo restores the scene exactly, applying twice changes nothing."""
+    session = stage.session
+    before = session.ask("content()")
+    session.press("iris.apply")
+    until(lambda: stage.value("iris.lamps.keys()"), "the lamps are listed", 60)
+    applied = session.ask("content()")
+    stage.photograph("09_applied")
+    stage.undo()
+    assert session.ask("content()") == before, stage.difference(before)
+    stage.redo()
+    assert session.ask("content()") == applied, stage.difference(applied)
+    session.press("iris.apply")
+    assert session.ask("content()") == applied, stage.difference(applied)
+    return f"{len(stage.value('iris.lamps.keys()'))} lamps"
+
+
+def switch_off(stage: Stage) -> str:
+    """The brightest lamp off by its switch: the render gets darker."""
+    session = stage.session
+    bright = stage.render("10_all_lamps")
+    lamps = stage.value("iris.lamps.keys()")
+    visible = range(min(4, len(lamps)))  # rows of the list
+    power = [stage.value(f"iris.lamps[{lamp}].strength") * stage.value(f"iris.lamps[{lamp}].area") for lamp in visible]
+    number = max(visible, key=power.__getitem__)
+    place = session.scroll_to(f"iris.lamps[{number}].on", columns=(0.05, 0.08, 0.11))
+    session.display.click(*place)
+    assert stage.value(f"iris.lamps[{number}].on") is False
+    stage.photograph("11_lamp_off")
+    dark = stage.render("12_lamp_off_render")
+    assert sum(dark) < LAMP_DIMMER * sum(bright), (dark, bright)
+    return f"{lamps[number]}: {sum(bright) / 3:.3f} to {sum(dark) / 3:.3f}"
+
+
+def add_object(stage: Stage) -> str:
+    """Add > Mesh > first entry, then render it in the room's light."""
+    session = stage.session
+    count = len(session.ask("bpy.data.objects.keys()"))
+    left, top, _width, _height = session.region("VIEW_3D", "HEADER")
+    menu_left, menu_top, menu_right, _bottom = session.menu(left + ADD_X, top + 13)
+    session.display.click((menu_left + menu_right) / 2, menu_top + 14)
+    session.display.still()
+    session.display.click(menu_right + 60, menu_top + 14)
+    until(lambda: len(session.ask("bpy.data.objects.keys()")) > count, "an object is added", 20)
+    stage.photograph("13_object")
+    stage.render("14_object_render")
+    return session.ask("bpy.context.window_manager.windows[0].view_layer.objects.active.name")
+
+
+def enable_again(stage: Stage) -> str:
+    """Disable and enable by the box in the preferences: nothing is left, then everything is back."""
+    session = stage.session
+    stage.open_preferences()
+    stage.preferences_section("ADDONS")
+    for verb in ("disable", "enable", "disable", "enable"):
+        session.press(f"addon_{verb}(module='{ADDON}')", "PREFERENCES", "WINDOW", 1, (0.03, 0.04, 0.05))
+        here = session.ask("hasattr(bpy.types.Scene, 'iris')")
+        assert here is (verb == "enable"), f"after {verb}: {here}"
+        left = session.ask("[n for n in dir(bpy.types) if n.startswith('IRIS_')] + dir(bpy.ops.iris)")
+        assert bool(left) is (verb == "enable"), f"after {verb}: {left}"
+    session.close_newest_window()
+    # Blender forgets an extension's preferences when it is disabled.
+    session.ask(f"set_solver('{session.root.REPOSITORY}/.venv/bin/python')")
+    return "twice"
+
+
+STEPS: tuple[Callable[[Stage], str], ...] = (
+    install,
+    choose_solver,
+    open_tab,
+    import_capture,
+    check,
+    solve,
+    resume,
+    review,
+    apply,
+    switch_off,
+    add_object,
+    enable_again,
+)
