@@ -10,7 +10,15 @@ import pytest
 from iris_addon.progress import Progress
 from iris_addon.reflectance.bake import MAX_ALBEDO, fuse_texels, pixel_albedo, pixel_weight
 from iris_addon.reflectance.ggx import DIELECTRIC_F0, specular_integrals
-from iris_addon.reflectance.gloss import LEVELS, Gloss, choose_observations, fit_gloss, rough_everywhere
+from iris_addon.reflectance.gloss import (
+    LEVELS,
+    MIN_OBSERVATIONS,
+    Gloss,
+    GlossObservations,
+    choose_observations,
+    fit_gloss,
+    rough_everywhere,
+)
 from iris_addon.reflectance.lobes import LobeRays, trace_lobes
 from iris_addon.reflectance.shading import IrradianceField
 from iris_addon.reflectance.specular import ROUGH, rough_lobes
@@ -72,12 +80,14 @@ def scene() -> Scene:
 def fit_floor(scene: Scene, radiance: np.ndarray, rows: np.ndarray) -> Gloss:
     patch = scene.surface.sample_patch[rows]
     irradiance = scene.irradiance[patch]
-    lobes = [scene.lobes(rows, level, 16, 5 + k) for k, level in enumerate(LEVELS[:-1])]
-    lobes.append(rough_lobes(np.ones(len(rows)), scene.samples.cosine[rows], irradiance))
+    lobes = [[scene.lobes(rows, level, 16, 5 + 2 * k + half) for half in (0, 1)] for k, level in enumerate(LEVELS[:-1])]
+    lobes.append([rough_lobes(np.ones(len(rows)), scene.samples.cosine[rows], irradiance)] * 2)
     part = scene.room.parts[scene.samples.face[rows]]
-    return fit_gloss(
-        part, patch, np.ones(len(rows)), radiance, irradiance, np.ones((6, len(rows))), lobes, len(scene.room.albedo)
-    )
+    observed = GlossObservations(
+        part, patch, np.ones(len(rows)), scene.samples.position[rows], radiance, irradiance,
+        np.ones((len(LEVELS), len(rows))), lobes,
+    )  # fmt: skip
+    return fit_gloss(observed, len(scene.room.albedo))
 
 
 def rows_on(scene: Scene, part: int) -> np.ndarray:
@@ -124,7 +134,7 @@ def test_a_metal_wall_is_metal(scene: Scene, roughness: float) -> None:
 
 
 def test_parts_that_hardly_anybody_saw_keep_the_default(scene: Scene) -> None:
-    rows = rows_on(scene, FLOOR)[:20]
+    rows = rows_on(scene, FLOOR)[: MIN_OBSERVATIONS - 1]
     gloss = fit_floor(scene, seen(scene, rows, scene.room.albedo[FLOOR], 0.1, 0.0), rows)
     assert not gloss.decided.any()
     assert (gloss.roughness == rough_everywhere(len(gloss.roughness)).roughness).all()

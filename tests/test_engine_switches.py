@@ -12,7 +12,7 @@ import pytest
 from iris_addon.config import AUTO, FULL, MINIMAL, Refinements, preset
 from iris_addon.emission.given import read_given_emitters
 from iris_addon.errors import BadInput
-from iris_addon.reflectance.gloss import LEVELS, fit_gloss
+from iris_addon.reflectance.gloss import LEVELS, GlossObservations, fit_gloss
 from iris_addon.response.curve import gamma
 from iris_addon.result.json_files import to_ranges
 from iris_addon.result.types import Result
@@ -108,12 +108,12 @@ def test_a_forced_gloss_takes_what_caution_refuses():
     irradiance = np.full((n, 3), 1.0)
     s1 = 0.02 * rng.random((n, 1)) * np.ones(3)
     noise = np.exp(0.15 * rng.standard_normal((n, 1)))
-    radiance = 0.5 * irradiance * noise + 4 * s1
-    lobes = [(np.zeros((n, 3)), s1 * scale) for scale in np.linspace(4, 0, len(LEVELS))]
-    fits = [
-        fit_gloss(np.zeros(n, int), patch, np.ones(n), radiance, irradiance, np.ones((6, n)), lobes, 1, forced)
-        for forced in (None, True, False)
-    ]
+    radiance = 0.5 * irradiance * noise + 2 * s1
+    lobes = [[(np.zeros((n, 3)), s1 * scale)] * 2 for scale in np.linspace(4, 0, len(LEVELS))]
+    observed = GlossObservations(
+        np.zeros(n, int), patch, np.ones(n), np.zeros((n, 3)), radiance, irradiance, np.ones((len(LEVELS), n)), lobes
+    )
+    fits = [fit_gloss(observed, 1, forced) for forced in (None, True, False)]
     assert fits[0].roughness[0] == 1 and fits[1].roughness[0] < 1 and fits[2].roughness[0] == 1
     assert not fits[2].decided.any()
 

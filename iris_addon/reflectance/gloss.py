@@ -30,8 +30,8 @@ NEAR = 1.0
 LIKE = 0.05
 """Difference in log albedo at which they no longer are."""
 NEIGHBOURS = 24
-OTHERS = 1.0
-"""Say of a like part next to a part itself."""
+FEW = 60
+"""Observations by which the gains needed are doubled: chance explains a few."""
 
 
 @dataclass(frozen=True)
@@ -114,22 +114,25 @@ class _Costs:
     centre: NDArray[np.float64]
     log_albedo: NDArray[np.float64]
 
-    def pooled(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Costs of every part, averaged with those of near parts of like albedo: one chair's legs are one wood."""
+    def pooled(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Costs of every part averaged with those of near parts of like albedo (one chair's legs are one wood), and
+        the observations behind each average."""
         _, near = cKDTree(self.centre).query(self.centre, k=min(NEIGHBOURS, len(self.ids)))
         near = np.reshape(near, (len(self.ids), -1))
+        own = near == np.arange(len(near))[:, None]
         distance = np.linalg.norm(self.centre[near] - self.centre[:, None], axis=-1) / NEAR
         unlike = np.abs(self.log_albedo[near] - self.log_albedo[:, None]).max(-1) / LIKE
-        say = self.count[near] * np.exp(-0.5 * (distance**2 + unlike**2)) * OTHERS
-        say = np.where(near == np.arange(len(near))[:, None], self.count[:, None], say)
+        say = np.where(own, 0.0, self.count[near] * np.exp(-0.5 * (distance**2 + unlike**2)))
         # However many they are, a part that was well observed itself is not outvoted.
-        others = say.sum(1, keepdims=True) - self.count[:, None]
-        limit = OTHERS * MAX_OBSERVATIONS
-        say = np.where(
-            near == np.arange(len(near))[:, None], say, say * np.minimum(1.0, limit / np.maximum(others, 1e-9))
+        say *= np.minimum(1.0, MAX_OBSERVATIONS / np.maximum(say.sum(1, keepdims=True), 1e-9))
+        say += own * self.count[:, None]
+        total = say.sum(1)
+        say /= total[:, None]
+        return (
+            np.einsum("kn,knl->kl", say, self.plastic[near]),
+            np.einsum("kn,knl->kl", say, self.metal[near]),
+            total,
         )
-        say /= say.sum(1, keepdims=True)
-        return np.einsum("kn,knl->kl", say, self.plastic[near]), np.einsum("kn,knl->kl", say, self.metal[near])
 
 
 def fit_gloss(observed: GlossObservations, n_parts: int, forced: bool | None = None) -> Gloss:
@@ -141,8 +144,8 @@ def fit_gloss(observed: GlossObservations, n_parts: int, forced: bool | None = N
     gloss = rough_everywhere(n_parts)
     costs = None if forced is False else _part_costs(observed)
     if costs is not None:
-        for label, plastic, metal in zip(costs.ids, *costs.pooled(), strict=True):
-            _decide(gloss, int(label), plastic, metal, 0.0 if forced else 1.0)
+        for label, plastic, metal, count in zip(costs.ids, *costs.pooled(), strict=True):
+            _decide(gloss, int(label), plastic, metal, 0.0 if forced else 1.0 + FEW / count)
     return gloss
 
 

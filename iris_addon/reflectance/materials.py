@@ -27,7 +27,7 @@ from .lobes import LobeRays, trace_lobes
 from .shading import IrradianceField
 from .specular import Scene, rough_lobes, specular_lobes, subtract_specular
 
-FIT_RAYS = (8, 8, 16, 32)
+FIT_RAYS = (8, 16, 32, 32)
 """Reflected rays per observation and level: the wider the lobe, the more noise."""
 PASSED_ON = 0.6
 GLOSSY = 0.5
