@@ -36,6 +36,7 @@ def file_loaded(stage: Stage) -> str:
     """Save, solve, load the file again: the solve goes on or is found again, and nothing crashes."""
     session = stage.session
     path = f"{session.root.HOME}/{BLEND}"
+    session.ask("bpy.ops.wm.save_userpref()")  # otherwise done when Blender is closed, and it will be killed
     session.ask(f"bpy.ops.wm.save_as_mainfile(filepath={path!r})")
     pid = start_solve(stage)
     session.ask(f"bpy.ops.wm.open_mainfile(filepath={path!r})")
