@@ -56,25 +56,16 @@ def blender_killed(stage: Stage) -> str:
 
 
 def reopened(stage: Stage) -> str:
-    """The .blend, opened in a new Blender, finds its job and goes on with it."""
+    """The .blend, opened in a new Blender, finds its job and goes on with it, though the cache of rays was deleted."""
     found = until(lambda: stage.session.ask("job('solve')"), "the job is found", 10)
     assert found["state"] == "interrupted" and found["fix"], found
+    shutil.rmtree(stage.session.root.home / ".cache" / "iris")
     stage.show_sidebar()
     stage.photograph("21_reopened")
     stage.session.press("iris.solve")
     until(lambda: state(stage) not in ("running", "interrupted"), "the solve ends", SOLVE_SECONDS, 0.5)
     assert state(stage) == "done", stage.session.ask("job('solve')")
     return "interrupted, resumed, done"
-
-
-def cache_deleted(stage: Stage) -> str:
-    """The cache of traced rays deleted: the solve traces again."""
-    shutil.rmtree(stage.session.root.home / ".cache", ignore_errors=True)
-    pid = start_solve(stage, fresh=True)
-    session = stage.session
-    until(lambda: state(stage) != "running", "the solve ends", SOLVE_SECONDS, 0.5)
-    assert state(stage) == "done", session.ask("job('solve')")
-    return f"process {pid} done"
 
 
 def photo_missing(stage: Stage) -> str:
