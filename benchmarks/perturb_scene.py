@@ -21,7 +21,7 @@ from .machine import ROOT
 from .runs import SWEPT_VIEWS
 from .small import KEPT
 
-SAMPLES = 32
+SAMPLES = 16
 WALLS = ("plaster", "sage paint", "ceiling paint")
 DOMINANT = "ceiling lamp"
 BUNDLED = ROOT / "assets" / "demo_room"
