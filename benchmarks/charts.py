@@ -232,6 +232,7 @@ def scaling(panels: Mapping[str, Mapping[str, tuple[Sequence[float], Sequence[fl
                 axes.plot(x, y, color=OKABE_ITO[index % 8], marker=MARKERS[index % 8], label=name)
             axes.set_xscale("log")
             axes.set_yscale("log")
+            axes.set_xlabel("size: triangles, photos or pixels")
             axes.set_ylabel(quantity)
             axes.legend(fontsize=9)
         figure.suptitle(title, fontsize=13)

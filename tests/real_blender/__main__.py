@@ -25,8 +25,8 @@ from .stage import Stage
 
 OUT = REPOSITORY / "out" / "real_blender"
 WORRIES = re.compile(r"warn|error|traceback|deprecat|leak|orphan", re.IGNORECASE)
-# Reports, which may name a picture "error"; and Debian's Blender without the extension: it has no translations.
-HARMLESS = re.compile(r"^Info: |'PreferencesView', '\(null\)', 'language'")
+# The picture of a review; and what Debian's Blender, which has no translations, says without the extension, too.
+HARMLESS = re.compile(r"-error\.png$|'PreferencesView', '\(null\)', 'language'")
 
 
 class OutOfTime(Exception):

@@ -19,7 +19,6 @@ PICTURES = {  # name in the guide: picture of the test, what of it is shown (lef
     "solve": ("06_solving", VIEW),
     "review": ("08_review_render", VIEW),
     "lamp_off": ("11_lamp_off", VIEW),
-    "render": ("14_object_render", (250, 120, 1150, 820)),
 }
 
 
@@ -38,7 +37,7 @@ def write_guide_picture(source: Path, box: tuple[int, int, int, int], target: Pa
 
 def main() -> None:
     """Write all of them."""
-    suite = sys.argv[1] if len(sys.argv) > 1 else "trixie"
+    suite = sys.argv[1] if len(sys.argv) > 1 else "sid"
     for name, (picture, box) in PICTURES.items():
         target = REPOSITORY / "docs" / "images" / f"guide_{name}.jpg"
         write_guide_picture(REPOSITORY / "out" / "real_blender" / suite / f"{picture}.png", box, target)

@@ -106,8 +106,6 @@ class Stage:
         session.ask("small_render()")
         session.new_window(lambda: session.choose(RENDER_X, TOP_BAR_Y, 0), "Render", (250, 120, 900, 700))
         until(lambda: not session.ask("bpy.app.is_job_running('RENDER')"), "the render ends", 300)
-        session.display.move(700, 500)
-        session.display.keys("Home")  # the whole picture, as large as the window
         self.photograph(name)
         means = session.ask(f"rendered('{session.root.HOME}/{name}.png')")
         session.close_newest_window()
