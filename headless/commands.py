@@ -57,7 +57,7 @@ def apply(args: argparse.Namespace, progress: Progress) -> Outcome:
     if args.views is not None:
         from iris_addon.capture import read_views
 
-        views = read_views(args.views)
+        views = result.as_taken(read_views(args.views))
     progress.check()
     write_blend(result, args.blend, views=views, glb=args.glb, usd=args.usd)
     written = [path for path in (args.blend, args.glb, args.usd) if path is not None]

@@ -203,7 +203,8 @@ def _read(args: argparse.Namespace) -> tuple[Result, tuple[View, ...]]:
         if missing:
             raise BadInput(f"has no view named {missing[0]}", "name views as the pictures are named", args.views)
         views = tuple(view for view in views if view.name in args.only)
-    return load_result(args.result), views
+    result = load_result(args.result)
+    return result, tuple(result.as_taken(views))
 
 
 def _developer(args: argparse.Namespace, result: Result) -> Developer:

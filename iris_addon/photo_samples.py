@@ -10,11 +10,30 @@ from numpy.typing import NDArray
 from .capture import load_photo
 from .capture.types import Capture
 from .progress import Progress
-from .surface.samples import PixelSamples, stride_for_budget, trace_pixels
+from .surface.samples import PixelSamples, pixel_lattice, stride_for_budget, trace_pixels
 from .transport.tracer import Tracer
 
 PIXEL_BUDGET = 3_000_000
 """Pixels the solver looks at; beyond, one pixel of every n x n block is taken, another one in every photo."""
+BEYOND_STEP = 7
+"""One pixel in so many tells what lies beyond the mesh."""
+
+
+@dataclass(frozen=True)
+class BeyondMesh:
+    """Pixels whose rays miss the mesh, k of them.
+
+    Attributes:
+        share: of all pixels that miss it.
+        view: (k,) int16.
+        direction: (k, 3) unit, world space, away from the camera.
+        z: (k, 3) float32 display values, or radiance.
+    """
+
+    share: float
+    view: NDArray[np.int16]
+    direction: NDArray[np.floating]
+    z: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -23,11 +42,13 @@ class PhotoSamples:
 
     Attributes:
         z: (n, 3) float32 display values in [0, 1], or radiance for HDR input.
+        beyond: some of the pixels that miss the mesh.
     """
 
     samples: PixelSamples
     z: NDArray[np.float32]
     hdr: bool
+    beyond: BeyondMesh
 
 
 def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progress) -> PhotoSamples:
@@ -41,13 +62,26 @@ def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progres
     samples = trace_pixels(tracer, cameras, stride, progress)
     z = np.empty((len(samples.view), 3), np.float32)
     valid = np.empty(len(samples.view), bool)
+    missing: list[tuple[NDArray, ...]] = []
+    looked = 0
     for index, view in enumerate(capture.views):
         photo = load_photo(view)
         hdr = hdr or photo.hdr
         rows = slice(*np.searchsorted(samples.view, [index, index + 1]))
         z[rows] = photo.values.reshape(-1, 3)[samples.pixel[rows]]
         valid[rows] = photo.valid.ravel()[samples.pixel[rows]]
+        lattice = pixel_lattice(view.camera, stride, index)[::BEYOND_STEP]
+        missed = np.setdiff1d(lattice[photo.valid.ravel()[lattice]], samples.pixel[rows])
+        looked += len(lattice)
+        missing.append(
+            (
+                np.full(len(missed), index, np.int16),
+                view.camera.rays()[1][missed],
+                photo.values.reshape(-1, 3)[missed],
+            )
+        )
         progress.update((index + 1) / len(capture.views))
     if not valid.all():
         samples, z = samples.take(np.flatnonzero(valid)), z[valid]
-    return PhotoSamples(samples, z, hdr)
+    columns = [np.concatenate(column) for column in zip(*missing, strict=True)]
+    return PhotoSamples(samples, z, hdr, BeyondMesh(len(columns[0]) / looked, *columns))

@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from .calibration import Calibration, calibrate
 from .capture.types import Capture
 from .checkpoint import Checkpoints, fingerprint
 from .compute import choose_device, peak_memory_bytes
 from .config import Refinements, SolveConfig
+from .emission.backdrop import fit_backdrop
 from .emission.candidates import brightness
 from .emission.given import read_given_emitters
 from .emission.hidden import find_hidden, nothing_hidden
@@ -77,6 +79,7 @@ def solve(
     checkpoints = Checkpoints(out / "checkpoints", fingerprint(capture, config), resume)
     with progress.stage("photos"):
         tracer = Tracer(capture.mesh)
+        capture, calibration = calibrate(capture, tracer, progress)
         photos = sample_photos(capture, tracer, config.hdr is not None, progress)
     with progress.stage("surface"):
         adjacency = edge_adjacency(capture.mesh)
@@ -115,7 +118,7 @@ def solve(
     with progress.stage("textures"):
         result, rerenders = _textures(capture, config, problem, photos, photometry, lights, gloss, progress)
     result.report.update(
-        _report(config, capture, tracer, surface, transport, photometry, problem, lights, gloss, progress)
+        _report(config, capture, calibration, tracer, surface, transport, photometry, problem, lights, gloss, progress)
     )
     result.report["model"].update(joint)
     save_result(result, out)
@@ -242,7 +245,7 @@ def _textures(
         light.parts,
         textures,
         tuple(_emitters(light, lights)),
-        _outside(light, lights),
+        _outside(light, lights, fit_backdrop(photos.beyond, photometry)),
         photometry.response,
         exposures,
         report,
@@ -299,14 +302,17 @@ def _emitters(problem: LightProblem, lights: Lights) -> list[Emitter]:
     ]
 
 
-def _outside(problem: LightProblem, lights: Lights) -> OutsideLight | None:
+def _outside(problem: LightProblem, lights: Lights, backdrop: NDArray[np.float64] | None) -> OutsideLight | None:
     sh = problem.hidden.outside_sh(lights.hidden_radiance[len(problem.hidden.parts) :])
-    return None if sh is None else OutsideLight(sh)
+    if sh is None and backdrop is None:
+        return None
+    return OutsideLight(np.zeros((1, 3)) if sh is None else sh, backdrop)
 
 
 def _report(
     config: SolveConfig,
     capture: Capture,
+    calibration: Calibration,
     tracer: Tracer,
     surface: Surface,
     transport: Transport,
@@ -327,6 +333,7 @@ def _report(
         "n_patches": int(transport.n_patches),
         "n_views": len(capture.views),
         "model": {
+            "camera": calibration.report(),
             "response": photometry.report(),
             "lamps": len(lights.emitters),
             "hidden_parts": len(problem.light.hidden.parts),
@@ -336,5 +343,5 @@ def _report(
             "diffuse": {"lobe": problem.diffuse.lobe, "gain_of_burley": round(problem.diffuse.gain, 4)},
             "pixels_per_patch": round(surface.pixels_per_patch, 2),
         },
-        "warnings": [*capture.warnings, *photometry.warnings],
+        "warnings": [*capture.warnings, *calibration.warnings, *photometry.warnings],
     }

@@ -6,6 +6,7 @@ The shares are mixed by :mod:`iris_addon.result.light_shares`, or by artists in 
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -60,7 +61,7 @@ def group_lights(scene: bpy.types.Scene, things: Sequence[bpy.types.Object]) -> 
     layer = scene.view_layers[0]
     names = []
     for thing in filter(_emits, things):
-        name = thing.name.removesuffix(" Mesh")
+        name = _group_name(thing)
         if name not in names:
             layer.lightgroups.add(name=name)
             names.append(name)
@@ -70,6 +71,15 @@ def group_lights(scene: bpy.types.Scene, things: Sequence[bpy.types.Object]) -> 
         scene.world.lightgroup = OUTSIDE
         names.append(OUTSIDE)
     return names
+
+
+def _group_name(thing: bpy.types.Object) -> str:
+    """The object's name, without the number that Blender appends to ours when another scene has the like.
+
+    Image files cannot have a dot in the name of a pass.
+    """
+    name = thing.name.removesuffix(" Mesh")
+    return re.sub(r"\.\d{3,}$", "", name) if name.startswith("IRIS ") else name.replace(".", "_")
 
 
 # ---- in the compositor ---------------------------------------------------------------------------------------------

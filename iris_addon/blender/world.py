@@ -42,7 +42,9 @@ def make_world(
     tree = node_tree(world)
     output = tree.nodes.new("ShaderNodeOutputWorld")
     output.location = (250, 0)
-    shader = _outside_background(tree, outside, scale, to_blender)
+    shader = _sky(tree, None if outside is None else outside.sh, scale, to_blender)
+    if outside is not None and outside.backdrop is not None:
+        shader = _behind_holes(tree, shader, _sky(tree, outside.backdrop, scale, to_blender))
     for panorama in panoramas:
         added = tree.nodes.new("ShaderNodeAddShader")
         tree.links.new(shader.outputs[0], added.inputs[0])
@@ -52,18 +54,29 @@ def make_world(
     return world
 
 
-def _outside_background(
-    tree: bpy.types.NodeTree, outside: OutsideLight | None, scale: float, to_blender: NDArray[np.floating]
+def _behind_holes(tree: bpy.types.NodeTree, light: bpy.types.Node, backdrop: bpy.types.Node) -> bpy.types.Node:
+    """Cameras see ``backdrop``, everything else is lit by ``light``."""
+    path, mix = tree.nodes.new("ShaderNodeLightPath"), tree.nodes.new("ShaderNodeMixShader")
+    path.location, mix.location = (-100, 300), (120, 100)
+    tree.links.new(path.outputs["Is Camera Ray"], mix.inputs["Fac"])
+    tree.links.new(light.outputs[0], mix.inputs[1])
+    tree.links.new(backdrop.outputs[0], mix.inputs[2])
+    return mix
+
+
+def _sky(
+    tree: bpy.types.NodeTree, sh: NDArray[np.floating] | None, scale: float, to_blender: NDArray[np.floating]
 ) -> bpy.types.Node:
+    """A background with the radiance of the harmonics ``sh`` (n, 3) in the capture's axes."""
     background = tree.nodes.new("ShaderNodeBackground")
     background.inputs["Strength"].default_value = scale
-    if outside is None:
+    if sh is None:
         background.inputs["Color"].default_value = (0.0, 0.0, 0.0, 1.0)
-    elif len(outside.sh) == 1:
-        radiance = sh_radiance(outside.sh, np.array([0.0, 0.0, 1.0]))
+    elif len(sh) == 1:
+        radiance = sh_radiance(sh, np.array([0.0, 0.0, 1.0]))
         background.inputs["Color"].default_value = (*radiance, 1.0)
     else:
-        panorama = sh_radiance(outside.sh, equirect_directions(WIDTH, HEIGHT) @ to_blender)
+        panorama = sh_radiance(sh, equirect_directions(WIDTH, HEIGHT) @ to_blender)
         texture = tree.nodes.new("ShaderNodeTexEnvironment")
         texture.location = (-300, 0)
         texture.image = image_from_array(OUTSIDE, panorama, colorspace=LINEAR, float_buffer=True)

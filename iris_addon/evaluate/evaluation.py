@@ -100,7 +100,7 @@ def _camera_scores(result: Result, truth: GroundTruth) -> dict[str, float]:
 def _held_out(
     result: Result, root: Path, render: RenderViews | None, samples: int, seed: int, progress: Progress
 ) -> dict[str, dict[str, float]]:
-    views = [view for view in read_capture(root).val_views if view.photo is not None]
+    views = result.as_taken(view for view in read_capture(root).val_views if view.photo is not None)
     if not views:
         raise BadInput("has neither ground truth nor held-out photos", 'give some photos the split "val"', root)
     if render is None:

@@ -149,7 +149,7 @@ def _emitters_json(result: Result) -> dict[str, Any]:
             }
             for emitter in result.emitters
         ],
-        "outside": None if result.outside is None else {"sh": result.outside.sh},
+        "outside": None if result.outside is None else _outside_content(result.outside),
     }
 
 
@@ -181,7 +181,12 @@ def load_result(folder: Path, read_image: ReadImage | None = None) -> Result:
     response, exposures = _read_response(folder / "response.json")
     emitters, outside = _read_emitters(folder / "emitters.json", mesh)
     textures = _read_textures(folder / "materials", read_image or _read_image)
-    return Result(mesh, parts, textures, emitters, outside, response, exposures, report, up)
+    result = Result(mesh, parts, textures, emitters, outside, response, exposures, report, up)
+    try:
+        result.camera_correction  # noqa: B018 - read once, so that a damaged report is told here
+    except (KeyError, TypeError, ValueError) as error:
+        raise BadInput("'model.camera.correction' is no camera correction", MEND, folder / "report.json") from error
+    return result
 
 
 def _read_response(path: Path) -> tuple[Response, dict[str, NDArray[np.float64]]]:
@@ -223,10 +228,22 @@ def _read_emitters(path: Path, mesh: Mesh) -> tuple[tuple[Emitter, ...], Outside
     outside = content.get("outside")
     if outside is None:
         return tuple(emitters), None
-    sh = numbers(json_object(outside, "outside", path).get("sh"), (None, 3), "outside.sh", path)
-    if len(sh) not in (1, 4, 9):
-        raise BadInput(f"'outside.sh' has {len(sh)} coefficients, not 1, 4 or 9", MEND, path)
-    return tuple(emitters), OutsideLight(sh)
+    outside = json_object(outside, "outside", path)
+    expansions = {name: outside.get(name) for name in ("sh", "backdrop")}
+    read = {
+        name: numbers(value, (None, 3), f"outside.{name}", path)
+        for name, value in expansions.items()
+        if name == "sh" or value is not None
+    }
+    for name, sh in read.items():
+        if len(sh) not in (1, 4, 9):
+            raise BadInput(f"'outside.{name}' has {len(sh)} coefficients, not 1, 4 or 9", MEND, path)
+    return tuple(emitters), OutsideLight(read["sh"], read.get("backdrop"))
+
+
+def _outside_content(outside: OutsideLight) -> dict[str, NDArray[np.float64]]:
+    content = {"sh": outside.sh}
+    return content if outside.backdrop is None else {**content, "backdrop": outside.backdrop}
 
 
 def _read_textures(folder: Path, read_image: ReadImage) -> Textures:

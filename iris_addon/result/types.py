@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..capture.types import Mesh
+from ..capture.correction import CameraCorrection
+from ..capture.types import Mesh, View
 from ..response.curve import Response
 from ..transport.diffuse import DiffuseLobe
 
@@ -38,9 +40,11 @@ class OutsideLight:
     Attributes:
         sh: (n, 3) float64 coefficients, n in {1, 4, 9}, basis order (l, m) = (0,0), (1,-1), (1,0), (1,1), (2,-2) ...
             in the capture's world axes; evaluated radiance is clamped at zero.
+        backdrop: (n, 3) likewise, what cameras see there instead; None where they see the light.
     """
 
     sh: NDArray[np.float64]
+    backdrop: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)
@@ -88,6 +92,19 @@ class Result:
         model = self.report.get("model")
         chosen = model.get("diffuse") if isinstance(model, dict) else None
         return "burley" if isinstance(chosen, dict) and chosen.get("lobe") == "burley" else "lambert"
+
+    @property
+    def camera_correction(self) -> CameraCorrection | None:
+        """What the solve found wrong with all cameras of the capture, as report.json has it; None if nothing."""
+        model = self.report.get("model")
+        camera = model.get("camera") if isinstance(model, dict) else None
+        correction = camera.get("correction") if isinstance(camera, dict) else None
+        return CameraCorrection.from_content(correction) if isinstance(correction, dict) else None
+
+    def as_taken(self, views: Iterable[View]) -> list[View]:
+        """Views of the capture, which it gives by the same cameras as its photos, as these cameras were found to be."""
+        correction = self.camera_correction
+        return [view if correction is None else correction.view(view) for view in views]
 
     def face_emission(self) -> NDArray[np.float64]:
         """(F, 3) radiance each face emits."""

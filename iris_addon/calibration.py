@@ -1,0 +1,178 @@
+"""Cameras meet mesh: whether one correction of all cameras makes the photos agree better on the surface.
+
+Each photo is painted onto the mesh; where cameras are wrong, photos of the same place disagree. The disagreement is
+measured on small cells of the surface, after a gain per photo, and lowered over five numbers that all photos share. On
+sound cameras the minimum lies at no correction, which the gain needed makes sure is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+from scipy.optimize import minimize
+
+from .capture import load_photo
+from .capture.correction import CameraCorrection
+from .capture.types import Capture, View
+from .progress import Progress
+from .transport.tracer import Tracer
+
+RAYS = 120_000
+"""Pixels over all photos that one trial traces."""
+FOCAL_TRIALS = (0.8, 0.87, 0.94, 0.97, 1.0, 1.03, 1.06, 1.15, 1.25)
+PROMISING = 0.97
+"""Disagreement, relative to the given cameras', below which a focal length is worth a closer look."""
+GAIN_NEEDED = 0.05
+"""Relative fall of the disagreement on pixels that were not fitted."""
+CELL = 0.04
+"""Metres; about the footprint of the filtered pixels."""
+ROBUST_LOG = 0.2
+FLOOR = 0.05
+"""Display value added before the logarithm: shadows are noise."""
+STEP = np.array([0.03, 0.01, 0.01, 0.02, 0.02])
+EVALUATIONS = 120
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The correction that was found, None where the given cameras stay, and what it gained on held-out pixels."""
+
+    correction: CameraCorrection | None
+    gain: float
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should know."""
+        c = self.correction
+        if c is None:
+            return ()
+        return (
+            f"the photos fit the mesh only with a focal length of {c.focal:.3f} of the given one and the camera "
+            f"{1000 * float(np.hypot(*c.offset)):.0f} mm beside its poses; both were corrected",
+        )
+
+    def report(self) -> dict[str, Any]:
+        """For report.json."""
+        correction = None if self.correction is None else self.correction.content()
+        return {"correction": correction, "gain": round(self.gain, 4)}
+
+
+def calibrate(capture: Capture, tracer: Tracer, progress: Progress) -> tuple[Capture, Calibration]:
+    """The capture with its training cameras corrected if that earns its place.
+
+    Only captures of one camera are looked at: photos of several lenses were calibrated by whoever posed them.
+
+    Raises:
+        BadInput: a photo cannot be read.
+    """
+    field = np.array([view.camera.fx / view.camera.width for view in capture.views])
+    if len(field) < 4 or np.ptp(field) > 1e-3 * field[0] or any(view.distortion for view in capture.views):
+        return capture, Calibration(None, 0.0)
+    fitted, tested = (_Lattice.of(capture.views, offset, progress) for offset in (0.25, 0.75))
+
+    def correction(x: NDArray[np.floating]) -> CameraCorrection:
+        return CameraCorrection(
+            float(field[0]), float(np.exp(x[0])), (float(x[1]), float(x[2])), (float(x[3]), float(x[4]))
+        )
+
+    def disagreement(x: NDArray[np.floating]) -> float:
+        progress.update(0.5)
+        return fitted.disagreement(capture.views, correction(x), tracer)
+
+    start = np.zeros(5)
+    given = disagreement(start)
+    trials = {focal: disagreement(np.array([np.log(focal), 0, 0, 0, 0])) for focal in FOCAL_TRIALS if focal != 1}
+    best = min(trials, key=lambda focal: trials[focal])
+    if trials[best] > PROMISING * given:
+        return capture, Calibration(None, 0.0)
+    start[0] = np.log(best)
+    simplex = start + np.concatenate([np.zeros((1, 5)), np.diag(STEP)])
+    options = {"initial_simplex": simplex, "maxfev": EVALUATIONS, "xatol": 1e-3, "fatol": 1e-5}
+    found = correction(minimize(disagreement, start, method="Nelder-Mead", options=options).x)
+    before, after = (tested.disagreement(capture.views, c, tracer) for c in (CameraCorrection(float(field[0])), found))
+    gain = 1 - after / max(before, 1e-9)
+    if gain < GAIN_NEEDED:
+        return capture, Calibration(None, gain)
+    return replace(capture, views=tuple(found.view(view) for view in capture.views)), Calibration(found, gain)
+
+
+@dataclass(frozen=True)
+class _Lattice:
+    """Filtered pixels of every photo on a sparse lattice.
+
+    Attributes:
+        i, j: (n,) pixel coordinates, the same in every photo, fractions of the width and of the height.
+        brightness: (V, n) log of the mean display value over the lattice's step.
+    """
+
+    i: NDArray[np.float64]
+    j: NDArray[np.float64]
+    brightness: NDArray[np.float64]
+
+    @staticmethod
+    def of(views: Sequence[View], offset: float, progress: Progress) -> _Lattice:
+        side = max(4, int(np.sqrt(RAYS / len(views))))
+        j, i = ((axis.ravel() + offset) / side for axis in np.meshgrid(np.arange(side), np.arange(side), indexing="ij"))
+        brightness = np.empty((len(views), len(i)))
+        for index, view in enumerate(views):
+            values = load_photo(view).values.mean(-1)
+            height, width = values.shape
+            step = max(1, height // side)
+            smooth = uniform_filter(values, step)
+            brightness[index] = np.log(smooth[(j * height).astype(int), (i * width).astype(int)] + FLOOR)
+            progress.update(0.5 * index / len(views))
+        return _Lattice(i, j, brightness)
+
+    def disagreement(self, views: Sequence[View], correction: CameraCorrection, tracer: Tracer) -> float:
+        """Robust mean difference between photos of the same cell of the surface."""
+        cells, photo, value = [], [], []
+        for index, view in enumerate(views):
+            camera = correction.camera(view.camera)
+            x = ((self.i * camera.width).astype(int) + 0.5 - camera.cx) / camera.fx
+            y = ((self.j * camera.height).astype(int) + 0.5 - camera.cy) / camera.fy
+            direction = np.stack([x, -y, -np.ones_like(x)], -1) @ camera.c2w[:3, :3].T
+            direction = (direction / np.linalg.norm(direction, axis=1, keepdims=True)).astype(np.float32)
+            origin = np.broadcast_to(camera.position, direction.shape).astype(np.float32)
+            hits = tracer.closest(origin, direction)
+            on = hits.face >= 0
+            cells.append(
+                _cells(
+                    origin[on] + direction[on] * hits.distance[on, None], tracer.normals[hits.face[on]], direction[on]
+                )
+            )
+            photo.append(np.full(int(on.sum()), index))
+            value.append(self.brightness[index][on])
+        return _spread(np.concatenate(cells), np.concatenate(photo), np.concatenate(value), len(views))
+
+
+def _cells(
+    point: NDArray[np.floating], normal: NDArray[np.floating], direction: NDArray[np.floating]
+) -> NDArray[np.int64]:
+    """(n,) cell of the surface of each hit: a cube and the axis that its normal is nearest to."""
+    facing = np.where((normal * direction).sum(1, keepdims=True) > 0, -normal, normal)
+    axis = np.abs(facing).argmax(1)
+    side = 2 * axis + (np.take_along_axis(facing, axis[:, None], 1)[:, 0] > 0)
+    cube = np.floor(point / CELL).astype(np.int64) % (1 << 19)
+    return ((cube[:, 0] << 41) ^ (cube[:, 1] << 22) ^ (cube[:, 2] << 3)) + side
+
+
+def _spread(cell: NDArray[np.int64], photo: NDArray[np.int64], value: NDArray[np.floating], n_photos: int) -> float:
+    """Cauchy loss of the values around one mean per cell, with one gain per photo; cells of three pixels or more."""
+    _, cell, count = np.unique(cell, return_inverse=True, return_counts=True)
+    if len(cell) == 0:
+        return np.inf
+    gain, say, off = np.zeros(n_photos), np.ones(len(value)), np.zeros(len(value))
+    for _ in range(6):
+        level = value - gain[photo]
+        mean = np.bincount(cell, say * level) / np.bincount(cell, say)
+        off = (level - mean[cell]) / ROBUST_LOG
+        say = 1 / (1 + off**2)
+        shift = np.bincount(photo, say * off, n_photos) / np.maximum(np.bincount(photo, say, n_photos), 1e-9)
+        gain += ROBUST_LOG * shift
+    shared = count[cell] >= 3
+    return float(np.log1p(off[shared] ** 2).mean()) if shared.any() else np.inf

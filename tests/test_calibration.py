@@ -1,0 +1,121 @@
+"""One correction of all cameras: found where photos and mesh disagree, refused where they do not; files; background."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from iris_addon.calibration import calibrate
+from iris_addon.capture.correction import CameraCorrection
+from iris_addon.capture.types import Capture, Mesh, View
+from iris_addon.emission.backdrop import MIN_SHARE, fit_backdrop
+from iris_addon.imaging import write_png
+from iris_addon.photo_samples import BeyondMesh
+from iris_addon.photometry import Photometry
+from iris_addon.progress import Cancelled, Progress
+from iris_addon.response.curve import gamma
+from iris_addon.result.sh import sh_radiance
+from iris_addon.transport.tracer import Tracer
+from tests.engine_room import cameras, furnished_room
+
+
+def checkered(point: np.ndarray) -> np.ndarray:
+    """(n,) display value of a pattern of 35 cm that is painted on everything."""
+    cell = np.floor(point / 0.35).astype(int)
+    shade = np.random.default_rng(3).uniform(0.1, 0.9, 4096)
+    return shade[(cell[:, 0] * 73 + cell[:, 1] * 179 + cell[:, 2] * 283) % 4096]
+
+
+@pytest.fixture(scope="module")
+def painted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Capture, Tracer]:
+    """Photos of a painted room by sound cameras, with exposures that differ by up to a factor of two."""
+    folder = tmp_path_factory.mktemp("painted")
+    room = furnished_room()
+    tracer, views = Tracer(room.mesh), []
+    for k, camera in enumerate(cameras(16, 96, 72)):
+        origin, direction = camera.rays()
+        hits = tracer.closest(origin.astype(np.float32), direction.astype(np.float32))
+        value = checkered(origin + direction * hits.distance[:, None]) * (0.6 + 0.4 * (k % 3) / 2)
+        path = folder / f"{k:02d}.png"
+        write_png(path, (255 * np.repeat(value.reshape(72, 96, 1), 3, -1)).astype(np.uint8))
+        views.append(View(f"{k:02d}", camera, path))
+    return Capture("painted", folder, tuple(views), (), room.mesh), tracer
+
+
+def test_sound_cameras_stay_as_they_are(painted: tuple[Capture, Tracer]) -> None:
+    capture, calibration = calibrate(*painted, Progress())
+    assert calibration.correction is None and capture is painted[0]
+    assert calibration.warnings == () and calibration.report()["correction"] is None
+
+
+def test_a_wrong_focal_length_and_offset_are_found(painted: tuple[Capture, Tracer]) -> None:
+    """Cameras given 12 % too long and 4 cm to the left of the true ones come back to within 1.5 % and 3 cm.
+
+    A pixel spans 4 cm at 2 m, and a principal point off by one looks almost like such an offset.
+    """
+    capture, tracer = painted
+    true = capture.views[0].camera
+    damage = CameraCorrection(true.fx / true.width, 1.12, (0.0, 0.0), (-0.04, 0.0))
+    wrong = replace(capture, views=tuple(damage.view(view) for view in capture.views))
+    mended, calibration = calibrate(wrong, tracer, Progress())
+    assert calibration.gain > 0.2
+    for got, want in zip(mended.views, capture.views, strict=True):
+        assert got.camera.fx == pytest.approx(want.camera.fx, rel=0.015)
+        assert np.linalg.norm(got.camera.position - want.camera.position) < 0.03
+    assert "focal length" in calibration.warnings[0]
+
+
+def test_calibration_can_be_cancelled(painted: tuple[Capture, Tracer]) -> None:
+    progress = Progress()
+    progress.cancel()
+    with pytest.raises(Cancelled):
+        calibrate(*painted, progress)
+
+
+def test_a_correction_is_for_the_cameras_it_was_found_for() -> None:
+    camera = cameras(1, 96, 72)[0]
+    correction = CameraCorrection(camera.fx / camera.width, 0.9, (0.01, -0.02), (0.03, 0.05))
+    moved = correction.camera(camera)
+    assert (moved.fx, moved.fy) == pytest.approx((0.9 * camera.fx, 0.9 * camera.fy))
+    assert (moved.cx, moved.cy) == pytest.approx((camera.cx + 0.96, camera.cy - 1.92))
+    assert camera.c2w[:3, :3].T @ (moved.position - camera.position) == pytest.approx([0.03, 0.05, 0.0])
+    other = replace(camera, fx=2 * camera.fx)
+    assert correction.camera(other) is other
+    assert CameraCorrection.from_content(correction.content()) == correction
+
+
+@pytest.mark.parametrize("damage", [{"focal": float("nan")}, {"focal": -1.0}, {"offset": [0.0]}, {"principal": "far"}])
+def test_a_damaged_correction_is_refused(damage: dict) -> None:
+    content = CameraCorrection(0.9).content() | damage
+    with pytest.raises((TypeError, ValueError)):
+        CameraCorrection.from_content(content)
+
+
+def beyond(radiance: np.ndarray, direction: np.ndarray, share: float) -> BeyondMesh:
+    z = gamma().apply(radiance).astype(np.float32)
+    return BeyondMesh(share, np.zeros(len(z), np.int16), direction, z)
+
+
+def test_the_backdrop_is_the_radiance_that_photos_show_beyond_the_mesh() -> None:
+    rng = np.random.default_rng(0)
+    direction = rng.normal(size=(4000, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    sh = np.zeros((9, 3))
+    sh[0], sh[2] = [1.0, 0.8, 0.6], [0.2, 0.1, 0.1]
+    radiance = sh_radiance(sh, direction)
+    radiance[:200] = 0.01  # a dark chair in front of it
+    photometry = Photometry(gamma(), np.ones((1, 3)), 0.0, False, True)
+    assert fit_backdrop(beyond(radiance, direction, MIN_SHARE / 2), photometry) is None
+    found = fit_backdrop(beyond(radiance, direction, 0.1), photometry)
+    assert found is not None
+    error = sh_radiance(found, direction[200:]) / radiance[200:] - 1
+    assert np.abs(error).mean() < 0.05
+
+
+def test_the_mesh_is_not_touched(painted: tuple[Capture, Tracer], tmp_path: Path) -> None:
+    mesh: Mesh = painted[0].mesh
+    calibrated, _ = calibrate(*painted, Progress())
+    assert calibrated.mesh is mesh and calibrated.val_views == ()
