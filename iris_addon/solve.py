@@ -238,6 +238,8 @@ def _textures(
     z = photometry.develop(predicted, samples.view)
     error = (z - np.clip(photos.z + 0.5 / 255, 0, 1))[held_out] if not photos.hdr else (z - photos.z)[held_out]
     report = {"holdout_psnr": float(-10 * np.log10(np.mean(error**2)))}
+    closed = config.refinements.hidden_light is False
+    backdrop = None if closed else fit_backdrop(photos.beyond, photometry)
     mesh = capture.mesh.with_uv(uv)
     exposures = {view.name: photometry.exposures[k] for k, view in enumerate(capture.views)}
     result = Result(
@@ -245,7 +247,7 @@ def _textures(
         light.parts,
         textures,
         tuple(_emitters(light, lights)),
-        _outside(light, lights, fit_backdrop(photos.beyond, photometry)),
+        _outside(light, lights, backdrop),
         photometry.response,
         exposures,
         report,

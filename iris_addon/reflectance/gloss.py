@@ -107,7 +107,7 @@ class _Costs:
         log_albedo: (k, 3).
     """
 
-    ids: NDArray[np.int64]
+    ids: NDArray[np.integer]
     plastic: NDArray[np.float64]
     metal: NDArray[np.float64]
     count: NDArray[np.float64]

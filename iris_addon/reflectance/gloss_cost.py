@@ -24,7 +24,7 @@ LobeHalves = Sequence[tuple[NDArray[np.floating], NDArray[np.floating]]]
 class PartFit:
     """Observations of one part; ``patch`` counts from 0."""
 
-    patch: NDArray[np.int64]
+    patch: NDArray[np.integer]
     weight: NDArray[np.floating]
     radiance: NDArray[np.floating]
     irradiance: NDArray[np.floating]
@@ -74,4 +74,4 @@ class PartFit:
 
 def _robust(square: NDArray[np.floating]) -> NDArray[np.floating]:
     """Cauchy's loss of squared residuals that noise may have made negative."""
-    return np.sign(square) * np.log1p(np.abs(square) / ROBUST**2)
+    return np.copysign(np.log1p(np.abs(square) / ROBUST**2), square)
