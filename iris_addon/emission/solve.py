@@ -14,6 +14,10 @@ from .candidates import tie_fixtures
 from .types import LightProblem, Lights
 
 
+WHOLLY_ON = 0.8
+"""Quantile of a lamp's patches at which its radiance is read: where its edge or a blind shows too, they are darker."""
+
+
 def solve_lights(
     problem: LightProblem,
     observed: GroupRadiance,
@@ -132,7 +136,7 @@ def form_factors_of(
 
 
 def _lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> Evidence:
-    """Bounds and measurements per lamp, medians over the pixels on it."""
+    """Bounds and measurements per lamp from the pixels on it."""
     seen, face, patch = problem.brightness, problem.samples.face, problem.surface.sample_patch
     label = np.full(len(problem.parts), -1)
     for index, faces in enumerate(emitters):
@@ -149,7 +153,7 @@ def _lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> 
             values = seen.measured[piece, channel]
             open_ = values >= 0.98 * bound[index, channel]
             if open_.mean() > 0.3:
-                measured[index, channel] = np.median(values[open_])
+                measured[index, channel] = np.quantile(values[open_], WHOLLY_ON)
     return Evidence(bound, measured, tie_fixtures(emitters, problem.tracer.areas), np.full_like(bound, np.nan))
 
 
