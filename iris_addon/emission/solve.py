@@ -13,7 +13,6 @@ from .balance import Evidence, solve_balance
 from .candidates import tie_fixtures
 from .types import LightProblem, Lights
 
-
 WHOLLY_ON = 0.8
 """Quantile of a lamp's patches at which its radiance is read: where its edge or a blind shows too, they are darker."""
 
