@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from ..photo_samples import BeyondMesh
 from ..photometry import Photometry
-from ..result.sh import sh_basis
+from ..result.sh import fit_sh, sh_basis
 
 MIN_SHARE = 2e-3
 """Share of all pixels from which what lies beyond the mesh is worth a background."""
 RIDGE = 0.02
 """Relative; directions that no photo shows stay near the mean."""
 OUTLIER = 0.5
+ROUNDS = 4
 
 
 def fit_backdrop(beyond: BeyondMesh, photometry: Photometry) -> NDArray[np.float64] | None:
@@ -27,14 +28,10 @@ def fit_backdrop(beyond: BeyondMesh, photometry: Photometry) -> NDArray[np.float
         return None
     linear = photometry.linearise_pixels(beyond.z, beyond.view)
     radiance = np.where(linear.open, linear.radiance, linear.bound).astype(np.float64)
-    basis = sh_basis(beyond.direction, 9)
-    typical = np.median(radiance.mean(1))
-    weight = 1 / (radiance.mean(1) + typical) ** 2
-    ridge = RIDGE * np.diag([0.0] + [1.0] * 8)
-    sh = np.zeros((9, 3))
-    for _ in range(4):
-        w = (weight / weight.sum())[:, None]
-        sh = np.linalg.solve(basis.T @ (w * basis) + ridge, basis.T @ (w * radiance))
-        off = (np.abs(basis @ sh - radiance).mean(1) / (radiance.mean(1) + typical)) / OUTLIER
-        weight = 1 / (radiance.mean(1) + typical) ** 2 / (1 + off**2)
-    return sh
+    scale = radiance.mean(1) + np.median(radiance.mean(1))
+    weight = 1 / scale**2
+    for _ in range(ROUNDS - 1):
+        sh = fit_sh(beyond.direction, radiance, weight / weight.sum(), RIDGE)
+        off = np.abs(sh_basis(beyond.direction, 9) @ sh - radiance).mean(1) / scale / OUTLIER
+        weight = 1 / scale**2 / (1 + off**2)
+    return fit_sh(beyond.direction, radiance, weight / weight.sum(), RIDGE)

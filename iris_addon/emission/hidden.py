@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..result.sh import sh_basis
+from ..result.sh import fit_sh, sh_basis
 from ..transport.gather import GatherRays, Origins, with_schlick
 from ..transport.transport import ESCAPED, Transport
 
@@ -53,11 +53,8 @@ class HiddenSources:
             return None
         if len(self.directions) == 1:
             return radiance / sh_basis(np.array([[0.0, 0.0, 1.0]]), 1)
-        basis = sh_basis(self.directions, 9)
-        # Twelve bins and nine functions: a little ridge keeps bins that few rays escape through from ringing. It spares
-        # the constant, whose size is the light's power.
-        ridge = 0.05 * np.diag([0.0] + [1.0] * 8)
-        return np.linalg.solve(basis.T @ basis + ridge, basis.T @ radiance)
+        # Twelve bins and nine functions: few rays escape through some of them.
+        return fit_sh(self.directions, radiance, np.ones(len(radiance)), ridge=0.05)
 
 
 def dodecahedron() -> NDArray[np.float64]:
