@@ -53,7 +53,7 @@ class Scene:
     def lobes(self, rows: np.ndarray, roughness: float, n_rays: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
         s, rng = self.samples, np.random.default_rng(seed)
         rays = trace_lobes(
-            self.tracer, self.transport, self.room.parts, s.position[rows], s.normal[rows], s.direction[rows],
+            self.tracer, self.transport, self.room.parts, s, rows,
             np.full(len(rows), roughness), n_rays, rng,
         )  # fmt: skip
         return rays.radiance(
@@ -147,7 +147,7 @@ def test_lobes_of_uniform_light_are_the_integrals_of_the_model(scene: Scene) -> 
     for roughness in (0.15, 0.5, 1.0):
         s = scene.samples
         rays: LobeRays = trace_lobes(
-            scene.tracer, scene.transport, scene.room.parts, s.position[rows], s.normal[rows], s.direction[rows],
+            scene.tracer, scene.transport, scene.room.parts, s, rows,
             np.full(len(rows), roughness), 128, np.random.default_rng(1),
         )  # fmt: skip
         s0, s1 = rays.radiance(ones, np.zeros(len(ones)), faces, np.ones(3))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..progress import Progress
 from ..response.radiance import GroupRadiance
 from ..transport.diffuse import under_lobe
-from ..transport.gather import emitter_form_factors
+from ..transport.gather import emitter_form_factors, emitter_of_face
 from .balance import Evidence, solve_balance
 from .candidates import tie_fixtures
 from .types import LightProblem, Lights
@@ -137,9 +137,7 @@ def form_factors_of(
 def _lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> Evidence:
     """Bounds and measurements per lamp from the pixels on it."""
     seen, face, patch = problem.brightness, problem.samples.face, problem.surface.sample_patch
-    label = np.full(len(problem.parts), -1)
-    for index, faces in enumerate(emitters):
-        label[faces] = index
+    label = emitter_of_face(emitters, len(problem.parts))
     on_lamp = np.flatnonzero(label[face] >= 0)
     order = on_lamp[np.argsort(label[face[on_lamp]], kind="stable")]
     pieces = np.split(patch[order], np.cumsum(np.bincount(label[face[order]], minlength=len(emitters)))[:-1])

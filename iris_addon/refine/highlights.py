@@ -19,6 +19,7 @@ from ..reflectance.lobes import LobeRays, trace_lobes
 from ..reflectance.materials import MaterialProblem, scene_of
 from ..reflectance.specular import ROUGH
 from ..response.radiance import CLIPPED_SHARE
+from ..transport.gather import emitter_of_face
 
 MAX_PATCHES = 2500
 MIN_VIEWS = 4
@@ -58,16 +59,14 @@ class Highlights:
 
 def trace_highlights(problem: MaterialProblem, lights: Lights, gloss: Gloss, rng: np.random.Generator) -> Highlights:
     """Observations of a sample of glossy dielectric patches, their reflected rays traced, and of the lamps."""
-    o, samples = problem.observations, problem.light.samples
+    o = problem.observations
     glossy = _glossy_observations(problem, lights, gloss, rng)
-    at = o.sample[glossy]
     rays = trace_lobes(
         problem.light.tracer,
         problem.light.transport,
         problem.light.parts,
-        samples.position[at],
-        samples.normal[at],
-        samples.direction[at],
+        problem.light.samples,
+        o.sample[glossy],
         gloss.roughness[problem.part[glossy]],
         RAYS,
         rng,
@@ -110,10 +109,7 @@ def _glossy_observations(
 
 def _lamp_shares(rays: LobeRays, lights: Lights) -> NDArray[np.float64]:
     """(m, E) specular share of each lamp: its part of the lobe, weighted as eq. (2) weights it."""
-    label = np.full(len(lights.mask) + 1, -1)
-    for index, faces in enumerate(lights.emitters):
-        label[faces] = index
-    hit = label[rays.face]  # face -1 is the last entry: no lamp
+    hit = emitter_of_face(lights.emitters, len(lights.mask))[rays.face]
     (m, n_rays), n_lamps = hit.shape, len(lights.emitters)
     row, column = np.nonzero(hit >= 0)
     weight = DIELECTRIC_F0 * rays.weight0[row, column].astype(np.float64) + rays.weight1[row, column]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..response.observations import group_sums
-from ..transport.gather import GatherRays, Origins
+from ..transport.gather import GatherRays, Origins, emitter_of_face
 from ..transport.sampling import ggx_directions
 from ..transport.tracer import Tracer
 from ..transport.transport import ESCAPED, Transport, facing_normals, find_patches, lobe_at, radiance_table, table_rows
@@ -50,10 +50,7 @@ class GlossyBounce:
 
     def form_factors(self, emitters: Sequence[NDArray[np.integer]], n_faces: int) -> NDArray[np.float32]:
         """(N, E) share of each emitter's radiance that the bounces carry, mean over channels."""
-        label = np.full(n_faces + 1, -1, np.int64)
-        for index, faces in enumerate(emitters):
-            label[faces] = index
-        hit = label[np.where(self.face >= 0, self.face, n_faces)]
+        hit = emitter_of_face(emitters, n_faces)[self.face]
         on = hit >= 0
         flat = self.row[on].astype(np.int64) * len(emitters) + hit[on]
         total = np.bincount(flat, self.weight[on].mean(1), self.n_rows * len(emitters))

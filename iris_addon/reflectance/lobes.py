@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..surface.samples import PixelSamples
 from ..transport.diffuse import schlick
 from ..transport.sampling import ggx_directions, r2_sequence
 from ..transport.tracer import Tracer
@@ -68,41 +69,41 @@ def trace_lobes(
     tracer: Tracer,
     transport: Transport,
     parts: NDArray[np.int32],
-    position: NDArray[np.floating],
-    normal: NDArray[np.floating],
-    outgoing: NDArray[np.floating],
+    samples: PixelSamples,
+    rows: NDArray[np.integer],
     roughness: NDArray[np.floating],
     n_rays: int,
     rng: np.random.Generator,
 ) -> LobeRays:
-    """Reflected rays of surface points.
+    """Reflected rays of some pixels.
 
     Args:
-        position, normal, outgoing: (n, 3) metres; unit; unit toward the camera.
+        rows: (n,) the pixels among ``samples``.
         roughness: (n,) Principled roughness.
     """
-    n = len(position)
+    n = len(rows)
     target = np.empty((n, n_rays), np.int32)
     face = np.empty((n, n_rays), np.int32)
     weight0 = np.empty((n, n_rays), np.float16)
     weight1 = np.empty((n, n_rays), np.float16)
     arrival = np.empty((n, n_rays), np.float16)
     for start in range(0, n, POINTS_AT_ONCE):
-        rows = slice(start, min(start + POINTS_AT_ONCE, n))
-        u = r2_sequence(rows.stop - rows.start, n_rays, rng).reshape(-1, 2)
-        normals = np.repeat(normal[rows], n_rays, 0)
-        alpha = np.repeat(np.maximum(roughness[rows], 0.05) ** 2, n_rays).astype(np.float32)
-        direction, half_cosine = ggx_directions(normals, np.repeat(outgoing[rows], n_rays, 0), alpha, u)
+        block = slice(start, min(start + POINTS_AT_ONCE, n))
+        at = rows[block]
+        u = r2_sequence(len(at), n_rays, rng).reshape(-1, 2)
+        normals = np.repeat(samples.normal[at], n_rays, 0)
+        alpha = np.repeat(np.maximum(roughness[block], 0.05) ** 2, n_rays).astype(np.float32)
+        direction, half_cosine = ggx_directions(normals, np.repeat(samples.direction[at], n_rays, 0), alpha, u)
         w0, w1, above = visible_normal_weights(normals, direction, half_cosine, alpha)
-        origin = np.repeat(position[rows], n_rays, 0) + tracer.epsilon * normals
+        origin = np.repeat(samples.position[at], n_rays, 0) + tracer.epsilon * normals
         hits = tracer.closest(origin, np.where(above[:, None], direction, normals))
         point = origin + direction * np.where(hits.face >= 0, hits.distance, 0)[:, None]
         patch = find_patches(tracer, transport.grids, parts, hits.face, point, direction)
-        shape = (rows.stop - rows.start, n_rays)
-        target[rows] = patch.reshape(shape)
-        face[rows] = hits.face.reshape(shape)
-        weight0[rows] = w0.reshape(shape)
-        weight1[rows] = w1.reshape(shape)
+        shape = (len(at), n_rays)
+        target[block] = patch.reshape(shape)
+        face[block] = hits.face.reshape(shape)
+        weight0[block] = w0.reshape(shape)
+        weight1[block] = w1.reshape(shape)
         cosine = np.abs((tracer.normals[hits.face] * direction).sum(1))
-        arrival[rows] = schlick(cosine).reshape(shape)
+        arrival[block] = schlick(cosine).reshape(shape)
     return LobeRays(target, face, weight0, weight1, arrival)

@@ -183,21 +183,19 @@ class _GlossFit:
 
     @staticmethod
     def prepare(problem: MaterialProblem, lights: Lights) -> _GlossFit:
-        o, samples = problem.observations, problem.light.samples
+        o, light = problem.observations, problem.light
         rng = np.random.default_rng([problem.seed, 29])
-        usable = problem.linear.open.all(1) & ~lights.mask[samples.face[o.sample]]
+        usable = problem.linear.open.all(1) & ~lights.mask[light.samples.face[o.sample]]
         rows = choose_observations(problem.part, o.patch, np.where(usable, o.count, 0), rng)
-        at = o.sample[rows]
         rays = [
             [
                 trace_lobes(
-                    problem.light.tracer,
-                    problem.light.transport,
-                    problem.light.parts,
-                    samples.position[at],
-                    samples.normal[at],
-                    samples.direction[at],
-                    np.full(len(at), level),
+                    light.tracer,
+                    light.transport,
+                    light.parts,
+                    light.samples,
+                    o.sample[rows],
+                    np.full(len(rows), level),
                     n_rays // 2,
                     rng,
                 )

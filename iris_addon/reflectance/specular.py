@@ -78,18 +78,7 @@ def specular_lobes(
     traced = np.flatnonzero(roughness < ROUGH)
     for start in range(0, len(traced), POINTS_AT_ONCE):
         at = traced[start : start + POINTS_AT_ONCE]
-        points = rows[at]
-        rays = trace_lobes(
-            scene.tracer,
-            scene.transport,
-            scene.parts,
-            samples.position[points],
-            samples.normal[points],
-            samples.direction[points],
-            roughness[at],
-            n_rays,
-            rng,
-        )
+        rays = trace_lobes(scene.tracer, scene.transport, scene.parts, samples, rows[at], roughness[at], n_rays, rng)
         ls0[at], ls1[at] = scene.lobes(rays)
         progress.update(start / len(traced))
     return ls0, ls1

@@ -100,6 +100,14 @@ def _choose_faces(areas: NDArray[np.floating], u: NDArray[np.floating]) -> NDArr
     return np.minimum(np.searchsorted(cumulative, u, side="right"), len(areas) - 1)
 
 
+def emitter_of_face(emitters: Sequence[NDArray[np.integer]], n_faces: int) -> NDArray[np.int64]:
+    """(F + 1,) index of the emitter each face belongs to, else -1; the last entry is that of no face at all, -1."""
+    label = np.full(n_faces + 1, -1, np.int64)
+    for index, faces in enumerate(emitters):
+        label[faces] = index
+    return label
+
+
 def emitter_form_factors(
     tracer: Tracer,
     origins: Origins,
@@ -118,12 +126,10 @@ def emitter_form_factors(
     """
     n, n_rays = rays.face.shape
     result = np.zeros((n, len(emitters), 2), np.float32)
-    label = np.full(len(tracer.areas), -1, np.int32)
-    for index, faces in enumerate(emitters):
-        label[faces] = index
     if not emitters:
         return result
     area = np.array([tracer.areas[faces].sum() for faces in emitters], np.float32)
+    label = emitter_of_face(emitters, len(tracer.areas))
     _add_gathered(result, tracer, origins, rays, label, area, n_samples)
     for index, faces in enumerate(emitters):
         _add_sampled(result[:, index], tracer, origins, faces, float(area[index]), n_rays, n_samples, rng)
@@ -136,13 +142,13 @@ def _add_gathered(
     tracer: Tracer,
     origins: Origins,
     rays: GatherRays,
-    label: NDArray[np.int32],
+    label: NDArray[np.int64],
     area: NDArray[np.float32],
     n_samples: int,
 ) -> None:
     """Add the gather rays that hit an emitter, weighted against the area samples they compete with."""
     n_rays = rays.face.shape[1]
-    row, column = np.nonzero((rays.face >= 0) & (label[rays.face] >= 0))
+    row, column = np.nonzero(label[rays.face] >= 0)
     face = rays.face[row, column]
     k = label[face]
     direction = rays.direction[row, column].astype(np.float32)
