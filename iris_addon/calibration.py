@@ -73,7 +73,7 @@ def calibrate(capture: Capture, tracer: Tracer, progress: Progress) -> tuple[Cap
     field = np.array([view.camera.fx / view.camera.width for view in capture.views])
     if len(field) < 4 or np.ptp(field) > 1e-3 * field[0] or any(view.distortion for view in capture.views):
         return capture, Calibration(None, 0.0)
-    fitted, tested = (_Lattice.of(capture.views, offset, progress) for offset in (0.25, 0.75))
+    fitted = _Lattice.of(capture.views, 0.25, progress)
 
     def correction(x: NDArray[np.floating]) -> CameraCorrection:
         return CameraCorrection(
@@ -94,6 +94,7 @@ def calibrate(capture: Capture, tracer: Tracer, progress: Progress) -> tuple[Cap
     simplex = start + np.concatenate([np.zeros((1, 5)), np.diag(STEP)])
     options = {"initial_simplex": simplex, "maxfev": EVALUATIONS, "xatol": 1e-3, "fatol": 1e-5}
     found = correction(minimize(disagreement, start, method="Nelder-Mead", options=options).x)
+    tested = _Lattice.of(capture.views, 0.75, progress)
     before, after = (tested.disagreement(capture.views, c, tracer) for c in (CameraCorrection(float(field[0])), found))
     gain = 1 - after / max(before, 1e-9)
     if gain < GAIN_NEEDED:

@@ -89,17 +89,19 @@ class Result:
     @property
     def diffuse_lobe(self) -> DiffuseLobe:
         """Lobe of the diffuse surfaces, as report.json names it."""
-        model = self.report.get("model")
-        chosen = model.get("diffuse") if isinstance(model, dict) else None
-        return "burley" if isinstance(chosen, dict) and chosen.get("lobe") == "burley" else "lambert"
+        return "burley" if self._model("diffuse").get("lobe") == "burley" else "lambert"
 
     @property
     def camera_correction(self) -> CameraCorrection | None:
         """What the solve found wrong with all cameras of the capture, as report.json has it; None if nothing."""
-        model = self.report.get("model")
-        camera = model.get("camera") if isinstance(model, dict) else None
-        correction = camera.get("correction") if isinstance(camera, dict) else None
+        correction = self._model("camera").get("correction")
         return CameraCorrection.from_content(correction) if isinstance(correction, dict) else None
+
+    def _model(self, name: str) -> dict[str, Any]:
+        """What report.json says of one refinement of the model; empty where it says nothing."""
+        model = self.report.get("model")
+        chosen = model.get(name) if isinstance(model, dict) else None
+        return chosen if isinstance(chosen, dict) else {}
 
     def as_taken(self, views: Iterable[View]) -> list[View]:
         """Views of the capture, which it gives by the same cameras as its photos, as these cameras were found to be."""
