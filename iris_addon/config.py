@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    import numpy as np
 
 PresetName = Literal["draft", "balanced", "final"]
 
@@ -69,6 +72,12 @@ class SolveConfig:
     atlas_size: int = 2048
     rounds: int = 3
     joint: bool = False
+
+    def rng(self, stage: int) -> np.random.Generator:
+        """A generator per stage: a stage draws the same numbers whether those before it ran or were read back."""
+        import numpy as np  # Presets are named also where numpy is missing, by the command that says so.
+
+        return np.random.default_rng([self.seed, stage])
 
 
 PRESETS: dict[PresetName, SolveConfig] = {

@@ -1,0 +1,198 @@
+"""What the stages found, put together: albedo per pixel, textures, lamps, the figures of the report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from .calibration import Calibration
+from .capture.types import Capture
+from .compute import peak_memory_bytes
+from .config import SolveConfig
+from .emission.backdrop import fit_backdrop
+from .emission.types import LightProblem, Lights
+from .photo_samples import PhotoSamples
+from .photometry import Photometry
+from .progress import Progress
+from .reflectance.bake import pixel_albedo, pixel_weight
+from .reflectance.ggx import DIELECTRIC_F0
+from .reflectance.gloss import Gloss
+from .reflectance.materials import MaterialProblem, scene_of, smooth_irradiance
+from .reflectance.specular import specular_lobes, subtract_specular
+from .reflectance.textures import make_textures
+from .result.types import Emitter, OutsideLight, Result
+from .surface.atlas import build_atlas, texel_density_from_footprint
+from .surface.build import Surface
+from .surface.samples import PixelSamples
+from .transport.diffuse import grazing_gain, schlick
+from .transport.tracer import Tracer
+from .transport.transport import Transport
+
+SHOWN_PHOTOS = 4
+DIM = 0.05
+"""Share of the median irradiance below which a quotient of radiance and irradiance is not worth much."""
+HELD_OUT = 0.02
+"""Share of pixels kept from the textures, to measure what they predict."""
+
+
+def make_result(
+    capture: Capture,
+    config: SolveConfig,
+    problem: MaterialProblem,
+    photos: PhotoSamples,
+    photometry: Photometry,
+    lights: Lights,
+    gloss: Gloss,
+    progress: Progress,
+) -> tuple[Result, dict[str, NDArray[np.float32]]]:
+    """Albedo per pixel, fused on the atlas; the result put together, and a few photos as it explains them."""
+    samples, light = photos.samples, problem.light
+    part = light.parts[samples.face]
+    irradiance = problem.field.at_samples(samples, light.surface.sample_patch, smooth_irradiance(problem.field, lights))
+    ls0, ls1 = specular_lobes(
+        scene_of(light, lights),
+        gloss,
+        samples,
+        np.arange(len(part)),
+        part,
+        irradiance,
+        config.specular_rays,
+        config.rng(6),
+        progress,
+    )
+    metallic = gloss.metallic[part]
+    specular = subtract_specular(ls0, ls1, metallic)
+    linear = photometry.linearise_pixels(photos.z, samples.view)
+    view_factor = 1 + grazing_gain(problem.diffuse.lobe, gloss.roughness[part]) * schlick(samples.cosine)
+    diffuse_light = irradiance * view_factor[:, None].astype(np.float32)
+    albedo = pixel_albedo(linear.radiance, specular, ls0, diffuse_light, metallic)
+    seen_well = pixel_weight(samples.cosine, samples.footprint, np.ones(len(part)))
+    lit = irradiance / (irradiance + DIM * np.median(irradiance))
+    weight = seen_well[:, None] * linear.open * linear.precision * lit**2
+    weight /= np.median(weight[weight > 0])
+    held_out = config.rng(7).random(len(part)) < HELD_OUT
+    uv = capture.mesh.uv
+    if uv is None:
+        density = texel_density_from_footprint(samples.face, samples.footprint, len(light.parts))
+        uv = build_atlas(capture.mesh, density, config.atlas_size)
+    textures, base_color = make_textures(
+        uv, config.atlas_size, light.parts, lights.mask, gloss, samples, albedo, weight * ~held_out[:, None]
+    )
+    emission = lights.face_emission(len(light.parts))[samples.face]
+    predicted = _predict(base_color, metallic, diffuse_light, ls0, ls1, emission)
+    z = photometry.develop(predicted, samples.view)
+    error = (z - np.clip(photos.z + 0.5 / 255, 0, 1))[held_out] if not photos.hdr else (z - photos.z)[held_out]
+    report = {"holdout_psnr": float(-10 * np.log10(np.mean(error**2)))}
+    closed = config.refinements.hidden_light is False
+    backdrop = None if closed else fit_backdrop(photos.beyond, photometry)
+    mesh = capture.mesh.with_uv(uv)
+    exposures = {view.name: photometry.exposures[k] for k, view in enumerate(capture.views)}
+    result = Result(
+        mesh,
+        light.parts,
+        textures,
+        tuple(_emitters(light, lights)),
+        _outside(light, lights, backdrop),
+        photometry.response,
+        exposures,
+        report,
+        capture.up,
+    )
+    return result, _rerenders(capture, samples, z)
+
+
+def _rerenders(capture: Capture, samples: PixelSamples, z: NDArray[np.floating]) -> dict[str, NDArray[np.float32]]:
+    """Predicted display values of a few photos by name, (H, W, 3); pixels off the lattice take their neighbour's."""
+    pictures = {}
+    for index in np.unique(np.linspace(0, len(capture.views) - 1, SHOWN_PHOTOS).astype(int)):
+        camera = capture.views[index].camera
+        rows = slice(*np.searchsorted(samples.view, [index, index + 1]))
+        known = np.zeros((camera.height, camera.width), bool)
+        image = np.zeros((camera.height, camera.width, 3), np.float32)
+        known.ravel()[samples.pixel[rows]] = True
+        image.reshape(-1, 3)[samples.pixel[rows]] = z[rows]
+        if known.any():
+            nearest = np.asarray(distance_transform_edt(~known, return_distances=False, return_indices=True))
+            image = image[nearest[0], nearest[1]]
+        pictures[capture.views[index].name] = image
+    return pictures
+
+
+def _predict(
+    base_color: NDArray[np.floating],
+    metallic: NDArray[np.floating],
+    irradiance: NDArray[np.floating],
+    ls0: NDArray[np.floating],
+    ls1: NDArray[np.floating],
+    emission: NDArray[np.floating],
+) -> NDArray[np.float64]:
+    """(n, 3) radiance of pixels under the solved model, ``kd Ld + ks Ls0 + Ls1`` plus emission."""
+    m = metallic[:, None]
+    ks = base_color * m + DIELECTRIC_F0 * (1 - m)
+    return base_color * (1 - m) * irradiance + ks * ls0 + ls1 + emission
+
+
+def _emitters(problem: LightProblem, lights: Lights) -> list[Emitter]:
+    """Lamps seen, then unseen parts that must glow: brighter than anything they could reflect."""
+    areas = problem.tracer.areas
+    found = [
+        (faces, radiance, float(1.0 / (1.0 + std)))
+        for faces, radiance, std in zip(lights.emitters, lights.radiance, lights.log_std, strict=True)
+    ]
+    typical = np.median(lights.irradiance[: problem.transport.n_seen], axis=0)
+    for part, radiance in zip(problem.hidden.parts, lights.hidden_radiance, strict=False):
+        if radiance.mean() > typical.mean():
+            found.append((np.flatnonzero((problem.parts == part) & (areas > 0)), radiance, 0.2))
+    return [
+        Emitter(k, faces, radiance, float(areas[faces].sum()), confidence)
+        for k, (faces, radiance, confidence) in enumerate(found)
+    ]
+
+
+def _outside(problem: LightProblem, lights: Lights, backdrop: NDArray[np.float64] | None) -> OutsideLight | None:
+    sh = problem.hidden.outside_sh(lights.hidden_radiance[len(problem.hidden.parts) :])
+    if sh is None and backdrop is None:
+        return None
+    return OutsideLight(np.zeros((1, 3)) if sh is None else sh, backdrop)
+
+
+def report_figures(
+    config: SolveConfig,
+    capture: Capture,
+    calibration: Calibration,
+    tracer: Tracer,
+    surface: Surface,
+    transport: Transport,
+    photometry: Photometry,
+    problem: MaterialProblem,
+    lights: Lights,
+    gloss: Gloss,
+    progress: Progress,
+) -> Mapping[str, Any]:
+    """The figures of report.json beside the held-out PSNR."""
+    return {
+        "preset": config.preset,
+        "seed": config.seed,
+        "seconds": {name: round(value, 2) for name, value in progress.seconds.items()},
+        "peak_memory_bytes": peak_memory_bytes(),
+        "device": transport.device,
+        "rays_traced": int(tracer.rays_traced),
+        "n_patches": int(transport.n_patches),
+        "n_views": len(capture.views),
+        "model": {
+            "camera": calibration.report(),
+            "response": photometry.report(),
+            "lamps": len(lights.emitters),
+            "hidden_parts": len(problem.light.hidden.parts),
+            "outside_directions": len(problem.light.hidden.directions),
+            "glossy_parts": int(((gloss.roughness < 1) & (gloss.metallic < 0.5)).sum()),
+            "metallic_parts": int((gloss.metallic > 0.5).sum()),
+            "diffuse": {"lobe": problem.diffuse.lobe, "gain_of_burley": round(problem.diffuse.gain, 4)},
+            "pixels_per_patch": round(surface.pixels_per_patch, 2),
+        },
+        "warnings": [*capture.warnings, *calibration.warnings, *photometry.warnings],
+    }
