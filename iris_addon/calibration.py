@@ -158,16 +158,24 @@ def _cells(
     facing = np.where((normal * direction).sum(1, keepdims=True) > 0, -normal, normal)
     axis = np.abs(facing).argmax(1)
     side = 2 * axis + (np.take_along_axis(facing, axis[:, None], 1)[:, 0] > 0)
-    cube = np.floor(point / CELL).astype(np.int64) % (1 << 19)
-    return ((cube[:, 0] << 41) ^ (cube[:, 1] << 22) ^ (cube[:, 2] << 3)) + side
+    cube = np.floor(point / CELL).astype(np.int64) % (1 << 15)
+    return ((cube[:, 0] << 33) ^ (cube[:, 1] << 18) ^ (cube[:, 2] << 3)) + side
 
 
 def _spread(cell: NDArray[np.int64], photo: NDArray[np.int64], value: NDArray[np.floating], n_photos: int) -> float:
-    """Cauchy loss of the values around one mean per cell, with one gain per photo; cells of three pixels or more."""
-    _, cell, count = np.unique(cell, return_inverse=True, return_counts=True)
-    if len(cell) == 0:
+    """Cauchy loss of what photos show of the same cell around one mean per cell, with one gain per photo; relative to
+    the loss around one mean of all, or else cameras that see less of the room would seem to agree better."""
+    seen, place = np.unique(cell * n_photos + photo, return_inverse=True)
+    value = np.bincount(place, value) / np.bincount(place)
+    photo = seen % n_photos
+    _, cell, count = np.unique(seen // n_photos, return_inverse=True, return_counts=True)
+    shared = count[cell] >= 2
+    if not shared.any():
         return np.inf
+    value, photo = value[shared], photo[shared]
+    _, cell = np.unique(cell[shared], return_inverse=True)
     gain, say, off = np.zeros(n_photos), np.ones(len(value)), np.zeros(len(value))
+    level = value
     for _ in range(6):
         level = value - gain[photo]
         mean = np.bincount(cell, say * level) / np.bincount(cell, say)
@@ -175,5 +183,5 @@ def _spread(cell: NDArray[np.int64], photo: NDArray[np.int64], value: NDArray[np
         say = 1 / (1 + off**2)
         shift = np.bincount(photo, say * off, n_photos) / np.maximum(np.bincount(photo, say, n_photos), 1e-9)
         gain += ROBUST_LOG * shift
-    shared = count[cell] >= 3
-    return float(np.log1p(off[shared] ** 2).mean()) if shared.any() else np.inf
+    apart = (level - np.median(level)) / ROBUST_LOG
+    return float(np.log1p(off**2).mean() / max(np.log1p(apart**2).mean(), 1e-9))

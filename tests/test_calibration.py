@@ -19,7 +19,7 @@ from iris_addon.progress import Cancelled, Progress
 from iris_addon.response.curve import gamma
 from iris_addon.result.sh import sh_radiance
 from iris_addon.transport.tracer import Tracer
-from tests.engine_room import cameras, furnished_room
+from tests.engine_room import cameras, furnished_room, photograph, render
 
 
 def checkered(point: np.ndarray) -> np.ndarray:
@@ -49,6 +49,17 @@ def test_sound_cameras_stay_as_they_are(painted: tuple[Capture, Tracer]) -> None
     capture, calibration = calibrate(*painted, Progress())
     assert calibration.correction is None and capture is painted[0]
     assert calibration.warnings == () and calibration.report()["correction"] is None
+
+
+@pytest.mark.parametrize(("n_views", "width"), [(8, 48), (6, 64)])
+def test_few_small_photos_of_a_plain_room_are_no_reason_to_zoom_in(n_views: int, width: int, tmp_path: Path) -> None:
+    """With a longer focal length photos overlap less, and what is left to disagree about is less."""
+    fine, views = furnished_room(), cameras(n_views, width, width * 3 // 4)
+    radiance = render(fine, Tracer(fine.mesh), views, 48)
+    exposures = 0.25 / np.median(radiance.mean(-1).reshape(n_views, -1), 1) * 2.0 ** np.linspace(-3, 1, n_views)
+    capture = photograph(furnished_room(np.inf), views, radiance, exposures, gamma(), tmp_path)
+    _, calibration = calibrate(capture, Tracer(capture.mesh), Progress())
+    assert calibration.correction is None
 
 
 def test_a_wrong_focal_length_and_offset_are_found(painted: tuple[Capture, Tracer]) -> None:

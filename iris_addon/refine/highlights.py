@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..emission.types import Lights
 from ..reflectance.ggx import DIELECTRIC_F0
 from ..reflectance.gloss import Gloss
-from ..reflectance.lobes import LobeRays, trace_lobes
+from ..reflectance.lobes import LobeRays, lobe_cache
 from ..reflectance.materials import MaterialProblem, scene_of
 from ..reflectance.specular import ROUGH
 from ..response.radiance import CLIPPED_SHARE
@@ -61,7 +61,7 @@ def trace_highlights(problem: MaterialProblem, lights: Lights, gloss: Gloss, rng
     """Observations of a sample of glossy dielectric patches, their reflected rays traced, and of the lamps."""
     o = problem.observations
     glossy = _glossy_observations(problem, lights, gloss, rng)
-    rays = trace_lobes(
+    rays = lobe_cache(
         problem.light.tracer,
         problem.light.transport,
         problem.light.parts,

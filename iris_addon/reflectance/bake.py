@@ -71,7 +71,8 @@ def fuse_texels(
         return group_sums(w * value, texel, n_texels) / np.maximum(norm, 1e-12), norm
 
     first, norm = mean(weight)
-    off = np.abs(value - first[texel]).mean(1, keepdims=True) / (first[texel].mean(1, keepdims=True) + 0.02)
+    expected = first.astype(np.float32)[texel]
+    off = np.abs(value - expected).mean(1, keepdims=True) / (expected.mean(1, keepdims=True) + 0.02)
     fused, _ = mean(weight / (1 + (off / OUTLIER) ** 2))
     known = norm > 0
     return TexelAlbedo(np.where(known, fused, np.nan).astype(np.float32), norm.max(1).astype(np.float32))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from .gloss_cost import LobeHalves, PartFit
+from .gloss_cost import LobeHalves, PartFits
 
 LEVELS = (0.1, 0.2, 0.32, 0.5, 0.7, 1.0)
 """Six roughness levels as in IRIS; between them the best level is interpolated."""
@@ -157,14 +157,15 @@ def _part_costs(observed: GlossObservations) -> _Costs | None:
     if not enough.any():
         return None
     pieces = [order[start : start + n] for start, n in zip(first[enough], count[enough], strict=True)]
+    rows = np.concatenate(pieces)
+    _, one, patch = np.unique(o.patch[rows], return_index=True, return_inverse=True)
+    part = np.repeat(np.arange(len(pieces)), count[enough])[one]
+    fits = PartFits(patch, part, o.weight[rows], o.radiance[rows], np.maximum(o.irradiance[rows], 1e-5))
     plastic, metal = np.empty((len(pieces), len(LEVELS))), np.empty((len(pieces), len(LEVELS)))
-    for k, rows in enumerate(pieces):
-        _, patch = np.unique(o.patch[rows], return_inverse=True)
-        fit = PartFit(patch, o.weight[rows], o.radiance[rows], np.maximum(o.irradiance[rows], 1e-5))
-        for level, halves in enumerate(o.lobes):
-            chosen = [(s0[rows], s1[rows]) for s0, s1 in halves]
-            plastic[k, level] = fit.dielectric(o.diffuse[level][rows], chosen)
-            metal[k, level] = fit.metal(LEVELS[level], chosen)
+    for level, halves in enumerate(o.lobes):
+        chosen = [(s0[rows], s1[rows]) for s0, s1 in halves]
+        plastic[:, level] = fits.dielectric(o.diffuse[level][rows], chosen)
+        metal[:, level] = fits.metal(LEVELS[level], chosen)
     null = np.maximum(plastic[:, -1:], MIN_COST)
     log_albedo = np.log(np.maximum(o.radiance, 1e-4) / np.maximum(o.irradiance, 1e-4))
     return _Costs(

@@ -1,4 +1,4 @@
-"""How badly each gloss explains the photos of one part."""
+"""How badly each gloss explains the photos of every part."""
 
 from __future__ import annotations
 
@@ -21,21 +21,22 @@ LobeHalves = Sequence[tuple[NDArray[np.floating], NDArray[np.floating]]]
 
 
 @dataclass(frozen=True)
-class PartFit:
-    """Observations of one part; ``patch`` counts from 0."""
+class PartFits:
+    """Observations of k parts, m in all; ``patch`` (m,) and ``part``, (n,) of each of the n patches, count from 0."""
 
     patch: NDArray[np.integer]
+    part: NDArray[np.integer]
     weight: NDArray[np.floating]
     radiance: NDArray[np.floating]
     irradiance: NDArray[np.floating]
 
-    def dielectric(self, diffuse: NDArray[np.floating], halves: LobeHalves) -> float:
-        """Robust cost with albedo free per patch and the 4 % lobe taken off; ``diffuse`` (m,) view factor."""
+    def dielectric(self, diffuse: NDArray[np.floating], halves: LobeHalves) -> NDArray[np.float64]:
+        """(k,) robust cost with albedo free per patch and the 4 % lobe taken off; ``diffuse`` (m,) view factor."""
         light = self.irradiance * diffuse[:, None]
         return self._cost(*(self._residuals(self.radiance - DIELECTRIC_F0 * s0 - s1, light) for s0, s1 in halves))
 
-    def metal(self, roughness: float, halves: LobeHalves) -> float:
-        """Robust cost with the specular colour free per patch and no diffuse part.
+    def metal(self, roughness: float, halves: LobeHalves) -> NDArray[np.float64]:
+        """(k,) robust cost with the specular colour free per patch and no diffuse part.
 
         A wide lobe of few rays meets a lamp or misses it, and a metal has nothing else to send: such a cost keeps the
         noise in it, which speaks against the metal.
@@ -48,28 +49,39 @@ class PartFit:
         self, explained: NDArray[np.floating], per_albedo: NDArray[np.floating]
     ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
         """Residual of radiance relative to itself (m, 3): between the views of a patch, and between patches."""
-        n = int(self.patch.max()) + 1
+        n = len(self.part)
         w = self.weight[:, None]
         total = group_sums(w * per_albedo, self.patch, n)
         albedo = np.clip(group_sums(w * explained, self.patch, n) / np.maximum(total, 1e-9), 0.0, 1.2)
         scale = np.maximum(self.radiance, 1e-4)
         views = (albedo[self.patch] * per_albedo - explained) / scale
-        return views, (np.median(albedo, axis=0) * per_albedo - explained) / scale
+        return views, (self._medians(albedo)[self.part[self.patch]] * per_albedo - explained) / scale
 
-    def _cost(self, a: tuple[NDArray, NDArray], b: tuple[NDArray, NDArray]) -> float:
+    def _medians(self, values: NDArray[np.floating]) -> NDArray[np.float64]:
+        """(k, C) median of the patches' values (n, C) per part."""
+        count = np.bincount(self.part)
+        start = np.cumsum(count) - count
+        columns = []
+        for column in values.T:
+            ordered = column[np.lexsort((column, self.part))]
+            columns.append((ordered[start + (count - 1) // 2] + ordered[start + count // 2]) / 2)
+        return np.stack(columns, -1)
+
+    def _cost(self, a: tuple[NDArray, NDArray], b: tuple[NDArray, NDArray]) -> NDArray[np.float64]:
         """Robust mean of the squared residuals, less the noise of few rays.
 
         The square of a noisy residual has the noise's variance in it, and the smooth null hypothesis would always
         win. The product of two residuals from independent halves of the rays has not; it is averaged over the views of
         a patch before the robust loss, which would shrink what is noisy.
         """
-        n = int(self.patch.max()) + 1
+        n = len(self.part)
         say = np.bincount(self.patch, self.weight, n)
         views, space = (
             _robust(group_sums(self.weight[:, None] * x * y, self.patch, n) / say[:, None])
             for x, y in zip(a, b, strict=True)
         )
-        return float(say @ (views + SPATIAL_WEIGHT * space).mean(1) / say.sum())
+        cost = say * (views + SPATIAL_WEIGHT * space).mean(1)
+        return np.bincount(self.part, cost) / np.bincount(self.part, say)
 
 
 def _robust(square: NDArray[np.floating]) -> NDArray[np.floating]:

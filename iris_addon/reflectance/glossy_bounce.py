@@ -13,11 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..parallel import BLOCK, over_random_blocks
 from ..response.observations import group_sums
 from ..transport.gather import GatherRays, Origins, emitter_of_face
 from ..transport.sampling import ggx_directions
 from ..transport.tracer import Tracer
-from ..transport.transport import ESCAPED, Transport, facing_normals, find_patches, lobe_at, radiance_table, table_rows
+from ..transport.transport import Transport, facing_normals, find_patches, lobe_at, radiance_table, table_rows
 from .specular_weights import visible_normal_weights
 
 
@@ -43,8 +44,7 @@ class GlossyBounce:
         self, radiance: NDArray[np.floating], unknown: NDArray[np.floating], emitter_faces: NDArray[np.bool_]
     ) -> NDArray[np.float32]:
         """(N, 3) irradiance / pi that the bounces carry from other patches; emitters are counted elsewhere."""
-        dark = (self.target == ESCAPED) | ((self.face >= 0) & emitter_faces[self.face])
-        rows = table_rows(self.target, len(radiance), dark)
+        rows = table_rows(self.target, self.face, emitter_faces)
         carried = self.weight * radiance_table(radiance, unknown)[rows]
         return group_sums(carried, self.row, self.n_rows).astype(np.float32)
 
@@ -74,20 +74,34 @@ def trace_glossy_bounce(
         specular_color: (n_parts, 3) reflectance at normal incidence: 0.04, or a metal's colour.
         glossy: (n_parts,) bool, parts on which paths go on.
     """
-    pieces = []
-    for start, origins, rays in (
-        (0, transport.origins, transport.rays),
-        (transport.n_seen, transport.unseen_origins, transport.unseen_rays),
-    ):
+
+    def continued(
+        start: int, origins: Origins, rays: GatherRays
+    ) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
         row, column = np.nonzero((rays.face >= 0) & glossy[parts[rays.face]])
         kappa = transport.kappa[start : start + len(rays.face)]
-        for rows in np.array_split(np.arange(len(row)), max(1, len(row) >> 19)):
-            piece = _continue_rays(
-                tracer, transport, parts, roughness, specular_color, origins, rays, kappa, row[rows], column[rows], rng
+        n = len(row)
+        weight, target, face = np.empty((n, 3), np.float32), np.empty(n, np.int32), np.empty(n, np.int32)
+
+        def work(block: slice, rng: np.random.Generator) -> None:
+            at = row[block], column[block]
+            weight[block], target[block], face[block] = _continue_rays(
+                tracer, transport, parts, roughness, specular_color, origins, rays, kappa, *at, rng
             )
-            pieces.append((piece[0] + start, *piece[1:]))
-    columns = [np.concatenate(column) for column in zip(*pieces, strict=True)]
-    return GlossyBounce(transport.n_patches, columns[0].astype(np.int32), *columns[1:])
+
+        for _ in over_random_blocks(n, BLOCK, work, rng):
+            pass
+        return (row + start).astype(np.int32), weight, target, face
+
+    seen = continued(0, transport.origins, transport.rays)
+    unseen = continued(transport.n_seen, transport.unseen_origins, transport.unseen_rays)
+    return GlossyBounce(
+        transport.n_patches,
+        np.concatenate([seen[0], unseen[0]]),
+        np.concatenate([seen[1], unseen[1]]),
+        np.concatenate([seen[2], unseen[2]]),
+        np.concatenate([seen[3], unseen[3]]),
+    )
 
 
 def _continue_rays(
@@ -102,7 +116,7 @@ def _continue_rays(
     row: NDArray[np.integer],
     column: NDArray[np.integer],
     rng: np.random.Generator,
-) -> tuple[NDArray[np.integer], NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
+) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
     direction = rays.direction[row, column].astype(np.float32)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     face = rays.face[row, column]
@@ -121,4 +135,4 @@ def _continue_rays(
     # The diffuse lobes at both ends of the path.
     leaving = 1 + kappa[row] * rays.schlick_start[row, column]
     weight *= (leaving * lobe_at(tracer, transport.kappa, target, hits.face, reflected))[:, None]
-    return row, (weight / rays.face.shape[1]).astype(np.float32), target, hits.face
+    return (weight / rays.face.shape[1]).astype(np.float32), target, hits.face

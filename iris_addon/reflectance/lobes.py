@@ -7,19 +7,18 @@ and what they hit is kept, so that a new guess of the lamps costs one look-up.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..parallel import BLOCK, over_blocks, over_random_blocks
 from ..surface.samples import PixelSamples
 from ..transport.diffuse import schlick
-from ..transport.sampling import ggx_directions, r2_sequence
+from ..transport.sampling import dot, ggx_directions, r2_sequence
 from ..transport.tracer import Tracer
-from ..transport.transport import ESCAPED, Transport, find_patches, radiance_table, table_rows
+from ..transport.transport import Transport, find_patches, radiance_table
 from .specular_weights import visible_normal_weights
-
-POINTS_AT_ONCE = 1 << 15
 
 
 @dataclass(frozen=True)
@@ -53,16 +52,23 @@ class LobeRays:
             face_emission: (F, 3).
             unknown: (3,) for hits without a patch.
         """
-        rows = table_rows(self.target, len(patch_radiance), self.target == ESCAPED)
-        lit = face_emission.any(1)
-        own = np.where(self.target >= 0, kappa[self.target], 0.0)
-        spread = (1 + own * self.schlick).astype(np.float32)
-        incoming = radiance_table(patch_radiance, unknown)[rows] * spread[..., None]
-        on_lamp = (self.face >= 0) & lit[self.face]
-        incoming[on_lamp] = face_emission[self.face[on_lamp]]
-        w0, w1 = self.weight0.astype(np.float32), self.weight1.astype(np.float32)
-        samples = self.target.shape[1]
-        return np.einsum("ns,nsc->nc", w0, incoming) / samples, np.einsum("ns,nsc->nc", w1, incoming) / samples
+        table, emits = radiance_table(patch_radiance, unknown), face_emission.any(1)
+        n, samples = self.target.shape
+        ls0, ls1 = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
+
+        def work(rows: slice) -> None:
+            target, face = self.target[rows], self.face[rows]
+            own = np.where(target >= 0, kappa[target], 0.0)
+            spread = (1 + own * self.schlick[rows]).astype(np.float32)
+            incoming = table[target] * spread[..., None]
+            on_lamp = (face >= 0) & emits[face]
+            incoming[on_lamp] = face_emission[face[on_lamp]]
+            for result, weight in ((ls0, self.weight0), (ls1, self.weight1)):
+                result[rows] = np.einsum("ns,nsc->nc", weight[rows].astype(np.float32), incoming) / samples
+
+        for _ in over_blocks(n, BLOCK // samples, work):
+            pass
+        return ls0, ls1
 
 
 def trace_lobes(
@@ -75,35 +81,53 @@ def trace_lobes(
     n_rays: int,
     rng: np.random.Generator,
 ) -> LobeRays:
-    """Reflected rays of some pixels.
+    """Reflected rays of some pixels, on the calling thread alone.
 
     Args:
         rows: (n,) the pixels among ``samples``.
         roughness: (n,) Principled roughness.
     """
-    n = len(rows)
-    target = np.empty((n, n_rays), np.int32)
-    face = np.empty((n, n_rays), np.int32)
-    weight0 = np.empty((n, n_rays), np.float16)
-    weight1 = np.empty((n, n_rays), np.float16)
-    arrival = np.empty((n, n_rays), np.float16)
-    for start in range(0, n, POINTS_AT_ONCE):
-        block = slice(start, min(start + POINTS_AT_ONCE, n))
-        at = rows[block]
-        u = r2_sequence(len(at), n_rays, rng).reshape(-1, 2)
-        normals = np.repeat(samples.normal[at], n_rays, 0)
-        alpha = np.repeat(np.maximum(roughness[block], 0.05) ** 2, n_rays).astype(np.float32)
-        direction, half_cosine = ggx_directions(normals, np.repeat(samples.direction[at], n_rays, 0), alpha, u)
-        w0, w1, above = visible_normal_weights(normals, direction, half_cosine, alpha)
-        origin = np.repeat(samples.position[at], n_rays, 0) + tracer.epsilon * normals
-        hits = tracer.closest(origin, np.where(above[:, None], direction, normals))
-        point = origin + direction * np.where(hits.face >= 0, hits.distance, 0)[:, None]
-        patch = find_patches(tracer, transport.grids, parts, hits.face, point, direction)
-        shape = (len(at), n_rays)
-        target[block] = patch.reshape(shape)
-        face[block] = hits.face.reshape(shape)
-        weight0[block] = w0.reshape(shape)
-        weight1[block] = w1.reshape(shape)
-        cosine = np.abs((tracer.normals[hits.face] * direction).sum(1))
-        arrival[block] = schlick(cosine).reshape(shape)
-    return LobeRays(target, face, weight0, weight1, arrival)
+    u = r2_sequence(len(rows), n_rays, rng).reshape(-1, 2)
+    normals = np.repeat(samples.normal[rows], n_rays, 0)
+    alpha = np.repeat(np.maximum(roughness, 0.05) ** 2, n_rays).astype(np.float32)
+    direction, half_cosine = ggx_directions(normals, np.repeat(samples.direction[rows], n_rays, 0), alpha, u)
+    weight0, weight1, above = visible_normal_weights(normals, direction, half_cosine, alpha)
+    origin = np.repeat(samples.position[rows], n_rays, 0) + tracer.epsilon * normals
+    hits = tracer.closest(origin, np.where(above[:, None], direction, normals))
+    point = origin + direction * np.where(hits.face >= 0, hits.distance, 0)[:, None]
+    target = find_patches(tracer, transport.grids, parts, hits.face, point, direction)
+    arrival = schlick(np.abs(dot(tracer.normals[hits.face], direction)))
+    shape = (len(rows), n_rays)
+    return LobeRays(
+        target.reshape(shape),
+        hits.face.reshape(shape),
+        weight0.reshape(shape).astype(np.float16),
+        weight1.reshape(shape).astype(np.float16),
+        arrival.reshape(shape).astype(np.float16),
+    )
+
+
+def lobe_cache(
+    tracer: Tracer,
+    transport: Transport,
+    parts: NDArray[np.int32],
+    samples: PixelSamples,
+    rows: NDArray[np.integer],
+    roughness: NDArray[np.floating],
+    n_rays: int,
+    rng: np.random.Generator,
+) -> LobeRays:
+    """:func:`trace_lobes` on all cores, for rays that are looked at more than once."""
+    shape = (len(rows), n_rays)
+    indices = np.empty(shape, np.int32), np.empty(shape, np.int32)
+    weights = np.empty(shape, np.float16), np.empty(shape, np.float16), np.empty(shape, np.float16)
+    cache = LobeRays(*indices, *weights)
+
+    def work(block: slice, rng: np.random.Generator) -> None:
+        piece = trace_lobes(tracer, transport, parts, samples, rows[block], roughness[block], n_rays, rng)
+        for field in fields(LobeRays):
+            getattr(cache, field.name)[block] = getattr(piece, field.name)
+
+    for _ in over_random_blocks(len(rows), BLOCK // n_rays, work, rng):
+        pass
+    return cache

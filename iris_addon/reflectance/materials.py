@@ -23,7 +23,7 @@ from .diffuse_lobe import DiffuseChoice
 from .ggx import DIELECTRIC_F0
 from .gloss import LEVELS, Gloss, GlossObservations, choose_observations, fit_gloss
 from .glossy_bounce import GlossyBounce, trace_glossy_bounce
-from .lobes import LobeRays, trace_lobes
+from .lobes import LobeRays, lobe_cache
 from .shading import IrradianceField
 from .specular import Scene, rough_lobes, specular_lobes, subtract_specular
 
@@ -189,7 +189,7 @@ class _GlossFit:
         rows = choose_observations(problem.part, o.patch, np.where(usable, o.count, 0), rng)
         rays = [
             [
-                trace_lobes(
+                lobe_cache(
                     light.tracer,
                     light.transport,
                     light.parts,

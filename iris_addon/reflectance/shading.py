@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ..parallel import BLOCK, over_blocks
 from ..surface.build import Surface
 from ..surface.samples import PixelSamples
 
@@ -16,7 +17,6 @@ NORMAL_WEIGHT = 4.0
 """Patches that face 15 degrees away count as far as one patch size away."""
 KERNEL = 0.75
 """Standard deviation of the interpolation kernel, in patch sizes."""
-ROWS_AT_ONCE = 1 << 17
 
 
 @dataclass(frozen=True)
@@ -57,10 +57,13 @@ class IrradianceField:
         """(n, C) patch values (P, C) interpolated at pixels; ``patch`` (n,) is the patch each pixel lies on."""
         table = values.astype(np.float32)
         result = np.empty((len(patch), table.shape[1]), np.float32)
-        for start in range(0, len(patch), ROWS_AT_ONCE):
-            rows = slice(start, start + ROWS_AT_ONCE)
+
+        def work(rows: slice) -> None:
             weight = self._weights(samples.position[rows], samples.normal[rows], patch[rows], KERNEL)
             result[rows] = np.einsum("pk,pkc->pc", weight, table[self.neighbours[patch[rows]]])
+
+        for _ in over_blocks(len(patch), BLOCK // NEIGHBOURS, work):
+            pass
         return result
 
     def _weights(
@@ -71,6 +74,7 @@ class IrradianceField:
         offset = self.position[near] - position[:, None]
         turn = self.normal[near] - normal[:, None]
         reach = self.size[patch][:, None] * np.float32(width)
-        square = (offset**2).sum(-1) / reach**2 + (turn**2).sum(-1) * np.float32((NORMAL_WEIGHT / width) ** 2)
+        distance, angle = (np.einsum("nkc,nkc->nk", d, d) for d in (offset, turn))
+        square = distance / reach**2 + angle * np.float32((NORMAL_WEIGHT / width) ** 2)
         weight = np.exp(-0.5 * np.minimum(square - square.min(1, keepdims=True), 60.0))
         return weight / weight.sum(1, keepdims=True)

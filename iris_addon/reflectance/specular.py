@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..parallel import BLOCK, over_random_blocks
 from ..progress import Progress
 from ..surface.samples import PixelSamples
 from ..transport.tracer import Tracer
@@ -17,7 +18,6 @@ from .lobes import LobeRays, trace_lobes
 
 ROUGH = 0.75
 """From this roughness on the lobe is so wide that it sees about what the whole hemisphere sees."""
-POINTS_AT_ONCE = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -76,11 +76,14 @@ def specular_lobes(
     roughness = gloss.roughness[part]
     ls0, ls1 = rough_lobes(roughness, samples.cosine[rows], irradiance)
     traced = np.flatnonzero(roughness < ROUGH)
-    for start in range(0, len(traced), POINTS_AT_ONCE):
-        at = traced[start : start + POINTS_AT_ONCE]
+
+    def work(block: slice, rng: np.random.Generator) -> None:
+        at = traced[block]
         rays = trace_lobes(scene.tracer, scene.transport, scene.parts, samples, rows[at], roughness[at], n_rays, rng)
         ls0[at], ls1[at] = scene.lobes(rays)
-        progress.update(start / len(traced))
+
+    for share in over_random_blocks(len(traced), BLOCK // n_rays, work, rng):
+        progress.update(share)
     return ls0, ls1
 
 

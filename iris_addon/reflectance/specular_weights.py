@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..transport.diffuse import fifth_power
+from ..transport.sampling import dot
 from .ggx import smith_g1
 
 
@@ -21,8 +23,8 @@ def visible_normal_weights(
         half_cosine: (n,) cosine between the half vector and the incident direction.
         alpha: (n,) GGX width.
     """
-    cosine = (incident * normal).sum(1)
+    cosine = dot(incident, normal)
     above = cosine > 1e-3
     g1 = np.where(above, smith_g1(np.maximum(cosine, 1e-3), alpha), 0.0)
-    fresnel = (1 - half_cosine) ** 5
+    fresnel = fifth_power(1 - half_cosine)
     return (g1 * (1 - fresnel)).astype(np.float32), (g1 * fresnel).astype(np.float32), above

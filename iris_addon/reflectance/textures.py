@@ -66,12 +66,14 @@ def _fill(
     faces never seen from the mean of their part."""
     known = (fused.weight > 0).reshape(size, size)
     count = np.bincount(samples.face, minlength=len(parts))
-    part_mean = _part_means(parts[samples.face], albedo, weight, int(parts.max()) + 1)
+    part_mean = _part_means(parts[samples.face], albedo, weight, int(parts.max()) + 1).astype(np.float32)
     colour = part_mean[parts[np.maximum(face.ravel(), 0)]]
-    value = complete_channels(fused.value, colour)
+    value = np.zeros((size * size, 3), np.float32)
+    at = np.flatnonzero(known)
     # Where hardly any light falls, albedo is noise over noise: there the part's colour has the say.
-    trust = (fused.weight / (fused.weight + DOUBT))[:, None]
-    value = (trust * value + (1 - trust) * colour).reshape(size, size, 3).astype(np.float32)
+    trust = (fused.weight[at] / (fused.weight[at] + DOUBT))[:, None]
+    value[at] = trust * complete_channels(fused.value[at], colour[at]) + (1 - trust) * colour[at]
+    value = value.reshape(size, size, 3)
     unseen = (face >= 0) & (count[np.maximum(face, 0)] == 0)
     filled = fill_texels(value, known)
     constant = colour.reshape(size, size, 3)

@@ -8,6 +8,7 @@ the curve only up to (f^g, t^g, L^g); that exponent is left at the prior's here 
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from ..config import AUTO, Refinements
+from ..parallel import cores
 from . import family
 from .curve import Response
 from .observations import Observations, group_means, group_sums
@@ -243,7 +245,11 @@ class _Problem:
     def minimise(self, start: list[NDArray[np.float64]], max_steps: int) -> list[NDArray[np.float64]]:
         """Knots of one or three curves; radiance and exposures are eliminated (variable projection)."""
         n_curves = len(start)
-        fit = least_squares(self.residual, np.concatenate(start), args=(n_curves,), max_nfev=max_steps, x_scale=0.3)
+        x0 = np.concatenate(start)
+        with ThreadPoolExecutor(cores()) as threads:
+            fit = least_squares(
+                self.residual, x0, args=(n_curves,), max_nfev=max_steps, x_scale=0.3, workers=threads.map
+            )
         return list(fit.x.reshape(n_curves, -1))
 
     def disagreement(self, knots: list[NDArray[np.float64]]) -> float:

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..capture.types import Mesh
+from ..parallel import BLOCK, over_blocks
 from ..response.observations import group_means
 from ..transport.gather import Origins
-from .patches import N_LEVELS, PatchGrid, cell_keys, choose_levels
+from .patches import N_LEVELS, KeyIndex, PatchGrid, cell_keys, choose_levels
 from .samples import PixelSamples
 
 FIRST_PIXELS_PER_PATCH = 3.0
@@ -59,7 +60,7 @@ def build_surface(
     pixels_per_patch = FIRST_PIXELS_PER_PATCH
     while True:
         blocks = choose_levels(samples.position, samples.footprint, origin, scale, pixels_per_patch)
-        keys = cell_keys(samples.position, samples.normal, part, origin, scale, *blocks)
+        keys = _keys(samples, part, origin, scale, KeyIndex(blocks[0]), blocks[1])
         unique, inverse, count = np.unique(keys, return_inverse=True, return_counts=True)
         if len(unique) <= max_patches or pixels_per_patch > 100:
             break
@@ -85,3 +86,23 @@ def build_surface(
         Origins(samples.position[pick], samples.normal[pick]),
         pixels_per_patch,
     )
+
+
+def _keys(
+    samples: PixelSamples,
+    part: NDArray[np.int32],
+    origin: NDArray[np.float64],
+    scale: float,
+    known_blocks: KeyIndex,
+    block_levels: NDArray[np.int8],
+) -> NDArray[np.uint64]:
+    """(n,) cell key of every pixel."""
+    keys = np.empty(len(part), np.uint64)
+
+    def work(rows: slice) -> None:
+        at = samples.position[rows], samples.normal[rows], part[rows]
+        keys[rows] = cell_keys(*at, origin, scale, known_blocks, block_levels)
+
+    for _ in over_blocks(len(part), BLOCK, work):
+        pass
+    return keys

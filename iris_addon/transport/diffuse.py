@@ -28,7 +28,13 @@ MEAN_SCHLICK = 1 / 21
 
 def schlick(cosine: NDArray[np.floating]) -> NDArray[np.floating]:
     """S, (1 − c)^5, of cosines to the normal, any shape."""
-    return (1.0 - np.clip(cosine, 0.0, 1.0)) ** 5
+    return fifth_power(1.0 - np.clip(cosine, 0.0, 1.0))
+
+
+def fifth_power(x: NDArray[np.floating]) -> NDArray[np.floating]:
+    """x^5 of an array, three products: numpy takes the logarithm for powers beyond the square."""
+    square = x * x
+    return square * square * x
 
 
 def grazing_gain(lobe: DiffuseLobe, roughness: NDArray[np.floating]) -> NDArray[np.float64]:

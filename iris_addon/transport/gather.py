@@ -14,12 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..parallel import BLOCK, over_random_blocks
 from ..progress import Progress
 from .diffuse import schlick
-from .sampling import cosine_directions, r2_sequence
+from .sampling import cosine_directions, dot, r2_sequence
 from .tracer import Tracer, points_on_faces
-
-ROWS_AT_ONCE = 8192
 
 
 @dataclass(frozen=True)
@@ -53,12 +52,12 @@ class GatherRays:
     schlick_end: NDArray[np.float16]
 
 
-def ray_origins(origins: Origins, start: int, stop: int, n_rays: int, epsilon: float) -> tuple[NDArray, NDArray]:
-    """Positions off the surface and normals, each ((stop - start)·n_rays, 3), cycling over a patch's points."""
+def ray_origins(origins: Origins, rows: slice, n_rays: int, epsilon: float) -> tuple[NDArray, NDArray]:
+    """Positions off the surface and normals, each (rows · n_rays, 3), cycling over a patch's points."""
     k = origins.position.shape[1]
     which = np.arange(n_rays) % k
-    normal = origins.normal[start:stop, which].reshape(-1, 3)
-    return origins.position[start:stop, which].reshape(-1, 3) + epsilon * normal, normal
+    normal = origins.normal[rows, which].reshape(-1, 3)
+    return origins.position[rows, which].reshape(-1, 3) + epsilon * normal, normal
 
 
 def gather(
@@ -76,28 +75,22 @@ def gather(
     distance = np.empty((n, n_rays), np.float32)
     schlick_start = np.empty((n, n_rays), np.float16)
     schlick_end = np.empty((n, n_rays), np.float16)
-    for start in range(0, n, ROWS_AT_ONCE):
-        stop = min(start + ROWS_AT_ONCE, n)
-        position, normal = ray_origins(origins, start, stop, n_rays, tracer.epsilon)
-        d = cosine_directions(normal, r2_sequence(stop - start, n_rays, rng).reshape(-1, 2))
+
+    def work(rows: slice, rng: np.random.Generator) -> None:
+        position, normal = ray_origins(origins, rows, n_rays, tracer.epsilon)
+        d = cosine_directions(normal, r2_sequence(rows.stop - rows.start, n_rays, rng).reshape(-1, 2))
         hits = tracer.closest(position, d)
-        escaped = hits.face < 0
-        face[start:stop] = hits.face.reshape(-1, n_rays)
-        reach = np.where(escaped, 0, hits.distance)
-        point[start:stop] = (position + d * reach[:, None]).reshape(-1, n_rays, 3)
-        direction[start:stop] = d.reshape(-1, n_rays, 3)
-        distance[start:stop] = hits.distance.reshape(-1, n_rays)
-        schlick_start[start:stop] = schlick(np.einsum("nc,nc->n", d, normal)).reshape(-1, n_rays)
-        arriving = np.abs(np.einsum("nc,nc->n", d, tracer.normals[hits.face]))
-        schlick_end[start:stop] = schlick(arriving).reshape(-1, n_rays)
-        progress.update(stop / n)
+        face[rows] = hits.face.reshape(-1, n_rays)
+        reach = np.where(hits.face < 0, 0, hits.distance)
+        point[rows] = (position + d * reach[:, None]).reshape(-1, n_rays, 3)
+        direction[rows] = d.reshape(-1, n_rays, 3)
+        distance[rows] = hits.distance.reshape(-1, n_rays)
+        schlick_start[rows] = schlick(dot(d, normal)).reshape(-1, n_rays)
+        schlick_end[rows] = schlick(np.abs(dot(d, tracer.normals[hits.face]))).reshape(-1, n_rays)
+
+    for share in over_random_blocks(n, BLOCK // n_rays, work, rng):
+        progress.update(share)
     return GatherRays(face, direction, distance, schlick_start, schlick_end), point
-
-
-def _choose_faces(areas: NDArray[np.floating], u: NDArray[np.floating]) -> NDArray[np.int64]:
-    """Index into ``areas`` for each random number, in proportion to area."""
-    cumulative = np.cumsum(areas) / areas.sum()
-    return np.minimum(np.searchsorted(cumulative, u, side="right"), len(areas) - 1)
 
 
 def emitter_of_face(emitters: Sequence[NDArray[np.integer]], n_faces: int) -> NDArray[np.int64]:
@@ -175,25 +168,30 @@ def _add_sampled(
     rng: np.random.Generator,
 ) -> None:
     """Add shadow rays to ``n_samples`` points on one emitter; ``column`` (P, 2)."""
-    for start in range(0, len(column), ROWS_AT_ONCE):
-        stop = min(start + ROWS_AT_ONCE, len(column))
-        position, normal = ray_origins(origins, start, stop, n_samples, tracer.epsilon)
-        u = r2_sequence(stop - start, n_samples, rng).reshape(-1, 2)
-        strata = (np.arange(n_samples) + rng.random((stop - start, n_samples))) / n_samples
-        pick = faces[_choose_faces(tracer.areas[faces], rng.permuted(strata, axis=1).ravel())]
+    cumulative = np.cumsum(tracer.areas[faces])
+
+    def work(rows: slice, rng: np.random.Generator) -> None:
+        n = rows.stop - rows.start
+        position, normal = ray_origins(origins, rows, n_samples, tracer.epsilon)
+        u = r2_sequence(n, n_samples, rng).reshape(-1, 2)
+        strata = (np.arange(n_samples) + rng.random((n, n_samples))) / n_samples
+        chosen = np.searchsorted(cumulative, rng.permuted(strata, axis=1).ravel() * cumulative[-1], side="right")
+        pick = faces[np.minimum(chosen, len(faces) - 1)]
         fold = u.sum(1) > 1
         u[fold] = 1 - u[fold]
         target = points_on_faces(tracer.corners, pick, u).astype(np.float32)
         offset = target - position
-        square = np.maximum((offset**2).sum(1), 1e-9)
+        square = np.maximum(dot(offset, offset), 1e-9)
         direction = offset / np.sqrt(square)[:, None]
-        cos_surface = (direction * normal).sum(1)
-        cos_light = np.abs((direction * tracer.normals[pick]).sum(1))
+        cos_surface = dot(direction, normal)
+        cos_light = np.abs(dot(direction, tracer.normals[pick]))
         live = np.flatnonzero((cos_surface > 1e-4) & (cos_light > 1e-4))
         live = live[tracer.visible(position[live], target[live])]
         per_area = cos_surface[live] * cos_light[live] / (np.pi * square[live])
         weight = (n_samples / area) / (n_samples / area + n_rays * per_area)
         value = weight * per_area * area / n_samples
         for kind, factor in enumerate(with_schlick(cos_surface[live]).T):
-            total = np.bincount(live // n_samples, value * factor, minlength=stop - start)
-            column[start:stop, kind] += total.astype(np.float32)
+            column[rows, kind] += np.bincount(live // n_samples, value * factor, minlength=n).astype(np.float32)
+
+    for _ in over_random_blocks(len(column), BLOCK // n_samples, work, rng):
+        pass

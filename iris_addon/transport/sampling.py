@@ -10,11 +10,17 @@ _PLASTIC = 1.32471795724474602596
 _R2 = np.array([1 / _PLASTIC, 1 / _PLASTIC**2])
 
 
+def dot(a: NDArray[np.floating], b: NDArray[np.floating]) -> NDArray[np.floating]:
+    """(n,) dot products of vectors (n, 3)."""
+    return a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2]
+
+
 def r2_sequence(n_rows: int, n_columns: int, rng: np.random.Generator) -> NDArray[np.float32]:
     """(n_rows, n_columns, 2) points in [0, 1)²: the same R2 sequence per row under a random shift of its own."""
-    base = (np.arange(1, n_columns + 1)[:, None] * _R2) % 1.0
-    shift = rng.random((n_rows, 1, 2))
-    return ((base[None] + shift) % 1.0).astype(np.float32)
+    base = ((np.arange(1, n_columns + 1)[:, None] * _R2) % 1.0).astype(np.float32)
+    points = base[None] + rng.random((n_rows, 1, 2), np.float32)
+    points -= points >= 1
+    return points
 
 
 def tangent_frame(normal: NDArray[np.floating]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -53,24 +59,26 @@ def ggx_directions(
         has a weight G2/G1 of zero.
     """
     tangent, bitangent = tangent_frame(normal)
-    v = np.stack([(outgoing * tangent).sum(1), (outgoing * bitangent).sum(1), (outgoing * normal).sum(1)], -1)
-    stretched = v * np.stack([alpha, alpha, np.ones_like(alpha)], -1)
-    stretched /= np.linalg.norm(stretched, axis=1, keepdims=True)
-    t1, t2 = tangent_frame(stretched)
-    radius, angle = np.sqrt(u[:, 0]), 2 * np.pi * u[:, 1]
-    # tangent_frame's axes are arbitrary about the view vector, so the warp needs its own: t1 perpendicular to z.
-    lensq = stretched[:, 0] ** 2 + stretched[:, 1] ** 2
-    inverse = 1 / np.sqrt(np.maximum(lensq, 1e-12))
-    flat = np.stack([-stretched[:, 1] * inverse, stretched[:, 0] * inverse, np.zeros_like(inverse)], -1)
-    t1 = np.where((lensq > 1e-9)[:, None], flat, t1)
-    t2 = np.cross(stretched, t1)
+    vx, vy, vz = dot(outgoing, tangent), dot(outgoing, bitangent), dot(outgoing, normal)
+    # The view direction on the unit hemisphere of normals, stretched; t1 and t2 span the disc it sees.
+    sx, sy = alpha * vx, alpha * vy
+    length = np.sqrt(sx**2 + sy**2 + vz**2)
+    sx, sy, sz = sx / length, sy / length, vz / length
+    across = sx**2 + sy**2
+    inverse = 1 / np.sqrt(np.maximum(across, 1e-12))
+    slanted = across > 1e-9
+    t1x, t1y = np.where(slanted, -sy * inverse, 1), np.where(slanted, sx * inverse, 0)
+    t2x, t2y, t2z = -sz * t1y, sz * t1x, sx * t1y - sy * t1x
+    radius, angle = np.sqrt(u[:, 0]), np.float32(2 * np.pi) * u[:, 1]
     p1, p2 = radius * np.cos(angle), radius * np.sin(angle)
-    s = 0.5 * (1 + stretched[:, 2])
+    s = 0.5 * (1 + sz)
     p2 = (1 - s) * np.sqrt(np.maximum(1 - p1**2, 0)) + s * p2
-    half = t1 * p1[:, None] + t2 * p2[:, None] + stretched * np.sqrt(np.maximum(1 - p1**2 - p2**2, 0))[:, None]
-    half = np.stack([half[:, 0] * alpha, half[:, 1] * alpha, np.maximum(half[:, 2], 1e-6)], -1)
-    half /= np.linalg.norm(half, axis=1, keepdims=True)
-    cosine = (v * half).sum(1)
-    local = 2 * cosine[:, None] * half - v
-    world = tangent * local[:, :1] + bitangent * local[:, 1:2] + normal * local[:, 2:]
+    p3 = np.sqrt(np.maximum(1 - p1**2 - p2**2, 0))
+    hx, hy = alpha * (t1x * p1 + t2x * p2 + sx * p3), alpha * (t1y * p1 + t2y * p2 + sy * p3)
+    hz = np.maximum(t2z * p2 + sz * p3, 1e-6)
+    length = np.sqrt(hx**2 + hy**2 + hz**2)
+    cosine = (vx * hx + vy * hy + vz * hz) / length
+    twice = 2 * cosine / length
+    lx, ly, lz = twice * hx - vx, twice * hy - vy, twice * hz - vz
+    world = tangent * lx[:, None] + bitangent * ly[:, None] + normal * lz[:, None]
     return world.astype(np.float32), np.clip(cosine, 0, 1).astype(np.float32)

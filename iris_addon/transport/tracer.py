@@ -6,15 +6,15 @@ cost of a method that does not depend on the machine.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..capture.types import Mesh
+from ..parallel import over_blocks
 
 DEGENERATE_AREA = 1e-12
 CHUNK = 1 << 18
@@ -63,7 +63,7 @@ class Tracer:
         self.rays_traced = 0
         self._scene = EmbreeScene()
         self._geometry = TriangleMesh(self._scene, corners[self._kept].astype(np.float32))
-        self._threads = ThreadPoolExecutor(max(1, os.cpu_count() or 1))
+        self._counting = Lock()
         self._scene.run(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32))  # builds the BVH
 
     def closest(self, origins: NDArray[np.floating], directions: NDArray[np.floating]) -> Hits:
@@ -118,9 +118,10 @@ class Tracer:
         d = np.ascontiguousarray(directions, np.float32)
         if not (np.isfinite(o).all() and np.isfinite(d).all()):
             raise FloatingPointError("a ray is not finite; the usual cause is the normal of a degenerate triangle")
-        self.rays_traced += len(o)
-        parts = [slice(a, min(a + CHUNK, len(o))) for a in range(0, len(o), CHUNK)]
-        list(self._threads.map(lambda part: trace(part, o[part], d[part]), parts))
+        with self._counting:
+            self.rays_traced += len(o)
+        for _ in over_blocks(len(o), CHUNK, lambda part: trace(part, o[part], d[part])):
+            pass
 
 
 def points_on_faces(

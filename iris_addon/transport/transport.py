@@ -12,11 +12,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ..parallel import BLOCK, over_blocks
 from ..progress import Progress
 from ..surface.build import Surface
-from ..surface.patches import PatchGrid, cell_keys
+from ..surface.patches import KeyIndex, PatchGrid, cell_keys
 from .diffuse import schlick
 from .gather import GatherRays, Origins, gather
+from .sampling import dot
 from .tracer import Tracer
 
 UNKNOWN, ESCAPED = -1, -2
@@ -92,20 +94,31 @@ def _mean_of_targets(
     own: NDArray[np.floating],
     kappa: NDArray[np.floating],
 ) -> NDArray[np.float32]:
-    dark = (target == ESCAPED) | ((rays.face >= 0) & emitters[rays.face])
-    index = torch.from_numpy(table_rows(target, len(kappa), dark)).to(table.device)
-    if not kappa.any():
-        return torch.nn.functional.embedding_bag(index, table, mode="mean").cpu().numpy()
-    weight = torch.from_numpy(_lobe_weights(rays, target, own, kappa)).to(table.device)
-    total = torch.nn.functional.embedding_bag(index, table, mode="sum", per_sample_weights=weight)
+    index = np.empty(target.shape, np.int32)
+    weight = np.empty(target.shape, np.float32) if kappa.any() else None
+
+    def work(rows: slice) -> None:
+        index[rows] = table_rows(target[rows], rays.face[rows], emitters) % len(table)
+        if weight is not None:
+            weight[rows] = _lobe_weights(rays, rows, target[rows], own[rows], kappa)
+
+    for _ in over_blocks(len(target), BLOCK // target.shape[1], work):
+        pass
+    at = torch.from_numpy(index).to(table.device)
+    if weight is None:
+        return torch.nn.functional.embedding_bag(at, table, mode="mean").cpu().numpy()
+    say = torch.from_numpy(weight).to(table.device)
+    total = torch.nn.functional.embedding_bag(at, table, mode="sum", per_sample_weights=say)
     return (total / target.shape[1]).cpu().numpy()
 
 
-def _lobe_weights(rays: GatherRays, target: NDArray[np.int32], own: NDArray, kappa: NDArray) -> NDArray[np.float32]:
+def _lobe_weights(
+    rays: GatherRays, rows: slice, target: NDArray[np.int32], own: NDArray, kappa: NDArray
+) -> NDArray[np.float32]:
     """(rows, R) ``1 + κ S`` where a ray starts, κ being ``own`` (rows,), times the same where it ends."""
     own, kappa = own.astype(np.float32), kappa.astype(np.float32)
     ending = np.where(target >= 0, kappa[target], np.float32(0))
-    return (1 + own[:, None] * rays.schlick_start) * (1 + ending * rays.schlick_end)
+    return (1 + own[:, None] * rays.schlick_start[rows]) * (1 + ending * rays.schlick_end[rows])
 
 
 def lobe_at(
@@ -130,20 +143,20 @@ def lobe_at(
 
 
 def radiance_table(radiance: NDArray[np.floating], unknown: NDArray[np.floating]) -> NDArray[np.float32]:
-    """(N + 2, 3) radiance of the patches, then of surfaces without a patch, then darkness; see :func:`table_rows`."""
-    return np.concatenate([radiance, np.asarray(unknown)[None], np.zeros((1, 3))]).astype(np.float32)
+    """(N + 2, 3) radiance of the patches and, last, darkness and surfaces without a patch: where ESCAPED and UNKNOWN
+    lead, counted from the end."""
+    return np.concatenate([radiance, np.zeros((1, 3)), np.asarray(unknown)[None]]).astype(np.float32)
 
 
-def table_rows(target: NDArray[np.int32], n: int, dark: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Row of the table of ``n`` patches for every ray; ``dark`` rays carry nothing."""
-    return np.where(dark, n + 1, np.where(target == UNKNOWN, n, target)).astype(np.int32)
+def table_rows(target: NDArray[np.int32], face: NDArray[np.int32], dark_faces: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Row of :func:`radiance_table` for every ray; those that end on ``dark_faces`` (F,) carry nothing."""
+    return np.where(dark_faces[face] & (face >= 0), np.int32(ESCAPED), target)
 
 
 def facing_normals(tracer: Tracer, face: NDArray[np.integer], direction: NDArray[np.floating]) -> NDArray[np.float32]:
     """(n, 3) normals of hit faces, turned against the directions the rays came along."""
     normal = tracer.normals[face].astype(np.float32)
-    normal[(normal * direction).sum(1) > 0] *= -1
-    return normal
+    return np.where(dot(normal, direction)[:, None] > 0, -normal, normal)
 
 
 def find_patches(
@@ -156,14 +169,10 @@ def find_patches(
 ) -> NDArray[np.int32]:
     """(n,) patch of each hit, tried grid by grid; UNKNOWN or ESCAPED where there is none."""
     result = np.where(face < 0, ESCAPED, UNKNOWN).astype(np.int32)
-    for start in range(0, len(face), 1 << 20):
-        part = slice(start, start + (1 << 20))
-        normal = facing_normals(tracer, face[part], direction[part].astype(np.float32))
-        block = result[part]
-        for grid in grids:
-            open_ = np.flatnonzero(block == UNKNOWN)
-            at = point[part][open_]
-            block[open_] = grid.lookup(at, normal[open_], parts[face[part][open_]])
+    normal = facing_normals(tracer, face, direction.astype(np.float32))
+    for grid in grids:
+        open_ = np.flatnonzero(result == UNKNOWN)
+        result[open_] = grid.lookup(point[open_], normal[open_], parts[face[open_]])
     return result
 
 
@@ -174,8 +183,15 @@ def _targets(
     rays: GatherRays,
     point: NDArray[np.float32],
 ) -> NDArray[np.int32]:
-    flat = find_patches(tracer, grids, parts, rays.face.ravel(), point.reshape(-1, 3), rays.direction.reshape(-1, 3))
-    return flat.reshape(rays.face.shape)
+    face, point, direction = rays.face.ravel(), point.reshape(-1, 3), rays.direction.reshape(-1, 3)
+    target = np.empty(len(face), np.int32)
+
+    def work(block: slice) -> None:
+        target[block] = find_patches(tracer, grids, parts, face[block], point[block], direction[block])
+
+    for _ in over_blocks(len(face), BLOCK, work):
+        pass
+    return target.reshape(rays.face.shape)
 
 
 def _unseen_patches(
@@ -193,7 +209,7 @@ def _unseen_patches(
     point = hit_point[row, column]
     normal = facing_normals(tracer, face, rays.direction[row, column].astype(np.float32))
     none = np.zeros(0, np.uint64), np.zeros(0, np.int8)
-    keys = cell_keys(point, normal, parts[face], surface.grid.origin, surface.grid.scale, *none)
+    keys = cell_keys(point, normal, parts[face], surface.grid.origin, surface.grid.scale, KeyIndex(none[0]), none[1])
     unique, first, count = np.unique(keys, return_index=True, return_counts=True)
     kept = np.sort(np.argsort(-count, kind="stable")[:limit])
     unique, first = unique[kept], first[kept]

@@ -1,0 +1,45 @@
+"""Work on many rays, block by block on all cores: numpy and Embree release the interpreter lock, so threads serve."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+BLOCK = 1 << 17
+"""Rays, or whatever else is counted, of one block: smaller and the threads wait for the interpreter, larger and the
+temporaries leave the cache."""
+
+
+def cores() -> int:
+    """Cores this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def blocks(n: int, size: int) -> list[slice]:
+    """``range(n)`` cut into slices of ``size`` (at least 1), the last one shorter."""
+    step = max(1, size)
+    return [slice(start, min(start + step, n)) for start in range(0, n, step)]
+
+
+def over_blocks(n: int, size: int, work: Callable[[slice], None]) -> Iterator[float]:
+    """Call ``work`` on every block; yields the share that is done. Left early, blocks not begun are dropped."""
+    parts = blocks(n, size)
+    if len(parts) == 1:
+        work(parts[0])
+        yield 1.0
+        return
+    with ThreadPoolExecutor(cores()) as threads:
+        for part, _ in zip(parts, threads.map(work, parts), strict=True):
+            yield part.stop / n
+
+
+def over_random_blocks(
+    n: int, size: int, work: Callable[[slice, np.random.Generator], None], rng: np.random.Generator
+) -> Iterator[float]:
+    """:func:`over_blocks` with a generator per block, so that the numbers drawn do not depend on who runs first."""
+    starts = [part.start for part in blocks(n, size)]
+    generators = dict(zip(starts, rng.spawn(len(starts)), strict=True))
+    return over_blocks(n, size, lambda part: work(part, generators[part.start]))

@@ -1,0 +1,72 @@
+"""Blocks on all cores, and the hash index that rays find their patches with."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+
+from iris_addon.parallel import blocks, over_blocks, over_random_blocks
+from iris_addon.surface.patches import KeyIndex
+
+
+@pytest.mark.parametrize(("n", "size"), [(0, 4), (3, 4), (4, 4), (10, 3), (5, 0)])
+def test_blocks_cover_everything_once(n: int, size: int) -> None:
+    covered = np.zeros(n, int)
+
+    def work(block: slice) -> None:
+        covered[block] += 1
+
+    shares = list(over_blocks(n, size, work))
+    assert (covered == 1).all()
+    assert shares == sorted(shares) and len(shares) == len(blocks(n, size))
+    assert not shares or shares[-1] == 1
+
+
+def test_numbers_do_not_depend_on_who_runs_first() -> None:
+    def draw(first_waits: bool) -> np.ndarray:
+        values = np.empty(64)
+        others = threading.Event()
+
+        def work(block: slice, rng: np.random.Generator) -> None:
+            if first_waits and block.start == 0:
+                others.wait(1)
+            values[block] = rng.random(block.stop - block.start)
+            if block.start > 0:
+                others.set()
+
+        list(over_random_blocks(64, 16, work, np.random.default_rng(3)))
+        return values
+
+    assert (draw(first_waits=True) == draw(first_waits=False)).all()
+    assert len(np.unique(draw(first_waits=False))) == 64, "no two blocks draw the same numbers"
+
+
+def test_an_error_in_a_block_is_raised() -> None:
+    def work(block: slice) -> None:
+        if block.start == 8:
+            raise FloatingPointError("a ray is not finite")
+
+    with pytest.raises(FloatingPointError):
+        list(over_blocks(16, 4, work))
+
+
+def test_leaving_early_drops_what_has_not_begun() -> None:
+    begun = []
+    for share in over_blocks(10_000, 1, lambda block: begun.append(block.start)):
+        if share > 0:
+            break
+    assert len(begun) < 10_000
+
+
+@pytest.mark.parametrize("n", [0, 1, 1000])
+def test_the_index_finds_its_keys_and_no_others(n: int) -> None:
+    rng = np.random.default_rng(n)
+    # All in the upper eighth: neighbouring slots fill up and probing has to walk.
+    keys = np.unique(rng.integers(2**64 - 2**61, 2**64, 2 * n, dtype=np.uint64))
+    known, foreign = keys[::2], keys[1::2]
+    index = KeyIndex(known)
+    assert (index.find(known) == np.arange(len(known))).all()
+    assert (index.find(foreign) == -1).all()
+    assert (index.find(np.zeros(3, np.uint64)) == -1).all()
