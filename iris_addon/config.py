@@ -70,7 +70,7 @@ class SolveConfig:
     shadow_rays: int = 96
     specular_rays: int = 12
     atlas_size: int = 2048
-    rounds: int = 3
+    rounds: int = 2
     joint: bool = False
 
     def rng(self, stage: int) -> np.random.Generator:
@@ -81,9 +81,7 @@ class SolveConfig:
 
 
 PRESETS: dict[PresetName, SolveConfig] = {
-    "draft": SolveConfig(
-        "draft", max_patches=30_000, gather_rays=64, shadow_rays=48, specular_rays=8, atlas_size=1024, rounds=2
-    ),
+    "draft": SolveConfig("draft", max_patches=30_000, gather_rays=64, shadow_rays=48, specular_rays=8, atlas_size=1024),
     "balanced": SolveConfig(),
     "final": SolveConfig(
         "final",

@@ -32,8 +32,7 @@ def find_lights(problem: LightProblem, observed: GroupRadiance, progress: Progre
     for threshold in THRESHOLDS:
         emitters = _candidates(problem, lights, threshold)
         if threshold == THRESHOLDS[0] or not same_emitters(emitters, lights.emitters):
-            factors = _form_factors(problem, emitters, lights, progress)
-            lights = solve_lights(problem, observed, emitters, lights, progress, factors)
+            lights = solve_lights(problem, observed, emitters, lights, progress)
     return _without_negligible(problem, observed, lights, progress)
 
 
@@ -85,24 +84,16 @@ def refine_lights(
         diffuse: (P, 3) radiance without its specular part.
     """
     emitters = _candidates(problem, lights, THRESHOLDS[-1]) if problem.given is None else problem.given
-    factors = _form_factors(problem, emitters, lights, progress)
-    return solve_lights(problem, observed, emitters, lights, progress, factors, weight, diffuse)
-
-
-def _form_factors(
-    problem: LightProblem, emitters: list[NDArray[np.int64]], before: Lights, progress: Progress
-) -> NDArray[np.float32]:
-    """``B`` of the emitters, (N, E, 2); traced for those that ``before`` has not got."""
-    known = {faces.tobytes(): k for k, faces in enumerate(before.emitters)}
+    known = {faces.tobytes(): k for k, faces in enumerate(lights.emitters)}
     columns = [known.get(faces.tobytes(), -1) for faces in emitters]
     fresh = [faces for faces, k in zip(emitters, columns, strict=True) if k < 0]
     factors = np.empty((problem.transport.n_patches, len(emitters), 2), np.float32)
     traced = form_factors_of(problem, fresh, progress)
     at = 0
     for index, k in enumerate(columns):
-        factors[:, index] = before.form_factors[:, k] if k >= 0 else traced[:, at]
+        factors[:, index] = lights.form_factors[:, k] if k >= 0 else traced[:, at]
         at += k < 0
-    return factors
+    return solve_lights(problem, observed, emitters, lights, progress, factors, weight, diffuse)
 
 
 def _candidates(problem: LightProblem, lights: Lights, threshold: float) -> list[NDArray[np.int64]]:

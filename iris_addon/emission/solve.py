@@ -13,6 +13,8 @@ from .balance import Evidence, solve_balance
 from .candidates import tie_fixtures
 from .types import LightProblem, Lights
 
+FEWEST_SHADOW_RAYS = 16
+"""From a patch to each lamp, however many there are: noise here makes every lamp too dim and every wall too white."""
 WHOLLY_ON = 0.8
 """Quantile of a lamp's patches at which its radiance is read: where its edge or a blind shows too, they are darker."""
 
@@ -126,7 +128,7 @@ def form_factors_of(
     """(N, E, 2) form factors of lamps at all patches, seen and unseen; the shadow-ray budget is shared out evenly."""
     rng = np.random.default_rng([problem.seed, 17])
     t = problem.transport
-    samples = int(np.clip(problem.shadow_rays // max(1, len(emitters)), 6, 64))
+    samples = int(np.clip(problem.shadow_rays // max(1, len(emitters)), FEWEST_SHADOW_RAYS, 64))
     seen = emitter_form_factors(problem.tracer, t.origins, t.rays, emitters, samples, rng, progress)
     unseen = emitter_form_factors(
         problem.tracer, t.unseen_origins, t.unseen_rays, emitters, max(4, samples // 4), rng, progress
