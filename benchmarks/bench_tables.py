@@ -17,7 +17,40 @@ COLUMNS = {
 }  # fmt: skip
 ABLATION = {"constant-exposure": 4.074, "mean-response": 4.240, "gamma": 3.683, "ours": 1.363}
 """CRF L2 of the same ablation in the IRIS paper, on its own rooms."""
+README_ROWS = (
+    ("seconds_total", "solve time, s", "lower", 0),
+    ("rays_traced", "rays traced, 10⁶", "lower", 0),
+    ("peak_memory_bytes", "peak memory, GB", "lower", 1),
+    ("kd_psnr", "`kd_psnr`, dB", "higher", 1),
+    ("kd_psnr_all", "`kd_psnr_all`, dB", "higher", 1),
+    ("a_psnr", "`a_psnr`, dB", "higher", 1),
+    ("roughness_psnr", "`roughness_psnr`, dB", "higher", 1),
+    ("metallic_l2", "`metallic_l2`", "lower", 4),
+    ("emission_iou", "`emission_iou`", "higher", 2),
+    ("emission_log_l2", "`emission_log_l2`", "lower", 4),
+    ("crf_l2", "`crf_l2`", "lower", 2),
+    ("nvs_psnr", "`nvs_psnr`, dB", "higher", 1),
+    ("relight_psnr", "`relight_psnr`, dB", "higher", 1),
+    ("insert_psnr", "`insert_psnr`, dB", "higher", 1),
+)
+UNITS = {"rays_traced": 1e6, "peak_memory_bytes": 1e9}
 Rows = Sequence[Mapping[str, Any]]
+
+
+def balanced(records: Sequence[Record]) -> str:
+    """The README's table: `balanced` on every capture, means over seeds."""
+    chosen = [r for r in records if (r["run"]["configuration"], r["run"]["preset"]) == ("ours", "balanced")]
+    captures = dict(sorted(tables.group(chosen, lambda row: row["capture"]).items()))
+    body = [
+        [label, better, *(_readme_cell(rows, metric, digits) for rows in captures.values())]
+        for metric, label, better, digits in README_ROWS
+    ]
+    return f"{tables.markdown(['', 'better', *captures], body)}\n{machine_of(records)} Means over seeds.\n"
+
+
+def _readme_cell(rows: Rows, metric: str, digits: int) -> str:
+    value = tables.mean(rows, metric) / UNITS.get(metric, 1.0)
+    return tables.number(value, digits).replace("–", "n/a")
 
 
 def markdown(records: Sequence[Record]) -> str:

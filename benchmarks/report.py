@@ -1,7 +1,7 @@
 """Charts and tables out of the committed records: ``python -m benchmarks.report``.
 
 Nothing is measured. Charts go to docs/images/benchmarks, tables between the marks ``<!-- measured: NAME -->`` and
-``<!-- end -->`` of docs/benchmarks.md; what stands outside the marks is left alone.
+``<!-- end -->`` of docs/benchmarks.md and the README; what stands outside the marks is left alone.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from pathlib import Path
 
 from iris_addon.imaging import atomic_write
 
-from . import bench, profile_floor, scaling, stability
+from . import bench, bench_tables, profile_floor, scaling, stability
 from .machine import ROOT
 from .measured import COMMITTED, IMAGES, unpack
 from .runs import Record
 
-PAGE = ROOT / "docs" / "benchmarks.md"
+PAGE, README = ROOT / "docs" / "benchmarks.md", ROOT / "README.md"
 Section = Callable[[Sequence[Record], Path], str]
 """(records, folder for charts) to Markdown."""
 SECTIONS: Mapping[str, Section] = {
@@ -41,14 +41,22 @@ def fill(page: str, sections: Mapping[str, str]) -> str:
     return page
 
 
-def write(names: Sequence[str], committed: Path = COMMITTED, images: Path = IMAGES, page: Path = PAGE) -> None:
-    """Draw the charts of the sections ``names`` and write their tables into ``page``."""
+def write(
+    names: Sequence[str], committed: Path = COMMITTED, images: Path = IMAGES, page: Path = PAGE, readme: Path = README
+) -> None:
+    """Draw the charts of the sections ``names``, write their tables into ``page`` and one preset's into ``readme``."""
     texts = {}
     for name in names:
         records = unpack(name, committed)
         texts[name] = SECTIONS[name](records, images) if records else NOT_MEASURED
-    text = fill(page.read_text(encoding="utf-8"), texts)
-    atomic_write(page, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    _fill_file(page, texts)
+    if "bench" in names and (records := unpack("bench", committed)):
+        _fill_file(readme, {"balanced": bench_tables.balanced(records)})
+
+
+def _fill_file(path: Path, texts: Mapping[str, str]) -> None:
+    text = fill(path.read_text(encoding="utf-8"), texts)
+    atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -12,23 +12,16 @@ from ..iris_addon.blender.scene_capture import read_face_runs, whole_object
 from ..iris_addon.errors import IrisError
 from ..iris_addon.result.io import load_result
 from ..iris_addon.result.types import Result
+from .polls import NeedsResult
 from .project import folder, result_key
 
 
-class IRIS_OT_apply(bpy.types.Operator):  # noqa: N801 - Blender's naming
+class IRIS_OT_apply(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's naming
     """Put the recovered materials and lights onto the objects; what they have now is kept and can be restored"""
 
     bl_idname = "iris.apply"
     bl_label = "Apply"
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """There is a result."""
-        if not result_key(context.scene):
-            cls.poll_message_set("Solve first")
-            return False
-        return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Apply it."""

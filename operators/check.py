@@ -7,10 +7,11 @@ from __future__ import annotations
 import bpy
 
 from ..iris_addon.blender.capture_in import photo_of
-from .data import needs_python, start_import
+from .data import start_import
+from .polls import NeedsReader
 
 
-class IRIS_OT_check(bpy.types.Operator):  # noqa: N801 - Blender's naming
+class IRIS_OT_check(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blender's naming
     """Measure clipping, exposure and alignment of every photo again"""
 
     bl_idname = "iris.check"
@@ -24,7 +25,7 @@ class IRIS_OT_check(bpy.types.Operator):  # noqa: N801 - Blender's naming
         if settings.source == "CAPTURE" and not settings.capture:
             cls.poll_message_set("Import a capture first")
             return False
-        return needs_python(cls, context)
+        return super().poll(context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Start it."""

@@ -14,6 +14,7 @@ from ..iris_addon.blender.commands import ADDON, inspect_command
 from ..iris_addon.blender.review import sparkline
 from ..iris_addon.blender.scene_capture import write_scene_capture
 from ..iris_addon.errors import IrisError
+from .polls import NeedsReader
 from .preferences import ROOT_PACKAGE, solver_python
 from .project import capture_path, folder, inspection_folder
 from .watch import run
@@ -21,7 +22,7 @@ from .watch import run
 DEMO = ADDON / "assets" / "demo_room"
 
 
-class IRIS_OT_import_capture(bpy.types.Operator):  # noqa: N801 - Blender's naming
+class IRIS_OT_import_capture(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blender's naming
     """Read photos, poses and mesh of a room, check them and add them to this scene"""
 
     bl_idname = "iris.import_capture"
@@ -31,11 +32,6 @@ class IRIS_OT_import_capture(bpy.types.Operator):  # noqa: N801 - Blender's nami
     filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
     directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
     filter_glob: bpy.props.StringProperty(default="*.json", options={"HIDDEN"})
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """There is a Python that can read captures."""
-        return needs_python(cls, context)
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         """Ask for the file or folder, unless one was dropped."""
@@ -57,17 +53,12 @@ class IRIS_OT_import_capture(bpy.types.Operator):  # noqa: N801 - Blender's nami
         return start_import(self, context)
 
 
-class IRIS_OT_import_demo(bpy.types.Operator):  # noqa: N801 - Blender's naming
+class IRIS_OT_import_demo(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blender's naming
     """Import the small room that comes with the extension"""
 
     bl_idname = "iris.import_demo"
     bl_label = "Demo Room"
     bl_options = {"REGISTER"}  # noqa: RUF012 - Blender's form
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """There is a Python that can read captures."""
-        return needs_python(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Import it; its results go to the user's folder, never into the extension's."""
@@ -77,17 +68,12 @@ class IRIS_OT_import_demo(bpy.types.Operator):  # noqa: N801 - Blender's naming
         return start_import(self, context)
 
 
-class IRIS_OT_use_scene(bpy.types.Operator):  # noqa: N801 - Blender's naming
+class IRIS_OT_use_scene(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blender's naming
     """Take the cameras of this scene that have a background image as photos, and its mesh objects as the room"""
 
     bl_idname = "iris.use_scene"
     bl_label = "Use This Scene"
     bl_options = {"REGISTER"}  # noqa: RUF012 - Blender's form
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """There is a Python that can check what comes out."""
-        return needs_python(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Write the scene as a capture and check it."""
@@ -177,14 +163,6 @@ def _window_of(scene: bpy.types.Scene) -> dict[str, object]:
     return {"scene": scene} if window is None else {"window": window, "scene": scene}
 
 
-def needs_python(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """Poll of operators that start the worker."""
-    if not solver_python(context):
-        cls.poll_message_set("Set the solver's Python in the preferences of IRIS first")
-        return False
-    return jobs.running("inspect", inspection_folder(context.scene)) is None
-
-
 def _fill(settings: bpy.types.PropertyGroup, inspected: Inspected, cameras: list[bpy.types.Object | None]) -> None:
     settings.views.clear()
     for view, camera in zip(inspected.views, cameras, strict=True):
@@ -213,7 +191,7 @@ class IRIS_FH_capture(bpy.types.FileHandler):  # noqa: N801 - Blender's naming
 
 def menu(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
     """Entry of File > Import."""
-    self.layout.operator("iris.import_capture", text="IRIS Capture (transforms.json)")
+    self.layout.operator("iris.import_capture", text="IRIS Capture (transforms.json, COLMAP)")
 
 
 def register() -> None:

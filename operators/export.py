@@ -12,7 +12,8 @@ from ..iris_addon.blender.apply import apply, export_textures
 from ..iris_addon.blender.images import read_image
 from ..iris_addon.errors import IrisError
 from ..iris_addon.result.io import load_result
-from .project import folder, result_key
+from .polls import NeedsResult
+from .project import folder
 
 FORMATS = (
     ("BLEND", ".blend", "Room, lamps and world with textures packed"),
@@ -23,7 +24,7 @@ FORMATS = (
 SUFFIX = {"BLEND": ".blend", "GLB": ".glb", "USD": ".usdc", "TEXTURES": ""}
 
 
-class IRIS_OT_export(bpy.types.Operator):  # noqa: N801 - Blender's naming
+class IRIS_OT_export(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's naming
     """Write the solved room as a file of its own; this scene is left alone"""
 
     bl_idname = "iris.export"
@@ -32,14 +33,6 @@ class IRIS_OT_export(bpy.types.Operator):  # noqa: N801 - Blender's naming
     format: bpy.props.EnumProperty(name="Format", items=FORMATS)
     filepath: bpy.props.StringProperty(subtype="FILE_PATH")
     check_existing: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """There is a result."""
-        if not result_key(context.scene):
-            cls.poll_message_set("Solve first")
-            return False
-        return True
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         """Ask for the file."""

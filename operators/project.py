@@ -136,6 +136,7 @@ def export_step(scene: bpy.types.Scene) -> Step:
 
 def _newer(capture: Path, result: Path) -> bool:
     # The folder's own time changes with every file in it, so the poses are asked.
-    candidates = (capture, capture / "transforms.json", capture / "train" / "transforms.json")
+    poses = ("transforms.json", "train/transforms.json", "sparse/0/images.bin", "sparse/0/images.txt")
+    candidates = (capture, *(capture / name for name in poses))
     times = [path.stat().st_mtime for path in candidates if path.is_file()]
     return bool(times) and max(times) > result.stat().st_mtime

@@ -9,11 +9,12 @@ import bpy
 from ..iris_addon.blender.capture_in import show_instead
 from ..iris_addon.blender.review import curve_image, read_curve, review_image, reviewed_views, show_confidence
 from ..iris_addon.errors import IrisError
-from .project import folder, result_key
+from .polls import NeedsResult
+from .project import folder
 from .watch import show_in_editor
 
 
-class IRIS_OT_review(bpy.types.Operator):  # noqa: N801 - Blender's naming
+class IRIS_OT_review(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's naming
     """Show this picture of the result over the camera's view, and in the Image Editor where one is open"""
 
     bl_idname = "iris.review"
@@ -28,11 +29,6 @@ class IRIS_OT_review(bpy.types.Operator):  # noqa: N801 - Blender's naming
             ("curve", "Response", "The recovered camera response"),
         )
     )
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """There is a result."""
-        return bool(result_key(context.scene))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Load it and show it."""

@@ -235,22 +235,28 @@ def test_the_page_is_filled_from_the_committed_records_alone(tmp_path):
     report = pytest.importorskip("benchmarks.report", reason="matplotlib is not installed")
     from benchmarks.measured import pack
 
-    page = tmp_path / "page.md"
+    page, readme = tmp_path / "page.md", tmp_path / "readme.md"
     page.write_text("before\n<!-- measured: bench -->\nold\n<!-- end -->\nafter\n")
-    report.write(["bench"], tmp_path, tmp_path / "images", page)
-    assert page.read_text() == f"before\n<!-- measured: bench -->\n{report.NOT_MEASURED}\n<!-- end -->\nafter\n"
+    readme.write_text("<!-- measured: balanced -->\nold\n<!-- end -->\n")
+
+    def write() -> str:
+        report.write(["bench"], tmp_path, tmp_path / "images", page, readme)
+        return page.read_text()
+
+    assert write() == f"before\n<!-- measured: bench -->\n{report.NOT_MEASURED}\n<!-- end -->\nafter\n"
     pack("bench", [record(Run("room"), kd_psnr=20.0), record(Run("hall"), kd_psnr=21.0)], tmp_path)
-    report.write(["bench"], tmp_path, tmp_path / "images", page)
-    first = page.read_text()
+    first = write()
     assert "#### room" in first and "old" not in first and first.startswith("before\n") and first.endswith("after\n")
-    report.write(["bench"], tmp_path, tmp_path / "images", page)
-    assert page.read_text() == first, "the same records give the same page"
+    assert write() == first, "the same records give the same page"
+    assert "| `kd_psnr`, dB | higher | 21.0 | 20.0 |" in readme.read_text()
+    assert "| `crf_l2` | lower | n/a | n/a |" in readme.read_text()
 
 
 def test_the_page_of_the_repository_has_a_place_for_every_section():
     report = pytest.importorskip("benchmarks.report", reason="matplotlib is not installed")
     text = report.PAGE.read_text(encoding="utf-8")
     assert all(f"<!-- measured: {name} -->" in text for name in report.SECTIONS)
+    assert "<!-- measured: balanced -->" in report.README.read_text(encoding="utf-8")
 
 
 def test_scaling_prints_slopes_and_the_limiting_stage(tmp_path):

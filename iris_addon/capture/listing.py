@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from ..errors import BadInput
 from .files import inside, read_json_object
@@ -37,6 +37,13 @@ def safe_name(text: str) -> str:
     return re.sub(r"[^\w.-]+", "_", text).strip("._") or "view"
 
 
+def view_names(photos: Sequence[str]) -> list[str]:
+    """A name per photo, given relative paths: file stems where they are unique, otherwise whole paths."""
+    paths = [PurePosixPath(photo.replace("\\", "/")) for photo in photos]
+    stems = [safe_name(path.stem) for path in paths]
+    return stems if len(set(stems)) == len(stems) else [safe_name(str(path.with_suffix(""))) for path in paths]
+
+
 def check_unique(views: Iterable[View], source: Path) -> None:
     """Raise BadInput when two views have one name."""
     seen: set[str] = set()
@@ -46,15 +53,15 @@ def check_unique(views: Iterable[View], source: Path) -> None:
         seen.add(view.name)
 
 
-def only_mesh(root: Path, source: Path) -> Path:
-    """The one mesh file in ``root``; raises BadInput when there is none or a choice."""
+def only_mesh(root: Path, source: Path, mend: str = 'name one with "mesh" in {}') -> Path:
+    """The one mesh file in ``root``; raises BadInput when there is none or a choice, for which ``mend`` is advice."""
     files = [path for path in root.iterdir() if path.suffix.lower() in MESH_SUFFIXES and path.name[0] != "."]
     found = sorted([path for path in files if not is_point_cloud(path)] or files)
     if not found:
         raise BadInput("no mesh (PLY, OBJ or GLB) in the folder", "add the scan of the room", root)
     if len(found) > 1:
         names = ", ".join(path.name for path in found[:6])
-        raise BadInput(f"several meshes ({names})", f'name one with "mesh" in {source.name}', root)
+        raise BadInput(f"several meshes ({names})", mend.format(source.name), root)
     return inside(root, found[0].name, source)
 
 

@@ -7,7 +7,7 @@ may carry "split", "exposure" or "exposure_time" (with "iso", "f_number").
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from ..imaging import check_image
 from .cameras import read_camera, read_distortion
 from .exposures import from_frame
 from .files import find_image, frames_of, inside, number, read_json_object
-from .listing import Listing, check_unique, is_point_cloud, only_mesh, safe_name, up_axis
+from .listing import Listing, check_unique, is_point_cloud, only_mesh, up_axis, view_names
 from .types import Split, View
 
 UP = (0.0, 0.0, 1.0)
@@ -91,11 +91,7 @@ def _view_names(frames: Sequence[Mapping[str, Any]], source: Path) -> list[str]:
     for number_, frame in enumerate(frames):
         if not isinstance(frame.get("file_path"), str) or not frame["file_path"]:
             raise BadInput(f'frame {number_} has no "file_path"', "export the poses again", source)
-    paths = [PurePosixPath(frame["file_path"].replace("\\", "/")) for frame in frames]
-    stems = [safe_name(path.stem) for path in paths]
-    if len(set(stems)) == len(stems):
-        return stems
-    return [safe_name(str(path.with_suffix(""))) for path in paths]
+    return view_names([frame["file_path"] for frame in frames])
 
 
 _SPLITS: dict[str, Split] = {"train": "train", "val": "val", "test": "val"}

@@ -11,6 +11,7 @@ import numpy as np
 from ..errors import BadInput
 from ..imaging import HDR_SUFFIXES
 from .checks import check_photos, check_sees_mesh, check_units, seen_shares
+from .colmap import colmap_model, read_colmap
 from .exposures import apply_file, from_exif
 from .fipt import PhotoSet, fipt_root, read_fipt, read_fipt_views
 from .listing import Listing
@@ -28,7 +29,7 @@ def read_capture(
     """Read and check a capture.
 
     Args:
-        path: a nerfstudio transforms.json or its folder, or a folder in FIPT layout.
+        path: a nerfstudio transforms.json or its folder, a folder in FIPT layout, or one with a COLMAP model.
         exposures: "auto" takes what the capture records, else EXIF; "none" withholds the exposures of the training
             photos; anything else is a JSON, CSV or .npy file.
         hdr: folder with an EXR of linear radiance for each training photo, matched by file name.
@@ -77,13 +78,16 @@ def _list(path: Path, photos: PhotoSet) -> Listing:
     if root is not None:
         return read_fipt(root, photos)
     transforms = path / "transforms.json" if path.is_dir() else path
-    if not transforms.is_file():
+    if transforms.is_file():
+        return read_nerfstudio(transforms)
+    model = colmap_model(path)
+    if model is None:
         raise BadInput(
-            "neither transforms.json nor train/transforms.json in the folder",
+            "neither transforms.json nor train/transforms.json nor a COLMAP model in the folder",
             "export the poses in nerfstudio's format, or name the file itself",
             path,
         )
-    return read_nerfstudio(transforms)
+    return read_colmap(path, model)
 
 
 def _with_radiance(views: Sequence[View], folder: Path) -> list[View]:

@@ -1,0 +1,33 @@
+"""What several operators need before they may run; a poll says what is missing."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..iris_addon.blender import jobs
+from .preferences import solver_python
+from .project import inspection_folder, result_key
+
+
+class NeedsReader:
+    """Mixin of operators that let the solver's Python read a capture."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There is such a Python, and it is not reading already."""
+        if not solver_python(context):
+            cls.poll_message_set("Set the solver's Python in the preferences of IRIS first")  # type: ignore[attr-defined]
+            return False
+        return jobs.running("inspect", inspection_folder(context.scene)) is None
+
+
+class NeedsResult:
+    """Mixin of operators on the result."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There is one."""
+        if not result_key(context.scene):
+            cls.poll_message_set("Solve first")  # type: ignore[attr-defined]
+            return False
+        return True
