@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -24,22 +24,37 @@ def blocks(n: int, size: int) -> list[slice]:
     return [slice(start, min(start + step, n)) for start in range(0, n, step)]
 
 
-def over_blocks(n: int, size: int, work: Callable[[slice], None]) -> Iterator[float]:
-    """Call ``work`` on every block; yields the share that is done. Left early, blocks not begun are dropped."""
+def over_blocks(
+    n: int, size: int, work: Callable[[slice], None], done: Callable[[float], None] = lambda share: None
+) -> None:
+    """Call ``work`` on every block of ``range(n)``.
+
+    Args:
+        done: told the share that is done, on the calling thread. What it raises (a cancel), or what a block raises, is
+            raised here at once; blocks not begun are dropped.
+    """
     parts = blocks(n, size)
     if len(parts) == 1:
         work(parts[0])
-        yield 1.0
+        done(1.0)
         return
     with ThreadPoolExecutor(cores()) as threads:
-        for part, _ in zip(parts, threads.map(work, parts), strict=True):
-            yield part.stop / n
+        try:
+            for part, _ in zip(parts, threads.map(work, parts), strict=True):
+                done(part.stop / n)
+        except BaseException:
+            threads.shutdown(wait=False, cancel_futures=True)
+            raise
 
 
 def over_random_blocks(
-    n: int, size: int, work: Callable[[slice, np.random.Generator], None], rng: np.random.Generator
-) -> Iterator[float]:
+    n: int,
+    size: int,
+    work: Callable[[slice, np.random.Generator], None],
+    rng: np.random.Generator,
+    done: Callable[[float], None] = lambda share: None,
+) -> None:
     """:func:`over_blocks` with a generator per block, so that the numbers drawn do not depend on who runs first."""
     starts = [part.start for part in blocks(n, size)]
     generators = dict(zip(starts, rng.spawn(len(starts)), strict=True))
-    return over_blocks(n, size, lambda part: work(part, generators[part.start]))
+    over_blocks(n, size, lambda part: work(part, generators[part.start]), done)

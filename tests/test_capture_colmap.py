@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from iris_addon.capture import Capture, load_photo, read_capture
+from iris_addon.capture import Capture, load_photo, read_capture, read_views
 from iris_addon.capture.colmap import MODEL_NAMES
 from iris_addon.errors import BadInput
 from tests.box_room import RoomCapture, render_walls
@@ -106,6 +106,13 @@ def test_the_mesh_may_be_that_of_the_dense_reconstruction(colmap_room: tuple[Pat
     assert len(read_capture(root).mesh.faces) == len(expected.mesh.faces)
 
 
+def test_a_model_without_photos_and_mesh_still_has_cameras(colmap_room: tuple[Path, Capture], tmp_path: Path) -> None:
+    _, expected = colmap_room
+    write_binary(tmp_path, camera_of(expected), poses(expected))
+    views = read_views(tmp_path)
+    assert len(views) == len(expected.views) and all(view.photo is None for view in views)
+
+
 @pytest.mark.parametrize(
     ("damage", "said"),
     [
@@ -133,7 +140,7 @@ def test_a_damaged_model_is_named(
     [
         (("000.png", [np.nan, 0, 0, 0, 0, 0, 0]), "NaN"),
         (("000.png", [0.0, 0, 0, 0, 0, 0, 0]), "quaternion"),
-        (("nowhere.png", [1.0, 0, 0, 0, 0, 0, 0]), "nowhere.png is missing"),
+        (("nowhere.png", [1.0, 0, 0, 0, 0, 0, 0]), "nowhere: its photo is missing"),
         (("../../secret.png", [1.0, 0, 0, 0, 0, 0, 0]), "outside the capture"),
     ],
 )

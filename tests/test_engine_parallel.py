@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import threading
+import time
 
 import numpy as np
 import pytest
 
 from iris_addon.parallel import blocks, over_blocks, over_random_blocks
+from iris_addon.progress import Cancelled
 from iris_addon.surface.patches import KeyIndex
 
 
@@ -18,7 +20,8 @@ def test_blocks_cover_everything_once(n: int, size: int) -> None:
     def work(block: slice) -> None:
         covered[block] += 1
 
-    shares = list(over_blocks(n, size, work))
+    shares: list[float] = []
+    over_blocks(n, size, work, shares.append)
     assert (covered == 1).all()
     assert shares == sorted(shares) and len(shares) == len(blocks(n, size))
     assert not shares or shares[-1] == 1
@@ -36,7 +39,7 @@ def test_numbers_do_not_depend_on_who_runs_first() -> None:
             if block.start > 0:
                 others.set()
 
-        list(over_random_blocks(64, 16, work, np.random.default_rng(3)))
+        over_random_blocks(64, 16, work, np.random.default_rng(3))
         return values
 
     assert (draw(first_waits=True) == draw(first_waits=False)).all()
@@ -49,15 +52,22 @@ def test_an_error_in_a_block_is_raised() -> None:
             raise FloatingPointError("a ray is not finite")
 
     with pytest.raises(FloatingPointError):
-        list(over_blocks(16, 4, work))
+        over_blocks(16, 4, work)
 
 
-def test_leaving_early_drops_what_has_not_begun() -> None:
+def test_a_cancel_drops_the_blocks_that_have_not_begun() -> None:
     begun = []
-    for share in over_blocks(10_000, 1, lambda block: begun.append(block.start)):
-        if share > 0:
-            break
-    assert len(begun) < 10_000
+
+    def work(block: slice) -> None:
+        begun.append(block.start)
+        time.sleep(0.001)
+
+    def cancel(share: float) -> None:
+        raise Cancelled
+
+    with pytest.raises(Cancelled):
+        over_blocks(2000, 1, work, cancel)
+    assert len(begun) < 1000
 
 
 @pytest.mark.parametrize("n", [0, 1, 1000])

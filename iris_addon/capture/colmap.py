@@ -55,15 +55,11 @@ def colmap_model(path: Path) -> Path | None:
 
 def read_colmap(path: Path, model: Path) -> Listing:
     """List the capture ``path`` whose sparse model lies in ``model``; raises BadInput."""
-    binary = (model / "images.bin").is_file() and (model / "cameras.bin").is_file()
-    source = model / ("images.bin" if binary else "images.txt")
-    cameras = (_binary_cameras if binary else _text_cameras)(source.with_stem("cameras"))
-    posed = sorted((_binary_images if binary else _text_images)(source))
-    if not posed:
-        raise BadInput("has no images", "let COLMAP register the photos first", source)
-    root = _root(path)
-    views = _views(posed, cameras, root, source)
-    check_unique(views, source)
+    root, source = _root(path), _source(model)
+    views = read_colmap_views(path, model)
+    for view in views:
+        if view.photo is None:
+            raise BadInput(f"{view.name}: its photo is missing", f"put the photos into {root.name}/images", source)
     up = np.mean([view.camera.c2w[:3, 1] for view in views], axis=0)
     length = float(np.linalg.norm(up))
     upward = tuple(float(x) for x in up / length) if length > 0.1 else (0.0, 0.0, 1.0)
@@ -77,6 +73,24 @@ def read_colmap(path: Path, model: Path) -> Listing:
         up=up_axis(root, (upward[0], upward[1], upward[2])),
         warnings=("a COLMAP model has no unit: one unit of it is taken as one metre",),
     )
+
+
+def read_colmap_views(path: Path, model: Path) -> tuple[View, ...]:
+    """Every view of the model, photo or not: cameras to render from; raises BadInput."""
+    source = _source(model)
+    binary = source.suffix == ".bin"
+    cameras = (_binary_cameras if binary else _text_cameras)(source.with_stem("cameras"))
+    posed = sorted((_binary_images if binary else _text_images)(source))
+    if not posed:
+        raise BadInput("has no images", "let COLMAP register the photos first", source)
+    views = _views(posed, cameras, _root(path), source)
+    check_unique(views, source)
+    return views
+
+
+def _source(model: Path) -> Path:
+    binary = (model / "images.bin").is_file() and (model / "cameras.bin").is_file()
+    return model / ("images.bin" if binary else "images.txt")
 
 
 def _root(path: Path) -> Path:
@@ -99,8 +113,6 @@ def _views(posed: Sequence[Posed], cameras: Cameras, root: Path, source: Path) -
         if camera_id not in cameras:
             raise BadInput(f"{name}: no camera {camera_id}", "export cameras and images together", source)
         photo = find_image(root, f"images/{photo_name}", source) or find_image(root, photo_name, source)
-        if photo is None:
-            raise BadInput(f"{name}: photo images/{photo_name} is missing", "put the photos into images/", source)
         values = {**cameras[camera_id], "transform_matrix": _camera_to_world(pose, name, source)}
         camera = read_camera(values, None, name, source)
         views.append(View(name, camera, photo, distortion=read_distortion(values, name, source)))

@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import BadInput
 from ..imaging import HDR_SUFFIXES
 from .checks import check_photos, check_sees_mesh, check_units, seen_shares
-from .colmap import colmap_model, read_colmap
+from .colmap import colmap_model, read_colmap, read_colmap_views
 from .exposures import apply_file, from_exif
 from .fipt import PhotoSet, fipt_root, read_fipt, read_fipt_views
 from .listing import Listing
@@ -62,10 +62,16 @@ def read_capture(
 
 
 def read_views(path: Path) -> tuple[View, ...]:
-    """Cameras to render from, out of a transforms.json of either layout; photos need not exist. Raises BadInput."""
+    """Cameras to render from, out of a transforms.json of either layout or a COLMAP model; photos need not exist.
+
+    Raises:
+        BadInput: no cameras there, or unusable ones.
+    """
     path = Path(path)
     transforms = path / "transforms.json" if path.is_dir() else path
     root = fipt_root(transforms)
+    if root is None and not transforms.is_file() and (model := colmap_model(path)) is not None:
+        return read_colmap_views(path, model)
     if root is None:
         return read_nerfstudio_views(transforms)
     return read_fipt_views(root, "val" if transforms.parent.name == "val" else "train")

@@ -11,7 +11,16 @@ from ..progress import Progress
 from ..response.radiance import GroupRadiance
 from ..transport.transport import ESCAPED
 from .candidates import emitting_faces, group_emitters, reflectance_needed, whole_parts
-from .solve import form_factors_of, lights_without_lamps, mean_radiance, patches_on, solve_lights
+from .solve import (
+    SEARCH_SHADOW_RAYS,
+    SHADOW_RAYS,
+    form_factors_of,
+    lights_without_lamps,
+    mean_radiance,
+    patches_on,
+    shadow_rays_each,
+    solve_lights,
+)
 from .types import LightProblem, Lights
 
 OUTSIDE_GAIN = 0.02
@@ -32,8 +41,9 @@ def find_lights(problem: LightProblem, observed: GroupRadiance, progress: Progre
     for threshold in THRESHOLDS:
         emitters = _candidates(problem, lights, threshold)
         if threshold == THRESHOLDS[0] or not same_emitters(emitters, lights.emitters):
-            lights = solve_lights(problem, observed, emitters, lights, progress)
-    return _without_negligible(problem, observed, lights, progress)
+            factors = form_factors_of(problem, emitters, progress, SEARCH_SHADOW_RAYS)
+            lights = solve_lights(problem, observed, emitters, lights, progress, factors)
+    return _with_all_rays(problem, observed, _without_negligible(problem, observed, lights, progress), progress)
 
 
 def choose_outside(
@@ -123,6 +133,15 @@ def _without_negligible(problem: LightProblem, observed: GroupRadiance, lights: 
         return lights
     emitters = [faces for faces, keep in zip(lights.emitters, kept, strict=True) if keep]
     return solve_lights(problem, observed, emitters, lights, progress, lights.form_factors[:, kept])
+
+
+def _with_all_rays(problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress) -> Lights:
+    """Solved again with as many shadow rays as lamps that were found deserve, if they had fewer in the search."""
+    n = len(lights.emitters)
+    if n == 0 or shadow_rays_each(problem, n, SEARCH_SHADOW_RAYS) >= SHADOW_RAYS:
+        return lights
+    factors = form_factors_of(problem, lights.emitters, progress)
+    return solve_lights(problem, observed, lights.emitters, lights, progress, factors)
 
 
 def same_emitters(a: list[NDArray[np.int64]], b: list[NDArray[np.int64]]) -> bool:

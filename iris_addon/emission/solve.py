@@ -13,8 +13,9 @@ from .balance import Evidence, solve_balance
 from .candidates import tie_fixtures
 from .types import LightProblem, Lights
 
-FEWEST_SHADOW_RAYS = 16
-"""From a patch to each lamp, however many there are: noise here makes every lamp too dim and every wall too white."""
+SEARCH_SHADOW_RAYS, SHADOW_RAYS, MOST_SHADOW_RAYS = 6, 14, 64
+"""From a patch to a lamp: at least in the search, at least for those that were found, and at most. Noise here makes
+lamps too dim and walls too white."""
 WHOLLY_ON = 0.8
 """Quantile of a lamp's patches at which its radiance is read: where its edge or a blind shows too, they are darker."""
 
@@ -122,13 +123,18 @@ def lights_without_lamps(problem: LightProblem, observed: GroupRadiance) -> Ligh
     return Lights([], np.zeros((0, 3)), hidden, np.zeros(0), no_factors, none, irradiance, radiance)
 
 
+def shadow_rays_each(problem: LightProblem, n_lamps: int, fewest: int) -> int:
+    """Shadow rays from a patch to each lamp: the budget shared out evenly."""
+    return int(np.clip(problem.shadow_rays // max(1, n_lamps), fewest, MOST_SHADOW_RAYS))
+
+
 def form_factors_of(
-    problem: LightProblem, emitters: list[NDArray[np.int64]], progress: Progress
+    problem: LightProblem, emitters: list[NDArray[np.int64]], progress: Progress, fewest: int = SHADOW_RAYS
 ) -> NDArray[np.float32]:
-    """(N, E, 2) form factors of lamps at all patches, seen and unseen; the shadow-ray budget is shared out evenly."""
+    """(N, E, 2) form factors of lamps at all patches, seen and unseen, with ``fewest`` shadow rays each at least."""
     rng = np.random.default_rng([problem.seed, 17])
     t = problem.transport
-    samples = int(np.clip(problem.shadow_rays // max(1, len(emitters)), FEWEST_SHADOW_RAYS, 64))
+    samples = shadow_rays_each(problem, len(emitters), fewest)
     seen = emitter_form_factors(problem.tracer, t.origins, t.rays, emitters, samples, rng, progress)
     unseen = emitter_form_factors(
         problem.tracer, t.unseen_origins, t.unseen_rays, emitters, max(4, samples // 4), rng, progress

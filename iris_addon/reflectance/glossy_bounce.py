@@ -89,8 +89,7 @@ def trace_glossy_bounce(
                 tracer, transport, parts, roughness, specular_color, origins, rays, kappa, *at, rng
             )
 
-        for _ in over_random_blocks(n, BLOCK, work, rng):
-            pass
+        over_random_blocks(n, BLOCK, work, rng)
         return (row + start).astype(np.int32), weight, target, face
 
     seen = continued(0, transport.origins, transport.rays)

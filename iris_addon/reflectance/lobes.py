@@ -66,8 +66,7 @@ class LobeRays:
             for result, weight in ((ls0, self.weight0), (ls1, self.weight1)):
                 result[rows] = np.einsum("ns,nsc->nc", weight[rows].astype(np.float32), incoming) / samples
 
-        for _ in over_blocks(n, BLOCK // samples, work):
-            pass
+        over_blocks(n, BLOCK // samples, work)
         return ls0, ls1
 
 
@@ -128,6 +127,5 @@ def lobe_cache(
         for field in fields(LobeRays):
             getattr(cache, field.name)[block] = getattr(piece, field.name)
 
-    for _ in over_random_blocks(len(rows), BLOCK // n_rays, work, rng):
-        pass
+    over_random_blocks(len(rows), BLOCK // n_rays, work, rng)
     return cache

@@ -62,8 +62,7 @@ class IrradianceField:
             weight = self._weights(samples.position[rows], samples.normal[rows], patch[rows], KERNEL)
             result[rows] = np.einsum("pk,pkc->pc", weight, table[self.neighbours[patch[rows]]])
 
-        for _ in over_blocks(len(patch), BLOCK // NEIGHBOURS, work):
-            pass
+        over_blocks(len(patch), BLOCK // NEIGHBOURS, work)
         return result
 
     def _weights(

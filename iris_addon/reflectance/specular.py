@@ -82,8 +82,7 @@ def specular_lobes(
         rays = trace_lobes(scene.tracer, scene.transport, scene.parts, samples, rows[at], roughness[at], n_rays, rng)
         ls0[at], ls1[at] = scene.lobes(rays)
 
-    for share in over_random_blocks(len(traced), BLOCK // n_rays, work, rng):
-        progress.update(share)
+    over_random_blocks(len(traced), BLOCK // n_rays, work, rng, progress.update)
     return ls0, ls1
 
 

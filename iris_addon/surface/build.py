@@ -103,6 +103,5 @@ def _keys(
         at = samples.position[rows], samples.normal[rows], part[rows]
         keys[rows] = cell_keys(*at, origin, scale, known_blocks, block_levels)
 
-    for _ in over_blocks(len(part), BLOCK, work):
-        pass
+    over_blocks(len(part), BLOCK, work)
     return keys

@@ -88,8 +88,7 @@ def gather(
         schlick_start[rows] = schlick(dot(d, normal)).reshape(-1, n_rays)
         schlick_end[rows] = schlick(np.abs(dot(d, tracer.normals[hits.face]))).reshape(-1, n_rays)
 
-    for share in over_random_blocks(n, BLOCK // n_rays, work, rng):
-        progress.update(share)
+    over_random_blocks(n, BLOCK // n_rays, work, rng, progress.update)
     return GatherRays(face, direction, distance, schlick_start, schlick_end), point
 
 
@@ -193,5 +192,4 @@ def _add_sampled(
         for kind, factor in enumerate(with_schlick(cos_surface[live]).T):
             column[rows, kind] += np.bincount(live // n_samples, value * factor, minlength=n).astype(np.float32)
 
-    for _ in over_random_blocks(len(column), BLOCK // n_samples, work, rng):
-        pass
+    over_random_blocks(len(column), BLOCK // n_samples, work, rng)

@@ -120,8 +120,7 @@ class Tracer:
             raise FloatingPointError("a ray is not finite; the usual cause is the normal of a degenerate triangle")
         with self._counting:
             self.rays_traced += len(o)
-        for _ in over_blocks(len(o), CHUNK, lambda part: trace(part, o[part], d[part])):
-            pass
+        over_blocks(len(o), CHUNK, lambda part: trace(part, o[part], d[part]))
 
 
 def points_on_faces(

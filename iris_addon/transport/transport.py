@@ -102,8 +102,7 @@ def _mean_of_targets(
         if weight is not None:
             weight[rows] = _lobe_weights(rays, rows, target[rows], own[rows], kappa)
 
-    for _ in over_blocks(len(target), BLOCK // target.shape[1], work):
-        pass
+    over_blocks(len(target), BLOCK // target.shape[1], work)
     at = torch.from_numpy(index).to(table.device)
     if weight is None:
         return torch.nn.functional.embedding_bag(at, table, mode="mean").cpu().numpy()
@@ -189,8 +188,7 @@ def _targets(
     def work(block: slice) -> None:
         target[block] = find_patches(tracer, grids, parts, face[block], point[block], direction[block])
 
-    for _ in over_blocks(len(face), BLOCK, work):
-        pass
+    over_blocks(len(face), BLOCK, work)
     return target.reshape(rays.face.shape)
 
 
