@@ -16,14 +16,14 @@ IN_CHARTS = ("ours", "mitsuba-prb", "iris-like", "fipt-ldr-like", "fipt-hdr-like
 def write(records: Sequence[Record], out: Path) -> list[str]:
     """Write ``summary`` and a chart per capture that was scored by maps or relighting; their names.
 
-    The summary is the mean over the captures on which every charted method was run, or a method would be judged by the
-    easy ones.
+    The summary is the mean over the captures on which every charted method was run, and has only the presets that were
+    run on all of them, or a point would be judged by the easy ones.
     """
     by_capture = _scored(records)
     drawn = []
     if len(by_capture) > 1:
         common = _complete(by_capture)
-        pool = [record for name in common for record in by_capture[name]]
+        pool = _everywhere([record for name in common for record in by_capture[name]], len(common))
         if _draw(pool, f"Speed against accuracy, mean of {', '.join(common)}", out / "summary"):
             drawn.append("summary")
     drawn += [name for name, own in by_capture.items() if _draw(own, name, out / name)]
@@ -44,6 +44,15 @@ def _complete(by_capture: dict[str, list[Record]]) -> list[str]:
     methods = {name: {r["run"]["configuration"] for r in own} & set(IN_CHARTS) for name, own in by_capture.items()}
     everything = set().union(*methods.values()) - {"fipt-hdr-like"}  # needs radiance, which few captures keep
     return [name for name, found in methods.items() if everything <= found] or list(by_capture)
+
+
+def _everywhere(records: Sequence[Record], n_captures: int) -> list[Record]:
+    """Records of the methods and presets that have been run on all captures."""
+    where: dict[tuple[str, str], set[str]] = {}
+    for record in records:
+        run = record["run"]
+        where.setdefault((run["configuration"], run["preset"]), set()).add(run["capture"])
+    return [r for r in records if len(where[r["run"]["configuration"], r["run"]["preset"]]) == n_captures]
 
 
 def _draw(records: Sequence[Record], title: str, stem: Path) -> bool:

@@ -13,7 +13,7 @@ from .balance import Evidence, solve_balance
 from .candidates import tie_fixtures
 from .types import LightProblem, Lights
 
-SEARCH_SHADOW_RAYS, SHADOW_RAYS, MOST_SHADOW_RAYS = 6, 14, 64
+SEARCH_SHADOW_RAYS, SHADOW_RAYS, MOST_SHADOW_RAYS = 6, 13, 64
 """From a patch to a lamp: at least in the search, at least for those that were found, and at most. Noise here makes
 lamps too dim and walls too white."""
 WHOLLY_ON = 0.8
