@@ -9,6 +9,8 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from iris_addon.parallel import cores
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("numpy", "scipy", "torch", "embreex", "bpy", "mitsuba")
 
@@ -43,13 +45,6 @@ def _processor() -> str:
             if key.strip() == "model name" and value.strip() not in ("", "unknown"):
                 return value.strip()
     return platform.processor() or platform.machine()
-
-
-def cores() -> int:
-    """Processor cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _memory() -> int | None:

@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from iris_addon.parallel import cores
 from iris_addon.progress import Progress, console
 
 from . import charts, tables
-from .machine import cores
 from .measured import OUT, machine_of, pack
 from .perturb import AXES, Axis, axis_applies
 from .perturb_scene import CHANGES, rendered

@@ -7,9 +7,10 @@ centres lie at half integers, as here. Points are not read: the room is the mesh
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -38,7 +39,6 @@ MODEL_NAMES = tuple(PARAMETERS)
 """By the number that a binary file has; numbers beyond are models without a counterpart here."""
 DOWN_FORWARD = np.diag([1.0, -1.0, -1.0, 1.0])
 
-_Entry = TypeVar("_Entry")
 Cameras = dict[int, dict[str, Any]]
 """Keys of a transforms file by camera id."""
 Posed = tuple[str, int, tuple[float, ...]]
@@ -156,20 +156,21 @@ def _lines(path: Path) -> Iterator[str]:
         yield from (line.rstrip("\r\n") for line in file if not line.startswith("#"))
 
 
-def _parsed(entry: Callable[[], _Entry], path: Path) -> _Entry:
+@contextmanager
+def _told_if_damaged(path: Path) -> Iterator[None]:
     try:
-        return entry()
+        yield
     except (ValueError, IndexError, struct.error, EOFError) as error:
         raise BadInput(f"is damaged ({error})", "export the model from COLMAP again", path) from error
 
 
 def _text_cameras(path: Path) -> Cameras:
     cameras: Cameras = {}
-    for line in _lines(path):
-        if word := line.split():
-            id_, width, height = _parsed(lambda word=word: (int(word[0]), int(word[2]), int(word[3])), path)
-            parameters = _parsed(lambda word=word: [float(x) for x in word[4:]], path)
-            cameras[id_] = _camera(word[1], width, height, parameters, path)
+    with _told_if_damaged(path):
+        for line in _lines(path):
+            if word := line.split():
+                parameters = [float(x) for x in word[4:]]
+                cameras[int(word[0])] = _camera(word[1], int(word[2]), int(word[3]), parameters, path)
     return cameras
 
 
@@ -177,14 +178,12 @@ def _text_images(path: Path) -> list[Posed]:
     """Two lines per image; the second, its points, may be empty."""
     images: list[Posed] = []
     lines = _lines(path)
-    for line in lines:
-        if not line.strip():
-            continue
-        word = line.split(maxsplit=9)
-        images.append(
-            _parsed(lambda word=word: (word[9].strip(), int(word[8]), tuple(float(x) for x in word[1:8])), path)
-        )
-        next(lines, None)
+    with _told_if_damaged(path):
+        for line in lines:
+            if line.strip():
+                word = line.split(maxsplit=9)
+                images.append((word[9].strip(), int(word[8]), tuple(float(x) for x in word[1:8])))
+                next(lines, None)
     return images
 
 
@@ -204,35 +203,29 @@ def _count(file: BinaryIO) -> int:
 
 
 def _binary_cameras(path: Path) -> Cameras:
-    def read() -> Cameras:
-        cameras: Cameras = {}
-        with path.open("rb") as file:
-            for _ in range(_count(file)):
-                id_, model, width, height = _unpack(file, "<IiQQ")
-                name = MODEL_NAMES[model] if 0 <= model < len(MODEL_NAMES) else f"number {model}"
-                parameters = _unpack(file, f"<{len(PARAMETERS.get(name, ()))}d")
-                cameras[id_] = _camera(name, width, height, parameters, path)
-        return cameras
-
-    return _parsed(read, path)
+    cameras: Cameras = {}
+    with _told_if_damaged(path), path.open("rb") as file:
+        for _ in range(_count(file)):
+            id_, model, width, height = _unpack(file, "<IiQQ")
+            name = MODEL_NAMES[model] if 0 <= model < len(MODEL_NAMES) else f"number {model}"
+            parameters = _unpack(file, f"<{len(PARAMETERS.get(name, ()))}d")
+            cameras[id_] = _camera(name, width, height, parameters, path)
+    return cameras
 
 
 def _binary_images(path: Path) -> list[Posed]:
-    def read() -> list[Posed]:
-        images: list[Posed] = []
-        size = path.stat().st_size
-        with path.open("rb") as file:
-            for _ in range(_count(file)):
-                _, *pose, camera_id = _unpack(file, "<I7dI")
-                name = _name(file)
-                (points,) = _unpack(file, "<Q")
-                if file.tell() + 24 * points > size:
-                    raise EOFError("it ends within the points of an image")
-                file.seek(24 * points, 1)
-                images.append((name, camera_id, tuple(pose)))
-        return images
-
-    return _parsed(read, path)
+    images: list[Posed] = []
+    size = path.stat().st_size
+    with _told_if_damaged(path), path.open("rb") as file:
+        for _ in range(_count(file)):
+            _, *pose, camera_id = _unpack(file, "<I7dI")
+            name = _name(file)
+            (points,) = _unpack(file, "<Q")
+            if file.tell() + 24 * points > size:
+                raise EOFError("it ends within the points of an image")
+            file.seek(24 * points, 1)
+            images.append((name, camera_id, tuple(pose)))
+    return images
 
 
 def _name(file: BinaryIO) -> str:
