@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -37,6 +37,8 @@ DIM = 0.05
 """Share of the median irradiance below which a quotient of radiance and irradiance is not worth much."""
 HELD_OUT = 0.02
 """Share of pixels kept from the textures, to measure what they predict."""
+Rows = slice | NDArray[np.bool_]
+"""Some of the pixels."""
 
 
 def make_result(
@@ -83,9 +85,14 @@ def make_result(
         uv, config.atlas_size, light.parts, lights.mask, gloss, samples, albedo, weight * ~held_out[:, None]
     )
     emission = lights.face_emission(len(light.parts))[samples.face]
-    predicted = _predict(base_color, metallic, diffuse_light, ls0, ls1, emission)
-    z = photometry.develop(predicted, samples.view)
-    error = (z - np.clip(photos.z + 0.5 / 255, 0, 1))[held_out] if not photos.hdr else (z - photos.z)[held_out]
+
+    def explained(rows: Rows) -> NDArray[np.float64]:
+        """Display values of some pixels under the solved model."""
+        seen = (column[rows] for column in (base_color, metallic, diffuse_light, ls0, ls1, emission))
+        return photometry.develop(_predict(*seen), samples.view[rows])
+
+    shown = photos.z[held_out]
+    error = explained(held_out) - (shown if photos.hdr else np.clip(shown + 0.5 / 255, 0, 1))
     report = {"holdout_psnr": float(-10 * np.log10(np.mean(error**2)))}
     closed = config.refinements.hidden_light is False
     backdrop = None if closed else fit_backdrop(photos.beyond, photometry)
@@ -102,11 +109,13 @@ def make_result(
         report,
         capture.up,
     )
-    return result, _rerenders(capture, samples, z)
+    return result, _rerenders(capture, samples, explained)
 
 
-def _rerenders(capture: Capture, samples: PixelSamples, z: NDArray[np.floating]) -> dict[str, NDArray[np.float32]]:
-    """Predicted display values of a few photos by name, (H, W, 3); pixels off the lattice take their neighbour's."""
+def _rerenders(
+    capture: Capture, samples: PixelSamples, explained: Callable[[Rows], NDArray[np.float64]]
+) -> dict[str, NDArray[np.float32]]:
+    """A few photos by name as ``explained``, (H, W, 3); pixels off the lattice take their neighbour's value."""
     pictures = {}
     for index in np.unique(np.linspace(0, len(capture.views) - 1, SHOWN_PHOTOS).astype(int)):
         camera = capture.views[index].camera
@@ -114,7 +123,7 @@ def _rerenders(capture: Capture, samples: PixelSamples, z: NDArray[np.floating])
         known = np.zeros((camera.height, camera.width), bool)
         image = np.zeros((camera.height, camera.width, 3), np.float32)
         known.ravel()[samples.pixel[rows]] = True
-        image.reshape(-1, 3)[samples.pixel[rows]] = z[rows]
+        image.reshape(-1, 3)[samples.pixel[rows]] = explained(rows)
         if known.any():
             nearest = np.asarray(distance_transform_edt(~known, return_distances=False, return_indices=True))
             image = image[nearest[0], nearest[1]]

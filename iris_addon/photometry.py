@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .capture.types import Capture
 from .config import SolveConfig
+from .parallel import BLOCK, over_blocks
 from .response import curve
 from .response.curve import Response
 from .response.files import read_response
@@ -50,14 +51,21 @@ class Photometry:
 
     def linearise_pixels(self, z: NDArray[np.floating], view: NDArray[np.integer]) -> Linearised:
         """Radiance of pixels (n, 3) with their precision; a single pixel is clipped or it is not."""
-        t = self.exposures[view]
         if self.hdr:
-            return Linearised(z / t, np.ones(z.shape, bool), np.zeros(z.shape), np.ones(z.shape))
-        x = self.response.invert(np.clip(z + 0.5 / 255, 0, 1))
-        quantisation = (1 / 255 / np.sqrt(12)) / (np.maximum(self.response.slope(x), 1e-3) * np.maximum(x, 1e-5))
+            return Linearised(z / self.exposures[view], np.ones(z.shape, bool), np.zeros(z.shape), np.ones(z.shape))
         clipped = z >= SATURATED
-        precision = MODEL_NOISE**2 / (MODEL_NOISE**2 + quantisation**2)
-        return Linearised(x / t, ~clipped, np.where(clipped, 1 / t, 0.0), precision)
+        radiance, bound, precision = np.empty(z.shape), np.empty(z.shape), np.empty(z.shape)
+
+        def work(rows: slice) -> None:
+            t = self.exposures[view[rows]]
+            x = self.response.invert(np.clip(z[rows] + 0.5 / 255, 0, 1))
+            quantisation = (1 / 255 / np.sqrt(12)) / (np.maximum(self.response.slope(x), 1e-3) * np.maximum(x, 1e-5))
+            radiance[rows] = x / t
+            bound[rows] = np.where(clipped[rows], 1 / t, 0.0)
+            precision[rows] = MODEL_NOISE**2 / (MODEL_NOISE**2 + quantisation**2)
+
+        over_blocks(len(z), BLOCK, work)
+        return Linearised(radiance, ~clipped, bound, precision)
 
     def develop(self, radiance: NDArray[np.floating], view: NDArray[np.integer]) -> NDArray[np.float64]:
         """Display values (n, 3) of radiance; the radiance itself for HDR input."""

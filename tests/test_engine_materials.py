@@ -227,10 +227,12 @@ def test_fusing_is_robust_and_says_which_channel_was_always_clipped() -> None:
     value[[3, 7]] = 0.95  # a highlight in two of twelve photos
     weight = np.ones((36, 3))
     weight[12:24, 0] = 0  # red clipped in every photo
+    texel, value = np.append(texel, 4), np.append(value, [[0.9, 0.9, 0.9]], 0)
+    weight = np.append(weight, [[0.0, 0.0, 0.0]], 0)  # clipped in every channel
     fused = fuse_texels(texel, value, weight, 5)
     assert fused.value[0] == pytest.approx([0.4, 0.3, 0.2], abs=0.04)
     assert np.isnan(fused.value[1, 0]) and fused.value[1, 1:] == pytest.approx([0.3, 0.2], abs=1e-5)
-    assert (fused.weight[[0, 1, 3]] > 0).all() and (fused.weight[[2, 4]] == 0).all()
+    assert fused.texel.tolist() == [0, 1, 3] and (fused.weight > 0).all()
 
 
 def test_unseen_faces_take_their_parts_mean_and_lamps_are_black() -> None:

@@ -12,7 +12,7 @@ from iris_addon.errors import BadInput
 from iris_addon.response import curve, family
 from iris_addon.response.curve import N_SAMPLES, Response
 from iris_addon.response.files import read_response
-from iris_addon.response.observations import SATURATED, Observations, observe
+from iris_addon.response.observations import SATURATED, Observations, observe, order_in_groups
 from iris_addon.response.overlap import fit_overlap
 from iris_addon.response.radiance import group_radiance, linearise
 
@@ -192,6 +192,21 @@ def test_what_every_photo_clips_is_a_lower_bound() -> None:
     assert found.bound == pytest.approx(np.full((2, 3), 4.0))
     assert found.radiance[0] == pytest.approx(4.0)
     assert found.radiance[1] == pytest.approx(((0.5 + 0.5 / 255) ** 2.2) / 2, rel=1e-3)
+
+
+def test_one_sort_orders_values_within_their_groups() -> None:
+    rng = np.random.default_rng(0)
+    values = np.concatenate([rng.normal(0, 10, 500), [-1e30, 1e30, 0.0]]).astype(np.float32)
+    group = rng.integers(0, 5, len(values))
+    order = order_in_groups(values, group)
+    assert np.array_equal(group[order], np.sort(group))
+    assert np.array_equal(values[order], values[np.lexsort((values, group))])
+
+
+def test_outside_its_table_a_response_holds_its_ends() -> None:
+    exposure = np.array([[-1.0, 0.0, 0.3], [1.0, 7.0, np.nan]])
+    expected = np.interp(exposure, np.linspace(0, 1, 1024), X ** (1 / 2.2))
+    assert np.allclose(curve.gamma().apply(exposure), expected, atol=1e-12, equal_nan=True)
 
 
 def test_observations_are_means_per_patch_and_view() -> None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..response.observations import Observations
+from ..response.observations import Observations, order_in_groups
 from ..response.radiance import Linearised, group_radiance
 from ..surface.parts import component_labels
 
@@ -65,7 +65,7 @@ def _low_quantile(
     bound = np.zeros(n)
     np.maximum.at(bound, face, np.where(open_, 0.0, value))
     use = np.flatnonzero(open_)
-    order = use[np.lexsort((value[use], face[use]))]
+    order = use[order_in_groups(value[use], face[use])]
     sorted_face = face[order]
     weight = count[order].astype(np.float64)
     total = np.bincount(sorted_face, weight, n)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..result.sh import fit_sh, sh_basis
 from ..transport.gather import GatherRays, Origins, with_schlick
+from ..transport.sampling import dot
 from ..transport.transport import ESCAPED, Transport
 
 MIN_SHARE = 2e-3
@@ -117,13 +118,11 @@ def _form_factors(
 
     def add(row: NDArray[np.integer], column: NDArray[np.integer], source: NDArray[np.integer]) -> None:
         normal = origins.normal[row, column % origins.normal.shape[1]]
-        cosine = (normal * rays.direction[row, column].astype(np.float32)).sum(1)
+        cosine = dot(normal, rays.direction[row, column].astype(np.float32))
         np.add.at(result, (row, source), with_schlick(cosine) / n_rays)
 
-    row, column = np.nonzero(target >= 0)
-    label = patch_label[target[row, column]]
-    hidden = label >= 0
-    add(row[hidden], column[hidden], label[hidden])
+    row, column = np.nonzero((target >= 0) & (patch_label[target] >= 0))
+    add(row, column, patch_label[target[row, column]])
     if len(directions):
         row, column = np.nonzero(target == ESCAPED)
         bins = (rays.direction[row, column].astype(np.float32) @ directions.T.astype(np.float32)).argmax(1)

@@ -21,13 +21,15 @@ OUTLIER = 0.25
 
 @dataclass(frozen=True)
 class TexelAlbedo:
-    """Albedo fused per texel.
+    """Albedo fused in the texels that some photo shows, unclipped in one channel at least.
 
     Attributes:
-        value: (T, 3) float32, T = size²; NaN where no photo shows the channel unclipped.
-        weight: (T,) float32 total weight, zero where no photo reaches.
+        texel: (T,) int64 flat index of each, ascending.
+        value: (T, 3) float32; NaN where no photo shows the channel unclipped.
+        weight: (T,) float32 total weight.
     """
 
+    texel: NDArray[np.int64]
     value: NDArray[np.float32]
     weight: NDArray[np.float32]
 
@@ -65,14 +67,21 @@ def fuse_texels(
         value: (n, 3) albedo.
         weight: (n, 3) say per channel; 0 where clipped.
     """
+    reached = np.zeros(n_texels, bool)
+    reached[texel[weight.any(1)]] = True
+    texels = np.flatnonzero(reached)
+    # The last row takes the pixels without a say in texels that no other reaches.
+    row_of_texel = np.full(n_texels, len(texels), np.int32)
+    row_of_texel[texels] = np.arange(len(texels), dtype=np.int32)
+    row = row_of_texel[texel]
 
     def mean(w: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        norm = group_sums(w, texel, n_texels)
-        return group_sums(w * value, texel, n_texels) / np.maximum(norm, 1e-12), norm
+        norm = group_sums(w, row, len(texels) + 1)
+        return group_sums(w * value, row, len(texels) + 1) / np.maximum(norm, 1e-12), norm
 
     first, norm = mean(weight)
-    expected = first.astype(np.float32)[texel]
+    expected = first.astype(np.float32)[row]
     off = np.abs(value - expected).mean(1, keepdims=True) / (expected.mean(1, keepdims=True) + 0.02)
     fused, _ = mean(weight / (1 + (off / OUTLIER) ** 2))
-    known = norm > 0
-    return TexelAlbedo(np.where(known, fused, np.nan).astype(np.float32), norm.max(1).astype(np.float32))
+    shown = np.where(norm > 0, fused, np.nan)[:-1].astype(np.float32)
+    return TexelAlbedo(texels, shown, norm[:-1].max(1).astype(np.float32))

@@ -17,6 +17,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ..parallel import over_blocks
+
 FloatArray = NDArray[np.floating]
 
 DIELECTRIC_F0 = 0.04
@@ -75,8 +77,15 @@ def _table() -> FloatArray:
     u = (0.5 + np.arange(1, N_SAMPLES + 1)[:, None] * [0.7548776662466927, 0.5698402909980532]) % 1.0
     cosine = np.linspace(0, 1, N_COSINE)
     cosine[0] = 1e-3  # the integrals have a limit at grazing view, the formulas are 0 / 0 there
-    rows = [_integrals(r, cosine, u) for r in np.linspace(MIN_ROUGHNESS, 1, N_ROUGHNESS)]
-    return np.stack(rows, 1)
+    roughness = np.linspace(MIN_ROUGHNESS, 1, N_ROUGHNESS)
+    table = np.empty((2, N_ROUGHNESS, N_COSINE))
+
+    def work(rows: slice) -> None:
+        for row in range(rows.start, rows.stop):
+            table[:, row] = _integrals(roughness[row], cosine, u)
+
+    over_blocks(N_ROUGHNESS, 1, work)
+    return table
 
 
 def specular_integrals(roughness: FloatArray, cos_theta: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..response.observations import group_sums
+from ..response.observations import group_sums, order_in_groups
 from .ggx import DIELECTRIC_F0
 
 SPATIAL_WEIGHT = 0.35
@@ -63,7 +63,7 @@ class PartFits:
         start = np.cumsum(count) - count
         columns = []
         for column in values.T:
-            ordered = column[np.lexsort((column, self.part))]
+            ordered = column[order_in_groups(column, self.part)]
             columns.append((ordered[start + (count - 1) // 2] + ordered[start + count // 2]) / 2)
         return np.stack(columns, -1)
 

@@ -74,8 +74,9 @@ def specular_lobes(
         irradiance: (n, 3) irradiance / pi at each pixel.
     """
     roughness = gloss.roughness[part]
-    ls0, ls1 = rough_lobes(roughness, samples.cosine[rows], irradiance)
-    traced = np.flatnonzero(roughness < ROUGH)
+    rough, traced = np.flatnonzero(roughness >= ROUGH), np.flatnonzero(roughness < ROUGH)
+    ls0, ls1 = np.empty((len(rows), 3), np.float32), np.empty((len(rows), 3), np.float32)
+    ls0[rough], ls1[rough] = rough_lobes(roughness[rough], samples.cosine[rows[rough]], irradiance[rough])
 
     def work(block: slice, rng: np.random.Generator) -> None:
         at = traced[block]

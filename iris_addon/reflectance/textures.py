@@ -48,7 +48,8 @@ def make_textures(
     base_color[inside & lamps[shown]] = 0.0
     roughness = np.where(inside, gloss.roughness[parts[shown]], 1.0).astype(np.float32)
     metallic = np.where(inside, gloss.metallic[parts[shown]], 0.0).astype(np.float32)
-    confidence = np.clip(fused.weight / FULL_CONFIDENCE, 0, 1).reshape(size, size)
+    confidence = np.zeros((size, size), np.float32)
+    confidence.flat[fused.texel] = np.clip(fused.weight / FULL_CONFIDENCE, 0, 1)
     textures = Textures(base_color, roughness, metallic, confidence)
     return textures, base_color.reshape(-1, 3)[texel]
 
@@ -64,15 +65,16 @@ def _fill(
 ) -> NDArray[np.float32]:
     """(size, size, 3) base colour everywhere: seen texels as they are, faces seen in part from their own texels,
     faces never seen from the mean of their part."""
-    known = (fused.weight > 0).reshape(size, size)
+    at = fused.texel
+    known = np.zeros((size, size), bool)
+    known.flat[at] = True
     count = np.bincount(samples.face, minlength=len(parts))
     part_mean = _part_means(parts[samples.face], albedo, weight, int(parts.max()) + 1).astype(np.float32)
     colour = part_mean[parts[np.maximum(face.ravel(), 0)]]
     value = np.zeros((size * size, 3), np.float32)
-    at = np.flatnonzero(known)
     # Where hardly any light falls, albedo is noise over noise: there the part's colour has the say.
-    trust = (fused.weight[at] / (fused.weight[at] + DOUBT))[:, None]
-    value[at] = trust * complete_channels(fused.value[at], colour[at]) + (1 - trust) * colour[at]
+    trust = (fused.weight / (fused.weight + DOUBT))[:, None]
+    value[at] = trust * complete_channels(fused.value, colour[at]) + (1 - trust) * colour[at]
     value = value.reshape(size, size, 3)
     unseen = (face >= 0) & (count[np.maximum(face, 0)] == 0)
     filled = fill_texels(value, known)

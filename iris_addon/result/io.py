@@ -20,6 +20,7 @@ import shutil
 import struct
 import tempfile
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from numpy.typing import NDArray
 
 from ..capture.types import Mesh
 from ..errors import BadInput, IrisError
+from ..parallel import cores
 from ..response.curve import N_SAMPLES, Response
 from .glb import encode_glb, read_glb
 from .json_files import MEND, dump_json, from_ranges, json_object, numbers, read_json, to_ranges
@@ -94,11 +96,19 @@ def _write_all(result: Result, folder: Path) -> None:
 
     materials = folder / "materials"
     materials.mkdir()
-    write_exr(materials / "base_color.exr", result.textures.base_color, half=True)
-    for name, file in MAPS.items():
+
+    def write_map(name: str) -> None:
         values = np.clip(getattr(result.textures, name), 0.0, 1.0)
-        write_png(materials / file, np.round(values * 65535.0).astype(np.uint16))
-    write_exr(materials / "emission.exr", emission_texture(result), half=True)
+        write_png(materials / MAPS[name], np.round(values * 65535.0).astype(np.uint16))
+
+    with ThreadPoolExecutor(cores()) as threads:
+        jobs = [
+            threads.submit(write_exr, materials / "base_color.exr", result.textures.base_color, half=True),
+            threads.submit(write_exr, materials / "emission.exr", emission_texture(result), half=True),
+            *(threads.submit(write_map, name) for name in MAPS),
+        ]
+    for job in jobs:
+        job.result()
     (materials / "mesh.glb").write_bytes(encode_glb(result.mesh, result.parts, result.up))
     dump_json(folder / "response.json", _response_json(result))
     dump_json(folder / "emitters.json", _emitters_json(result))

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..capture.types import Camera
 from ..progress import Progress
+from ..transport.sampling import dot
 from ..transport.tracer import Tracer, points_on_faces
 
 
@@ -37,10 +39,10 @@ class PixelSamples:
     direction: NDArray[np.float32]
     footprint: NDArray[np.float32]
 
-    @property
+    @cached_property
     def cosine(self) -> NDArray[np.float32]:
         """(n,) cosine between the normal and the direction to the camera, in (0, 1]."""
-        return np.clip((self.normal * self.direction).sum(1), 1e-3, 1.0)
+        return np.clip(dot(self.normal, self.direction), 1e-3, 1.0).astype(np.float32)
 
     def take(self, rows: NDArray[np.integer]) -> PixelSamples:
         """Some of the pixels."""

@@ -18,7 +18,7 @@ from ..parallel import BLOCK, over_random_blocks
 from ..progress import Progress
 from .diffuse import schlick
 from .sampling import cosine_directions, dot, r2_sequence
-from .tracer import Tracer, points_on_faces
+from .tracer import Tracer
 
 
 @dataclass(frozen=True)
@@ -166,24 +166,30 @@ def _add_sampled(
     n_samples: int,
     rng: np.random.Generator,
 ) -> None:
-    """Add shadow rays to ``n_samples`` points on one emitter; ``column`` (P, 2)."""
+    """Add shadow rays to ``n_samples`` points on one emitter; ``column`` (P, 2).
+
+    Faces are chosen in order of area, and a run of the R2 sequence is as even as the whole: so are the points of each.
+    """
     cumulative = np.cumsum(tracer.areas[faces])
+    corner, second, third = tracer.corners[faces].astype(np.float32).transpose(1, 0, 2)
+    sides = np.stack([second - corner, third - corner], 1)
+    normals = tracer.normals[faces].astype(np.float32)
 
     def work(rows: slice, rng: np.random.Generator) -> None:
         n = rows.stop - rows.start
         position, normal = ray_origins(origins, rows, n_samples, tracer.epsilon)
         u = r2_sequence(n, n_samples, rng).reshape(-1, 2)
-        strata = (np.arange(n_samples) + rng.random((n, n_samples))) / n_samples
-        chosen = np.searchsorted(cumulative, rng.permuted(strata, axis=1).ravel() * cumulative[-1], side="right")
-        pick = faces[np.minimum(chosen, len(faces) - 1)]
-        fold = u.sum(1) > 1
+        strata = (np.arange(n_samples) + rng.random((n, n_samples))) * (cumulative[-1] / n_samples)
+        pick = np.minimum(np.searchsorted(cumulative, strata.ravel(), side="right"), len(faces) - 1)
+        fold = u[:, 0] + u[:, 1] > 1
         u[fold] = 1 - u[fold]
-        target = points_on_faces(tracer.corners, pick, u).astype(np.float32)
+        side = sides[pick]
+        target = corner[pick] + u[:, :1] * side[:, 0] + u[:, 1:] * side[:, 1]
         offset = target - position
         square = np.maximum(dot(offset, offset), 1e-9)
         direction = offset / np.sqrt(square)[:, None]
         cos_surface = dot(direction, normal)
-        cos_light = np.abs(dot(direction, tracer.normals[pick]))
+        cos_light = np.abs(dot(direction, normals[pick]))
         live = np.flatnonzero((cos_surface > 1e-4) & (cos_light > 1e-4))
         live = live[tracer.visible(position[live], target[live])]
         per_area = cos_surface[live] * cos_light[live] / (np.pi * square[live])
