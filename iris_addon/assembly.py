@@ -54,7 +54,7 @@ def make_result(
     """Albedo per pixel, fused on the atlas; the result put together, and a few photos as it explains them."""
     samples, light = photos.samples, problem.light
     part = light.parts[samples.face]
-    irradiance = problem.field.at_samples(samples, light.surface.sample_patch, smooth_irradiance(problem.field, lights))
+    irradiance = light.field.at_samples(samples, light.surface.sample_patch, smooth_irradiance(light.field, lights))
     ls0, ls1 = specular_lobes(
         scene_of(light, lights),
         gloss,

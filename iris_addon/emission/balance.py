@@ -212,14 +212,20 @@ class _Problem:
         return 1.0 / np.sqrt(np.maximum(curvature * self.n_effective / ROBUST_LOG**2, 1e-6))
 
 
-def _usable(
-    radiance: NDArray[np.floating], part: NDArray[np.integer], weight: NDArray[np.floating]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Rows that take part, their part as 0 ... n-1, and the parts' ids; tiny parts say nothing about light."""
+def fitted_patches(radiance: NDArray[np.floating], weight: NDArray[np.floating]) -> NDArray[np.int64]:
+    """Patches that have a say in the balance: seen, not black, and no more than MAX_PATCHES."""
     rows = np.flatnonzero((weight > 0) & (radiance.min(1) > 1e-5))
     if len(rows) > MAX_PATCHES:
         # A regular subset is deterministic and keeps the mix of parts.
         rows = rows[np.linspace(0, len(rows) - 1, MAX_PATCHES).astype(np.int64)]
+    return rows
+
+
+def _usable(
+    radiance: NDArray[np.floating], part: NDArray[np.integer], weight: NDArray[np.floating]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Rows that take part, their part as 0 ... n-1, and the parts' ids; tiny parts say nothing about light."""
+    rows = fitted_patches(radiance, weight)
     ids, label, count = np.unique(part[rows], return_inverse=True, return_counts=True)
     big = count >= min(MIN_PATCHES_PER_PART, count.max())
     rows, label = rows[big[label]], label[big[label]]

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from ..progress import Progress
 from ..response.radiance import GroupRadiance
+from ..transport.diffuse import under_lobe
 from ..transport.transport import ESCAPED
-from .candidates import emitting_faces, group_emitters, reflectance_needed, whole_parts
+from .candidates import Brightness, emitting_faces, group_emitters, reflectance_needed, whole_parts
 from .solve import (
     SEARCH_SHADOW_RAYS,
     SHADOW_RAYS,
@@ -28,8 +29,11 @@ OUTSIDE_GAIN = 0.02
 OPEN_SHARE = 0.15
 """Share of escaping rays from which a mesh is no closed room."""
 NEGLIGIBLE_POWER = 2e-4
+IDLE_LOSS = 0.002
+"""Rise of the held-out loss without a lamp, up to which the lamp does nothing."""
 HYSTERESIS = 0.8
-THRESHOLDS = (3.0, 1.6, 1.25)
+CERTAIN = 3.0
+THRESHOLDS = (CERTAIN, 1.6, 1.25)
 """Reflectance needed at which a face counts as a lamp, round by round, from the certain ones down."""
 
 
@@ -39,11 +43,13 @@ def find_lights(problem: LightProblem, observed: GroupRadiance, progress: Progre
     if problem.given is not None:
         return solve_lights(problem, observed, problem.given, lights, progress)
     for threshold in THRESHOLDS:
-        emitters = _candidates(problem, lights, threshold)
-        if threshold == THRESHOLDS[0] or not same_emitters(emitters, lights.emitters):
+        emitters = _candidates(problem, lights, threshold, threshold)
+        if threshold == CERTAIN or not same_emitters(emitters, lights.emitters):
             factors = form_factors_of(problem, emitters, progress, SEARCH_SHADOW_RAYS)
             lights = solve_lights(problem, observed, emitters, lights, progress, factors)
-    return _with_all_rays(problem, observed, _without_negligible(problem, observed, lights, progress), progress)
+    lights = _without_negligible(problem, observed, lights, progress)
+    lights = _without_idle(problem, observed, lights, progress)
+    return _with_all_rays(problem, observed, lights, progress)
 
 
 def choose_outside(
@@ -93,7 +99,8 @@ def refine_lights(
         weight: (P,) say of each seen patch.
         diffuse: (P, 3) radiance without its specular part.
     """
-    emitters = _candidates(problem, lights, THRESHOLDS[-1]) if problem.given is None else problem.given
+    # What the search has left out must be certain to come back.
+    emitters = _candidates(problem, lights, CERTAIN, THRESHOLDS[-1]) if problem.given is None else problem.given
     known = {faces.tobytes(): k for k, faces in enumerate(lights.emitters)}
     columns = [known.get(faces.tobytes(), -1) for faces in emitters]
     fresh = [faces for faces, k in zip(emitters, columns, strict=True) if k < 0]
@@ -106,21 +113,78 @@ def refine_lights(
     return solve_lights(problem, observed, emitters, lights, progress, factors, weight, diffuse)
 
 
-def _candidates(problem: LightProblem, lights: Lights, threshold: float) -> list[NDArray[np.int64]]:
-    """Lamps at one threshold under the light known so far."""
+def _candidates(problem: LightProblem, lights: Lights, new: float, old: float) -> list[NDArray[np.int64]]:
+    """Lamps under the light known so far, at one threshold for new ones and one for those that count as lamps."""
     n = problem.transport.n_seen
-    needed = reflectance_needed(problem.brightness, lights.irradiance[:n])
+    seen = _with_found(problem, lights)
+    needed = reflectance_needed(seen, _irradiance_by_rank(problem, lights))
     # What already counts as a lamp stays one unless the light found since explains it away.
-    needed = np.where(patches_on(problem, lights.mask)[:n], needed / HYSTERESIS, needed)
+    counts = patches_on(problem, lights.mask)[:n]
     patch, face, n_faces = problem.surface.sample_patch, problem.samples.face, len(problem.parts)
-    emitting, count = emitting_faces(needed > threshold, patch, face, n_faces)
-    certain, _ = emitting_faces(needed > THRESHOLDS[0], patch, face, n_faces)
+    emitting, count = emitting_faces(needed > np.where(counts, HYSTERESIS * old, new), patch, face, n_faces)
+    certain, _ = emitting_faces(needed > np.where(counts, HYSTERESIS, 1.0) * CERTAIN, patch, face, n_faces)
     # Dimmer than what the room reflects anyway: unexplained light, but not a lamp.
     level = np.median(lights.irradiance[:n].mean(1))
-    emitting &= emitting_faces(problem.brightness.floor.max(1) > level, patch, face, n_faces)[0]
+    emitting &= emitting_faces(seen.floor.max(1) > level, patch, face, n_faces)[0]
     # A bright region of a part that otherwise reflects is a highlight or a caustic until it is far too bright for one.
     emitting &= certain | whole_parts(emitting, count, problem.parts)[problem.parts]
     return group_emitters(emitting, count, problem.tracer.areas, problem.parts, problem.adjacency)
+
+
+def _with_found(problem: LightProblem, lights: Lights) -> Brightness:
+    """The brightness of patches; on clipped lamps, of which photos give a bound, that which their light asks for."""
+    floor = problem.brightness.floor.copy()
+    clipped = (problem.brightness.bound >= floor) & (floor > 0)
+    for faces, radiance in zip(lights.emitters, lights.radiance, strict=True):
+        on = patches_on(problem, _mask(problem, faces))[: len(floor), None]
+        floor = np.where(on & clipped, np.maximum(floor, radiance), floor)
+    return replace(problem.brightness, floor=floor)
+
+
+def _irradiance_by_rank(problem: LightProblem, lights: Lights) -> NDArray[np.float64]:
+    """(P, 3) irradiance / pi at the seen patches; on a lamp, without the direct light of lamps less certain than it.
+
+    A frame before a window is as bright as the window's light makes it. Taken for a lamp, it must not explain the
+    window away.
+    """
+    n = problem.transport.n_seen
+    irradiance = np.array(lights.irradiance[:n], np.float64)
+    certainty = _certainty(problem, lights)
+    for faces, own in zip(lights.emitters, certainty, strict=True):
+        weaker = certainty < own
+        at = np.flatnonzero(patches_on(problem, _mask(problem, faces))[:n])
+        direct = under_lobe(lights.form_factors[at][:, weaker], problem.transport.kappa[at])
+        irradiance[at] -= direct @ lights.radiance[weaker]
+    return irradiance
+
+
+def _mask(problem: LightProblem, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
+    mask = np.zeros(len(problem.parts), bool)
+    mask[faces] = True
+    return mask
+
+
+def _certainty(problem: LightProblem, lights: Lights) -> NDArray[np.float64]:
+    """(E,) reflectance that each lamp would need if it were none, median over its patches."""
+    n = problem.transport.n_seen
+    needed = reflectance_needed(problem.brightness, lights.irradiance[:n])
+    on = [patches_on(problem, _mask(problem, faces))[:n] for faces in lights.emitters]
+    return np.array([np.median(needed[at]) if at.any() else 0.0 for at in on])
+
+
+def _without_idle(problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress) -> Lights:
+    """Leave out lamps that are not certain, the least certain first, where the room is lit as well without them."""
+    certainty = _certainty(problem, lights)
+    emitters, factors, kept = lights.emitters, lights.form_factors, np.ones(len(certainty), bool)
+    for k in np.argsort(certainty)[: int((certainty < CERTAIN).sum())]:
+        kept[k] = False
+        fewer = [faces for faces, keep in zip(emitters, kept, strict=True) if keep]
+        without = solve_lights(problem, observed, fewer, lights, progress, factors[:, kept])
+        if without.held_out < (1 + IDLE_LOSS) * lights.held_out:
+            lights = without
+        else:
+            kept[k] = True
+    return lights
 
 
 def _without_negligible(problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress) -> Lights:

@@ -9,13 +9,16 @@ from ..progress import Progress
 from ..response.radiance import GroupRadiance
 from ..transport.diffuse import under_lobe
 from ..transport.gather import emitter_form_factors, emitter_of_face
-from .balance import Evidence, solve_balance
+from .balance import Evidence, fitted_patches, solve_balance
 from .candidates import tie_fixtures
 from .types import LightProblem, Lights
 
 SEARCH_SHADOW_RAYS, SHADOW_RAYS, MOST_SHADOW_RAYS = 6, 13, 64
 """From a patch to a lamp: at least in the search, at least for those that were found, and at most. Noise here makes
 lamps too dim and walls too white."""
+NOISE_WIDTH = 1.0
+"""Standard deviation, in patch sizes, over which neighbours are averaged for the light balance: noise of the rays makes
+direct light look less reliable than indirect, lamps too dim and walls too white."""
 WHOLLY_ON = 0.8
 """Quantile of a lamp's patches at which its radiance is read: where its edge or a blind shows too, they are darker."""
 
@@ -61,13 +64,24 @@ def solve_lights(
     usable = observed.known.all(1) & ~on_lamp[: problem.transport.n_seen]
     say = usable * (np.sqrt(np.minimum(observed.weight, 50.0)) if weight is None else weight)
     n = problem.transport.n_seen
+    shaded = observed.radiance if diffuse is None else diffuse
+    part = problem.transport.part
+    rows = fitted_patches(shaded, say)
+    group = np.where(say > 0, part[:n], -1)
+
+    def smooth(values: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Means over neighbours of one albedo: to both sides of L = a (I + B e) alike, so that the balance holds."""
+        return problem.field.smooth(values[:n], NOISE_WIDTH, rows, group)
+
+    smooth_factors = smooth(all_factors)
     for _ in range(2):
         unknown = mean_radiance(radiance, problem)
         indirect = problem.transport.gather_radiance(radiance, unknown, mask)
         if problem.bounce is not None:
             indirect = indirect + problem.bounce.gather_radiance(radiance, unknown, mask)
-        shaded = radiance[:n] if diffuse is None else diffuse
-        balance = solve_balance(shaded, indirect[:n], all_factors[:n], problem.transport.part[:n], say, evidence, start)
+        balance = solve_balance(
+            smooth(shaded), smooth(indirect), smooth_factors, part[rows], say[rows], evidence, start
+        )
         start = balance.radiance
         irradiance = indirect + all_factors @ balance.radiance
         albedo = dict(zip(balance.part_ids.tolist(), balance.part_albedo, strict=True))

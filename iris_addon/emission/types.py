@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..reflectance.shading import IrradianceField
 from ..surface.build import Surface
 from ..surface.samples import PixelSamples
 from ..transport.tracer import Tracer
@@ -84,6 +85,7 @@ class LightProblem:
         adjacency: pairs of faces that share an edge.
         brightness: how bright each seen patch was.
         hidden: unknowns beside the lamps.
+        field: neighbourhoods of the seen patches.
         bounce: once materials are known, what glossy surfaces pass on; patches then cast only their diffuse light.
         given: faces of the lamps where they are known beforehand, None to search for them.
     """
@@ -96,6 +98,7 @@ class LightProblem:
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]]
     brightness: Brightness
     hidden: HiddenSources
+    field: IrradianceField
     shadow_rays: int
     seed: int
     bounce: Bounce | None = None

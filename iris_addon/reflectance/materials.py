@@ -52,7 +52,6 @@ class MaterialProblem:
     observations: Observations
     linear: Linearised
     observed: GroupRadiance
-    field: IrradianceField
     part: NDArray[np.int32]
     schlick: NDArray[np.floating]
     diffuse: DiffuseChoice
@@ -159,7 +158,7 @@ def _observed_specular(
 ) -> NDArray[np.float32]:
     """(M, 3) specular radiance of every observation."""
     rng = np.random.default_rng([problem.seed, 31, round_])
-    irradiance = smooth_irradiance(problem.field, lights)[problem.observations.patch]
+    irradiance = smooth_irradiance(problem.light.field, lights)[problem.observations.patch]
     ls0, ls1 = specular_lobes(
         scene_of(problem.light, lights),
         gloss,
@@ -209,9 +208,9 @@ class _GlossFit:
         """Roughness and metallic per part under ``lights``."""
         o, samples = problem.observations, problem.light.samples
         scene = scene_of(problem.light, lights)
-        irradiance = smooth_irradiance(problem.field, lights)
+        irradiance = smooth_irradiance(problem.light.field, lights)
         at = o.sample[self.rows]
-        local = problem.field.at_samples(samples.take(at), o.patch[self.rows], irradiance)
+        local = problem.light.field.at_samples(samples.take(at), o.patch[self.rows], irradiance)
         lobes = [[scene.lobes(half) for half in halves] for halves in self.rays]
         # The widest lobes come from irradiance, as everywhere.
         rough = LEVELS[len(FIT_RAYS) :]

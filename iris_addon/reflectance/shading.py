@@ -46,10 +46,29 @@ class IrradianceField:
             surface.position, surface.normal, np.asarray(index, np.int32).reshape(len(features), k), size
         )
 
-    def smooth(self, values: NDArray[np.floating], width: float) -> NDArray[np.float32]:
-        """(P, C) values averaged over neighbours with a Gaussian of ``width`` patch sizes; takes sampling noise off."""
-        weight = self._weights(self.position, self.normal, np.arange(len(self.position)), width)
-        return np.einsum("pk,pkc->pc", weight, values.astype(np.float32)[self.neighbours])
+    def smooth(
+        self,
+        values: NDArray[np.floating],
+        width: float,
+        rows: NDArray[np.int64] | None = None,
+        group: NDArray[np.integer] | None = None,
+    ) -> NDArray[np.float32]:
+        """Values (P, C) averaged over neighbours with a Gaussian of ``width`` patch sizes; takes sampling noise off.
+
+        Args:
+            rows: (n,) the patches whose averages are asked for, by default all.
+            group: (P,) label of every patch; averages are then over neighbours of the same label.
+
+        Returns:
+            (n, C).
+        """
+        rows = np.arange(len(self.position)) if rows is None else rows
+        near = self.neighbours[rows]
+        weight = self._weights(self.position[rows], self.normal[rows], rows, width)
+        if group is not None:
+            weight = weight * (group[near] == group[rows][:, None])
+            weight /= weight.sum(1, keepdims=True)
+        return np.einsum("pk,pkc->pc", weight, values.astype(np.float32)[near])
 
     def at_samples(
         self, samples: PixelSamples, patch: NDArray[np.int32], values: NDArray[np.floating]
