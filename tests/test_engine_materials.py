@@ -183,6 +183,16 @@ def test_smoothing_keeps_a_constant_and_takes_noise_off(scene: Scene) -> None:
     assert field.smooth(noise, 1.0).std() < 0.6
 
 
+def test_means_over_one_albedo_keep_the_light_balance(scene: Scene) -> None:
+    """L = a I with any I: both sides averaged alike within a group of one albedo still have the quotient a."""
+    field, rng = IrradianceField.build(scene.surface), np.random.default_rng(0)
+    group = rng.integers(0, 3, len(scene.surface.part))
+    albedo, irradiance = np.array([0.1, 0.5, 0.9])[group][:, None], rng.random((len(group), 3)) + 0.1
+    rows = np.flatnonzero(rng.random(len(group)) < 0.3)
+    reflected, arriving = (field.smooth(values, 1.0, rows, group) for values in (albedo * irradiance, irradiance))
+    assert reflected / arriving == pytest.approx(np.tile(albedo[rows], 3), rel=1e-4)
+
+
 def test_irradiance_does_not_leak_around_corners(scene: Scene) -> None:
     field = IrradianceField.build(scene.surface)
     upward = (scene.surface.normal[:, 2:] > 0.5).astype(np.float64)

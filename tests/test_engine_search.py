@@ -1,0 +1,88 @@
+"""Which lamps stay under the light found so far: a window between its bars, a lamp that is clipped in every photo."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from iris_addon.emission import search
+from iris_addon.emission.candidates import Brightness
+from iris_addon.emission.types import LightProblem, Lights
+
+N_PATCHES = 60
+WINDOW, BAR, WALL = 0, 1, 2
+PATCH_FACE = np.repeat([WINDOW, BAR, WALL], [20, 20, 20])
+
+
+def problem(floor: tuple[float, float, float], clipped: tuple[bool, bool, bool]) -> LightProblem:
+    """Three faces that are three parts, a pixel on every patch."""
+    value = np.array(floor)[PATCH_FACE][:, None].repeat(3, 1)
+    bound = np.where(np.array(clipped)[PATCH_FACE][:, None], value, 0.0)
+    nothing = np.zeros(0, np.int64)
+    return SimpleNamespace(  # type: ignore[return-value]
+        transport=SimpleNamespace(n_seen=N_PATCHES, n_patches=N_PATCHES, kappa=np.zeros(N_PATCHES)),
+        surface=SimpleNamespace(sample_patch=np.arange(N_PATCHES), count=np.ones(N_PATCHES)),
+        samples=SimpleNamespace(face=PATCH_FACE),
+        tracer=SimpleNamespace(areas=np.array([2.0, 0.2, 10.0])),
+        parts=np.arange(3, dtype=np.int32),
+        adjacency=(nothing, nothing),
+        brightness=Brightness(value, np.where(bound > 0, np.nan, value), bound),
+    )
+
+
+def lights(lamps: list[tuple[int, float]], irradiance: tuple[float, float, float], between: float = 0.0) -> Lights:
+    """Lamps (face, radiance) under a given irradiance / pi; each fills the share ``between`` of the other's sky."""
+    factors = np.zeros((N_PATCHES, len(lamps), 2), np.float32)
+    for column, (face, _) in enumerate(lamps):
+        others = (face != PATCH_FACE) & (PATCH_FACE != WALL)
+        factors[others, column, 0] = between
+    mask = np.isin(np.arange(3), [face for face, _ in lamps])
+    radiance = np.array([[value] * 3 for _, value in lamps])
+    light = np.array(irradiance)[PATCH_FACE][:, None].repeat(3, 1)
+    faces = [np.array([face]) for face, _ in lamps]
+    return Lights(faces, radiance, np.zeros((0, 3)), np.zeros(len(lamps)), factors, mask, light, light)
+
+
+def found(problem: LightProblem, lights: Lights) -> list[int]:
+    return [int(face) for faces in search._candidates(problem, lights, search.CERTAIN, 1.25) for face in faces]
+
+
+@pytest.mark.parametrize("between", [0.0, 0.08])
+def test_a_bar_that_was_taken_for_a_lamp_does_not_explain_the_window_away(between: float) -> None:
+    """Of the light at the window 0.08 · 10 comes from its bar: without it, the window needs a reflectance of 2.4."""
+    room = problem(floor=(1.2, 0.5, 0.1), clipped=(False, False, False))
+    kept = found(room, lights([(WINDOW, 1.0), (BAR, 10.0)], irradiance=(1.3, 1.0, 0.5), between=between))
+    assert kept == ([WINDOW] if between else [])
+
+
+@pytest.mark.parametrize("clipped", [False, True])
+def test_a_lamp_clipped_in_every_photo_is_as_bright_as_the_light_it_casts(clipped: bool) -> None:
+    """Photos say 0.5 or more under a light of 0.6, the room's shading says 4: only a bound leaves room for both."""
+    room = problem(floor=(0.5, 0.1, 0.1), clipped=(clipped, False, False))
+    assert found(room, lights([(WINDOW, 4.0)], irradiance=(0.6, 0.5, 0.3))) == ([WINDOW] if clipped else [])
+
+
+def test_what_was_left_out_comes_back_only_if_it_is_certain() -> None:
+    under = lights([], irradiance=(0.4, 0.4, 0.4))
+    assert found(problem(floor=(1.0, 0.1, 0.1), clipped=(False, False, False)), under) == []
+    assert found(problem(floor=(2.0, 0.1, 0.1), clipped=(False, False, False)), under) == [WINDOW]
+
+
+@pytest.mark.parametrize(("loss_without", "stays"), [(1.0, False), (1.1, True)])
+def test_a_lamp_without_which_the_room_is_lit_as_well_is_left_out(
+    loss_without: float, stays: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    room = problem(floor=(1.0, 4.0, 0.1), clipped=(True, True, False))
+    both = lights([(WINDOW, 4.0), (BAR, 4.0)], irradiance=(0.6, 0.6, 0.5))
+    fewer = lights([(BAR, 4.0)], irradiance=(0.6, 0.6, 0.5))
+
+    def solved(_problem: object, _observed: object, emitters: list, *_rest: object) -> Lights:
+        assert [int(faces[0]) for faces in emitters] == [BAR], "the one that is certain is never tried"
+        return SimpleNamespace(**vars(fewer) | {"held_out": loss_without})  # type: ignore[return-value]
+
+    monkeypatch.setattr(search, "solve_lights", solved)
+    before = SimpleNamespace(**vars(both) | {"held_out": 1.0})
+    kept = search._without_idle(room, None, before, None)  # type: ignore[arg-type]
+    assert [int(faces[0]) for faces in kept.emitters] == ([WINDOW, BAR] if stays else [BAR])
