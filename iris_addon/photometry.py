@@ -29,6 +29,7 @@ class Photometry:
         held_out: display-value disagreement between views of held-out patches, NaN where nothing was fitted.
         per_channel: whether each channel has its own curve.
         known_exposures: whether the capture gave the exposures.
+        exposure_error: stops RMS by which photos speak against the exposures that were given, 0 where they do not.
     """
 
     response: Response
@@ -36,6 +37,7 @@ class Photometry:
     held_out: float
     per_channel: bool
     known_exposures: bool
+    exposure_error: float = 0.0
 
     @property
     def hdr(self) -> bool:
@@ -45,8 +47,11 @@ class Photometry:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a user should know."""
-        if self.hdr or self.known_exposures:
+        if self.hdr:
             return ()
+        if self.known_exposures:
+            wrong = f"the recorded exposures do not fit the photos ({self.exposure_error:.2g} stops) and were corrected"
+            return (wrong,) if self.exposure_error else ()
         return ("exposures are unknown: the overall brightness of lights is relative",)
 
     def linearise_pixels(self, z: NDArray[np.floating], view: NDArray[np.integer]) -> Linearised:
@@ -77,7 +82,8 @@ class Photometry:
         return {
             "family": self.response.family,
             "curves": 3 if self.per_channel else 1,
-            "exposures": "known" if self.known_exposures else "estimated",
+            "exposures": ("corrected" if self.exposure_error else "known") if self.known_exposures else "estimated",
+            "exposure_error_stops": round(self.exposure_error, 3),
             "held_out_residual": None if np.isnan(self.held_out) else self.held_out,
         }
 
@@ -90,6 +96,7 @@ class Photometry:
             "exposures": self.exposures,
             "held_out": np.array(self.held_out),
             "flags": np.array([self.per_channel, self.known_exposures]),
+            "exposure_error": np.array(self.exposure_error),
         }
 
     @staticmethod
@@ -97,7 +104,8 @@ class Photometry:
         """Inverse of :meth:`arrays`."""
         response = Response(arrays["samples"], str(arrays["family"]), tuple(arrays["coefficients"].tolist()))
         per_channel, known = (bool(flag) for flag in arrays["flags"])
-        return Photometry(response, arrays["exposures"], float(arrays["held_out"]), per_channel, known)
+        held_out, error = float(arrays["held_out"]), float(arrays["exposure_error"])
+        return Photometry(response, arrays["exposures"], held_out, per_channel, known, error)
 
 
 def measure_photometry(
@@ -116,7 +124,8 @@ def measure_photometry(
         return Photometry(curve.identity(), np.repeat(factors[:, None], 3, 1), np.nan, False, True)
     fixed = _fixed_response(config)
     fit = fit_overlap(observations, given, n, rng, fixed, config.refinements)
-    return Photometry(fit.response, fit.exposures, fit.residual, fit.per_channel, known)
+    error = 0.0 if given is None else float(np.sqrt(np.mean(np.log2(fit.exposures / given[:, None]) ** 2)))
+    return Photometry(fit.response, fit.exposures, fit.residual, fit.per_channel, known, error if error > 1e-6 else 0.0)
 
 
 def _fixed_response(config: SolveConfig) -> Response | None:

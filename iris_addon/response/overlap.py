@@ -8,35 +8,25 @@ the curve only up to (f^g, t^g, L^g); that exponent is left at the prior's here 
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from ..config import AUTO, Refinements
-from ..parallel import cores
 from . import family
 from .curve import Response
-from .observations import Observations, group_means, group_sums
+from .observations import Observations
+from .overlap_problem import MIN_EXPOSURE_SPREAD, OverlapProblem
 
 MAX_PATCHES = 1_500
 FLAT = 0.04
 """Largest standard deviation of display values within an observation that still counts as one value."""
-CLIP_SCALE = 0.03
-"""Log exposure by which an observation may lie on the wrong side of saturation before it starts to be an outlier."""
-ROBUST_SCALE = 0.01
-"""Display-value residual at which an observation starts to count as an outlier (a highlight, a moved object)."""
 MAX_STEPS, SEPARATE_STEPS = 60, 5
 """One curve starts from the prior and runs until it has converged; three start from there and go on if they gain."""
-WHITE_BALANCE_GAIN = 0.9
-UNKNOWN_PRIOR_WEIGHT = 30.0
-MIN_EXPOSURE_SPREAD = 0.5
-"""Stops; below, unknown exposures vary too little to tell the curve."""
-PRIOR_WEIGHT = 1.0
-"""The prior over curves counts as much as one observation that is off by ROBUST_SCALE."""
-MONOTONICITY_WEIGHT = 1e4
+CORRECTION_STEPS, CORRECTION_ROUNDS = 10, 3
+EXPOSURE_GAIN = 0.8
+"""Disagreement of held-out patches, relative to that under the known exposures, from which those are put right."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +94,7 @@ def fit_overlap(
         refinements: whether curves and exposures per channel are forced, forbidden or have to earn their place.
     """
     index = _select(observations, rng)
-    problem = _Problem.build(observations, index, exposures, n_views, refinements.white_balance)
+    problem = OverlapProblem.build(observations, index, exposures, n_views, refinements.white_balance)
     if fixed is not None:
         return OverlapFit(fixed, problem.exposures(fixed), np.nan, False)
     if exposures is None and problem.exposure_spread() < MIN_EXPOSURE_SPREAD:
@@ -113,170 +103,49 @@ def fit_overlap(
         return OverlapFit(median, problem.exposures(median), np.nan, False)
     held_out = rng.random(problem.n_patches) < 0.2
     training, testing = problem.restrict(~held_out), problem.restrict(held_out)
+    knots, error = _fit_curves(training, testing, refinements)
+    if exposures is not None:
+        log_t = _right_exposures(training, testing, knots)
+        if log_t is not None:
+            problem, training, testing = (replace(part, log_t=log_t) for part in (problem, training, testing))
+            knots, error = _fit_curves(training, testing, refinements)
+    response = family.to_response(knots)
+    return OverlapFit(response, problem.exposures(response), error, len(knots) == 3)
+
+
+def _fit_curves(
+    training: OverlapProblem, testing: OverlapProblem, refinements: Refinements
+) -> tuple[list[NDArray[np.float64]], float]:
+    """Knots of one curve, or of three if they earn it, and the disagreement of held-out patches under them."""
     shared = training.minimise([family.PRIOR_MEAN], MAX_STEPS)
+    error = testing.disagreement(shared)
     if refinements.channel_curves is False:
-        response = family.to_response(shared)
-        return OverlapFit(response, problem.exposures(response), testing.disagreement(shared), False)
+        return shared, error
     separate = training.minimise(shared * 3, SEPARATE_STEPS)
     # One curve is the null hypothesis: cameras apply the same curve to all channels far more often than not.
-    scores = [testing.disagreement(knots) for knots in (shared, separate)]
-    per_channel = refinements.channel_curves or scores[1] < 0.97 * scores[0]
-    best = training.minimise(separate, MAX_STEPS) if per_channel else shared
-    response = family.to_response(best)
-    return OverlapFit(response, problem.exposures(response), min(scores), per_channel)
+    separate_error = testing.disagreement(separate)
+    if refinements.channel_curves or separate_error < 0.97 * error:
+        return training.minimise(separate, MAX_STEPS), min(error, separate_error)
+    return shared, min(error, separate_error)
 
 
-@dataclass(frozen=True)
-class _Problem:
-    """m observations of n patches. ``log_t`` is (V,), or None where exposures are unknown.
+def _right_exposures(
+    training: OverlapProblem, testing: OverlapProblem, knots: list[NDArray[np.float64]]
+) -> NDArray[np.float64] | None:
+    """Log exposures (V, 3) in place of the known ones, or None unless the overlap speaks clearly against those.
 
-    ``white_balance`` forces or forbids unknown exposures per channel; None lets them earn their place.
+    Recorded exposures may be rounded, and white balance may drift. A correction of every photo, then one of every
+    channel, is taken where patches that it was not fitted to agree better under it.
     """
-
-    z: NDArray[np.float64]  # (m, 3)
-    share: NDArray[np.float64]  # (m, 3) of pixels clipped
-    clipped: NDArray[np.bool_]  # (m,) any pixel clipped in any channel
-    weight: NDArray[np.float64]  # (m,)
-    patch: NDArray[np.int64]  # (m,)
-    view: NDArray[np.int64]  # (m,)
-    n_patches: int
-    n_views: int
-    log_t: NDArray[np.float64] | None
-    white_balance: bool | None
-
-    @staticmethod
-    def build(
-        o: Observations,
-        index: NDArray[np.int64],
-        exposures: NDArray[np.floating] | None,
-        n_views: int,
-        white_balance: bool | None,
-    ) -> _Problem:
-        patches, patch = np.unique(o.patch[index], return_inverse=True)
-        return _Problem(
-            np.clip(o.z[index].astype(np.float64) + 0.5 / 255, 0, 1),
-            o.saturated[index].astype(np.float64),
-            o.saturated[index].max(1) > 0,
-            np.minimum(o.count[index], 25.0).astype(np.float64) ** 0.25,
-            patch,
-            o.view[index].astype(np.int64),
-            len(patches),
-            n_views,
-            None if exposures is None else np.log(np.asarray(exposures, np.float64)),
-            white_balance,
-        )
-
-    def restrict(self, keep: NDArray[np.bool_]) -> _Problem:
-        """The same problem over some of the patches."""
-        rows = keep[self.patch]
-        patches, patch = np.unique(self.patch[rows], return_inverse=True)
-        columns = {name: getattr(self, name)[rows] for name in ("z", "share", "clipped", "weight", "view")}
-        return replace(self, patch=patch, n_patches=len(patches), **columns)
-
-    def solve_radiance(self, response: Response) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Exposures (V,) and radiance (n, 3) that fit best under a given curve."""
-        x = np.maximum(response.invert(self.z), 1e-5)
-        slope = response.slope(x)
-        log_t = self.log_t
-        if log_t is None:
-            log_t = _chain_exposures(np.log(x).mean(1), self.patch, self.view, ~self.clipped, self.n_views)
-        t = np.exp(log_t)[self.view][:, None]
-        # Quantisation noise is uniform in z, so the precision of x / t is (f'(x) t)^2.
-        weight = np.where(self.clipped, 0.0, self.weight)[:, None] * (slope * t) ** 2 + 1e-12
-        radiance = self._mean(weight, x / t)
-        # An outlier would pull its patch along and so hide behind the others: the mean is taken once more without.
-        for _ in range(2):
-            off = (response.apply(radiance[self.patch] * t) - self.z) / ROBUST_SCALE
-            radiance = self._mean(weight / (1 + off**2), x / t)
-        return log_t, radiance
-
-    def _mean(self, weight: NDArray[np.float64], radiance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n, 3) weighted mean per patch."""
-        norm = group_sums(weight, self.patch, self.n_patches)
-        return group_sums(weight * radiance, self.patch, self.n_patches) / norm
-
-    def exposure_spread(self) -> float:
-        """Standard deviation of the exposures in stops, under the median measured response."""
-        log_t, _ = self.solve_radiance(family.to_response([family.PRIOR_MEAN]))
-        return float(np.std(log_t) / np.log(2))
-
-    def exposures(self, response: Response) -> NDArray[np.float64]:
-        """(V, 3) exposure factors under a curve: the known ones, or those that the overlap asks for.
-
-        A factor per channel (white balance) is taken where it explains the overlap clearly better than one per photo.
-        """
-        log_t = self.solve_radiance(response)[0]
-        shared = np.repeat(log_t[:, None], 3, 1)
-        if self.log_t is not None or self.white_balance is False:
-            return np.exp(shared)
-        log_x = np.log(np.maximum(response.invert(self.z), 1e-5))
-        per_channel = np.stack(
-            [_chain_exposures(log_x[:, c], self.patch, self.view, ~self.clipped, self.n_views) for c in range(3)], -1
-        )
-        better = self._spread(log_x, per_channel) < WHITE_BALANCE_GAIN * self._spread(log_x, shared)
-        return np.exp(per_channel if self.white_balance or better else shared)
-
-    def _spread(self, log_x: NDArray[np.float64], log_t: NDArray[np.float64]) -> float:
-        """Median disagreement of views about a patch's log radiance under given log exposures (V, 3)."""
-        use = ~self.clipped
-        log_l = (log_x - log_t[self.view])[use]
-        patch = self.patch[use]
-        mean = group_means(log_l, patch, self.n_patches)
-        return float(np.median(np.abs(log_l - mean[patch])))
-
-    def residual(self, parameters: NDArray[np.float64], n_curves: int) -> NDArray[np.float64]:
-        """Display-value residuals, saturation hinges and prior, one flat vector."""
-        knots = list(parameters.reshape(n_curves, -1))
-        response = family.to_response(knots)
-        log_t, radiance = self.solve_radiance(response)
-        x = radiance[self.patch] * np.exp(log_t)[self.view][:, None]
-        mismatch = np.where(self.clipped[:, None], 0.0, response.apply(x) - self.z)
-        data = _robust(self.weight[:, None] * mismatch / ROBUST_SCALE)
-        # A byte of 255 means x >= 1 and any other means x < 1: the share of clipped pixels pins the scale.
-        log_x = np.log(np.maximum(x, 1e-6))
-        wrong_side = np.clip(np.where(self.share > 0.5, -log_x, log_x), 0.0, None)
-        clip = _robust(self.weight[:, None] * wrong_side / CLIP_SCALE)
-        # (f^g, t^g, L^g) fits as well for any g: without exposure times only the prior holds the exponent.
-        held = PRIOR_WEIGHT if self.log_t is not None else UNKNOWN_PRIOR_WEIGHT
-        prior = [held * family.prior_residual(k) for k in knots]
-        bends = [MONOTONICITY_WEIGHT * family.downhill(k) for k in knots]
-        return np.concatenate([data, clip, *prior, *bends])
-
-    def minimise(self, start: list[NDArray[np.float64]], max_steps: int) -> list[NDArray[np.float64]]:
-        """Knots of one or three curves; radiance and exposures are eliminated (variable projection)."""
-        n_curves = len(start)
-        x0 = np.concatenate(start)
-        with ThreadPoolExecutor(cores()) as threads:
-            fit = least_squares(
-                self.residual, x0, args=(n_curves,), max_nfev=max_steps, x_scale=0.3, workers=threads.map
-            )
-        return list(fit.x.reshape(n_curves, -1))
-
-    def disagreement(self, knots: list[NDArray[np.float64]]) -> float:
-        """Median absolute residual of unclipped observations, display values."""
-        mismatch = self.residual(np.concatenate(knots), len(knots))[: self.z.size].reshape(-1, 3) / self.weight[:, None]
-        return float(np.median(np.abs(mismatch[~self.clipped])) * ROBUST_SCALE)
-
-
-def _robust(residual: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Residuals whose squares are Cauchy's loss, flat; the prior beside them stays quadratic."""
-    return np.copysign(np.sqrt(np.log1p(residual**2)), residual).ravel()
-
-
-def _chain_exposures(
-    log_x: NDArray[np.float64],
-    patch: NDArray[np.int64],
-    view: NDArray[np.int64],
-    use: NDArray[np.bool_],
-    n_views: int,
-) -> NDArray[np.float64]:
-    """Log exposures under a given curve: patch means and view means of log exposure in turn until they agree."""
-    log_x, patch, view = log_x[use], patch[use], view[use]
-    log_t = np.zeros(n_views)
-    per_patch = np.maximum(np.bincount(patch), 1)
-    per_view = np.maximum(np.bincount(view, minlength=n_views), 1)
-    for _ in range(40):
-        log_l = np.bincount(patch, log_x - log_t[view]) / per_patch
-        log_t = np.bincount(view, log_x - log_l[patch], n_views) / per_view
-        log_t -= log_t.mean()
-    return log_t
+    best, found = testing.disagreement(knots), None
+    for per_channel in (False, True) if training.white_balance is not False else (False,):
+        tried, log_t = knots, training.log_t
+        for round_ in range(CORRECTION_ROUNDS):
+            log_t = training.corrected_exposures(family.to_response(tried), per_channel)
+            if round_ == 0 and replace(testing, log_t=log_t).disagreement(tried) > best:
+                break
+            tried = replace(training, log_t=log_t).minimise(tried, CORRECTION_STEPS)
+        disagreement = replace(testing, log_t=log_t).disagreement(tried)
+        if disagreement < EXPOSURE_GAIN * best:
+            best, found = disagreement, log_t
+    return found

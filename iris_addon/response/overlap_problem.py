@@ -1,0 +1,210 @@
+"""The least-squares problem behind the response: observations of patches in photos of different exposure.
+
+Residuals are in display values; radiance, and exposures where they are unknown, are eliminated (variable projection).
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from ..parallel import cores
+from . import family
+from .curve import Response
+from .observations import Observations, group_means, group_sums
+
+CLIP_SCALE = 0.03
+"""Log exposure by which an observation may lie on the wrong side of saturation before it starts to be an outlier."""
+ROBUST_SCALE = 0.01
+"""Display-value residual at which an observation starts to count as an outlier (a highlight, a moved object)."""
+WHITE_BALANCE_GAIN = 0.9
+UNKNOWN_PRIOR_WEIGHT = 30.0
+MIN_EXPOSURE_SPREAD = 0.5
+"""Stops; below, exposures vary too little to tell the curve."""
+PRIOR_WEIGHT = 1.0
+"""The prior over curves counts as much as one observation that is off by ROBUST_SCALE."""
+MONOTONICITY_WEIGHT = 1e4
+
+
+@dataclass(frozen=True)
+class OverlapProblem:
+    """m observations of n patches. ``log_t`` is (V, 3), or None where exposures are unknown.
+
+    ``white_balance`` forces or forbids unknown exposures per channel; None lets them earn their place.
+    """
+
+    z: NDArray[np.float64]  # (m, 3)
+    share: NDArray[np.float64]  # (m, 3) of pixels clipped
+    clipped: NDArray[np.bool_]  # (m,) any pixel clipped in any channel
+    weight: NDArray[np.float64]  # (m,)
+    patch: NDArray[np.int64]  # (m,)
+    view: NDArray[np.int64]  # (m,)
+    n_patches: int
+    n_views: int
+    log_t: NDArray[np.float64] | None
+    white_balance: bool | None
+
+    @staticmethod
+    def build(
+        o: Observations,
+        index: NDArray[np.int64],
+        exposures: NDArray[np.floating] | None,
+        n_views: int,
+        white_balance: bool | None,
+    ) -> OverlapProblem:
+        """The problem of the observations ``index``; ``exposures`` (V,) or None where they are unknown."""
+        patches, patch = np.unique(o.patch[index], return_inverse=True)
+        return OverlapProblem(
+            np.clip(o.z[index].astype(np.float64) + 0.5 / 255, 0, 1),
+            o.saturated[index].astype(np.float64),
+            o.saturated[index].max(1) > 0,
+            np.minimum(o.count[index], 25.0).astype(np.float64) ** 0.25,
+            patch,
+            o.view[index].astype(np.int64),
+            len(patches),
+            n_views,
+            None if exposures is None else np.repeat(np.log(np.asarray(exposures, np.float64))[:, None], 3, 1),
+            white_balance,
+        )
+
+    def restrict(self, keep: NDArray[np.bool_]) -> OverlapProblem:
+        """The same problem over some of the patches."""
+        rows = keep[self.patch]
+        patches, patch = np.unique(self.patch[rows], return_inverse=True)
+        columns = {name: getattr(self, name)[rows] for name in ("z", "share", "clipped", "weight", "view")}
+        return replace(self, patch=patch, n_patches=len(patches), **columns)
+
+    def solve_radiance(self, response: Response) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Log exposures (V, 3) and radiance (n, 3) that fit best under a given curve."""
+        x = np.maximum(response.invert(self.z), 1e-5)
+        slope = response.slope(x)
+        log_t = self.log_t
+        if log_t is None:
+            log_t = np.repeat(self._chained(np.log(x).mean(1, keepdims=True)), 3, 1)
+        t = np.exp(log_t)[self.view]
+        # Quantisation noise is uniform in z, so the precision of x / t is (f'(x) t)^2.
+        weight = np.where(self.clipped, 0.0, self.weight)[:, None] * (slope * t) ** 2 + 1e-12
+        radiance = self._mean(weight, x / t)
+        # An outlier would pull its patch along and so hide behind the others: the mean is taken once more without.
+        for _ in range(2):
+            off = (response.apply(radiance[self.patch] * t) - self.z) / ROBUST_SCALE
+            radiance = self._mean(weight / (1 + off**2), x / t)
+        return log_t, radiance
+
+    def _mean(self, weight: NDArray[np.float64], radiance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n, 3) weighted mean per patch."""
+        norm = group_sums(weight, self.patch, self.n_patches)
+        return group_sums(weight * radiance, self.patch, self.n_patches) / norm
+
+    def exposure_spread(self) -> float:
+        """Standard deviation of the exposures in stops, under the median measured response."""
+        log_t, _ = self.solve_radiance(family.to_response([family.PRIOR_MEAN]))
+        return float(np.std(log_t) / np.log(2))
+
+    def exposures(self, response: Response) -> NDArray[np.float64]:
+        """(V, 3) exposure factors under a curve: the known ones, or those that the overlap asks for.
+
+        A factor per channel (white balance) is taken where it explains the overlap clearly better than one per photo.
+        """
+        shared = self.solve_radiance(response)[0]
+        if self.log_t is not None or self.white_balance is False:
+            return np.exp(shared)
+        log_x = np.log(np.maximum(response.invert(self.z), 1e-5))
+        per_channel = self._chained(log_x)
+        better = self._spread(log_x, per_channel) < WHITE_BALANCE_GAIN * self._spread(log_x, shared)
+        return np.exp(per_channel if self.white_balance or better else shared)
+
+    def corrected_exposures(self, response: Response, per_channel: bool) -> NDArray[np.float64]:
+        """(V, 3) log exposures that the overlap asks for under a curve, on the scale of the known ones.
+
+        The overlap fixes them up to an offset and a factor, the exponent of the curve. Both are those of the regression
+        of the known ones on them, because the known ones are what has errors. Photos without overlap keep theirs.
+        """
+        assert self.log_t is not None
+        log_x = np.log(np.maximum(response.invert(self.z), 1e-5))
+        free = self._chained(log_x if per_channel else log_x.mean(1, keepdims=True))
+        seen = np.bincount(self.view[~self.clipped], minlength=self.n_views) > 0
+        known, free = self.log_t[seen], free[seen] - free[seen].mean(0)
+        varied = known.std() > MIN_EXPOSURE_SPREAD * np.log(2)
+        common = free.mean(1)
+        factor = float(common @ known.mean(1) / (common @ common)) if varied else 1.0
+        log_t = self.log_t.copy()
+        log_t[seen] = known.mean(0) + factor * free
+        return log_t
+
+    def _chained(self, log_x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(V, C) log exposures on which the log values (m, C) of the views of each patch agree."""
+        use = ~self.clipped
+        columns = [
+            _chain_exposures(log_x[:, c], self.patch, self.view, use, self.n_views) for c in range(log_x.shape[1])
+        ]
+        return np.stack(columns, -1)
+
+    def _spread(self, log_x: NDArray[np.float64], log_t: NDArray[np.float64]) -> float:
+        """Median disagreement of views about a patch's log radiance under given log exposures (V, 3)."""
+        use = ~self.clipped
+        log_l = (log_x - log_t[self.view])[use]
+        patch = self.patch[use]
+        mean = group_means(log_l, patch, self.n_patches)
+        return float(np.median(np.abs(log_l - mean[patch])))
+
+    def residual(self, parameters: NDArray[np.float64], n_curves: int) -> NDArray[np.float64]:
+        """Display-value residuals, saturation hinges and prior, one flat vector."""
+        knots = list(parameters.reshape(n_curves, -1))
+        response = family.to_response(knots)
+        log_t, radiance = self.solve_radiance(response)
+        x = radiance[self.patch] * np.exp(log_t)[self.view]
+        mismatch = np.where(self.clipped[:, None], 0.0, response.apply(x) - self.z)
+        data = _robust(self.weight[:, None] * mismatch / ROBUST_SCALE)
+        # A byte of 255 means x >= 1 and any other means x < 1: the share of clipped pixels pins the scale.
+        log_x = np.log(np.maximum(x, 1e-6))
+        wrong_side = np.clip(np.where(self.share > 0.5, -log_x, log_x), 0.0, None)
+        clip = _robust(self.weight[:, None] * wrong_side / CLIP_SCALE)
+        # (f^g, t^g, L^g) fits as well for any g: without exposure times only the prior holds the exponent.
+        held = PRIOR_WEIGHT if self.log_t is not None else UNKNOWN_PRIOR_WEIGHT
+        prior = [held * family.prior_residual(k) for k in knots]
+        bends = [MONOTONICITY_WEIGHT * family.downhill(k) for k in knots]
+        return np.concatenate([data, clip, *prior, *bends])
+
+    def minimise(self, start: list[NDArray[np.float64]], max_steps: int) -> list[NDArray[np.float64]]:
+        """Knots of one or three curves; radiance and exposures are eliminated (variable projection)."""
+        n_curves = len(start)
+        x0 = np.concatenate(start)
+        with ThreadPoolExecutor(cores()) as threads:
+            fit = least_squares(
+                self.residual, x0, args=(n_curves,), max_nfev=max_steps, x_scale=0.3, workers=threads.map
+            )
+        return list(fit.x.reshape(n_curves, -1))
+
+    def disagreement(self, knots: list[NDArray[np.float64]]) -> float:
+        """Median absolute residual of unclipped observations, display values."""
+        mismatch = self.residual(np.concatenate(knots), len(knots))[: self.z.size].reshape(-1, 3) / self.weight[:, None]
+        return float(np.median(np.abs(mismatch[~self.clipped])) * ROBUST_SCALE)
+
+
+def _robust(residual: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Residuals whose squares are Cauchy's loss, flat; the prior beside them stays quadratic."""
+    return np.copysign(np.sqrt(np.log1p(residual**2)), residual).ravel()
+
+
+def _chain_exposures(
+    log_x: NDArray[np.float64],
+    patch: NDArray[np.int64],
+    view: NDArray[np.int64],
+    use: NDArray[np.bool_],
+    n_views: int,
+) -> NDArray[np.float64]:
+    """Log exposures under a given curve: patch means and view means of log exposure in turn until they agree."""
+    log_x, patch, view = log_x[use], patch[use], view[use]
+    log_t = np.zeros(n_views)
+    per_patch = np.maximum(np.bincount(patch), 1)
+    per_view = np.maximum(np.bincount(view, minlength=n_views), 1)
+    for _ in range(40):
+        log_l = np.bincount(patch, log_x - log_t[view]) / per_patch
+        log_t = np.bincount(view, log_x - log_l[patch], n_views) / per_view
+        log_t -= log_t.mean()
+    return log_t
