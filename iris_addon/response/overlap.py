@@ -24,6 +24,8 @@ FLAT = 0.04
 """Largest standard deviation of display values within an observation that still counts as one value."""
 MAX_STEPS, SEPARATE_STEPS = 60, 5
 """One curve starts from the prior and runs until it has converged; three start from there and go on if they gain."""
+START_STEPS, START_EVERY, START_LEVELS = 12, 4, (0.0, 0.8, 1.6)
+"""For the first guess: steps, one patch in so many, and log exponents of the powers that are tried."""
 CORRECTION_STEPS, CORRECTION_ROUNDS = 10, 3
 EXPOSURE_GAIN = 0.8
 """Disagreement of held-out patches, relative to that under the known exposures, from which those are put right."""
@@ -117,7 +119,7 @@ def _fit_curves(
     training: OverlapProblem, testing: OverlapProblem, refinements: Refinements
 ) -> tuple[list[NDArray[np.float64]], float]:
     """Knots of one curve, or of three if they earn it, and the disagreement of held-out patches under them."""
-    shared = training.minimise([family.PRIOR_MEAN], MAX_STEPS)
+    shared = training.minimise([_first_guess(training)], MAX_STEPS)
     error = testing.disagreement(shared)
     if refinements.channel_curves is False:
         return shared, error
@@ -127,6 +129,17 @@ def _fit_curves(
     if refinements.channel_curves or separate_error < 0.97 * error:
         return training.minimise(separate, MAX_STEPS), min(error, separate_error)
     return shared, min(error, separate_error)
+
+
+def _first_guess(problem: OverlapProblem) -> NDArray[np.float64]:
+    """Knots to start from: the median measured response, or a power that leads lower on a part of the patches.
+
+    From the median alone a curve that crushes the shadows ends where it fits neither those nor the lights.
+    """
+    coarse = problem.restrict(np.arange(problem.n_patches) % START_EVERY == 0)
+    starts = [family.PRIOR_MEAN, *(np.full(len(family.PRIOR_MEAN), level) for level in START_LEVELS)]
+    ends = [coarse.minimise([start], START_STEPS)[0] for start in starts]
+    return min(ends, key=lambda knots: float((coarse.residual(knots, 1) ** 2).sum()))
 
 
 def _right_exposures(
