@@ -80,7 +80,7 @@ PUBLISHED = {
 }
 AXIS_NAMES = {
     "kd_psnr": "diffuse albedo, PSNR in dB",
-    "kd_psnr_valid": "diffuse albedo, PSNR in dB",
+    "kd_psnr_all_valid": "diffuse albedo, PSNR in dB",
     "relight_psnr": "relit room, PSNR in dB",
     "emission_log_l2": "emission, log L2 error",
 }

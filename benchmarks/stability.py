@@ -28,7 +28,7 @@ from .runs import BUNDLED, SWEPT_VIEWS, Record, Run, flat, relative, run_all
 from .small import small_capture
 
 METHODS = ("ours", "iris-like")
-METRICS = ("kd_psnr_valid", "relight_psnr", "emission_log_l2")
+METRICS = ("kd_psnr_all_valid", "relight_psnr", "emission_log_l2")
 SAMPLES = 8
 """Per pixel of the relit pictures; they are denoised, and a sweep looks for decibels, not for hundredths."""
 
