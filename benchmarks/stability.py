@@ -99,7 +99,7 @@ def describe(records: Sequence[Record], images: Path) -> str:
     header = ["axis"]
     for method in METHODS:
         header += [f"{method} fails at", "kd lost, dB", "relight lost, dB"]
-    text = f"{machine_of(records)} {seeds} seeds.\n\n"
+    text = f"{machine_of(records)} {seeds} {'seed' if seeds == 1 else 'seeds'}.\n\n"
     text += tables.markdown(header, [row for _, _, row in rows])
     text += f"\nFails at: the first level where kd or relight PSNR is more than {tables.FAILURE_DB:g} dB below the "
     text += "capture as it is; lost: at the hardest level. The first to fail stands first.\n"

@@ -18,20 +18,22 @@ class Refinements:
 
     Attributes:
         channel_curves: a response curve per colour channel.
-        white_balance: an exposure factor per channel, where exposures are unknown.
+        white_balance: an exposure factor per channel, where exposures are unknown or corrected.
+        corrected_exposures: exposures that the overlap asks for in place of recorded ones.
         hidden_light: light from where no photo looks: from beyond the mesh, by direction, and from behind corners.
         gloss: roughness and metallic of a part; without it all is rough.
     """
 
     channel_curves: bool | None = None
     white_balance: bool | None = None
+    corrected_exposures: bool | None = None
     hidden_light: bool | None = None
     gloss: bool | None = None
 
 
 AUTO = Refinements()
-FULL = Refinements(True, True, True, True)
-MINIMAL = Refinements(False, False, False, False)
+FULL = Refinements(True, True, True, True, True)
+MINIMAL = Refinements(False, False, False, False, False)
 
 
 @dataclass(frozen=True)

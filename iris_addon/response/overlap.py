@@ -106,8 +106,9 @@ def fit_overlap(
     held_out = rng.random(problem.n_patches) < 0.2
     training, testing = problem.restrict(~held_out), problem.restrict(held_out)
     knots, error = _fit_curves(training, testing, refinements)
-    if exposures is not None:
-        log_t = _right_exposures(training, testing, knots)
+    if exposures is not None and refinements.corrected_exposures is not False:
+        gain = np.inf if refinements.corrected_exposures else EXPOSURE_GAIN
+        log_t = _right_exposures(training, testing, knots, gain)
         if log_t is not None:
             problem, training, testing = (replace(part, log_t=log_t) for part in (problem, training, testing))
             knots, error = _fit_curves(training, testing, refinements)
@@ -143,22 +144,22 @@ def _first_guess(problem: OverlapProblem) -> NDArray[np.float64]:
 
 
 def _right_exposures(
-    training: OverlapProblem, testing: OverlapProblem, knots: list[NDArray[np.float64]]
+    training: OverlapProblem, testing: OverlapProblem, knots: list[NDArray[np.float64]], gain: float
 ) -> NDArray[np.float64] | None:
     """Log exposures (V, 3) in place of the known ones, or None unless the overlap speaks clearly against those.
 
     Recorded exposures may be rounded, and white balance may drift. A correction of every photo, then one of every
-    channel, is taken where patches that it was not fitted to agree better under it.
+    channel, is taken where patches that it was not fitted to disagree less than ``gain`` times as much under it.
     """
     best, found = testing.disagreement(knots), None
     for per_channel in (False, True) if training.white_balance is not False else (False,):
         tried, log_t = knots, training.log_t
         for round_ in range(CORRECTION_ROUNDS):
             log_t = training.corrected_exposures(family.to_response(tried), per_channel)
-            if round_ == 0 and replace(testing, log_t=log_t).disagreement(tried) > best:
+            if round_ == 0 and replace(testing, log_t=log_t).disagreement(tried) > max(1.0, gain) * best:
                 break
             tried = replace(training, log_t=log_t).minimise(tried, CORRECTION_STEPS)
         disagreement = replace(testing, log_t=log_t).disagreement(tried)
-        if disagreement < EXPOSURE_GAIN * best:
+        if disagreement < gain * best:
             best, found = disagreement, log_t
     return found
