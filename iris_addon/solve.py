@@ -32,13 +32,13 @@ from .refine.joint import joint_arrays, joint_report, refine_lights
 from .reflectance.diffuse_lobe import choose_diffuse
 from .reflectance.gloss import LEVELS, Gloss, rough_everywhere
 from .reflectance.materials import MaterialProblem, solve_materials
-from .reflectance.shading import IrradianceField
 from .response.observations import Observations, observe
 from .response.radiance import group_radiance, linearise
 from .result.io import save_result
 from .result.report_html import write_report
 from .result.types import Result
 from .surface.build import Surface, build_surface
+from .surface.field import IrradianceField
 from .surface.parts import edge_adjacency
 from .surface.segment import split_parts
 from .transport.cache import cached_transport

@@ -20,12 +20,12 @@ from iris_addon.reflectance.gloss import (
     rough_everywhere,
 )
 from iris_addon.reflectance.lobes import LobeRays, trace_lobes
-from iris_addon.reflectance.shading import IrradianceField
 from iris_addon.reflectance.specular import ROUGH, rough_lobes
 from iris_addon.reflectance.textures import complete_channels, make_textures
 from iris_addon.surface.atlas import build_atlas
 from iris_addon.surface.atlas_texels import rasterise_atlas
 from iris_addon.surface.build import Surface, build_surface
+from iris_addon.surface.field import IrradianceField
 from iris_addon.surface.samples import PixelSamples, trace_pixels
 from iris_addon.transport.tracer import Tracer
 from iris_addon.transport.transport import Transport, build_transport

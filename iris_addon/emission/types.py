@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..reflectance.shading import IrradianceField
 from ..surface.build import Surface
+from ..surface.field import IrradianceField
 from ..surface.samples import PixelSamples
 from ..transport.tracer import Tracer
 from ..transport.transport import Transport

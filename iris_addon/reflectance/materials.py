@@ -18,13 +18,13 @@ from ..emission.types import LightProblem, Lights
 from ..progress import Progress
 from ..response.observations import Observations
 from ..response.radiance import GroupRadiance, Linearised, group_radiance
+from ..surface.field import IrradianceField
 from ..transport.diffuse import grazing_gain
 from .diffuse_lobe import DiffuseChoice
 from .ggx import DIELECTRIC_F0
 from .gloss import LEVELS, Gloss, GlossObservations, choose_observations, fit_gloss
 from .glossy_bounce import GlossyBounce, trace_glossy_bounce
 from .lobes import LobeRays, lobe_cache
-from .shading import IrradianceField
 from .specular import Scene, rough_lobes, specular_lobes, subtract_specular
 
 FIT_RAYS = (8, 16, 32, 32)

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..parallel import BLOCK, over_blocks
-from ..surface.build import Surface
-from ..surface.samples import PixelSamples
+from .build import Surface
+from .samples import PixelSamples
 
 NEIGHBOURS = 10
 NORMAL_WEIGHT = 4.0
