@@ -39,7 +39,7 @@ def lights(lamps: list[tuple[int, float]], irradiance: tuple[float, float, float
         others = (face != PATCH_FACE) & (PATCH_FACE != WALL)
         factors[others, column, 0] = between
     mask = np.isin(np.arange(3), [face for face, _ in lamps])
-    radiance = np.array([[value] * 3 for _, value in lamps])
+    radiance = np.array([[value] * 3 for _, value in lamps]).reshape(-1, 3)
     light = np.array(irradiance)[PATCH_FACE][:, None].repeat(3, 1)
     faces = [np.array([face]) for face, _ in lamps]
     return Lights(faces, radiance, np.zeros((0, 3)), np.zeros(len(lamps)), factors, mask, light, light)

@@ -16,6 +16,7 @@ from .solve import (
     SEARCH_SHADOW_RAYS,
     SHADOW_RAYS,
     form_factors_of,
+    lamp_of_patch,
     lights_without_lamps,
     mean_radiance,
     patches_on,
@@ -116,8 +117,9 @@ def refine_lights(
 def _candidates(problem: LightProblem, lights: Lights, new: float, old: float) -> list[NDArray[np.int64]]:
     """Lamps under the light known so far, at one threshold for new ones and one for those that count as lamps."""
     n = problem.transport.n_seen
-    seen = _with_found(problem, lights)
-    needed = reflectance_needed(seen, _irradiance_by_rank(problem, lights))
+    lamp = lamp_of_patch(problem, lights.emitters)
+    seen = _with_found(problem, lights, lamp)
+    needed = reflectance_needed(seen, _irradiance_by_rank(problem, lights, lamp))
     # What already counts as a lamp stays one unless the light found since explains it away.
     counts = patches_on(problem, lights.mask)[:n]
     patch, face, n_faces = problem.surface.sample_patch, problem.samples.face, len(problem.parts)
@@ -131,50 +133,40 @@ def _candidates(problem: LightProblem, lights: Lights, new: float, old: float) -
     return group_emitters(emitting, count, problem.tracer.areas, problem.parts, problem.adjacency)
 
 
-def _with_found(problem: LightProblem, lights: Lights) -> Brightness:
+def _with_found(problem: LightProblem, lights: Lights, lamp: NDArray[np.int64]) -> Brightness:
     """The brightness of patches; on clipped lamps, of which photos give a bound, that which their light asks for."""
     floor = problem.brightness.floor.copy()
-    clipped = (problem.brightness.bound >= floor) & (floor > 0)
-    for faces, radiance in zip(lights.emitters, lights.radiance, strict=True):
-        on = patches_on(problem, _mask(problem, faces))[: len(floor), None]
-        floor = np.where(on & clipped, np.maximum(floor, radiance), floor)
+    at = np.flatnonzero(lamp >= 0)
+    clipped = (problem.brightness.bound[at] >= floor[at]) & (floor[at] > 0)
+    floor[at] = np.where(clipped, np.maximum(floor[at], lights.radiance[lamp[at]]), floor[at])
     return replace(problem.brightness, floor=floor)
 
 
-def _irradiance_by_rank(problem: LightProblem, lights: Lights) -> NDArray[np.float64]:
+def _irradiance_by_rank(problem: LightProblem, lights: Lights, lamp: NDArray[np.int64]) -> NDArray[np.float64]:
     """(P, 3) irradiance / pi at the seen patches; on a lamp, without the direct light of lamps less certain than it.
 
     A frame before a window is as bright as the window's light makes it. Taken for a lamp, it must not explain the
     window away.
     """
-    n = problem.transport.n_seen
-    irradiance = np.array(lights.irradiance[:n], np.float64)
-    certainty = _certainty(problem, lights)
-    for faces, own in zip(lights.emitters, certainty, strict=True):
-        weaker = certainty < own
-        at = np.flatnonzero(patches_on(problem, _mask(problem, faces))[:n])
+    irradiance = np.array(lights.irradiance[: problem.transport.n_seen], np.float64)
+    certainty = _certainty(problem, lights, lamp)
+    for k, own in enumerate(certainty):
+        at, weaker = np.flatnonzero(lamp == k), certainty < own
         direct = under_lobe(lights.form_factors[at][:, weaker], problem.transport.kappa[at])
         irradiance[at] -= direct @ lights.radiance[weaker]
     return irradiance
 
 
-def _mask(problem: LightProblem, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    mask = np.zeros(len(problem.parts), bool)
-    mask[faces] = True
-    return mask
-
-
-def _certainty(problem: LightProblem, lights: Lights) -> NDArray[np.float64]:
+def _certainty(problem: LightProblem, lights: Lights, lamp: NDArray[np.int64]) -> NDArray[np.float64]:
     """(E,) reflectance that each lamp would need if it were none, median over its patches."""
-    n = problem.transport.n_seen
-    needed = reflectance_needed(problem.brightness, lights.irradiance[:n])
-    on = [patches_on(problem, _mask(problem, faces))[:n] for faces in lights.emitters]
+    needed = reflectance_needed(problem.brightness, lights.irradiance[: problem.transport.n_seen])
+    on = [lamp == k for k in range(len(lights.emitters))]
     return np.array([np.median(needed[at]) if at.any() else 0.0 for at in on])
 
 
 def _without_idle(problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress) -> Lights:
     """Leave out lamps that are not certain, the least certain first, where the room is lit as well without them."""
-    certainty = _certainty(problem, lights)
+    certainty = _certainty(problem, lights, lamp_of_patch(problem, lights.emitters))
     emitters, factors, kept = lights.emitters, lights.form_factors, np.ones(len(certainty), bool)
     for k in np.argsort(certainty)[: int((certainty < CERTAIN).sum())]:
         kept[k] = False

@@ -73,15 +73,13 @@ def solve_lights(
         """Means over neighbours of one albedo: to both sides of L = a (I + B e) alike, so that the balance holds."""
         return problem.field.smooth(values[:n], NOISE_WIDTH, rows, group)
 
-    smooth_factors = smooth(all_factors)
+    smooth_shaded, smooth_factors = smooth(shaded), smooth(all_factors)
     for _ in range(2):
         unknown = mean_radiance(radiance, problem)
         indirect = problem.transport.gather_radiance(radiance, unknown, mask)
         if problem.bounce is not None:
             indirect = indirect + problem.bounce.gather_radiance(radiance, unknown, mask)
-        balance = solve_balance(
-            smooth(shaded), smooth(indirect), smooth_factors, part[rows], say[rows], evidence, start
-        )
+        balance = solve_balance(smooth_shaded, smooth(indirect), smooth_factors, part[rows], say[rows], evidence, start)
         start = balance.radiance
         irradiance = indirect + all_factors @ balance.radiance
         albedo = dict(zip(balance.part_ids.tolist(), balance.part_albedo, strict=True))
@@ -182,6 +180,18 @@ def patches_on(problem: LightProblem, mask: NDArray[np.bool_]) -> NDArray[np.boo
     share = np.bincount(problem.surface.sample_patch, mask[problem.samples.face], problem.transport.n_seen)
     on[: problem.transport.n_seen] = share > 0.5 * problem.surface.count
     return on
+
+
+def lamp_of_patch(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """(P,) index of the emitter that most of each seen patch lies on, -1 where that is none."""
+    label = emitter_of_face(emitters, len(problem.parts))[problem.samples.face]
+    on = np.flatnonzero(label >= 0)
+    pair, pixels = np.unique(problem.surface.sample_patch[on] * len(emitters) + label[on], return_counts=True)
+    patch, lamp = np.divmod(pair, max(1, len(emitters)))
+    most = pixels > 0.5 * problem.surface.count[patch]
+    result = np.full(problem.transport.n_seen, -1, np.int64)
+    result[patch[most]] = lamp[most]
+    return result
 
 
 def _start_radiance(observed: GroupRadiance, before: Lights, on_lamp: NDArray[np.bool_]) -> NDArray[np.float64]:
