@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from .calibration import Calibration
 from .capture.types import Capture
@@ -27,7 +26,7 @@ from .reflectance.textures import make_textures
 from .result.types import Emitter, OutsideLight, Result
 from .surface.atlas import build_atlas, texel_density_from_footprint
 from .surface.build import Surface
-from .surface.samples import PixelSamples
+from .surface.samples import PixelSamples, as_picture
 from .transport.diffuse import grazing_gain, schlick
 from .transport.tracer import Tracer
 from .transport.transport import Transport
@@ -115,19 +114,12 @@ def make_result(
 def _rerenders(
     capture: Capture, samples: PixelSamples, explained: Callable[[Rows], NDArray[np.float64]]
 ) -> dict[str, NDArray[np.float32]]:
-    """A few photos by name as ``explained``, (H, W, 3); pixels off the lattice take their neighbour's value."""
+    """A few photos by name as ``explained``, (H, W, 3)."""
     pictures = {}
     for index in np.unique(np.linspace(0, len(capture.views) - 1, SHOWN_PHOTOS).astype(int)):
-        camera = capture.views[index].camera
+        view = capture.views[index]
         rows = slice(*np.searchsorted(samples.view, [index, index + 1]))
-        known = np.zeros((camera.height, camera.width), bool)
-        image = np.zeros((camera.height, camera.width, 3), np.float32)
-        known.ravel()[samples.pixel[rows]] = True
-        image.reshape(-1, 3)[samples.pixel[rows]] = explained(rows)
-        if known.any():
-            nearest = np.asarray(distance_transform_edt(~known, return_distances=False, return_indices=True))
-            image = image[nearest[0], nearest[1]]
-        pictures[capture.views[index].name] = image
+        pictures[view.name] = as_picture(explained(rows), samples.pixel[rows], view.camera)
     return pictures
 
 

@@ -69,8 +69,8 @@ class Checkpoints:
         return arrays
 
     def clear(self) -> None:
-        """Remove the stage files: the result stands."""
-        for path in self.folder.glob("*.npz"):
+        """Remove the stage files and the previews beside them: the result stands."""
+        for path in (*self.folder.glob("*.npz"), *self.folder.glob("preview-*.png")):
             path.unlink()
         if self.folder.is_dir() and not any(self.folder.iterdir()):
             self.folder.rmdir()

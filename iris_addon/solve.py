@@ -27,6 +27,7 @@ from .emission.search import choose_outside
 from .emission.types import LightProblem, Lights
 from .photo_samples import PhotoSamples, sample_photos
 from .photometry import Photometry, measure_photometry
+from .preview import write_previews
 from .progress import Progress
 from .refine.joint import joint_arrays, joint_report, refine_lights
 from .reflectance.diffuse_lobe import choose_diffuse
@@ -91,10 +92,12 @@ def solve(
         arrays = checkpoints.stage("lights", lambda: _lights(problem, config.refinements, progress))
         lights = Lights.from_arrays(arrays)
         problem = problem.with_outside(int(arrays["directions"]))
+        write_previews(out, capture, photos.z, photometry, problem, lights)
     with progress.stage("materials"):
         solved = checkpoints.stage("materials", lambda: _materials(problem, lights, config.rounds, progress))
         lights, gloss = Lights.from_arrays(solved), Gloss.from_arrays(solved)
         problem = problem.with_gloss(gloss)
+        write_previews(out, capture, photos.z, photometry, problem, lights)
     joint: dict[str, Any] = {}
     if config.joint:
         with progress.stage("joint"):

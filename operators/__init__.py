@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from . import apply, check, data, export, panel, preferences, review, settings, solve, watch
+from . import apply, check, data, export, panel, preferences, preview, review, settings, solve, watch
 
 CLASSES = (
     preferences.IrisPreferences,
@@ -47,6 +47,7 @@ def register() -> None:
         bpy.utils.register_class(cls)
     bpy.types.Scene.iris = bpy.props.PointerProperty(type=settings.IrisSettings)
     bpy.types.Camera.iris_exposure = settings.EXPOSURE
+    preview.register()
     data.register()
     watch.register()
 
@@ -55,6 +56,7 @@ def unregister() -> None:
     """Stop what runs and take everything out of Blender."""
     watch.unregister()
     data.unregister()
+    preview.unregister()
     del bpy.types.Scene.iris, bpy.types.Camera.iris_exposure
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

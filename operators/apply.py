@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..iris_addon.blender.capture_in import show_instead
 from ..iris_addon.blender.images import read_image
 from ..iris_addon.blender.lamps import lamp_materials
 from ..iris_addon.blender.materials import LAMP_ID
@@ -40,6 +41,7 @@ class IRIS_OT_apply(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's 
                 context.window.cursor_set("DEFAULT")
         if changed:
             list_lamps(scene, result)
+            show_the_room(scene)
         self.report({"INFO"}, f"{len(result.emitters)} lights" if changed else "This result is applied already")
         return {"FINISHED"}
 
@@ -69,6 +71,14 @@ def face_runs(scene: bpy.types.Scene) -> list[FaceRun]:
     if scene.iris.source == "SCENE":
         return read_face_runs(folder(scene))
     return whole_object(scene.iris.room)
+
+
+def show_the_room(scene: bpy.types.Scene) -> None:
+    """Take the pictures that were looked at off the cameras' view: they would hide what was applied."""
+    for view in scene.iris.views:
+        if view.camera is not None:
+            show_instead(view.camera, None)
+    scene.iris.overlay = 0.0
 
 
 def list_lamps(scene: bpy.types.Scene, result: Result) -> None:

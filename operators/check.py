@@ -54,6 +54,8 @@ class IRIS_OT_step_photo(bpy.types.Operator):  # noqa: N801 - Blender's naming
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Go on to it, around the end."""
         settings = context.scene.iris
+        if not self.by:
+            settings.overlay = settings.overlay or 0.5  # asked to be shown, it must not stay hidden
         settings.view_index = (settings.view_index + self.by) % len(settings.views)
         return {"FINISHED"}
 

@@ -12,7 +12,7 @@ from ..iris_addon.blender.review import model_lines
 from ..iris_addon.errors import IrisError
 from ..iris_addon.result.json_files import read_json
 from . import project
-from .pieces import job_box, paragraph
+from .pieces import job_box, paragraph, preview_box
 from .preferences import ROOT_PACKAGE, solver_python
 from .project import ICONS, Step
 
@@ -155,6 +155,8 @@ class IRIS_PT_solve(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
             text = "Resume" if record.state in ("cancelled", "interrupted", "failed") else again
             column.operator("iris.solve", text=text, icon="PLAY")
         job_box(layout, "solve", context)
+        if running:
+            preview_box(layout, context)
 
 
 class IRIS_PT_review(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
@@ -169,9 +171,9 @@ class IRIS_PT_review(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         if not project.result_key(scene):
             layout.label(text="No result yet", icon="INFO")
             return
-        row = layout.row(align=True)
+        grid = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
         for kind, text in (("photo", "Photo"), ("render", "Re-render"), ("error", "Error"), ("curve", "Response")):
-            row.operator("iris.review", text=text).kind = kind
+            grid.operator("iris.review", text=text).kind = kind
         try:
             report = read_json(project.folder(scene) / "report.json")
         except IrisError as error:

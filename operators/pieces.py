@@ -7,7 +7,7 @@ from textwrap import wrap
 import bpy
 
 from ..iris_addon.blender import jobs
-from . import project
+from . import preview, project
 
 
 def paragraph(layout: bpy.types.UILayout, text: str, context: bpy.types.Context, icon: str = "NONE") -> None:
@@ -45,6 +45,17 @@ def job_box(layout: bpy.types.UILayout, name: jobs.JobName, context: bpy.types.C
         layout.label(text="Cancelled; finished stages are kept", icon="INFO")
     elif record.state == "done" and name == "solve":
         layout.operator("iris.show_log", icon="TEXT").job = name
+
+
+def preview_box(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """What the running solve knows of the room; nothing until it knows something."""
+    settings = context.scene.iris
+    picture = preview.picture(project.folder(context.scene), settings.preview)
+    if picture is None:
+        return
+    layout.row(align=True).prop(settings, "preview", expand=True)
+    width = context.region.width / (20 * context.preferences.system.ui_scale)  # in units of the interface
+    layout.template_icon(picture.icon_id, scale=max(6.0, min(14.0, width - 4)))
 
 
 def time_left(seconds: float | None) -> str:

@@ -132,6 +132,15 @@ class IrisSettings(bpy.types.PropertyGroup):
         ),
         default="auto",
     )
+    preview: bpy.props.EnumProperty(
+        name="Preview",
+        description="What is shown of the room while it is solved",
+        items=(
+            ("albedo", "Albedo", "Colour of the surfaces; lamps are black"),
+            ("light", "Light", "Light that falls onto them; lamps are white"),
+            ("error", "Error", "Where other photos contradict this one, four times enlarged: response, exposure, pose"),
+        ),
+    )
     seed: bpy.props.IntProperty(name="Seed", description="Same seed, same result", min=0)
     room: bpy.props.PointerProperty(type=bpy.types.Object, name="Room", description="The mesh of the capture")
     warnings: bpy.props.StringProperty(description="What the check found, one per line")

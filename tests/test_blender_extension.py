@@ -144,9 +144,20 @@ def test_from_capture_to_files_and_back(package, tmp_path, worker, nerfstudio_ro
 
     assert not bpy.ops.iris.apply.poll()
     bpy.ops.iris.solve()
+    bpy.ops.ed.undo_push(message="before the curve")
     bpy.ops.iris.review(kind="curve")
     assert tuple(bpy.data.images["IRIS Response"].size) == (256, 256)
+    bpy.ops.ed.undo_push(message="the curve")
+    bpy.ops.ed.undo()
+    assert "IRIS Response" not in bpy.data.images
+    bpy.ops.ed.redo()
+    assert max(bpy.data.images["IRIS Response"].pixels[0:1024]) > 0.5  # not a black one
 
+    settings = bpy.context.scene.iris
+    behind = settings.views[0].camera.data.background_images[0]
+    settings.overlay = 0.0
+    bpy.ops.iris.step_photo(by=0)
+    assert settings.overlay == behind.alpha == 0.5
     bpy.ops.ed.undo_push(message="before")
     plain = settings.room.data.name
     bpy.ops.iris.apply()
@@ -154,6 +165,7 @@ def test_from_capture_to_files_and_back(package, tmp_path, worker, nerfstudio_ro
     settings = bpy.context.scene.iris
     assert settings.room.data.name != plain and len(settings.lamps) == 1
     assert settings.lamps[0].strength == 12 and settings.lamps[0].area == 4
+    assert settings.overlay == settings.views[0].camera.data.background_images[0].alpha == 0.0  # it would hide the room
     materials = len(bpy.data.materials)
     bpy.ops.iris.apply()
     assert len(bpy.data.materials) == materials and len(bpy.context.scene.iris.lamps) == 1
@@ -184,6 +196,30 @@ def test_from_capture_to_files_and_back(package, tmp_path, worker, nerfstudio_ro
     said = in_blender(package, tmp_path, body)
     assert "Traceback" not in said
     assert not [line for line in said.splitlines() if "Warning: " in line or "rna_uiItemO" in line]
+
+
+def test_the_panel_has_a_picture_of_what_the_solve_knows_so_far(package, tmp_path):
+    body = """
+    from importlib import import_module
+    preview = import_module(KEY + ".operators.preview")
+    files = import_module(KEY + ".iris_addon.preview_files")
+    assert preview.picture(home, "albedo") is None
+    def write(kind, ns, side):
+        image = bpy.data.images.new("x", side, side)
+        path = files.preview_path(home, kind)
+        image.filepath_raw, image.file_format = str(path), "PNG"
+        path.parent.mkdir(exist_ok=True)
+        image.save()
+        os.utime(path, ns=(ns, ns))
+    write("albedo", 10**18, 8)
+    write("light", 10**18, 16)
+    sides = lambda kind: tuple(preview.picture(home, kind).image_size)
+    assert sides("albedo") == (8, 8) and sides("light") == (16, 16) and sides("albedo") == (8, 8)
+    write("albedo", 2 * 10**18, 32)
+    assert sides("albedo") == (32, 32)  # the newest
+    assert preview.picture(home, "error") is None
+    """
+    in_blender(package, tmp_path, body)
 
 
 def test_a_scene_is_solved_on_its_own_objects(package, tmp_path, worker, nerfstudio_room):

@@ -79,6 +79,7 @@ def test_clearing_removes_the_folder_but_no_strangers(tmp_path: Path) -> None:
     checkpoints = Checkpoints(folder, "key", False)
     checkpoints.clear()
     checkpoints.stage("lights", numbers)
+    (folder / "preview-albedo.png").write_bytes(b"picture")
     checkpoints.clear()
     assert not folder.exists()
     checkpoints.stage("lights", numbers)

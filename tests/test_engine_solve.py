@@ -11,8 +11,11 @@ import pytest
 from iris_addon.capture.types import Camera, Capture
 from iris_addon.config import SolveConfig, preset
 from iris_addon.errors import Cancelled
+from iris_addon.imaging import read_image
+from iris_addon.preview_files import KINDS, preview_path
 from iris_addon.progress import Progress, ProgressEvent
 from iris_addon.response.curve import gamma
+from iris_addon.result.report_pictures import srgb
 from iris_addon.result.types import Result
 from iris_addon.solve import solve
 from iris_addon.surface.atlas_texels import rasterise_atlas
@@ -103,6 +106,22 @@ def test_the_response_and_the_predicted_photos(found: Result) -> None:
     assert found.report["holdout_psnr"] > 30
     assert found.report["rays_traced"] < 1e8
     assert found.report["n_patches"] <= 1.5 * TINY.max_patches
+
+
+def test_the_previews_show_the_room_as_far_as_it_is_known(shoot: Shoot) -> None:
+    out = shoot.folder / "previewed"
+    stopped(shoot.capture(), FAST, out, "textures")
+    albedo, light, error = (read_image(preview_path(out, kind)) / 255.0 for kind in KINDS)
+    tracer, room = Tracer(shoot.room.mesh), shoot.room
+    parts = [room.parts[tracer.closest(*camera.rays()).face].reshape(36, 48) for camera in shoot.views]
+    truths = [srgb(np.where(np.isin(part, LAMP_PARTS)[..., None], 0, room.albedo[part])) for part in parts]
+    # One of the photos, and nobody is told which.
+    shown = min(range(len(truths)), key=lambda view: np.abs(truths[view] - albedo).mean())
+    assert np.median(np.abs(truths[shown] - albedo)) < 0.04
+    assert len(np.unique(parts[shown])) >= np.median([len(np.unique(part)) for part in parts])
+    on_lamp = np.isin(parts[shown], LAMP_PARTS)
+    assert np.all(light[on_lamp] == 1.0) and np.median(light[~on_lamp]) < 0.95
+    assert np.median(error.max(-1)) < 0.2
 
 
 def test_a_matte_room_has_no_metal(found: Result) -> None:

@@ -51,7 +51,9 @@ def curve_image(samples: NDArray[np.floating], name: str = "IRIS Response") -> b
     old = bpy.data.images.get(name)
     if old is not None:
         bpy.data.images.remove(old)
-    return image_from_array(name, curve_plot(samples), colorspace="sRGB")
+    image = image_from_array(name, curve_plot(samples), colorspace="sRGB")
+    image.pack()  # else undo and redo bring it back black
+    return image
 
 
 def curve_plot(samples: NDArray[np.floating]) -> NDArray[np.float32]:

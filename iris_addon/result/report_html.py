@@ -16,12 +16,11 @@ from ..capture import load_photo
 from ..capture.types import Capture, View
 from ..evaluate.maps import MapRenderer, ViewMaps
 from ..imaging import atomic_write
-from .report_pictures import FloatArray, Pictures, heat, srgb
+from .report_pictures import ERROR_GAIN, FloatArray, Pictures, heat, srgb
 from .report_style import CSS
 from .types import Result
 
 MAX_VIEWS = 6
-ERROR_GAIN = 4.0
 CHANNELS = ("#d33", "#2a2", "#36d")
 
 

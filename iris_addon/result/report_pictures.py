@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from ..imaging import write_png
 
 FloatArray = NDArray[np.floating]
+ERROR_GAIN = 4.0
+"""By which differences of display values are shown."""
 
 
 class Pictures:
@@ -26,13 +28,17 @@ class Pictures:
         while stem in self._taken:
             stem += "_"
         self._taken.add(stem)
-        codes = np.round(np.clip(np.nan_to_num(image), 0.0, 1.0) * 255).astype(np.uint8)
-        write_png(self._folder / f"{stem}.png", codes)
-        height, width = codes.shape[:2]
+        write_png(self._folder / f"{stem}.png", codes(image))
+        height, width = image.shape[:2]
         return (
             f'<figure><img src="{self._folder.name}/{stem}.png" width="{width}" height="{height}" loading="lazy" '
             f'alt="{escape(caption)}"><figcaption>{escape(caption)}</figcaption></figure>'
         )
+
+
+def codes(image: FloatArray) -> NDArray[np.uint8]:
+    """The nearest 8-bit codes of display values; what is not a number is black."""
+    return np.round(np.clip(np.nan_to_num(image), 0.0, 1.0) * 255).astype(np.uint8)
 
 
 def srgb(linear: FloatArray) -> FloatArray:

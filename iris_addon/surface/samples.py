@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from ..capture.types import Camera
 from ..progress import Progress
@@ -55,6 +56,18 @@ def pixel_lattice(camera: Camera, stride: int, phase: int) -> NDArray[np.int32]:
     rows = np.arange(row, camera.height, stride)
     columns = np.arange(column, camera.width, stride)
     return (rows[:, None] * camera.width + columns[None, :]).astype(np.int32).ravel()
+
+
+def as_picture(values: NDArray[np.floating], pixel: NDArray[np.integer], camera: Camera) -> NDArray[np.float32]:
+    """(H, W, 3) picture of ``values`` (n, 3) at pixels (n,); all others take the value of the nearest of these."""
+    known = np.zeros((camera.height, camera.width), bool)
+    picture = np.zeros((camera.height, camera.width, 3), np.float32)
+    known.ravel()[pixel] = True
+    picture.reshape(-1, 3)[pixel] = values
+    if not known.any():
+        return picture
+    nearest = np.asarray(distance_transform_edt(~known, return_distances=False, return_indices=True))
+    return picture[nearest[0], nearest[1]]
 
 
 def stride_for_budget(cameras: Sequence[Camera], budget: int) -> int:
