@@ -41,6 +41,10 @@ SNAPSHOTS = (30, 60, 120, 300, 600, 1200)
 SAMPLES = 2
 """Per pixel and step: many noisy steps go further in the same time than few clean ones."""
 SHOWN_VIEWS, CLEAN_SAMPLES = 5, 32
+EPSILON = 1e-6
+"""Of Adam: the gradient of a texel that about a pixel shows. What is only seen by way of other surfaces has gradients
+of noise, a hundred times smaller, which Adam with its usual 1e-8 turns into full steps: albedo then gets worse again
+after two minutes."""
 STEEPEST = 6.0
 """Largest slope of the response that weights an error; it grows without bound towards black."""
 TUNED_TEXTURE_RATES = (0.01, 0.03, 0.06)
@@ -60,10 +64,10 @@ class Rates:
             bright, and a white room does not come back.
     """
 
-    texture: float = 0.01
+    texture: float = 0.03
     lamp: float = 0.1
     decay: float = 300.0
-    warm_up: int = 100
+    warm_up: int = 40
 
 
 # ---- optimisation --------------------------------------------------------------------------------------------------
@@ -92,7 +96,7 @@ def optimise(problem: Problem, stops: Sequence[float], rates: Rates, seed: int, 
     scene, sensors = make_scene(mi, problem)
     parameters = mi.traverse(scene)
     # Texels that the photo of this step says nothing about stay where they are.
-    optimiser = mi.ad.Adam(lr=rates.texture, mask_updates=True)
+    optimiser = mi.ad.Adam(lr=rates.texture, epsilon=EPSILON, mask_updates=True)
     optimiser[BASE_COLOR], optimiser[ROUGHNESS] = parameters[BASE_COLOR], parameters[ROUGHNESS]
     names = [f"log_lamp{k}" for k in range(len(problem.lamps))]
     darkest = dict(zip(names, (mi.Color3f(*bound) for bound in np.log(problem.lamp_bounds).tolist()), strict=True))
