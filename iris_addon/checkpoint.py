@@ -14,10 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .array_files import read_arrays
+from .array_files import read_arrays, write_arrays
 from .capture.types import Capture
 from .config import SolveConfig
-from .imaging import atomic_write
 
 FORMAT = 1
 Arrays = Mapping[str, NDArray]
@@ -63,8 +62,7 @@ class Checkpoints:
             if known is not None:
                 return known
         arrays = dict(compute())
-        self.folder.mkdir(parents=True, exist_ok=True)
-        atomic_write(path, lambda file: np.savez(file, key=np.array(self.key), **arrays))
+        write_arrays(path, {"key": np.array(self.key), **arrays})
         # What the next stage sees must not depend on whether this run was resumed.
         return arrays
 

@@ -20,6 +20,7 @@ class Refinements:
         channel_curves: a response curve per colour channel.
         white_balance: an exposure factor per channel, where exposures are unknown or corrected.
         corrected_exposures: exposures that the overlap asks for in place of recorded ones.
+        exponent: that of response and radiance as light transport asks for it, where exposures are unknown.
         hidden_light: light from where no photo looks: from beyond the mesh, by direction, and from behind corners.
         gloss: roughness and metallic of a part; without it all is rough.
     """
@@ -27,13 +28,14 @@ class Refinements:
     channel_curves: bool | None = None
     white_balance: bool | None = None
     corrected_exposures: bool | None = None
+    exponent: bool | None = None
     hidden_light: bool | None = None
     gloss: bool | None = None
 
 
 AUTO = Refinements()
-FULL = Refinements(True, True, True, True, True)
-MINIMAL = Refinements(False, False, False, False, False)
+FULL = Refinements(*[True] * 6)
+MINIMAL = Refinements(*[False] * 6)
 
 
 @dataclass(frozen=True)

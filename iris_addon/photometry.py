@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from .config import SolveConfig
 from .parallel import BLOCK, over_blocks
 from .response import curve
 from .response.curve import Response
+from .response.family import FITTED
 from .response.files import read_response
 from .response.observations import SATURATED, Observations
 from .response.overlap import fit_overlap
@@ -30,6 +31,7 @@ class Photometry:
         per_channel: whether each channel has its own curve.
         known_exposures: whether the capture gave the exposures.
         exposure_error: stops RMS by which photos speak against the exposures that were given, 0 where they do not.
+        exponent: of response, exposures and radiance over those that the prior chose.
     """
 
     response: Response
@@ -38,6 +40,7 @@ class Photometry:
     per_channel: bool
     known_exposures: bool
     exposure_error: float = 0.0
+    exponent: float = 1.0
 
     @property
     def hdr(self) -> bool:
@@ -53,6 +56,20 @@ class Photometry:
             wrong = f"the recorded exposures do not fit the photos ({self.exposure_error:.2g} stops) and were corrected"
             return (wrong,) if self.exposure_error else ()
         return ("exposures are unknown: the overall brightness of lights is relative",)
+
+    @property
+    def exponent_open(self) -> bool:
+        """Whether photos fix response, exposures and radiance only up to a common exponent."""
+        return self.response.family == FITTED and not self.known_exposures
+
+    def raised(self, exponent: float) -> Photometry:
+        """The same photos explained by radiance to the power ``exponent``."""
+        return replace(
+            self,
+            response=self.response.raised(exponent),
+            exposures=self.exposures**exponent,
+            exponent=self.exponent * exponent,
+        )
 
     def linearise_pixels(self, z: NDArray[np.floating], view: NDArray[np.integer]) -> Linearised:
         """Radiance of pixels (n, 3) with their precision; a single pixel is clipped or it is not."""
@@ -84,6 +101,7 @@ class Photometry:
             "curves": 3 if self.per_channel else 1,
             "exposures": ("corrected" if self.exposure_error else "known") if self.known_exposures else "estimated",
             "exposure_error_stops": round(self.exposure_error, 3),
+            "exponent": round(self.exponent, 3),
             "held_out_residual": None if np.isnan(self.held_out) else self.held_out,
         }
 

@@ -7,7 +7,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +31,7 @@ from .photo_samples import PhotoSamples, sample_photos
 from .photometry import Photometry, measure_photometry
 from .preview import write_previews
 from .progress import Progress
+from .refine.exponent import choose_exponent
 from .refine.joint import joint_arrays, joint_report, refine_lights
 from .reflectance.diffuse_lobe import choose_diffuse
 from .reflectance.gloss import LEVELS, Gloss, rough_everywhere
@@ -87,10 +90,14 @@ def solve(
                 lambda: measure_photometry(capture, config, observations, photos.hdr, config.rng(4)).arrays(),
             )
         )
-    problem = _problem(config, tracer, photos, parts, adjacency, surface, transport, observations, photometry, field)
+    pose = partial(_problem, config, tracer, photos, parts, adjacency, surface, transport, observations, field)
+    problem = pose(photometry)
     with progress.stage("lights"):
-        arrays = checkpoints.stage("lights", lambda: _lights(problem, config.refinements, progress))
-        lights = Lights.from_arrays(arrays)
+        arrays = checkpoints.stage("lights", lambda: _lights(pose, problem, photometry, config.refinements, progress))
+        lights, exponent = Lights.from_arrays(arrays), float(arrays["exponent"])
+        if exponent != 1.0:
+            photometry = photometry.raised(exponent)
+            problem = pose(photometry)
         problem = problem.with_outside(int(arrays["directions"]))
         write_previews(out, capture, photos.z, photometry, problem, lights)
     with progress.stage("materials"):
@@ -128,8 +135,8 @@ def _problem(
     surface: Surface,
     transport: Transport,
     observations: Observations,
-    photometry: Photometry,
     field: IrradianceField,
+    photometry: Photometry,
 ) -> MaterialProblem:
     linear = linearise(observations, photometry.response, photometry.exposures)
     n, forced = len(surface.part), config.refinements
@@ -167,9 +174,22 @@ def _problem(
     return problem.with_gloss(rough_everywhere(int(parts.max()) + 1))
 
 
-def _lights(problem: MaterialProblem, forced: Refinements, progress: Progress) -> dict[str, NDArray]:
-    light, lights = choose_outside(problem.light, problem.observed, progress, forced.hidden_light is True)
-    return {**lights.arrays(), "directions": np.array(len(light.hidden.directions))}
+def _lights(
+    pose: Callable[[Photometry], MaterialProblem],
+    problem: MaterialProblem,
+    photometry: Photometry,
+    forced: Refinements,
+    progress: Progress,
+) -> dict[str, NDArray]:
+    """The lamps, and the exponent of ``photometry`` under which they balance where photos leave it open."""
+    exponent, all_directions = 1.0, forced.hidden_light is True
+    light, lights = choose_outside(problem.light, problem.observed, progress, all_directions)
+    if photometry.exponent_open and forced.exponent is not False:
+        exponent = choose_exponent(light, problem.observed, lights, progress)
+    if exponent != 1.0:
+        problem = pose(photometry.raised(exponent))
+        light, lights = choose_outside(problem.light, problem.observed, progress, all_directions)
+    return {**lights.arrays(), "directions": np.array(len(light.hidden.directions)), "exponent": np.array(exponent)}
 
 
 def _materials(problem: MaterialProblem, lights: Lights, rounds: int, progress: Progress) -> dict[str, NDArray]:

@@ -7,7 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from iris_addon.emission.balance import MAX_ALBEDO, Balance, Evidence, _DirectEvidence, _Problem, solve_balance
+from iris_addon.emission.balance import (
+    MAX_ALBEDO,
+    ROBUST_LOG,
+    Balance,
+    Evidence,
+    _DirectEvidence,
+    _Problem,
+    solve_balance,
+)
 from iris_addon.progress import Progress
 from iris_addon.transport.gather import emitter_form_factors, gather
 from iris_addon.transport.tracer import Tracer
@@ -117,6 +125,7 @@ def test_gradient_is_that_of_the_loss(shading: Shading) -> None:
         label,
         len(ids),
         _DirectEvidence.of(evidence, 2),
+        ROBUST_LOG,
     )
     log_e = np.log(shading.truth) + rng.normal(0, 0.4, (2, 3))
     albedo = problem.implied_albedo(log_e) + rng.normal(0, 0.3, (len(ids), 3))

@@ -81,7 +81,7 @@ def test_a_disk_that_is_full_costs_only_the_cache(scene: Scene, folder: Path, mo
     def full(path: Path, _write: object) -> None:
         raise IrisError("cannot be written (No space left on device)", "free some space and run again", path)
 
-    monkeypatch.setattr(cache, "atomic_write", full)
+    monkeypatch.setattr(cache, "write_arrays", full)
     assert scene.transport().n_seen == len(scene.surface.part)
     assert not list(folder.glob("*"))
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from iris_addon.errors import BadInput
+from iris_addon.photometry import Photometry
 from iris_addon.response import curve, family
 from iris_addon.response.curve import N_SAMPLES, Response
 from iris_addon.response.files import read_response
@@ -226,6 +227,22 @@ def test_one_sort_orders_values_within_their_groups() -> None:
     order = order_in_groups(values, group)
     assert np.array_equal(group[order], np.sort(group))
     assert np.array_equal(values[order], values[np.lexsort((values, group))])
+
+
+@pytest.mark.parametrize("exponent", [0.6, 1.0, 1.7])
+def test_photos_cannot_tell_a_power_of_radiance_under_the_raised_response(exponent: float) -> None:
+    rng = np.random.default_rng(0)
+    radiance, view = rng.uniform(0.05, 1.2, (200, 3)), rng.integers(0, 4, 200)
+    samples = np.stack([np.linspace(0, 1, 1024) ** p for p in (0.4, 0.45, 0.6)])
+    found = Photometry(Response(samples, family.FITTED), rng.uniform(0.5, 1.0, (4, 3)), 0.0, True, False)
+    raised = found.raised(exponent)
+    assert raised.exponent == exponent
+    assert raised.develop(radiance**exponent, view) == pytest.approx(found.develop(radiance, view), abs=2e-3)
+    z = found.develop(radiance, view)
+    both = [p.linearise_pixels(z.astype(np.float32), view) for p in (found, raised)]
+    open_ = both[0].open & (z > 0.2)
+    assert both[1].radiance[open_] == pytest.approx(both[0].radiance[open_] ** exponent, rel=0.02)
+    assert both[1].bound == pytest.approx(both[0].bound ** exponent)
 
 
 def test_outside_its_table_a_response_holds_its_ends() -> None:

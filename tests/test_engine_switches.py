@@ -13,7 +13,7 @@ from iris_addon.config import AUTO, FULL, MINIMAL, Refinements, preset
 from iris_addon.emission.given import read_given_emitters
 from iris_addon.errors import BadInput
 from iris_addon.reflectance.gloss import LEVELS, GlossObservations, fit_gloss
-from iris_addon.response.curve import gamma
+from iris_addon.response.curve import Response, gamma
 from iris_addon.result.json_files import to_ranges
 from iris_addon.result.types import Result
 from iris_addon.solve import solve
@@ -22,6 +22,7 @@ from tests.engine_room import LAMP_PARTS, Room, cameras, furnished_room, photogr
 
 TINY = preset("draft", max_patches=2000, gather_rays=48, shadow_rays=48, atlas_size=128, rounds=1, response="gamma")
 N_VIEWS = 8
+GAMMA = gamma()
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +34,10 @@ def solved(tmp_path_factory: pytest.TempPathFactory):
     room = furnished_room(np.inf)
     exposures = 0.25 / np.median(radiance.mean(-1).reshape(N_VIEWS, -1), 1) * 2.0 ** np.linspace(-3, 1, N_VIEWS)
 
-    def run(name: str, known: bool = True, without: int = -1, **changes: object) -> tuple[Room, Result]:
-        capture = photograph(room, views, radiance, exposures, gamma(), folder / name)
+    def run(
+        name: str, known: bool = True, without: int = -1, curve: Response = GAMMA, **changes: object
+    ) -> tuple[Room, Result]:
+        capture = photograph(room, views, radiance, exposures, curve, folder / name)
         kept = room.parts != without
         capture = replace(capture, mesh=replace(room.mesh, faces=room.mesh.faces[kept], parts=room.parts[kept]))
         if not known:
@@ -89,6 +92,18 @@ def test_forced_full_and_minimal_use_all_and_nothing(solved):
     assert per_channel[0] > 0 and per_channel[1] == 0
     assert minimal.report["model"]["glossy_parts"] == 0
     assert minimal.report["model"]["hidden_parts"] == 0 and minimal.report["model"]["outside_directions"] == 0
+
+
+@pytest.mark.parametrize("power", [0.3, 0.9])
+def test_light_transport_finds_the_exponent_that_unknown_exposures_leave_open(solved, power):
+    """Photos through a power law, of which overlap alone cannot tell which."""
+    curve, wrong = gamma(power), []
+    for allowed in (False, None):
+        asked = Refinements(exponent=allowed)
+        _, result = solved(f"{power}-{allowed}", known=False, curve=curve, response="auto", refinements=asked)
+        middle = result.response.samples[1, 256]  # of a power law: 4 ** -power
+        wrong.append(abs(np.log(-np.log(middle) / np.log(4) / power)))
+    assert wrong[0] > 0.4 and wrong[1] < 0.5 * wrong[0]  # on eight photos of 48 x 36 pixels
 
 
 def test_light_from_outside_is_forced_and_forbidden(solved):

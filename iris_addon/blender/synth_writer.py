@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import imaging
+from ..array_files import write_arrays
 from ..capture.types import Camera
 from ..reflectance.ggx import DIELECTRIC_F0
 from ..response.curve import Response
@@ -131,9 +132,7 @@ class CaptureWriter:
             )
         write_json(self.root / "gt" / "emitters.json", emitters)
         per_face = {"material": geometry.material, "emitter": geometry.emitter}
-        imaging.atomic_write(
-            self.root / "gt" / "faces.npz", lambda temporary: np.savez_compressed(temporary, **per_face)
-        )
+        write_arrays(self.root / "gt" / "faces.npz", per_face, compressed=True)
 
     def meta(self, name: str, train: list[Shot], val: list[Shot], scene: bpy.types.Scene, **how: float) -> None:
         """meta.json for whoever reads the capture, gt/meta_gt.json for whoever scores."""

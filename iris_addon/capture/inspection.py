@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..imaging import atomic_write, write_png
+from ..array_files import write_arrays
+from ..imaging import write_png
 from ..progress import Progress
 from ..result.json_files import write_json
 from ..transport.tracer import Tracer
@@ -126,4 +127,4 @@ def _write_mesh(path: Path, mesh: Mesh) -> None:
     for name in ("uv", "parts"):
         if getattr(mesh, name) is not None:
             arrays[name] = getattr(mesh, name)
-    atomic_write(path, lambda temporary: np.savez(temporary, **arrays))
+    write_arrays(path, arrays)

@@ -25,6 +25,7 @@ LOG_RANGE = 30.0
 """A lamp that lights nothing is free to take any radiance; a trial step of the optimiser must not overflow."""
 ROBUST_LOG = 0.15
 """Log-albedo deviation at which a patch starts to count as an outlier (texture, a contact shadow, a highlight)."""
+ITERATIONS = 80
 FIRST_LOG, FIRST_ITERATIONS, FIRST_EVERY, FIRST_LEVELS = 1.0, 20, 4, (1.0, 30.0)
 """The same for the first guess; iterations, one patch in so many, and factors on the start."""
 EFFECTIVE_PATCHES = 500
@@ -78,7 +79,7 @@ def solve_balance(
     weight: NDArray[np.floating],
     evidence: Evidence,
     start: NDArray[np.floating],
-    iterations: int = 80,
+    robust_log: float = ROBUST_LOG,
 ) -> Balance:
     """Radiance of every emitter from the shading of everything else.
 
@@ -89,6 +90,7 @@ def solve_balance(
         part: (P,) part of each patch.
         weight: (P,) say of each patch, >= 0.
         start: (E, 3) radiance to start from, > 0.
+        robust_log: deviation of log albedo at which a patch starts to count as an outlier.
     """
     rows, label, part_ids = _usable(radiance, part, weight)
     n_tied = int(evidence.tie.max()) + 1
@@ -101,10 +103,11 @@ def solve_balance(
         label,
         len(part_ids),
         _DirectEvidence.of(evidence, n_tied),
+        robust_log,
     )
     tested = np.arange(len(rows)) % HELD_OUT_EVERY == 0
     problem = whole.restrict(~tested)
-    unknowns = _minimise(problem, _first_guess(problem, np.log(start[first])), iterations)
+    unknowns = _minimise(problem, _first_guess(problem, np.log(start[first])), ITERATIONS)
     log_e, log_albedo = problem.split(unknowns)
     return Balance(
         np.exp(log_e)[evidence.tie],
@@ -147,7 +150,7 @@ class _Problem:
     part: NDArray[np.int64]  # (P,)
     n_parts: int
     direct: _DirectEvidence
-    scale: float = ROBUST_LOG
+    scale: float
 
     def restrict(self, keep: NDArray[np.bool_]) -> _Problem:
         """Some of the patches, their weights scaled to sum to one."""
@@ -209,7 +212,7 @@ class _Problem:
         for channel in range(3):
             share = self.form_factors * np.exp(log_e[:, channel]) / incoming[:, channel : channel + 1]
             curvature += self.weight @ share**2 / 3
-        return 1.0 / np.sqrt(np.maximum(curvature * self.n_effective / ROBUST_LOG**2, 1e-6))
+        return 1.0 / np.sqrt(np.maximum(curvature * self.n_effective / self.scale**2, 1e-6))
 
 
 def fitted_patches(radiance: NDArray[np.floating], weight: NDArray[np.floating]) -> NDArray[np.int64]:

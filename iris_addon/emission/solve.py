@@ -79,7 +79,9 @@ def solve_lights(
         indirect = problem.transport.gather_radiance(radiance, unknown, mask)
         if problem.bounce is not None:
             indirect = indirect + problem.bounce.gather_radiance(radiance, unknown, mask)
-        balance = solve_balance(smooth_shaded, smooth(indirect), smooth_factors, part[rows], say[rows], evidence, start)
+        balance = solve_balance(
+            smooth_shaded, smooth(indirect), smooth_factors, part[rows], say[rows], evidence, start, problem.robust_log
+        )
         start = balance.radiance
         irradiance = indirect + all_factors @ balance.radiance
         albedo = dict(zip(balance.part_ids.tolist(), balance.part_albedo, strict=True))

@@ -14,6 +14,7 @@ from ..surface.field import IrradianceField
 from ..surface.samples import PixelSamples
 from ..transport.tracer import Tracer
 from ..transport.transport import Transport
+from .balance import ROBUST_LOG
 from .candidates import Brightness
 from .hidden import HiddenSources
 
@@ -88,6 +89,7 @@ class LightProblem:
         field: neighbourhoods of the seen patches.
         bounce: once materials are known, what glossy surfaces pass on; patches then cast only their diffuse light.
         given: faces of the lamps where they are known beforehand, None to search for them.
+        robust_log: deviation of log albedo at which a patch starts to count as an outlier.
     """
 
     tracer: Tracer
@@ -103,6 +105,7 @@ class LightProblem:
     seed: int
     bounce: Bounce | None = None
     given: list[NDArray[np.int64]] | None = None
+    robust_log: float = ROBUST_LOG
 
 
 class Bounce(Protocol):

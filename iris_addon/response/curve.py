@@ -21,7 +21,7 @@ class Response:
     Attributes:
         samples: (3, 1024) float64, f at x = linspace(0, 1, 1024) for R, G, B.
         family: how it was found ("power-spline", "identity", "gamma", "file").
-        coefficients: parameters of the family, for the record.
+        coefficients: parameters of the family, then the exponent where the curve was raised; for the record.
     """
 
     samples: NDArray[np.float64]
@@ -42,6 +42,12 @@ class Response:
         # A flat stretch of the curve has no unique inverse; a vanishing slope makes np.interp pick its middle.
         ramp = np.linspace(0.0, 1e-9, N_SAMPLES)
         return np.stack([np.interp(z[..., c], self.samples[c] + ramp, x) for c in range(3)], -1)
+
+    def raised(self, exponent: float) -> Response:
+        """The response to exposures raised to ``exponent``: f(x^(1/exponent))."""
+        x = np.linspace(0.0, 1.0, N_SAMPLES) ** (1.0 / exponent)
+        samples = _at(self.samples, np.repeat(x[:, None], 3, 1)).T
+        return Response(samples, self.family, (*self.coefficients, exponent))
 
     def slope(self, exposure: NDArray[np.floating]) -> NDArray[np.float64]:
         """f'(x) at relative exposures (..., 3)."""

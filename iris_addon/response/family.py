@@ -15,6 +15,8 @@ from scipy.interpolate import CubicSpline
 
 from .curve import N_SAMPLES, Response
 
+FITTED = "power-spline"
+"""Name of the family in a response."""
 WARP = 0.35
 PRIOR_MEAN = np.array([-0.25, -0.34, -0.43, -0.54, -0.67, -0.79, -0.92, -1.05, -1.28])
 """Median of log P at the knots over measured camera responses."""
@@ -41,7 +43,7 @@ def downhill(log_knots: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.clip(-np.diff(evaluate(log_knots, np.linspace(0.0, 1.0, 256) ** 2)), 0.0, None)
 
 
-def to_response(log_knots: list[NDArray[np.float64]], name: str = "power-spline") -> Response:
+def to_response(log_knots: list[NDArray[np.float64]]) -> Response:
     """Table of the curve of each channel; one entry stands for all three channels."""
     x = np.linspace(0.0, 1.0, N_SAMPLES)
     rows = []
@@ -50,4 +52,4 @@ def to_response(log_knots: list[NDArray[np.float64]], name: str = "power-spline"
         f[0] = 0.0
         rows.append(np.clip(np.maximum.accumulate(f), 0.0, 1.0))
     samples = np.stack(rows if len(rows) == 3 else rows * 3)
-    return Response(samples, name, tuple(float(v) for v in np.concatenate(log_knots)))
+    return Response(samples, FITTED, tuple(float(v) for v in np.concatenate(log_knots)))

@@ -12,10 +12,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..array_files import read_arrays
+from ..array_files import read_arrays, write_arrays
 from ..capture.types import Capture
 from ..errors import IrisError
-from ..imaging import atomic_write
 from ..progress import Progress
 from ..surface.build import Surface
 from ..surface.patches import PatchGrid
@@ -59,7 +58,7 @@ def cached_transport(
         return known
     transport = build_transport(tracer, surface, parts, n_rays, rng, progress)
     try:
-        atomic_write(path, lambda file: np.savez(file, **_arrays(transport)))
+        write_arrays(path, _arrays(transport))
         _prune(path.parent)
     except IrisError as error:
         # A cache that cannot be written costs time in the next run; it must not cost this one.

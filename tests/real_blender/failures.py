@@ -1,4 +1,4 @@
-"""What goes wrong for people: processes killed, a Python without torch, photos that are gone.
+"""What goes wrong for people: processes killed, a disk that is full, a Python without torch, photos that are gone.
 
 Each must end in a sentence in the panel, and no process may stay behind.
 """
@@ -85,6 +85,25 @@ def photo_missing(stage: Stage) -> str:
     return found["what"]
 
 
+def disk_full(stage: Stage) -> str:
+    """A result folder on a disk that fills up: the panel says so; elsewhere the solve works as before."""
+    session = stage.session
+    kept = stage.value("iris.result")
+    settings = "bpy.context.window_manager.windows[0].scene.iris"
+    session.ask(f"setattr({settings}, 'result', '{session.root.SMALL_DISK}/result')")
+    try:
+        session.press("iris.solve")
+        until(lambda: state(stage) not in ("missing", "running"), "the solve ends", SOLVE_SECONDS)
+        found = session.ask("job('solve')")
+        assert found["state"] == "failed" and "space" in found["what"] + found["fix"], found
+        session.scroll_to("iris.copy_error", columns=(0.3,))
+        stage.photograph("23_disk_full")
+    finally:
+        session.ask(f"setattr({settings}, 'result', {kept!r})")
+    assert state(stage) == "done", session.ask("job('solve')")
+    return found["what"]
+
+
 def python_without_torch(stage: Stage) -> str:
     """A Python that has no torch: its test and a solve both say what is missing."""
     session = stage.session
@@ -93,7 +112,7 @@ def python_without_torch(stage: Stage) -> str:
     stage.set_solver("/usr/bin/python3")
     session.press("iris.test_python", "PREFERENCES", "WINDOW", 1, (0.3,))
     until(lambda: session.ask("job('test')")["state"] == "failed", "the test fails", 60)
-    stage.photograph("23_no_torch")
+    stage.photograph("24_no_torch")
     tested = session.ask("job('test')")
     assert tested["fix"], tested
     session.close_newest_window()
@@ -146,4 +165,10 @@ def alive(pid: int) -> bool:
 
 
 BEFORE_KILL: tuple[Callable[[Stage], str], ...] = (worker_killed, file_loaded, blender_killed)
-AFTER_KILL: tuple[Callable[[Stage], str], ...] = (reopened, photo_missing, python_without_torch, closed)
+AFTER_KILL: tuple[Callable[[Stage], str], ...] = (
+    reopened,
+    disk_full,
+    photo_missing,
+    python_without_torch,
+    closed,
+)

@@ -16,7 +16,7 @@ PICTURES = {  # name in the guide: picture of the test, what of it is shown (lef
     "install": ("01_install", (150, 60, 1300, 800)),
     "preferences": ("02_preferences", (150, 60, 1300, 640)),
     "check": ("05_check", VIEW),
-    "solve": ("06_solving", VIEW),
+    "solve": ("07_preview", VIEW),
     "review": ("08_review_render", VIEW),
     "lamp_off": ("11_lamp_off", VIEW),
 }

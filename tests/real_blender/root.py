@@ -35,6 +35,7 @@ class Root:
 
     REPOSITORY: ClassVar[str] = "/srv/iris"
     HOME: ClassVar[str] = "/home/artist"
+    SMALL_DISK: ClassVar[str] = "/home/artist/small_disk"
 
     def command(self, *arguments: str | Path) -> list[str]:
         """``arguments`` as a command line that runs inside."""
@@ -45,7 +46,7 @@ class Root:
         places = {REPOSITORY: self.REPOSITORY, self.home: self.HOME, sys.base_prefix: sys.base_prefix}
         bind = ":".join(f"{folder}={place}" for folder, place in places.items())
         kept = {name: os.environ[name] for name in ("PATH", "LANG", "LC_ALL") if name in os.environ}
-        return kept | {"IRIS_BIND": bind, "HOME": self.HOME, **more}
+        return kept | {"IRIS_BIND": bind, "IRIS_SMALL_DISK": self.SMALL_DISK, "HOME": self.HOME, **more}
 
     def output(self, *arguments: str | Path) -> str:
         """What a command inside prints.

@@ -110,22 +110,28 @@ def solve(stage: Stage) -> str:
 
 
 def resume(stage: Stage) -> str:
-    """Resume to the end; meanwhile the interface is watched."""
+    """Resume to the end; meanwhile the interface is watched, and the room seen in the preview."""
     session = stage.session
     stage.idle_gaps()
     session.press("iris.solve")
     session.ask("monitor.take() and None")
-    seen = []
+    seen, previews = [], 0
 
     def through() -> bool:
+        nonlocal previews
         found = session.ask("job('solve')")
         seen.append(found.get("overall", 0.0))
+        if found.get("stage") in ("materials", "textures") and not previews:
+            session.scroll_to("iris.preview", columns=(0.2, 0.3))
+            stage.photograph_at_once("07_preview")
+            previews = 1
         return found["state"] not in ("running",)
 
     until(through, "the solve ends", SOLVE_SECONDS, 0.2)
     found = session.ask("job('solve')")
     assert found["state"] == "done", found
     assert len(set(seen)) > 5, f"the bar stood still: {sorted(set(seen))}"
+    assert previews, "no preview was shown"
     stage.judge_gaps()
     return f"{len(set(seen))} positions of the bar"
 
