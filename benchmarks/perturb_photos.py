@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from iris_addon.atomic_files import atomic_write
 from iris_addon.capture.fipt import read_fipt_views
 from iris_addon.capture.types import View
 from iris_addon.errors import BadInput
 from iris_addon.evaluate.ground_truth import read_rgb
 from iris_addon.evaluate.metrics import to_ldr
-from iris_addon.imaging import atomic_write, read_image, write_png
+from iris_addon.imaging import read_image, write_png
 from iris_addon.response import family
 from iris_addon.response.curve import N_SAMPLES, Response
 from iris_addon.result.edits_json import LUMINANCE

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .imaging import atomic_write
+from .atomic_files import atomic_write
 
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray], *, compressed: bool = False) -> None:

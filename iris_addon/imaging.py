@@ -1,19 +1,16 @@
 """Image files in, image files out: EXR, PNG and JPEG, with limits before anything is allocated.
 
 Row 0 of every array is the top of the image. EXR carries linear values unchanged; PNG and JPEG carry display values,
-no colour management is applied on either side. Everything the project writes goes through :func:`atomic_write`, so an
-interrupted or failed write never harms the file that was there before.
+no colour management is applied on either side. What is written goes through
+:func:`~iris_addon.atomic_files.atomic_write`.
 """
 
 from __future__ import annotations
 
-import errno
 import io
 import os
 import struct
-import uuid
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +18,8 @@ import OpenEXR
 from numpy.typing import NDArray
 from PIL import Image
 
-from .errors import BadInput, IrisError
+from .atomic_files import atomic_write
+from .errors import BadInput
 
 MAX_PIXELS = 200_000_000
 HALF_MAX = 65504.0
@@ -36,30 +34,6 @@ _DECODE_ERRORS = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib
 
 
 # ---- writing -------------------------------------------------------------------------------------------------------
-
-
-def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
-    """Let ``write`` fill a temporary file beside ``path``, then move it there in one step.
-
-    Missing folders are made. The temporary name has the suffix of ``path``, because writers choose the format by it.
-
-    Raises:
-        IrisError: the file cannot be written (full disk, no permission); ``path`` is what it was before.
-    """
-    temporary = path.with_name(f".{path.stem}-{uuid.uuid4().hex[:8]}{path.suffix}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write(temporary)
-        os.replace(temporary, path)
-    except OSError as error:
-        fix = "free some space and run again" if error.errno == errno.ENOSPC else "check the folder and its permissions"
-        raise IrisError(f"cannot be written ({error.strerror or error})", fix, path) from error
-    finally:
-        # A second failure while tidying up must not hide the first one.
-        try:
-            temporary.unlink(missing_ok=True)
-        except OSError:
-            pass
 
 
 def write_exr(path: Path, values: NDArray[np.floating], *, half: bool = False, lossy: bool = False) -> None:

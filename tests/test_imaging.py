@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 from iris_addon import imaging
+from iris_addon.atomic_files import atomic_write
 from iris_addon.errors import BadInput, IrisError
 
 
@@ -121,7 +122,7 @@ def test_full_disk_leaves_the_old_file_and_no_litter(tmp_path: Path, radiance: n
     with pytest.raises(
         IrisError, match=r"a\.exr: cannot be written \(No space left on device\) — free some space"
     ) as e:
-        imaging.atomic_write(path, write_until_full)
+        atomic_write(path, write_until_full)
     assert e.value.exit_code == 1
     np.testing.assert_array_equal(imaging.read_exr(path), radiance)
     assert list(tmp_path.iterdir()) == [path]
@@ -129,13 +130,13 @@ def test_full_disk_leaves_the_old_file_and_no_litter(tmp_path: Path, radiance: n
 
 def test_any_failure_while_writing_leaves_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "sub" / "report.json"
-    imaging.atomic_write(path, lambda temporary: temporary.write_text("first"))
+    atomic_write(path, lambda temporary: temporary.write_text("first"))
 
     def interrupted(temporary: Path) -> None:
         temporary.write_text("second")
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        imaging.atomic_write(path, interrupted)
+        atomic_write(path, interrupted)
     assert path.read_text() == "first"
     assert list(path.parent.iterdir()) == [path]

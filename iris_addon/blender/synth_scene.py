@@ -9,9 +9,9 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..atomic_files import atomic_write
 from ..capture.types import Mesh
 from ..errors import BadInput
-from ..imaging import atomic_write
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from .. import imaging
 from ..array_files import write_arrays
+from ..atomic_files import atomic_write
 from ..capture.types import Camera
 from ..reflectance.ggx import DIELECTRIC_F0
 from ..response.curve import Response
@@ -40,12 +41,12 @@ class Shot:
 def write_json(path: Path, content: Any) -> None:
     """Write indented JSON."""
     text = json.dumps(content, indent=1)
-    imaging.atomic_write(path, lambda temporary: temporary.write_text(text + "\n"))
+    atomic_write(path, lambda temporary: temporary.write_text(text + "\n"))
 
 
 def write_npy(path: Path, array: NDArray) -> None:
     """Write an array as .npy."""
-    imaging.atomic_write(path, lambda temporary: np.save(temporary, array, allow_pickle=False))
+    atomic_write(path, lambda temporary: np.save(temporary, array, allow_pickle=False))
 
 
 @dataclass(frozen=True)

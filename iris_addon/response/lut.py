@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..imaging import atomic_write
+from ..atomic_files import atomic_write
 from .curve import N_SAMPLES, Response
 
 STOPS_BELOW, STOPS = 14.0, 16.0

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..atomic_files import atomic_write
 from ..errors import BadInput
 
 MAX_JSON_BYTES = 256 << 20
@@ -22,8 +23,6 @@ def write_json(path: Path, content: object) -> None:
     Raises:
         IrisError: the file cannot be written.
     """
-    from ..imaging import atomic_write
-
     atomic_write(path, lambda temporary: dump_json(temporary, content))
 
 

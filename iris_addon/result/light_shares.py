@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..atomic_files import atomic_write
 from ..errors import BadInput
 from .edits import OUTSIDE, lamp_name
 from .edits_json import lamp_radiance
@@ -70,8 +71,6 @@ def light_gains(result: Result, spec: Json) -> dict[str, NDArray[np.float64]]:
 def write_shares(path: Path, light: LightShares) -> None:
     """Write ``light`` as one EXR of float32 with a part per light, the whole picture first; raises IrisError."""
     import OpenEXR  # absent from Blender's own Python
-
-    from ..imaging import atomic_write
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     parts = [

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from ..atomic_files import atomic_write
 from ..capture import load_photo
 from ..capture.types import Capture, View
 from ..evaluate.maps import MapRenderer, ViewMaps
-from ..imaging import atomic_write
 from .report_pictures import ERROR_GAIN, FloatArray, Pictures, heat, srgb
 from .report_style import CSS
 from .types import Result
