@@ -15,6 +15,7 @@ from ..iris_addon.result.io import load_result
 from ..iris_addon.result.types import Result
 from .polls import NeedsResult
 from .project import folder, result_key
+from .review import view_shadings
 
 
 class IRIS_OT_apply(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -41,7 +42,7 @@ class IRIS_OT_apply(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's 
                 context.window.cursor_set("DEFAULT")
         if changed:
             list_lamps(scene, result)
-            show_the_room(scene)
+            show_the_room(context)
         self.report({"INFO"}, f"{len(result.emitters)} lights" if changed else "This result is applied already")
         return {"FINISHED"}
 
@@ -73,12 +74,16 @@ def face_runs(scene: bpy.types.Scene) -> list[FaceRun]:
     return whole_object(scene.iris.room)
 
 
-def show_the_room(scene: bpy.types.Scene) -> None:
-    """Take the pictures that were looked at off the cameras' view: they would hide what was applied."""
-    for view in scene.iris.views:
+def show_the_room(context: bpy.types.Context) -> None:
+    """Take the pictures that were looked at off the cameras' view, and draw textures in solid views."""
+    settings = context.scene.iris
+    for view in settings.views:
         if view.camera is not None:
             show_instead(view.camera, None)
-    scene.iris.overlay = 0.0
+    settings.overlay = 0.0
+    for shading in view_shadings(context):
+        if (shading.type, shading.color_type) == ("SOLID", "MATERIAL"):
+            shading.color_type = "TEXTURE"
 
 
 def list_lamps(scene: bpy.types.Scene, result: Result) -> None:

@@ -74,9 +74,13 @@ class IRIS_OT_confidence(bpy.types.Operator):  # noqa: N801 - Blender's naming
         if not show_confidence(list(context.scene.objects), self.on):
             self.report({"ERROR"}, "nothing is applied — apply the result first")
             return {"CANCELLED"}
-        for area in context.screen.areas if context.screen is not None else ():
-            if area.type == "VIEW_3D":
-                shading = area.spaces.active.shading
-                shading.type, shading.color_type = "SOLID", "TEXTURE" if self.on else "MATERIAL"
-                shading.light = "FLAT" if self.on else "STUDIO"
+        for shading in view_shadings(context):
+            shading.type, shading.color_type = "SOLID", "TEXTURE"
+            shading.light = "FLAT" if self.on else "STUDIO"
         return {"FINISHED"}
+
+
+def view_shadings(context: bpy.types.Context) -> list[bpy.types.View3DShading]:
+    """How each open 3D view draws its surfaces; none in background."""
+    areas = context.screen.areas if context.screen is not None else ()
+    return [area.spaces.active.shading for area in areas if area.type == "VIEW_3D"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from .session import until
+from .session import MARGIN_PIXELS, PAGE_NOTCHES, until
 from .stage import ADD_X, ADDON, Stage
 
 SOLVE_SECONDS = 400.0
@@ -122,7 +122,9 @@ def resume(stage: Stage) -> str:
         found = session.ask("job('solve')")
         seen.append(found.get("overall", 0.0))
         if found.get("stage") in ("materials", "textures") and not previews:
-            session.scroll_to("iris.preview", columns=(0.2, 0.3))
+            _x, y = session.scroll_to("iris.preview", columns=(0.2, 0.3))
+            session.display.scroll(session.region("VIEW_3D", "UI")[0] + MARGIN_PIXELS, y, PAGE_NOTCHES)
+            time.sleep(1.0)
             stage.photograph_at_once("07_preview")
             previews = 1
         return found["state"] not in ("running",)
