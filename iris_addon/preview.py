@@ -68,6 +68,4 @@ def write_previews(
     step = -(-max(camera.width, camera.height) // SIDE)
     for kind in KINDS:
         picture = as_picture(columns[kind], samples.pixel[rows], camera)[::step, ::step]
-        path = preview_path(folder, kind)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_png(path, codes(picture))
+        write_png(preview_path(folder, kind), codes(picture))
