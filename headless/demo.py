@@ -11,7 +11,7 @@ from iris_addon.capture import load_photo, read_capture
 from iris_addon.capture.types import Capture, View
 from iris_addon.config import preset
 from iris_addon.errors import BadInput
-from iris_addon.imaging import write_png
+from iris_addon.imaging import to_codes, write_png
 from iris_addon.progress import Progress
 from iris_addon.result.edits import SceneEdit
 from iris_addon.result.edits_json import insertion_edits, relight_edit
@@ -20,7 +20,7 @@ from iris_addon.result.types import Result
 from iris_addon.transport.tracer import Tracer
 
 from .outcome import Outcome, summarise
-from .pictures import Developer, FloatArray, photo_exposure, to_bytes
+from .pictures import Developer, FloatArray, photo_exposure
 
 CAPTURE = Path(__file__).resolve().parents[1] / "assets" / "demo_room"
 SAMPLES = 48
@@ -127,5 +127,5 @@ def best_seen(edits: Sequence[SceneEdit], views: Sequence[View], tracer: Tracer)
 
 
 def _write(path: Path, image: FloatArray) -> Path:
-    write_png(path, to_bytes(image))
+    write_png(path, to_codes(image))
     return path

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from iris_addon.capture.types import View
 from iris_addon.evaluate.metrics import grey_exposure
-from iris_addon.imaging import write_exr, write_png
+from iris_addon.imaging import to_codes, write_exr, write_png
 from iris_addon.result.types import Result
 
 FloatArray = NDArray[np.floating]
@@ -71,10 +71,5 @@ def write_picture(path: Path, values: FloatArray) -> Path:
     if path.suffix == ".exr":
         write_exr(path, values)
     else:
-        write_png(path, to_bytes(values))
+        write_png(path, to_codes(values))
     return path
-
-
-def to_bytes(values: FloatArray) -> NDArray[np.uint8]:
-    """8-bit codes of display values in [0, 1]."""
-    return np.round(np.clip(values, 0.0, 1.0) * 255).astype(np.uint8)

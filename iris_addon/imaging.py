@@ -54,6 +54,11 @@ def write_exr(path: Path, values: NDArray[np.floating], *, half: bool = False, l
     atomic_write(path, lambda temporary: temporary.write_bytes(encoded.getbuffer()))
 
 
+def to_codes(image: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """The nearest 8-bit codes of display values; what is not a number is black."""
+    return np.round(np.clip(np.nan_to_num(image), 0.0, 1.0) * 255).astype(np.uint8)
+
+
 def write_png(path: Path, values: NDArray[np.unsignedinteger]) -> None:
     """Write uint8 (H, W, 3) or (H, W), or uint16 (H, W), as PNG."""
     if values.dtype not in (np.uint8, np.uint16) or values.ndim not in (2, 3):

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from .capture.types import Capture
 from .emission.types import Lights
-from .imaging import write_png
+from .imaging import to_codes, write_png
 from .photometry import Photometry
 from .preview_files import KINDS, preview_path
 from .reflectance.materials import MaterialProblem, smooth_irradiance
-from .result.report_pictures import ERROR_GAIN, codes, heat, srgb
+from .result.report_pictures import ERROR_GAIN, heat, srgb
 from .surface.samples import as_picture
 
 SIDE = 256
@@ -67,5 +67,5 @@ def write_previews(
     camera = capture.views[view[0]].camera
     step = -(-max(camera.width, camera.height) // SIDE)
     for kind in KINDS:
-        picture = as_picture(columns[kind], samples.pixel[rows], camera)[::step, ::step]
-        write_png(preview_path(folder, kind), codes(picture))
+        picture = as_picture(columns[kind], samples.pixel[rows], camera, step)
+        write_png(preview_path(folder, kind), to_codes(picture))

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..array_files import write_arrays
-from ..imaging import write_png
+from ..imaging import to_codes, write_png
 from ..progress import Progress
 from ..result.json_files import write_json
 from ..transport.tracer import Tracer
@@ -68,7 +68,7 @@ def _inspect_view(view: View, tracer: Tracer, folder: Path) -> dict[str, Any]:
     shown = view.photo
     if view.distortion is not None and not photo.hdr:
         shown = folder / "photos" / f"{view.name}.png"
-        write_png(shown, np.round(photo.values * 255).astype(np.uint8))
+        write_png(shown, to_codes(photo.values))
     seen, alignment = _alignment(view.camera, photo, tracer)
     values = photo.values[photo.valid]
     histogram, _ = np.histogram(values.max(axis=1), BINS, (0.0, 1.0)) if not photo.hdr else (np.zeros(BINS), None)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..imaging import write_png
+from ..imaging import to_codes, write_png
 
 FloatArray = NDArray[np.floating]
 ERROR_GAIN = 4.0
@@ -28,17 +28,12 @@ class Pictures:
         while stem in self._taken:
             stem += "_"
         self._taken.add(stem)
-        write_png(self._folder / f"{stem}.png", codes(image))
+        write_png(self._folder / f"{stem}.png", to_codes(image))
         height, width = image.shape[:2]
         return (
             f'<figure><img src="{self._folder.name}/{stem}.png" width="{width}" height="{height}" loading="lazy" '
             f'alt="{escape(caption)}"><figcaption>{escape(caption)}</figcaption></figure>'
         )
-
-
-def codes(image: FloatArray) -> NDArray[np.uint8]:
-    """The nearest 8-bit codes of display values; what is not a number is black."""
-    return np.round(np.clip(np.nan_to_num(image), 0.0, 1.0) * 255).astype(np.uint8)
 
 
 def srgb(linear: FloatArray) -> FloatArray:

@@ -58,12 +58,19 @@ def pixel_lattice(camera: Camera, stride: int, phase: int) -> NDArray[np.int32]:
     return (rows[:, None] * camera.width + columns[None, :]).astype(np.int32).ravel()
 
 
-def as_picture(values: NDArray[np.floating], pixel: NDArray[np.integer], camera: Camera) -> NDArray[np.float32]:
-    """(H, W, 3) picture of ``values`` (n, 3) at pixels (n,); all others take the value of the nearest of these."""
-    known = np.zeros((camera.height, camera.width), bool)
-    picture = np.zeros((camera.height, camera.width, 3), np.float32)
-    known.ravel()[pixel] = True
-    picture.reshape(-1, 3)[pixel] = values
+def as_picture(
+    values: NDArray[np.floating], pixel: NDArray[np.integer], camera: Camera, step: int = 1
+) -> NDArray[np.float32]:
+    """(H, W, 3) picture of ``values`` (n, 3) at pixels (n,); all others take the value of the nearest of these.
+
+    A ``step`` beyond 1 makes one of so many rows and columns, without ever filling the large one.
+    """
+    side = (-(-camera.height // step), -(-camera.width // step))
+    row, column = pixel // camera.width // step, pixel % camera.width // step
+    known = np.zeros(side, bool)
+    picture = np.zeros((*side, 3), np.float32)
+    known[row, column] = True
+    picture[row, column] = values
     if not known.any():
         return picture
     nearest = np.asarray(distance_transform_edt(~known, return_distances=False, return_indices=True))

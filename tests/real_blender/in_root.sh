@@ -11,5 +11,5 @@ exec unshare --mount --propagation private bash -c '
     mkdir -p "$place" && mount --rbind "${pair%%=*}" "$place" || exit 125
   done
   unset IFS
-  mkdir -p "$root$IRIS_SMALL_DISK" && mount -t tmpfs -o size=200k tmpfs "$root$IRIS_SMALL_DISK" || exit 125
+  [ -n "$IRIS_SMALL_DISK" ] && mkdir -p "$root$IRIS_SMALL_DISK" && mount -t tmpfs -o size=200k tmpfs "$root$IRIS_SMALL_DISK" || exit 125
   exec chroot "$root" /usr/bin/env PATH=/usr/sbin:/usr/bin:/sbin:/bin "$@"' in_root "$@"

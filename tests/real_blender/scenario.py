@@ -115,25 +115,25 @@ def resume(stage: Stage) -> str:
     stage.idle_gaps()
     session.press("iris.solve")
     session.ask("monitor.take() and None")
-    seen, previews = [], 0
+    seen, previewed = [], False
 
     def through() -> bool:
-        nonlocal previews
+        nonlocal previewed
         found = session.ask("job('solve')")
         seen.append(found.get("overall", 0.0))
-        if found.get("stage") in ("materials", "textures") and not previews:
+        if found.get("stage") in ("materials", "textures") and not previewed:
             _x, y = session.scroll_to("iris.preview", columns=(0.2, 0.3))
             session.display.scroll(session.region("VIEW_3D", "UI")[0] + MARGIN_PIXELS, y, PAGE_NOTCHES)
             time.sleep(1.0)
             stage.photograph_at_once("07_preview")
-            previews = 1
+            previewed = True
         return found["state"] not in ("running",)
 
     until(through, "the solve ends", SOLVE_SECONDS, 0.2)
     found = session.ask("job('solve')")
     assert found["state"] == "done", found
     assert len(set(seen)) > 5, f"the bar stood still: {sorted(set(seen))}"
-    assert previews, "no preview was shown"
+    assert previewed, "no preview was shown"
     stage.judge_gaps()
     return f"{len(set(seen))} positions of the bar"
 
