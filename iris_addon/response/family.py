@@ -24,6 +24,7 @@ PRIOR_STD = 0.7
 BEND_STD = 0.25
 """Spread about the median, and of its second differences."""
 _KNOTS = np.linspace(0.0, 1.0, len(PRIOR_MEAN))
+PRIOR_RESIDUALS, DOWNHILL_RESIDUALS = 2 * len(PRIOR_MEAN) - 2, 255
 
 
 def evaluate(log_knots: NDArray[np.floating], x: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -33,14 +34,14 @@ def evaluate(log_knots: NDArray[np.floating], x: NDArray[np.floating]) -> NDArra
 
 
 def prior_residual(log_knots: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(16,) distance from the median measured response and its bends, in standard deviations."""
+    """(PRIOR_RESIDUALS,) distance from the median measured response and its bends, in standard deviations."""
     offset = log_knots - PRIOR_MEAN
     return np.concatenate([offset / PRIOR_STD, np.diff(offset, 2) / BEND_STD])
 
 
 def downhill(log_knots: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(255,) how far the curve falls from one point to the next; zero for a monotone curve. Dense near black."""
-    return np.clip(-np.diff(evaluate(log_knots, np.linspace(0.0, 1.0, 256) ** 2)), 0.0, None)
+    """(DOWNHILL_RESIDUALS,) how far the curve falls from one point to the next, 0 where it rises. Dense near black."""
+    return np.clip(-np.diff(evaluate(log_knots, np.linspace(0.0, 1.0, DOWNHILL_RESIDUALS + 1) ** 2)), 0.0, None)
 
 
 def to_response(log_knots: list[NDArray[np.float64]]) -> Response:

@@ -5,14 +5,13 @@ Residuals are in display values; radiance, and exposures where they are unknown,
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from ..parallel import cores
 from . import family
 from .curve import Response
 from .observations import Observations, group_means, group_sums
@@ -28,6 +27,8 @@ MIN_EXPOSURE_SPREAD = 0.5
 PRIOR_WEIGHT = 1.0
 """The prior over curves counts as much as one observation that is off by ROBUST_SCALE."""
 MONOTONICITY_WEIGHT = 1e4
+DIFFERENCE = 1e-7
+"""Step of the differences for derivatives by knots."""
 
 
 @dataclass(frozen=True)
@@ -173,12 +174,36 @@ class OverlapProblem:
     def minimise(self, start: list[NDArray[np.float64]], max_steps: int) -> list[NDArray[np.float64]]:
         """Knots of one or three curves; radiance and exposures are eliminated (variable projection)."""
         n_curves = len(start)
-        x0 = np.concatenate(start)
-        with ThreadPoolExecutor(cores()) as threads:
-            fit = least_squares(
-                self.residual, x0, args=(n_curves,), max_nfev=max_steps, x_scale=0.3, workers=threads.map
-            )
+        # Exposures that are looked for too are shared by the channels, and tie the three curves to each other.
+        jacobian: Any = self._jacobian if self.log_t is not None else "2-point"
+        fit = least_squares(
+            self.residual, np.concatenate(start), jacobian, args=(n_curves,), max_nfev=max_steps, x_scale=0.3
+        )
         return list(fit.x.reshape(n_curves, -1))
+
+    def _jacobian(self, parameters: NDArray[np.float64], n_curves: int) -> NDArray[np.float64]:
+        """Derivative of :meth:`residual` by forward differences; a knot of all curves is moved at once, as no residual
+        feels more than one of them."""
+        knots = parameters.reshape(n_curves, -1)
+        base = self.residual(parameters, n_curves)
+        of_curve = self._curve_of_residual(len(base), n_curves)
+        jacobian = np.zeros((len(base), *knots.shape))
+        for k in range(knots.shape[1]):
+            moved = knots.copy()
+            moved[:, k] += DIFFERENCE
+            slope = (self.residual(moved.ravel(), n_curves) - base) / DIFFERENCE
+            for c in range(n_curves):
+                jacobian[:, c, k] = np.where(of_curve == c, slope, 0.0)
+        return jacobian.reshape(len(base), -1)
+
+    def _curve_of_residual(self, n: int, n_curves: int) -> NDArray[np.int64]:
+        """(n,) index of the curve on which each residual depends."""
+        if n_curves == 1:
+            return np.zeros(n, np.int64)
+        data = np.tile(np.arange(3), 2 * len(self.z))
+        # Behind the data stand the priors of the curves, then their bends.
+        each = [np.repeat(np.arange(n_curves), size) for size in (family.PRIOR_RESIDUALS, family.DOWNHILL_RESIDUALS)]
+        return np.concatenate([data, *each])
 
     def disagreement(self, knots: list[NDArray[np.float64]]) -> float:
         """Median absolute residual of unclipped observations, display values."""
