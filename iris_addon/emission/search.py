@@ -14,13 +14,11 @@ from ..transport.transport import ESCAPED
 from .candidates import Brightness, emitting_faces, group_emitters, reflectance_needed, whole_parts
 from .solve import (
     SEARCH_SHADOW_RAYS,
-    SHADOW_RAYS,
     form_factors_of,
     lamp_of_patch,
     lights_without_lamps,
     mean_radiance,
     patches_on,
-    shadow_rays_each,
     solve_lights,
 )
 from .types import LightProblem, Lights
@@ -46,7 +44,7 @@ def find_lights(problem: LightProblem, observed: GroupRadiance, progress: Progre
     for threshold in THRESHOLDS:
         emitters = _candidates(problem, lights, threshold, threshold)
         if threshold == CERTAIN or not same_emitters(emitters, lights.emitters):
-            factors = form_factors_of(problem, emitters, progress, SEARCH_SHADOW_RAYS)
+            factors = form_factors_of(problem, emitters, progress, SEARCH_SHADOW_RAYS, lights)
             lights = solve_lights(problem, observed, emitters, lights, progress, factors)
     lights = _without_negligible(problem, observed, lights, progress)
     lights = _without_idle(problem, observed, lights, progress)
@@ -102,15 +100,7 @@ def refine_lights(
     """
     # What the search has left out must be certain to come back.
     emitters = _candidates(problem, lights, CERTAIN, THRESHOLDS[-1]) if problem.given is None else problem.given
-    known = {faces.tobytes(): k for k, faces in enumerate(lights.emitters)}
-    columns = [known.get(faces.tobytes(), -1) for faces in emitters]
-    fresh = [faces for faces, k in zip(emitters, columns, strict=True) if k < 0]
-    factors = np.empty((problem.transport.n_patches, len(emitters), 2), np.float32)
-    traced = form_factors_of(problem, fresh, progress)
-    at = 0
-    for index, k in enumerate(columns):
-        factors[:, index] = lights.form_factors[:, k] if k >= 0 else traced[:, at]
-        at += k < 0
+    factors = form_factors_of(problem, emitters, progress, known=lights)
     return solve_lights(problem, observed, emitters, lights, progress, factors, weight, diffuse)
 
 
@@ -192,9 +182,8 @@ def _without_negligible(problem: LightProblem, observed: GroupRadiance, lights: 
 
 
 def _with_all_rays(problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress) -> Lights:
-    """Solved again with as many shadow rays as lamps that were found deserve, if they had fewer in the search."""
-    n = len(lights.emitters)
-    if n == 0 or shadow_rays_each(problem, n, SEARCH_SHADOW_RAYS) >= SHADOW_RAYS:
+    """Solved again with as many shadow rays as lamps that were found deserve."""
+    if not lights.emitters:
         return lights
     factors = form_factors_of(problem, lights.emitters, progress)
     return solve_lights(problem, observed, lights.emitters, lights, progress, factors)

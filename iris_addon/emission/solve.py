@@ -13,9 +13,9 @@ from .balance import Evidence, fitted_patches, solve_balance
 from .candidates import tie_fixtures
 from .types import LightProblem, Lights
 
-SEARCH_SHADOW_RAYS, SHADOW_RAYS, MOST_SHADOW_RAYS = 6, 13, 64
-"""From a patch to a lamp: at least in the search, at least for those that were found, and at most. Noise here makes
-lamps too dim and walls too white."""
+SEARCH_SHADOW_RAYS, SHADOW_RAYS = (6, 13), (13, 64)
+"""From a patch to a lamp: fewest and most in the search, and for the lamps that were found. Noise here makes lamps too
+dim and walls too white."""
 NOISE_WIDTH = 1.0
 """Standard deviation, in patch sizes, over which neighbours are averaged for the light balance: noise of the rays makes
 direct light look less reliable than indirect, lamps too dim and walls too white."""
@@ -137,23 +137,36 @@ def lights_without_lamps(problem: LightProblem, observed: GroupRadiance) -> Ligh
     return Lights([], np.zeros((0, 3)), hidden, np.zeros(0), no_factors, none, irradiance, radiance)
 
 
-def shadow_rays_each(problem: LightProblem, n_lamps: int, fewest: int) -> int:
-    """Shadow rays from a patch to each lamp: the budget shared out evenly."""
-    return int(np.clip(problem.shadow_rays // max(1, n_lamps), fewest, MOST_SHADOW_RAYS))
-
-
 def form_factors_of(
-    problem: LightProblem, emitters: list[NDArray[np.int64]], progress: Progress, fewest: int = SHADOW_RAYS
+    problem: LightProblem,
+    emitters: list[NDArray[np.int64]],
+    progress: Progress,
+    limits: tuple[int, int] = SHADOW_RAYS,
+    known: Lights | None = None,
 ) -> NDArray[np.float32]:
-    """(N, E, 2) form factors of lamps at all patches, seen and unseen, with ``fewest`` shadow rays each at least."""
+    """(N, E, 2) form factors of lamps at all patches, seen and unseen.
+
+    Args:
+        limits: fewest and most shadow rays from a patch to a lamp; between them the budget is shared out evenly.
+        known: lights whose lamps, where they are among ``emitters``, need not be traced again.
+    """
+    column = {faces.tobytes(): k for k, faces in enumerate(known.emitters)} if known else {}
+    columns = np.array([column.get(faces.tobytes(), -1) for faces in emitters], np.int64)
+    fresh = [faces for faces, k in zip(emitters, columns, strict=True) if k < 0]
     rng = np.random.default_rng([problem.seed, 17])
     t = problem.transport
-    samples = shadow_rays_each(problem, len(emitters), fewest)
-    seen = emitter_form_factors(problem.tracer, t.origins, t.rays, emitters, samples, rng, progress)
+    samples = int(np.clip(problem.shadow_rays // max(1, len(emitters)), *limits))
+    seen = emitter_form_factors(problem.tracer, t.origins, t.rays, fresh, samples, rng, progress)
     unseen = emitter_form_factors(
-        problem.tracer, t.unseen_origins, t.unseen_rays, emitters, max(4, samples // 4), rng, progress
+        problem.tracer, t.unseen_origins, t.unseen_rays, fresh, max(4, samples // 4), rng, progress
     )
-    return np.concatenate([seen, unseen])
+    traced = np.concatenate([seen, unseen])
+    if known is None:
+        return traced
+    factors = np.empty((t.n_patches, len(emitters), 2), np.float32)
+    factors[:, columns < 0] = traced
+    factors[:, columns >= 0] = known.form_factors[:, columns[columns >= 0]]
+    return factors
 
 
 def _lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> Evidence:
