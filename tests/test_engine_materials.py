@@ -133,6 +133,28 @@ def test_a_metal_wall_is_metal(scene: Scene, roughness: float) -> None:
     assert gloss.roughness[WALL] == pytest.approx(roughness, abs=0.12)
 
 
+@pytest.mark.parametrize("highlight", [False, True])
+def test_sheen_alone_is_no_gloss(highlight: bool) -> None:
+    """A wide lobe that fits is believed only where a narrow one fits better than none too."""
+    rng = np.random.default_rng(0)
+    n = 400
+    sheen, elsewhere = 0.1 * rng.random((2, n, 1)) * np.ones(3)
+    zero = np.zeros((n, 3))
+    narrow, close = (zero, elsewhere), (zero, 0.8 * sheen)
+    lobes = [narrow, narrow, narrow, close if highlight else narrow, (zero, sheen), (zero, zero)]
+    observed = GlossObservations(
+        np.zeros(n, int),
+        np.repeat(np.arange(n // 4), 4),
+        np.ones(n),
+        zero,
+        0.5 + sheen + 0.01 * rng.random((n, 3)),
+        np.ones((n, 3)),
+        np.ones((len(LEVELS), n)),
+        [[lobe] * 2 for lobe in lobes],
+    )
+    assert (fit_gloss(observed, 1).roughness[0] < 1) == highlight
+
+
 def test_parts_that_hardly_anybody_saw_keep_the_default(scene: Scene) -> None:
     rows = rows_on(scene, FLOOR)[: MIN_OBSERVATIONS - 1]
     gloss = fit_floor(scene, seen(scene, rows, scene.room.albedo[FLOOR], 0.1, 0.0), rows)

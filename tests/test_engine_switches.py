@@ -116,7 +116,7 @@ def test_light_from_outside_is_forced_and_forbidden(solved):
 
 
 def test_a_forced_gloss_takes_what_caution_refuses():
-    """Radiance that a slightly glossy lobe explains a little better than none: 3 % is not enough unless forced."""
+    """Radiance that the widest glossy lobe explains a little better than none: not enough unless forced."""
     rng = np.random.default_rng(0)
     n = 200
     patch = np.repeat(np.arange(n // 4), 4)

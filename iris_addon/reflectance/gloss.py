@@ -18,11 +18,14 @@ from .gloss_cost import LobeHalves, PartFits
 
 LEVELS = (0.1, 0.2, 0.32, 0.5, 0.7, 1.0)
 """Six roughness levels as in IRIS; between them the best level is interpolated."""
+FIT_RAYS = (8, 16, 32, 32)
+"""Reflected rays per observation at each level, the wider the lobe the more for its noise. The levels beyond see what
+the hemisphere sees; they differ from a rough surface by their sheen alone, which the shape of a diffuse lobe feigns."""
 MIN_OBSERVATIONS = 10
 MIN_COST = 0.02
 """Cost below which the rough dielectric explains a part but for the noise of the photos."""
 MAX_OBSERVATIONS = 500
-GAIN_NEEDED = 0.03
+GAIN_NEEDED = 0.01
 """Relative fall of the robust residual that a gloss must bring over the rough dielectric."""
 METAL_GAIN_NEEDED = 0.15
 NEAR = 1.0
@@ -185,8 +188,13 @@ def _decide(gloss: Gloss, label: int, plastic: NDArray[np.float64], metal: NDArr
     if best_metal < (1 - caution * METAL_GAIN_NEEDED) * best_plastic:
         gloss.metallic[label] = 1.0
         gloss.roughness[label] = _interpolate_minimum(metal)
-    elif best_plastic < (1 - caution * GAIN_NEEDED) * plastic[-1]:
+    elif best_plastic < (1 - caution * GAIN_NEEDED) * plastic[-1] and (not caution or _shows_highlight(plastic)):
         gloss.roughness[label] = _interpolate_minimum(plastic)
+
+
+def _shows_highlight(plastic: NDArray[np.float64]) -> bool:
+    """Whether a lobe narrow enough to be traced fits better than the rough dielectric: no gloss from sheen alone."""
+    return bool(plastic[: len(FIT_RAYS)].min() < plastic[-1])
 
 
 def _interpolate_minimum(cost: NDArray[np.float64]) -> float:

@@ -22,13 +22,11 @@ from ..surface.field import IrradianceField
 from ..transport.diffuse import grazing_gain
 from .diffuse_lobe import DiffuseChoice
 from .ggx import DIELECTRIC_F0
-from .gloss import LEVELS, Gloss, GlossObservations, choose_observations, fit_gloss
+from .gloss import FIT_RAYS, LEVELS, Gloss, GlossObservations, choose_observations, fit_gloss
 from .glossy_bounce import GlossyBounce, trace_glossy_bounce
 from .lobes import LobeRays, lobe_cache
 from .specular import Scene, rough_lobes, specular_lobes, subtract_specular
 
-FIT_RAYS = (8, 16, 32, 32)
-"""Reflected rays per observation and level: the wider the lobe, the more noise."""
 PASSED_ON = 0.6
 GLOSSY = 0.5
 GLOSSY_SAY = 0.3
