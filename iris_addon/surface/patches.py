@@ -103,8 +103,8 @@ class PatchGrid:
 
 def block_keys(position: NDArray[np.floating], origin: NDArray[np.float64], scale: float) -> NDArray[np.uint64]:
     """Hash of the coarsest cell around each point."""
-    block = np.floor((position - origin) / (scale * FINEST * 2 ** (N_LEVELS - 1))).astype(np.int64)
-    return _mix(block[:, 0], block[:, 1], block[:, 2])
+    size = scale * FINEST * 2 ** (N_LEVELS - 1)
+    return _mix(*(np.floor((position[:, axis] - origin[axis]) / size).astype(np.int64) for axis in range(3)))
 
 
 def cell_keys(

@@ -94,7 +94,7 @@ def trace_pixels(tracer: Tracer, cameras: Sequence[Camera], stride: int, progres
         kept = np.flatnonzero(hits.face >= 0)
         face, barycentric = hits.face[kept], hits.barycentric[kept]
         toward = -direction[kept].astype(np.float32)
-        normal = tracer.normals[face].astype(np.float32)
+        normal = tracer.normals[face]
         normal *= np.where((normal * toward).sum(1, keepdims=True) < 0, -1, 1).astype(np.float32)
         columns.append(
             (

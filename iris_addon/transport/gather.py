@@ -173,7 +173,7 @@ def _add_sampled(
     cumulative = np.cumsum(tracer.areas[faces])
     corner, second, third = tracer.corners[faces].astype(np.float32).transpose(1, 0, 2)
     sides = np.stack([second - corner, third - corner], 1)
-    normals = tracer.normals[faces].astype(np.float32)
+    normals = tracer.normals[faces]
 
     def work(rows: slice, rng: np.random.Generator) -> None:
         n = rows.stop - rows.start
@@ -187,11 +187,12 @@ def _add_sampled(
         target = corner[pick] + u[:, :1] * side[:, 0] + u[:, 1:] * side[:, 1]
         offset = target - position
         square = np.maximum(dot(offset, offset), 1e-9)
-        direction = offset / np.sqrt(square)[:, None]
+        length = np.sqrt(square)
+        direction = offset / length[:, None]
         cos_surface = dot(direction, normal)
         cos_light = np.abs(dot(direction, normals[pick]))
         live = np.flatnonzero((cos_surface > 1e-4) & (cos_light > 1e-4))
-        live = live[tracer.visible(position[live], target[live])]
+        live = live[tracer.unoccluded(position[live], direction[live], length[live])]
         per_area = cos_surface[live] * cos_light[live] / (np.pi * square[live])
         weight = (n_samples / area) / (n_samples / area + n_rays * per_area)
         value = weight * per_area * area / n_samples

@@ -43,7 +43,7 @@ class Tracer:
     Attributes:
         rays_traced: rays cast since construction.
         epsilon: metres to move an origin off its surface.
-        normals: (F, 3) unit geometric normals, zero for degenerate faces.
+        normals: (F, 3) float32 unit geometric normals, zero for degenerate faces.
         areas: (F,) square metres.
     """
 
@@ -55,7 +55,8 @@ class Tracer:
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(cross, axis=1)
         self.areas = 0.5 * length
-        self.normals = np.where(length[:, None] > 2 * DEGENERATE_AREA, cross / np.maximum(length, 1e-300)[:, None], 0.0)
+        unit = cross / np.maximum(length, 1e-300)[:, None]
+        self.normals = np.where(length[:, None] > 2 * DEGENERATE_AREA, unit, 0.0).astype(np.float32)
         self._kept = np.flatnonzero(self.areas > DEGENERATE_AREA).astype(np.int32)
         self.corners = corners
         extent = np.ptp(corners[self._kept].reshape(-1, 3), axis=0)
@@ -98,15 +99,20 @@ class Tracer:
         """(n,) whether nothing lies between two points (n, 3), both given on their surfaces."""
         offset = np.asarray(targets, np.float64) - origins
         length = np.linalg.norm(offset, axis=1)
-        directions = offset / np.maximum(length, 1e-12)[:, None]
-        reach = (length - 4 * self.epsilon).astype(np.float32)
-        seen = np.empty(len(origins), bool)
+        return self.unoccluded(origins, offset / np.maximum(length, 1e-12)[:, None], length)
+
+    def unoccluded(
+        self, origins: NDArray[np.floating], directions: NDArray[np.floating], lengths: NDArray[np.floating]
+    ) -> NDArray[np.bool_]:
+        """(n,) whether each ray is clear up to the surface point that it is to end on, ``lengths`` metres away."""
+        reach = np.maximum(lengths - 4 * self.epsilon, 0.0).astype(np.float32)
+        clear = np.empty(len(origins), bool)
 
         def trace(part: slice, o: NDArray[np.float32], d: NDArray[np.float32]) -> None:
-            seen[part] = self._scene.run(o, d, np.maximum(reach[part], 0.0), query="OCCLUDED") < 0
+            clear[part] = self._scene.run(o, d, reach[part], query="OCCLUDED") < 0
 
         self._run(trace, origins, directions)
-        return seen
+        return clear
 
     def _run(
         self,

@@ -153,8 +153,8 @@ def table_rows(target: NDArray[np.int32], face: NDArray[np.int32], dark_faces: N
 
 def facing_normals(tracer: Tracer, face: NDArray[np.integer], direction: NDArray[np.floating]) -> NDArray[np.float32]:
     """(n, 3) normals of hit faces, turned against the directions the rays came along."""
-    normal = tracer.normals[face].astype(np.float32)
-    return np.where(dot(normal, direction)[:, None] > 0, -normal, normal)
+    normal = tracer.normals[face]
+    return normal * np.where(dot(normal, direction) > 0, np.float32(-1), np.float32(1))[:, None]
 
 
 def find_patches(
@@ -166,9 +166,10 @@ def find_patches(
     direction: NDArray[np.floating],
 ) -> NDArray[np.int32]:
     """(n,) patch of each hit, tried grid by grid; UNKNOWN or ESCAPED where there is none."""
-    result = np.where(face < 0, ESCAPED, UNKNOWN).astype(np.int32)
-    normal = facing_normals(tracer, face, direction.astype(np.float32))
-    for grid in grids:
+    normal = facing_normals(tracer, face, direction.astype(np.float32, copy=False))
+    # Few rays escape or miss the first grid: looked up there all alike, only the rest need sorting out.
+    result = np.where(face < 0, np.int32(ESCAPED), grids[0].lookup(point, normal, parts[face]))
+    for grid in grids[1:]:
         open_ = np.flatnonzero(result == UNKNOWN)
         result[open_] = grid.lookup(point[open_], normal[open_], parts[face[open_]])
     return result
