@@ -24,6 +24,7 @@ README_ROWS = (
     ("kd_psnr", "`kd_psnr`, dB", "higher", 1),
     ("kd_psnr_all", "`kd_psnr_all`, dB", "higher", 1),
     ("a_psnr", "`a_psnr`, dB", "higher", 1),
+    ("a_lobe_psnr", "`a_lobe_psnr`, dB", "higher", 1),
     ("roughness_psnr", "`roughness_psnr`, dB", "higher", 1),
     ("metallic_l2", "`metallic_l2`", "lower", 4),
     ("emission_iou", "`emission_iou`", "higher", 2),

@@ -14,7 +14,7 @@ from iris_addon.blender.render import render_linear, set_cycles
 from iris_addon.blender.scene_out import build_scene
 from iris_addon.capture.types import Mesh
 from iris_addon.result.types import OutsideLight
-from iris_addon.transport.diffuse import MEAN_SCHLICK, grazing_gain, schlick
+from iris_addon.transport.diffuse import albedo_gain
 from tests.blender_room import camera, room
 
 pytestmark = pytest.mark.bpy
@@ -54,8 +54,7 @@ def test_burley_over_lambert_is_the_factor_of_the_lobe(roughness: float, cosine:
     lambert, burley = (
         [radiance_along(cosine, roughness, albedo, report) for albedo in (0.0, 0.5)] for report in ({}, BURLEY)
     )
-    kappa = grazing_gain("burley", np.array(roughness))
-    factor = (1 + kappa * MEAN_SCHLICK) * (1 + kappa * schlick(np.array(cosine)))
+    factor = albedo_gain("burley", np.array(roughness), np.array(cosine))
     assert (burley[1] - burley[0]) / (lambert[1] - lambert[0]) == pytest.approx(factor, rel=0.01)
 
 

@@ -11,7 +11,7 @@ from iris_addon.response.observations import Observations
 from iris_addon.response.radiance import Linearised
 from iris_addon.surface.build import build_surface
 from iris_addon.surface.samples import trace_pixels
-from iris_addon.transport.diffuse import MEAN_SCHLICK, grazing_gain, schlick, under_lobe
+from iris_addon.transport.diffuse import MEAN_SCHLICK, albedo_gain, grazing_gain, schlick, under_lobe
 from iris_addon.transport.gather import Origins, emitter_form_factors, gather
 from iris_addon.transport.tracer import Tracer
 from iris_addon.transport.transport import build_transport
@@ -33,8 +33,7 @@ def burley_directional_albedo(roughness: float, cosine: float, n: int = 200_000)
 @pytest.mark.parametrize("roughness", [0.1, 0.5, 1.0])
 @pytest.mark.parametrize("cosine", [0.15, 0.4, 0.7, 0.95])
 def test_the_product_is_burleys_lobe_in_uniform_light(roughness: float, cosine: float) -> None:
-    kappa = grazing_gain("burley", np.array(roughness))
-    product = (1 + kappa * MEAN_SCHLICK) * (1 + kappa * schlick(np.array(cosine)))
+    product = albedo_gain("burley", np.array(roughness), np.array(cosine))
     assert product == pytest.approx(burley_directional_albedo(roughness, cosine), rel=0.03)
 
 

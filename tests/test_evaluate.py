@@ -24,7 +24,7 @@ def brightness_of(textures: Textures, factor: float) -> Textures:
 @pytest.mark.parametrize("side_by_side", [False, True])
 def test_the_truth_scores_perfectly(tmp_path, side_by_side):
     scores = evaluate(true_result(), write_truth_room(tmp_path / "room", side_by_side))
-    for name in ("kd_psnr", "kd_psnr_all", "a_psnr", "roughness_psnr"):
+    for name in ("kd_psnr", "kd_psnr_all", "a_psnr", "a_lobe_psnr", "roughness_psnr"):
         for suffix in ("", "_valid"):
             assert scores[name + suffix] > 70, name
     assert scores["kd_psnr_si"] > 70 and scores["metallic_l2"] == pytest.approx(0, abs=1e-12)
@@ -48,6 +48,14 @@ def test_constant_grey_scores_what_the_closed_form_says(tmp_path):
         error = (np.round(255 * kd) / 255 - 128 / 255) ** 2 * surface[..., None]
         assert value == pytest.approx(-10 * np.log10(error.mean())), name
         assert scores["per_view"]["kd_psnr_all_valid"][name] == pytest.approx(-10 * np.log10(error[surface].mean()))
+
+
+def test_the_lobe_of_the_result_shows_in_its_directional_albedo_alone(tmp_path):
+    root = write_truth_room(tmp_path / "room")
+    lambert = evaluate(true_result(), root)
+    burley = evaluate(replace(true_result(), report={"model": {"diffuse": {"lobe": "burley"}}}), root)
+    assert burley["a_psnr"] == lambert["a_psnr"] and burley["kd_psnr"] == lambert["kd_psnr"]
+    assert burley["a_lobe_psnr"] < 40 < lambert["a_lobe_psnr"]
 
 
 def test_only_fully_rough_pixels_count_for_kd_psnr(tmp_path):

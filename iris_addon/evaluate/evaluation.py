@@ -19,7 +19,10 @@ from .maps import MapRenderer
 from .relighting import RenderViews, inserted_views, novel_views, relit_views, render_all, score_pictures
 
 RENDERED = ("nvs_psnr", "nvs_ssim", "relight_psnr", "relight_ssim", "insert_psnr", "insert_psnr_around")
-MAPPED = ("kd_psnr", "kd_psnr_all", "a_psnr", "roughness_psnr", "metallic_l2", "emission_iou", "emission_log_l2")
+MAPPED = (
+    "kd_psnr", "kd_psnr_all", "a_psnr", "a_lobe_psnr", "roughness_psnr", "metallic_l2", "emission_iou",
+    "emission_log_l2",
+)  # fmt: skip
 LIGHT_AND_CAMERA = ("crf_l2", "exposure_log2_rmse")
 
 

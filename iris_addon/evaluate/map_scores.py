@@ -103,6 +103,7 @@ def _albedo_pairs(maps: ViewMaps, truth: GroundTruth, index: int) -> Iterator[Al
     directional = truth.map("albedo", "train", index)
     if directional is not None:
         yield AlbedoPair("a_psnr", maps.directional_albedo, directional, surface)
+        yield AlbedoPair("a_lobe_psnr", maps.lobed_albedo, directional, surface)
 
 
 def _albedo_scores(pair: AlbedoPair, hit: Mask, factor: float) -> dict[str, float]:

@@ -11,6 +11,7 @@ from ..capture.types import Camera
 from ..reflectance.ggx import directional_albedo
 from ..result.types import Result
 from ..surface.atlas_texels import interpolate_uv
+from ..transport.diffuse import DiffuseLobe, albedo_gain
 from ..transport.tracer import Tracer
 
 FloatArray = NDArray[np.floating]
@@ -23,7 +24,8 @@ class ViewMaps:
     Attributes:
         hit: (H, W) bool.
         base_color, kd: (H, W, 3); kd = base colour · (1 − metallic).
-        directional_albedo: (H, W, 3) a' towards the camera.
+        directional_albedo: (H, W, 3) a' towards the camera, of a Lambertian diffuse part.
+        lobed_albedo: (H, W, 3) the same of the diffuse lobe that the result names.
         roughness, metallic, confidence: (H, W).
         emission: (H, W, 3) radiance.
     """
@@ -32,6 +34,7 @@ class ViewMaps:
     base_color: FloatArray
     kd: FloatArray
     directional_albedo: FloatArray
+    lobed_albedo: FloatArray
     roughness: FloatArray
     metallic: FloatArray
     confidence: FloatArray
@@ -48,6 +51,7 @@ class MapRenderer:
         self._textures = result.textures
         self._tracer = tracer or Tracer(result.mesh)
         self._emission = result.face_emission()
+        self._lobe: DiffuseLobe = result.diffuse_lobe
 
     def maps(self, camera: Camera) -> ViewMaps:
         """The maps through all pixel centres of ``camera``."""
@@ -63,6 +67,10 @@ class MapRenderer:
         base_color, rough, metal, confidence = (bilinear(texture, uv) for texture in stacked)
         cosine = np.abs(np.einsum("nk,nk->n", self._tracer.normals[face], directions[seen]))
 
+        kd = base_color * (1 - metal)
+        lambertian = directional_albedo(base_color, rough[:, 0], metal[:, 0], cosine)
+        lobed = lambertian + kd * (albedo_gain(self._lobe, rough[:, 0], cosine) - 1)[:, None]
+
         def image(values: FloatArray) -> FloatArray:
             full = np.zeros((camera.height * camera.width, *values.shape[1:]), np.float32)
             full[seen] = values
@@ -71,8 +79,9 @@ class MapRenderer:
         return ViewMaps(
             hit=image(np.ones(len(seen))) > 0,
             base_color=image(base_color),
-            kd=image(base_color * (1 - metal)),
-            directional_albedo=image(directional_albedo(base_color, rough[:, 0], metal[:, 0], cosine)),
+            kd=image(kd),
+            directional_albedo=image(lambertian),
+            lobed_albedo=image(lobed),
             roughness=image(rough[:, 0]),
             metallic=image(metal[:, 0]),
             confidence=image(confidence[:, 0]),

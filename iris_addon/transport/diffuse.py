@@ -46,3 +46,11 @@ def grazing_gain(lobe: DiffuseLobe, roughness: NDArray[np.floating]) -> NDArray[
 def under_lobe(factors: NDArray[np.floating], kappa: NDArray[np.floating]) -> NDArray[np.float32]:
     """(N, E) form factors as surfaces with κ (N,) weight them, from (N, E, 2): plain shares, and shares times S."""
     return (factors[..., 0] + kappa[:, None] * factors[..., 1]).astype(np.float32)
+
+
+def albedo_gain(
+    lobe: DiffuseLobe, roughness: NDArray[np.floating], cosine: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """(n,) albedo of a diffuse lobe towards a viewer at ``cosine`` (n,) under uniform light, over that of Lambert's."""
+    kappa = grazing_gain(lobe, roughness)
+    return (1 + kappa * schlick(cosine)) * (1 + kappa * MEAN_SCHLICK)
