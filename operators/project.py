@@ -14,7 +14,7 @@ from .preferences import ROOT_PACKAGE
 
 @dataclass(frozen=True)
 class Step:
-    """How a step stands: "done", "stale", "missing", "running" or "failed", and what to do next."""
+    """How a step stands: "done", "stale", "ready", "missing", "running" or "failed", and what to do next."""
 
     state: str
     hint: str = ""
@@ -23,6 +23,7 @@ class Step:
 ICONS = {
     "done": "CHECKMARK",
     "stale": "FILE_REFRESH",
+    "ready": "LAYER_ACTIVE",
     "missing": "LAYER_USED",
     "running": "SORTTIME",
     "failed": "ERROR",
@@ -105,7 +106,7 @@ def solve_step(scene: bpy.types.Scene) -> Step:
     if record.state in ("cancelled", "interrupted"):
         return Step("stale", "Go on where it stopped")
     if not key:
-        return Step("missing", "Choose a preset and press Solve" if scene.iris.views else "First: data")
+        return Step("ready", "Choose a preset and press Solve") if scene.iris.views else Step("missing", "First: data")
     if capture is not None and _newer(capture, folder(scene) / "report.json"):
         return Step("stale", "The capture has changed: solve again")
     return Step("done")
@@ -118,7 +119,7 @@ def review_step(scene: bpy.types.Scene) -> Step:
     if not key:
         return Step("missing", "First: solve")
     if applied is None:
-        return Step("missing", "Look at the result, then apply it")
+        return Step("ready", "Look at the result, then apply it")
     return Step("done") if applied == key else Step("stale", "Another result is on the objects: apply again")
 
 
