@@ -74,7 +74,8 @@ def measure_floors(mesh: Mesh, seed: int = 0) -> Floors:
     a = (a + 1e-3 * (b - a)).astype(np.float32)
     b = b.astype(np.float32)
     direction = b - a
-    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
+    length = np.linalg.norm(direction, axis=1)
+    direction /= np.maximum(length[:, None], 1e-9)
     source = np.ones(TRIAL_BYTES // 8)
     target = np.empty_like(source)
 
@@ -88,7 +89,7 @@ def measure_floors(mesh: Mesh, seed: int = 0) -> Floors:
 
     return Floors(
         TRIAL_RAYS / best(lambda: tracer.hit_faces(a, direction)),
-        TRIAL_RAYS / best(lambda: tracer.visible(a, b)),
+        TRIAL_RAYS / best(lambda: tracer.unoccluded(a, direction, length)),
         2 * TRIAL_BYTES / best(lambda: np.copyto(target, source)),
     )
 
@@ -121,7 +122,7 @@ def counted(progress: Progress) -> Iterator[Counts]:
     with (
         wrap(Tracer, "closest", rays(counts.closest)),
         wrap(Tracer, "hit_faces", rays(counts.closest)),
-        wrap(Tracer, "visible", rays(counts.occluded)),
+        wrap(Tracer, "unoccluded", rays(counts.occluded)),
         wrap(Transport, "gather_radiance", products),
     ):
         yield counts
