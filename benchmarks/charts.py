@@ -225,7 +225,7 @@ def _sweep(axes: Axes, sweep: Sweep, color: str, marker: str) -> None:
 def scaling(panels: Mapping[str, Mapping[str, tuple[Sequence[float], Sequence[float]]]], *, title: str) -> Figure:
     """One panel per quantity: cost against size on log axes, one line per sweep, its slope in the legend."""
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(4.8 * len(panels), 4.4), layout="constrained")
+        figure = Figure(figsize=(4.8 * len(panels), 5.0), layout="constrained")
         for column, (quantity, lines) in enumerate(panels.items()):
             axes = figure.add_subplot(1, len(panels), column + 1)
             for index, (name, (x, y)) in enumerate(lines.items()):
@@ -234,7 +234,7 @@ def scaling(panels: Mapping[str, Mapping[str, tuple[Sequence[float], Sequence[fl
             axes.set_yscale("log")
             axes.set_xlabel("size: triangles, photos or pixels")
             axes.set_ylabel(quantity)
-            axes.legend(fontsize=9)
+            axes.legend(fontsize=9, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=1)
         figure.suptitle(title, fontsize=13)
     return figure
 
