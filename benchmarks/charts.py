@@ -234,7 +234,7 @@ def scaling(panels: Mapping[str, Mapping[str, tuple[Sequence[float], Sequence[fl
             axes.set_yscale("log")
             axes.set_xlabel("size: triangles, photos or pixels")
             axes.set_ylabel(quantity)
-            axes.legend(fontsize=9, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=1)
+            axes.legend(fontsize=9, loc="upper center", bbox_to_anchor=(0.5, -0.16))
         figure.suptitle(title, fontsize=13)
     return figure
 
