@@ -222,6 +222,33 @@ def test_irradiance_does_not_leak_around_corners(scene: Scene) -> None:
     assert leak.max() < 0.02
 
 
+def _two_panes(size: float = 0.05) -> tuple[IrradianceField, np.ndarray]:
+    """The field of two parallel squares of 1 m, 6 cm apart, that face the same way; and which patches lie behind."""
+    ticks = np.arange(0, 1, size)
+    x, z, y = (axis.ravel() for axis in np.meshgrid(ticks, ticks, [0.0, 0.06], indexing="ij"))
+    normal = np.tile(np.float32([0, -1, 0]), (len(x), 1))
+    position = np.stack([x, y, z], 1).astype(np.float32)
+    return IrradianceField.of(position, normal, np.full(len(x), size, np.float32)), y > 0
+
+
+def test_irradiance_does_not_leak_from_a_pane_to_the_frame_before_it() -> None:
+    field, behind = _two_panes()
+    lit = np.tile(np.where(behind, 2.5, 0.3)[:, None], 3)
+    assert field.denoise(lit) == pytest.approx(lit, rel=1e-3)
+    assert field.smooth(lit, 1.0) == pytest.approx(lit, rel=0.01)  # which does not know the light
+
+
+def test_denoising_keeps_the_edge_of_a_shadow() -> None:
+    field, _ = _two_panes()
+    shadow = field.position[:, 0] < 0.5
+    clean = np.tile(np.where(shadow, 0.2, 0.8)[:, None], 3)
+    noise = np.random.default_rng(0).normal(1, 0.05, (len(clean), 1))
+    error = np.log(field.denoise(clean * noise) / clean)
+    assert error.std() < 0.5 * np.log(noise).std()
+    assert abs(error[shadow].mean()) < 0.005 and abs(error[~shadow].mean()) < 0.005
+    assert np.abs(np.log(field.smooth(clean, 1.0) / clean)).max() > 0.1
+
+
 # Textures ------------------------------------------------------------------------------------------------------------
 
 

@@ -83,7 +83,7 @@ def scene_of(problem: LightProblem, lights: Lights) -> Scene:
 
 def smooth_irradiance(field: IrradianceField, lights: Lights) -> NDArray[np.float32]:
     """(P, 3) irradiance / pi of the seen patches without the noise of their rays."""
-    return field.smooth(lights.irradiance[: len(field.position)], 1.0)
+    return field.denoise(lights.irradiance[: len(field.position)])
 
 
 def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progress: Progress) -> tuple[Lights, Gloss]:

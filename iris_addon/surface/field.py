@@ -17,6 +17,12 @@ NORMAL_WEIGHT = 4.0
 """Patches that face 15 degrees away count as far as one patch size away."""
 KERNEL = 0.75
 """Standard deviation of the interpolation kernel, in patch sizes."""
+PLANE_WEIGHT = 5.0
+"""A patch a fifth of its size before or behind a point's plane counts as far as one patch size beside it: what lies
+parallel, like the pane behind a window's frame, is lit otherwise."""
+EDGE, POINT_EDGE = 0.2, 0.3
+"""Difference of log irradiance at which a neighbour counts as lit otherwise: of patches, whose values are noisy, and in
+the interpolation between them."""
 
 
 @dataclass(frozen=True)
@@ -35,16 +41,19 @@ class IrradianceField:
 
     @staticmethod
     def build(surface: Surface) -> IrradianceField:
-        """Nearest patches of every patch, near in place and in orientation."""
+        """The field of the seen patches."""
         size = np.maximum(surface.footprint * np.float32(surface.pixels_per_patch), 1e-4)
+        return IrradianceField.of(surface.position, surface.normal, size)
+
+    @staticmethod
+    def of(position: NDArray[np.float32], normal: NDArray[np.float32], size: NDArray[np.float32]) -> IrradianceField:
+        """Nearest patches of every patch, near in place and in orientation: (P, 3), (P, 3) unit and (P,) metres."""
         # One metric for the tree: patch sizes vary from block to block, so neighbours are compared in log-mean size.
         unit = float(np.exp(np.mean(np.log(size))))
-        features = np.concatenate([surface.position / unit, NORMAL_WEIGHT * surface.normal], 1)
+        features = np.concatenate([position / unit, NORMAL_WEIGHT * normal], 1)
         k = min(NEIGHBOURS, len(features))
         _, index = cKDTree(features).query(features, k=k, workers=-1)
-        return IrradianceField(
-            surface.position, surface.normal, np.asarray(index, np.int32).reshape(len(features), k), size
-        )
+        return IrradianceField(position, normal, np.asarray(index, np.int32).reshape(len(features), k), size)
 
     def smooth(
         self,
@@ -54,6 +63,8 @@ class IrradianceField:
         group: NDArray[np.integer] | None = None,
     ) -> NDArray[np.float32]:
         """Values (P, C) averaged over neighbours with a Gaussian of ``width`` patch sizes; takes sampling noise off.
+
+        The average is linear in the values; :meth:`denoise` is the one that stops at the edges of light.
 
         Args:
             rows: (n,) the patches whose averages are asked for, by default all.
@@ -70,6 +81,13 @@ class IrradianceField:
             weight /= weight.sum(1, keepdims=True)
         return np.einsum("pk,pkc->pc", weight, values.astype(np.float32)[near])
 
+    def denoise(self, irradiance: NDArray[np.floating], width: float = 1.0) -> NDArray[np.float32]:
+        """Irradiance (P, 3) averaged over those neighbours of a patch that are lit like it."""
+        rows = np.arange(len(self.position))
+        weight = self._weights(self.position, self.normal, rows, width)
+        weight = _lit_alike(weight, self.neighbours, rows, irradiance, EDGE)
+        return np.einsum("pk,pkc->pc", weight, irradiance.astype(np.float32)[self.neighbours])
+
     def at_samples(
         self, samples: PixelSamples, patch: NDArray[np.int32], values: NDArray[np.floating]
     ) -> NDArray[np.float32]:
@@ -79,6 +97,7 @@ class IrradianceField:
 
         def work(rows: slice) -> None:
             weight = self._weights(samples.position[rows], samples.normal[rows], patch[rows], KERNEL)
+            weight = _lit_alike(weight, self.neighbours[patch[rows]], patch[rows], table, POINT_EDGE)
             result[rows] = np.einsum("pk,pkc->pc", weight, table[self.neighbours[patch[rows]]])
 
         over_blocks(len(patch), BLOCK // NEIGHBOURS, work)
@@ -93,6 +112,20 @@ class IrradianceField:
         turn = self.normal[near] - normal[:, None]
         reach = self.size[patch][:, None] * np.float32(width)
         distance, angle = (np.einsum("nkc,nkc->nk", d, d) for d in (offset, turn))
-        square = distance / reach**2 + angle * np.float32((NORMAL_WEIGHT / width) ** 2)
+        height = np.einsum("nkc,nc->nk", offset, normal) * np.float32(PLANE_WEIGHT)
+        square = (distance + height**2) / reach**2 + angle * np.float32((NORMAL_WEIGHT / width) ** 2)
         weight = np.exp(-0.5 * np.minimum(square - square.min(1, keepdims=True), 60.0))
         return weight / weight.sum(1, keepdims=True)
+
+
+def _lit_alike(
+    weight: NDArray[np.float32],
+    near: NDArray[np.int32],
+    patch: NDArray[np.integer],
+    irradiance: NDArray[np.floating],
+    edge: float,
+) -> NDArray[np.float32]:
+    """Weights (n, K) of the neighbours ``near`` of patches (n,), less where irradiance (P, 3) differs."""
+    level = np.log(np.maximum(irradiance.mean(1), 1e-9)).astype(np.float32)
+    weight = weight * np.exp(-0.5 * ((level[near] - level[patch][:, None]) / np.float32(edge)) ** 2)
+    return weight / weight.sum(1, keepdims=True)
