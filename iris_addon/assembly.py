@@ -21,7 +21,7 @@ from .reflectance.bake import pixel_albedo, pixel_weight
 from .reflectance.ggx import DIELECTRIC_F0
 from .reflectance.gloss import Gloss
 from .reflectance.materials import MaterialProblem, scene_of, smooth_irradiance
-from .reflectance.specular import specular_lobes, subtract_specular
+from .reflectance.specular import pixel_lobes, subtract_specular
 from .reflectance.textures import make_textures
 from .result.types import Emitter, OutsideLight, Result
 from .surface.atlas import build_atlas, texel_density_from_footprint
@@ -32,8 +32,6 @@ from .transport.tracer import Tracer
 from .transport.transport import Transport
 
 SHOWN_PHOTOS = 4
-DIM = 0.05
-"""Share of the median irradiance below which a quotient of radiance and irradiance is not worth much."""
 HELD_OUT = 0.02
 """Share of pixels kept from the textures, to measure what they predict."""
 Rows = slice | NDArray[np.bool_]
@@ -54,13 +52,13 @@ def make_result(
     samples, light = photos.samples, problem.light
     part = light.parts[samples.face]
     irradiance = light.field.at_samples(samples, light.surface.sample_patch, smooth_irradiance(light.field, lights))
-    ls0, ls1 = specular_lobes(
+    ls0, ls1 = pixel_lobes(
         scene_of(light, lights),
         gloss,
         samples,
-        np.arange(len(part)),
-        part,
         irradiance,
+        [view.camera for view in capture.views],
+        photos.stride,
         config.specular_rays,
         config.rng(6),
         progress,
@@ -71,9 +69,7 @@ def make_result(
     view_factor = 1 + grazing_gain(problem.diffuse.lobe, gloss.roughness[part]) * schlick(samples.cosine)
     diffuse_light = irradiance * view_factor[:, None].astype(np.float32)
     albedo = pixel_albedo(linear.radiance, specular, ls0, diffuse_light, metallic)
-    seen_well = pixel_weight(samples.cosine, samples.footprint, np.ones(len(part)))
-    lit = irradiance / (irradiance + DIM * np.median(irradiance))
-    weight = seen_well[:, None] * linear.open * linear.precision * lit**2
+    weight = pixel_weight(samples.cosine, samples.footprint, irradiance, specular) * linear.open * linear.precision
     weight /= np.median(weight[weight > 0])
     held_out = config.rng(7).random(len(part)) < HELD_OUT
     uv = capture.mesh.uv

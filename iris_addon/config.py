@@ -55,7 +55,7 @@ class SolveConfig:
         max_patches: upper bound on surface patches; the patch size adapts to it.
         gather_rays: cosine-distributed rays per patch for light that arrives from other patches.
         shadow_rays: rays per patch over all emitters.
-        specular_rays: rays per glossy pixel.
+        specular_rays: rays per glossy observation; half as many per glossy pixel, whose neighbours serve it too.
         atlas_size: side of the texture atlas in texels.
         rounds: passes of emission and reflectance, each with the materials of the one before.
         joint: whether lamps are refined at the end under the loss of the photos, by what glossy surfaces show of them.

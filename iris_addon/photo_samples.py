@@ -43,12 +43,14 @@ class PhotoSamples:
     Attributes:
         z: (n, 3) float32 display values in [0, 1], or radiance for HDR input.
         beyond: some of the pixels that miss the mesh.
+        stride: one pixel of every stride x stride was looked at.
     """
 
     samples: PixelSamples
     z: NDArray[np.float32]
     hdr: bool
     beyond: BeyondMesh
+    stride: int
 
 
 def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progress) -> PhotoSamples:
@@ -84,4 +86,4 @@ def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progres
     if not valid.all():
         samples, z = samples.take(np.flatnonzero(valid)), z[valid]
     columns = [np.concatenate(column) for column in zip(*missing, strict=True)]
-    return PhotoSamples(samples, z, hdr, BeyondMesh(len(columns[0]) / looked, *columns))
+    return PhotoSamples(samples, z, hdr, BeyondMesh(len(columns[0]) / looked, *columns), stride)

@@ -25,7 +25,6 @@ from iris_addon.reflectance.textures import complete_channels, make_textures
 from iris_addon.surface.atlas import build_atlas
 from iris_addon.surface.atlas_texels import rasterise_atlas
 from iris_addon.surface.build import Surface, build_surface
-from iris_addon.surface.field import IrradianceField
 from iris_addon.surface.samples import PixelSamples, trace_pixels
 from iris_addon.transport.tracer import Tracer
 from iris_addon.transport.transport import Transport, build_transport
@@ -191,64 +190,6 @@ def test_observations_are_chosen_by_whole_patches() -> None:
     assert (count == whole).sum() >= len(chosen) - 1  # the last one may be cut
 
 
-# Irradiance between patches ------------------------------------------------------------------------------------------
-
-
-def test_smoothing_keeps_a_constant_and_takes_noise_off(scene: Scene) -> None:
-    field = IrradianceField.build(scene.surface)
-    constant = np.tile([1.0, 2.0, 3.0], (len(scene.surface.part), 1))
-    assert field.smooth(constant, 1.0) == pytest.approx(constant, rel=1e-5)
-    assert field.at_samples(scene.samples, scene.surface.sample_patch, constant) == pytest.approx(
-        constant[scene.surface.sample_patch], rel=1e-5
-    )
-    noise = np.random.default_rng(0).normal(0, 1, (len(constant), 1))
-    assert field.smooth(noise, 1.0).std() < 0.6
-
-
-def test_means_over_one_albedo_keep_the_light_balance(scene: Scene) -> None:
-    """L = a I with any I: both sides averaged alike within a group of one albedo still have the quotient a."""
-    field, rng = IrradianceField.build(scene.surface), np.random.default_rng(0)
-    group = rng.integers(0, 3, len(scene.surface.part))
-    albedo, irradiance = np.array([0.1, 0.5, 0.9])[group][:, None], rng.random((len(group), 3)) + 0.1
-    rows = np.flatnonzero(rng.random(len(group)) < 0.3)
-    reflected, arriving = (field.smooth(values, 1.0, rows, group) for values in (albedo * irradiance, irradiance))
-    assert reflected / arriving == pytest.approx(np.tile(albedo[rows], 3), rel=1e-4)
-
-
-def test_irradiance_does_not_leak_around_corners(scene: Scene) -> None:
-    field = IrradianceField.build(scene.surface)
-    upward = (scene.surface.normal[:, 2:] > 0.5).astype(np.float64)
-    leak = np.abs(field.smooth(upward, 1.0) - upward)
-    assert leak.max() < 0.02
-
-
-def _two_panes(size: float = 0.05) -> tuple[IrradianceField, np.ndarray]:
-    """The field of two parallel squares of 1 m, 6 cm apart, that face the same way; and which patches lie behind."""
-    ticks = np.arange(0, 1, size)
-    x, z, y = (axis.ravel() for axis in np.meshgrid(ticks, ticks, [0.0, 0.06], indexing="ij"))
-    normal = np.tile(np.float32([0, -1, 0]), (len(x), 1))
-    position = np.stack([x, y, z], 1).astype(np.float32)
-    return IrradianceField.of(position, normal, np.full(len(x), size, np.float32)), y > 0
-
-
-def test_irradiance_does_not_leak_from_a_pane_to_the_frame_before_it() -> None:
-    field, behind = _two_panes()
-    lit = np.tile(np.where(behind, 2.5, 0.3)[:, None], 3)
-    assert field.denoise(lit) == pytest.approx(lit, rel=1e-3)
-    assert field.smooth(lit, 1.0) == pytest.approx(lit, rel=0.01)  # which does not know the light
-
-
-def test_denoising_keeps_the_edge_of_a_shadow() -> None:
-    field, _ = _two_panes()
-    shadow = field.position[:, 0] < 0.5
-    clean = np.tile(np.where(shadow, 0.2, 0.8)[:, None], 3)
-    noise = np.random.default_rng(0).normal(1, 0.05, (len(clean), 1))
-    error = np.log(field.denoise(clean * noise) / clean)
-    assert error.std() < 0.5 * np.log(noise).std()
-    assert abs(error[shadow].mean()) < 0.005 and abs(error[~shadow].mean()) < 0.005
-    assert np.abs(np.log(field.smooth(clean, 1.0) / clean)).max() > 0.1
-
-
 # Textures ------------------------------------------------------------------------------------------------------------
 
 
@@ -269,9 +210,15 @@ def test_a_pixels_albedo_inverts_the_model() -> None:
     assert pixel_albedo(radiance * 100, specular, s0, irradiance, m).max() <= MAX_ALBEDO
 
 
-def test_near_head_on_pixels_have_the_most_to_say() -> None:
-    weight = pixel_weight(np.array([1.0, 0.5, 1.0]), np.array([0.01, 0.01, 0.02]), np.ones(3))
-    assert weight[0] > weight[1] and weight[0] == pytest.approx(4 * weight[2])
+def test_near_head_on_well_lit_pixels_have_the_most_to_say() -> None:
+    """Pixels as one of the first, each worse in one thing: angle, distance, light, a highlight."""
+    cosine, footprint = np.array([1, 1, 1, 0.5, 1, 1, 1]), np.array([1, 1, 1, 1, 2, 1, 1]) * 0.01
+    irradiance, specular = np.ones((7, 3)), np.full((7, 3), 1e-6)
+    irradiance[5], specular[6] = 0.05, 1.0
+    weight = pixel_weight(cosine, footprint, irradiance, specular)[:, 0]
+    assert weight[1:3] == pytest.approx(weight[0]) and (weight[3:] < 0.5 * weight[0]).all()
+    assert weight[0] == pytest.approx(4 * weight[4], rel=1e-3)
+    assert weight[6] < 0.01 * weight[0]
 
 
 def test_a_clipped_channel_takes_the_colour_of_its_part() -> None:

@@ -15,6 +15,10 @@ from numpy.typing import NDArray
 from ..response.observations import group_sums
 
 MAX_ALBEDO = 0.95
+DIM = 0.05
+"""Share of the median irradiance below which a quotient of radiance and irradiance is not worth much."""
+HIGHLIGHT = 20.0
+"""Inverse of the specular radiance, in irradiance / pi, from which on errors of the lobe outweigh all others."""
 OUTLIER = 0.25
 """Relative distance from a texel's mean at which a photo loses half its say."""
 
@@ -47,11 +51,24 @@ def pixel_albedo(
 
 
 def pixel_weight(
-    cosine: NDArray[np.floating], footprint: NDArray[np.floating], precision: NDArray[np.floating]
+    cosine: NDArray[np.floating],
+    footprint: NDArray[np.floating],
+    irradiance: NDArray[np.floating],
+    specular: NDArray[np.floating],
 ) -> NDArray[np.float32]:
-    """(n,) say of a pixel: near, head-on and well-exposed photos see more."""
+    """(n, 3) say of a pixel: near and head-on it sees more, in the dark and under a highlight less.
+
+    An error of the irradiance or of the specular part is one of the albedo once divided by the irradiance.
+
+    Args:
+        irradiance: (n, 3) irradiance / pi.
+        specular: (n, 3) radiance taken off the pixel's.
+    """
     near = np.median(footprint) / np.maximum(footprint, 1e-6)
-    return (cosine * np.clip(near, 0.05, 20.0) ** 2 * precision).astype(np.float32)
+    lit = irradiance / (irradiance + DIM * np.median(irradiance))
+    highlight = HIGHLIGHT * specular.mean(1) / np.maximum(irradiance.mean(1), 1e-6)
+    sharp = cosine**2 * np.clip(near, 0.05, 20.0) ** 2
+    return ((sharp / (1 + highlight**2))[:, None] * lit**2).astype(np.float32)
 
 
 def fuse_texels(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..capture.types import Camera
 from ..parallel import BLOCK, over_random_blocks
 from ..progress import Progress
 from ..surface.samples import PixelSamples
@@ -14,6 +16,7 @@ from ..transport.tracer import Tracer
 from ..transport.transport import Transport
 from .ggx import DIELECTRIC_F0, specular_integrals
 from .gloss import Gloss
+from .lobe_filter import denoise_lobes
 from .lobes import LobeRays, trace_lobes
 
 ROUGH = 0.75
@@ -84,6 +87,32 @@ def specular_lobes(
         ls0[at], ls1[at] = scene.lobes(rays)
 
     over_random_blocks(len(traced), BLOCK // n_rays, work, rng, progress.update)
+    return ls0, ls1
+
+
+def pixel_lobes(
+    scene: Scene,
+    gloss: Gloss,
+    samples: PixelSamples,
+    irradiance: NDArray[np.floating],
+    cameras: Sequence[Camera],
+    stride: int,
+    n_rays: int,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """:func:`specular_lobes` of all pixels, which then take the noise off each other and so need half the rays.
+
+    Args:
+        cameras, stride: of the lattice that the pixels are of.
+    """
+    rows, part = np.arange(len(samples.face)), scene.parts[samples.face]
+    ls0, ls1 = specular_lobes(scene, gloss, samples, rows, part, irradiance, max(1, n_rays // 2), rng, progress)
+    roughness = gloss.roughness[part]
+    traced = np.flatnonzero(roughness < ROUGH)
+    both = np.concatenate([ls0[traced], ls1[traced]], 1)
+    smooth = denoise_lobes(both, samples, traced, part[traced], roughness[traced], cameras, stride)
+    ls0[traced], ls1[traced] = smooth[:, :3], smooth[:, 3:]
     return ls0, ls1
 
 
