@@ -9,6 +9,7 @@ their images sharp.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from ..transport.sampling import dot
 STEPS = (1, 2, 4)
 REACH = 0.6
 """Turn of the reflected direction, in GGX widths, that is one standard deviation of the filter."""
+NEIGHBOURS = [(down, across) for down in (-1, 0, 1) for across in (-1, 0, 1) if down or across]
 SIDE, CORNER = 0.5, 0.25
 """Say of the eight neighbours against the pixel's own: a binomial kernel."""
 
@@ -41,42 +43,69 @@ def denoise_lobes(
         cameras: of the views, for the width of their photos.
         stride: spacing of the lattice of pixels, see :func:`iris_addon.surface.samples.pixel_lattice`.
     """
-    slot, pitch, n_slots = _slots(samples.view[rows], samples.pixel[rows], cameras, stride)
-    occupant = np.full(n_slots, -1, np.int32)
-    occupant[slot] = np.arange(len(rows), dtype=np.int32)
+    lattice = _Lattice.of(samples.view[rows], samples.pixel[rows], cameras, stride)
     normal, toward = samples.normal[rows], samples.direction[rows]
     reflected = 2 * dot(normal, toward)[:, None] * normal - toward
-    scale = (0.5 / (REACH * np.maximum(roughness, 0.05) ** 2) ** 2).astype(np.float32)
+    precision = (0.5 / (REACH * np.maximum(roughness, 0.05) ** 2) ** 2).astype(np.float32)
     for step in STEPS:
-        result = np.empty_like(lobes)
-
-        def work(block: slice, step: int = step, lobes: NDArray = lobes, result: NDArray = result) -> None:
-            total, norm = lobes[block].copy(), np.ones(block.stop - block.start, np.float32)
-            for down in (-1, 0, 1):
-                for across in (-1, 0, 1):
-                    if down == across == 0:
-                        continue
-                    near = occupant[slot[block] + step * (down * pitch[block] + across)]
-                    turn = reflected[near] - reflected[block]
-                    say = np.float32(CORNER if down and across else SIDE) * np.exp(-scale[block] * dot(turn, turn))
-                    say[(near < 0) | (part[near] != part[block])] = 0
-                    total += say[:, None] * lobes[near]
-                    norm += say
-            result[block] = total / norm[:, None]
-
-        over_blocks(len(rows), BLOCK // 2, work)
-        lobes = result
+        lobes = _average(lobes, lattice, step, part, reflected, precision)
     return lobes
 
 
-def _slots(
-    view: NDArray[np.integer], pixel: NDArray[np.integer], cameras: Sequence[Camera], stride: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
-    """Place of each pixel in one array of all lattices with a margin, the length of its row there, the array's size."""
-    margin = max(STEPS)
-    wide = np.array([-(-camera.width // stride) + 2 * margin for camera in cameras])
-    high = np.array([-(-camera.height // stride) + 2 * margin for camera in cameras])
-    first = np.concatenate([[0], np.cumsum(wide * high)])
-    row, column = np.divmod(pixel, np.array([camera.width for camera in cameras])[view])
-    pitch = wide[view]
-    return first[view] + (row // stride + margin) * pitch + column // stride + margin, pitch, int(first[-1])
+def _average(
+    lobes: NDArray[np.float32],
+    lattice: _Lattice,
+    step: int,
+    part: NDArray[np.integer],
+    reflected: NDArray[np.floating],
+    precision: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """One pass: the mean over a pixel and eight others, ``step`` rows and columns away."""
+    result = np.empty_like(lobes)
+
+    def work(block: slice) -> None:
+        total, norm = lobes[block].copy(), np.ones(block.stop - block.start, np.float32)
+        for down, across in NEIGHBOURS:
+            near = lattice.pixel_at(block, step * down, step * across)
+            turn = reflected[near] - reflected[block]
+            say = np.float32(CORNER if down and across else SIDE) * np.exp(-precision[block] * dot(turn, turn))
+            say[(near < 0) | (part[near] != part[block])] = 0
+            total += say[:, None] * lobes[near]
+            norm += say
+        result[block] = total / norm[:, None]
+
+    over_blocks(len(lobes), BLOCK // 2, work)
+    return result
+
+
+@dataclass(frozen=True)
+class _Lattice:
+    """Which pixel lies beside which: the lattices of all photos in one array, with a margin around each.
+
+    Attributes:
+        slot: (n,) place of each pixel in that array.
+        pitch: (n,) length of a row of its lattice there.
+        occupant: pixel at each place, -1 for none.
+    """
+
+    slot: NDArray[np.int64]
+    pitch: NDArray[np.int64]
+    occupant: NDArray[np.int32]
+
+    @staticmethod
+    def of(view: NDArray[np.integer], pixel: NDArray[np.integer], cameras: Sequence[Camera], stride: int) -> _Lattice:
+        """The lattice of pixels (n,) of views (n,)."""
+        margin = max(STEPS)
+        wide = np.array([-(-camera.width // stride) + 2 * margin for camera in cameras])
+        high = np.array([-(-camera.height // stride) + 2 * margin for camera in cameras])
+        first = np.concatenate([[0], np.cumsum(wide * high)])
+        row, column = np.divmod(pixel, np.array([camera.width for camera in cameras])[view])
+        pitch = wide[view]
+        slot = first[view] + (row // stride + margin) * pitch + column // stride + margin
+        occupant = np.full(first[-1], -1, np.int32)
+        occupant[slot] = np.arange(len(slot), dtype=np.int32)
+        return _Lattice(slot, pitch, occupant)
+
+    def pixel_at(self, block: slice, down: int, across: int) -> NDArray[np.int32]:
+        """The pixel so many rows below and columns beside each of a block, -1 where there is none."""
+        return self.occupant[self.slot[block] + down * self.pitch[block] + across]
