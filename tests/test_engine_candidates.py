@@ -8,6 +8,7 @@ import pytest
 from iris_addon.emission.candidates import (
     Brightness,
     brightness,
+    coplanar_with,
     emitting_faces,
     group_emitters,
     reflectance_needed,
@@ -122,3 +123,18 @@ def test_twins_are_tied_and_others_are_not() -> None:
     assert len(set(label.tolist())) == 3
     assert set(label.tolist()) == {0, 1, 2}
     assert len(tie_fixtures([], areas)) == 0
+
+
+def test_a_pane_goes_on_in_its_plane_and_not_around_its_edge() -> None:
+    """A row of four faces and one apart; the first is certain."""
+    adjacency = np.array([0, 1, 2]), np.array([1, 2, 3])
+    up, side = [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]
+    certain = np.array([True, False, False, False, False])
+    bright = np.array([True, True, True, True, True])
+
+    def found(normals: list[list[float]], emitting: np.ndarray) -> list[int]:
+        return np.flatnonzero(coplanar_with(certain, emitting, np.array(normals), adjacency)).tolist()
+
+    assert found([up, up, up, side, up], bright) == [0, 1, 2]
+    assert found([up, [-x for x in up], up, up, up], bright) == [0, 1, 2, 3]  # wound the other way
+    assert found([up] * 5, bright & ~np.array([False, True, False, False, False])) == [0]  # a dark face between

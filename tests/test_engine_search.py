@@ -25,7 +25,7 @@ def problem(floor: tuple[float, float, float], clipped: tuple[bool, bool, bool])
         transport=SimpleNamespace(n_seen=N_PATCHES, n_patches=N_PATCHES, kappa=np.zeros(N_PATCHES)),
         surface=SimpleNamespace(sample_patch=np.arange(N_PATCHES), count=np.ones(N_PATCHES)),
         samples=SimpleNamespace(face=PATCH_FACE),
-        tracer=SimpleNamespace(areas=np.array([2.0, 0.2, 10.0])),
+        tracer=SimpleNamespace(areas=np.array([2.0, 0.2, 10.0]), normals=np.eye(3)),
         parts=np.arange(3, dtype=np.int32),
         adjacency=(nothing, nothing),
         brightness=Brightness(value, np.where(bound > 0, np.nan, value), bound),

@@ -17,10 +17,13 @@ from numpy.typing import NDArray
 from ..response.observations import Observations, order_in_groups
 from ..response.radiance import Linearised, group_radiance
 from ..surface.parts import component_labels
+from ..transport.sampling import dot
 
 WHOLE_PART_SHARE = 0.75
 """A part of whose pixels this share emits is a lamp as a whole, the faces no photo sees included."""
 FACE_SHARE = 0.7
+COPLANAR = 0.999
+"""Cosine between the normals of faces in one plane."""
 MAX_LAMPS = 48
 MIN_PIXELS = 12
 """Fewer pixels over all photos are no evidence for a lamp."""
@@ -92,6 +95,25 @@ def emitting_faces(
     count = np.bincount(sample_face, minlength=n_faces)
     bright = np.bincount(sample_face, passed[sample_patch], n_faces)
     return (bright > FACE_SHARE * count) & (count > 0), count
+
+
+def coplanar_with(
+    certain: NDArray[np.bool_],
+    emitting: NDArray[np.bool_],
+    normals: NDArray[np.floating],
+    adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
+) -> NDArray[np.bool_]:
+    """(F,) emitting faces that continue a certain one in its plane, from edge to edge.
+
+    Of a pane's triangles some may be seen in long exposures alone, which say no more than that they are bright.
+    """
+    both = emitting[adjacency[0]] & emitting[adjacency[1]]
+    a, b = (side[both] for side in adjacency)
+    flat = np.abs(dot(normals[a], normals[b])) > COPLANAR
+    label = component_labels(len(emitting), a[flat], b[flat])
+    holds_certain = np.zeros(len(emitting), bool)
+    holds_certain[label[certain & emitting]] = True
+    return emitting & holds_certain[label]
 
 
 def whole_parts(emitting: NDArray[np.bool_], count: NDArray[np.int64], parts: NDArray[np.int32]) -> NDArray[np.bool_]:

@@ -11,7 +11,7 @@ from ..progress import Progress
 from ..response.radiance import GroupRadiance
 from ..transport.diffuse import under_lobe
 from ..transport.transport import ESCAPED
-from .candidates import Brightness, emitting_faces, group_emitters, reflectance_needed, whole_parts
+from .candidates import Brightness, coplanar_with, emitting_faces, group_emitters, reflectance_needed, whole_parts
 from .solve import (
     SEARCH_SHADOW_RAYS,
     form_factors_of,
@@ -119,6 +119,7 @@ def _candidates(problem: LightProblem, lights: Lights, new: float, old: float) -
     level = np.median(lights.irradiance[:n].mean(1))
     emitting &= emitting_faces(seen.floor.max(1) > level, patch, face, n_faces)[0]
     # A bright region of a part that otherwise reflects is a highlight or a caustic until it is far too bright for one.
+    certain = coplanar_with(certain, emitting, problem.tracer.normals, problem.adjacency)
     emitting &= certain | whole_parts(emitting, count, problem.parts)[problem.parts]
     return group_emitters(emitting, count, problem.tracer.areas, problem.parts, problem.adjacency)
 
