@@ -15,7 +15,7 @@ from iris_addon.response.curve import N_SAMPLES, Response
 from iris_addon.response.files import read_response
 from iris_addon.response.observations import SATURATED, Observations, observe, order_in_groups
 from iris_addon.response.overlap import fit_overlap
-from iris_addon.response.radiance import group_radiance, linearise
+from iris_addon.response.radiance import group_radiance, linearise, raised_by_clipped
 
 X = np.linspace(0, 1, N_SAMPLES)
 EXPOSURES = 2.0 ** np.array([-2, -1, 0, 1, 2, -1.5, 0.5, 1.5, -0.5, 0, 1, -1])
@@ -218,6 +218,25 @@ def test_what_every_photo_clips_is_a_lower_bound() -> None:
     assert found.bound == pytest.approx(np.full((2, 3), 4.0))
     assert found.radiance[0] == pytest.approx(4.0)
     assert found.radiance[1] == pytest.approx(((0.5 + 0.5 / 255) ** 2.2) / 2, rel=1e-3)
+
+
+def test_pixels_that_clip_in_the_shortest_exposure_raise_their_patch() -> None:
+    """Half of the pixels of a patch shine twice as much as the others and clip in both exposures; a patch all of
+    whose pixels the short exposure shows is left as it is, however many of the long one clipped."""
+    exposures, truth = np.array([1.0, 8.0]), curve.gamma()
+    radiance = np.array([[0.6, 1.2], [0.4, 0.4]])  # (patches, halves)
+    patch, half, view = (axis.ravel() for axis in np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"))
+    z = truth.apply(np.repeat(np.clip(radiance[patch, half] * exposures[view], 0, 1)[:, None], 3, 1))
+    shown = np.where(z >= 1, 1.0, np.floor(z * 255) / 255).astype(np.float32)
+    # Observations are means of one photo on one patch; halves seen by photos of their own.
+    view = (2 * half + view).astype(np.int16)
+    observations = observe(patch.astype(np.int32), view, shown, False, np.random.default_rng(0))
+    linear = linearise(observations, truth, np.repeat(np.tile(exposures, 2)[:, None], 3, 1))
+    o, plain = observations, np.ones(len(observations.patch))
+    found = group_radiance(linear, o.patch, o.count, 2)
+    raised = raised_by_clipped(found, linear, o.patch, o.count, plain)
+    assert found.radiance[:, 0] == pytest.approx([0.6, 0.4], rel=0.01)
+    assert raised[:, 0] == pytest.approx([0.8, 0.4], rel=0.01)  # (0.6 + bound 1) / 2 and as it was
 
 
 def test_one_sort_orders_values_within_their_groups() -> None:

@@ -17,7 +17,7 @@ from ..emission.solve import mean_radiance
 from ..emission.types import LightProblem, Lights
 from ..progress import Progress
 from ..response.observations import Observations
-from ..response.radiance import GroupRadiance, Linearised, group_radiance
+from ..response.radiance import GroupRadiance, Linearised, group_radiance, raised_by_clipped
 from ..surface.field import IrradianceField
 from ..transport.diffuse import grazing_gain
 from .diffuse_lobe import DiffuseChoice
@@ -123,7 +123,9 @@ def _cast_radiance(problem: MaterialProblem, gloss: Gloss, diffuse: GroupRadianc
     metal = (gloss.metallic[part] > 0.5)[:, None]
     own = np.where(metal, 0.0, diffuse.radiance)
     passes = _glossy_parts(gloss)[part][:, None] & (diffuse.known | metal)
-    return replace(problem.observed, radiance=np.where(passes, own, problem.observed.radiance))
+    o = problem.observations
+    matte = raised_by_clipped(problem.observed, problem.linear, o.patch, o.count, problem.view_factor(gloss))
+    return replace(problem.observed, radiance=np.where(passes, own, matte))
 
 
 def _bounce(problem: MaterialProblem, lights: Lights, gloss: Gloss, round_: int) -> GlossyBounce:

@@ -14,6 +14,8 @@ MODEL_NOISE = 0.03
 """Relative noise of an observation that no photo byte explains: interpolation, misregistration."""
 OUTLIER_LOG = 0.2
 """Log distance from a patch's mean at which a view loses half its say (a highlight that only it sees)."""
+MOST_PIXELS = 25.0
+"""Pixels of one observation beyond which it says no more: they err together."""
 CLIPPED_SHARE = 0.5
 """From this share of clipped pixels on, an observation is a lower bound."""
 
@@ -94,7 +96,7 @@ def group_radiance(
     lower = linear.bound
     if view_factor is not None:
         radiance, lower = radiance / view_factor[:, None], lower / view_factor[:, None]
-    weight = linear.open * linear.precision * np.minimum(count, 25.0)[:, None]
+    weight = linear.open * linear.precision * np.minimum(count, MOST_PIXELS)[:, None]
 
     def mean(w: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         norm = group_sums(w, group, n_groups)
@@ -107,3 +109,25 @@ def group_radiance(
     np.maximum.at(bound, group, lower)
     known = norm > 0
     return GroupRadiance(np.where(known, robust, bound), known, bound, norm.min(1) * MODEL_NOISE**2)
+
+
+def raised_by_clipped(
+    found: GroupRadiance,
+    linear: Linearised,
+    group: NDArray[np.integer],
+    count: NDArray[np.floating],
+    view_factor: NDArray[np.floating],
+) -> NDArray[np.float64]:
+    """(P, 3) radiance of matte groups, raised where clipped observations contradict the mean of the open ones.
+
+    Beside a window some pixels of a patch clip in the shortest exposure and others do not. Those that do not are its
+    darker half; an observation that clipped above their mean counts with its bound. (On a glossy patch it would be a
+    highlight.) Arguments are those of :func:`group_radiance`.
+    """
+    bound = linear.bound / view_factor[:, None]
+    say, n = np.minimum(count, MOST_PIXELS)[:, None], len(found.radiance)
+    above = np.where(bound > found.radiance[group], say, 0.0)
+    clipped, open_ = group_sums(above, group, n), group_sums(say * linear.open, group, n)
+    reached = group_sums(above * bound, group, n) / np.maximum(clipped, 1e-12)
+    share = np.where(found.known, clipped / np.maximum(open_ + clipped, 1e-12), 0.0)
+    return (1 - share) * found.radiance + share * reached
