@@ -127,7 +127,7 @@ def raised_by_clipped(
     bound = linear.bound / view_factor[:, None]
     say, n = np.minimum(count, MOST_PIXELS)[:, None], len(found.radiance)
     above = np.where(bound > found.radiance[group], say, 0.0)
-    clipped, open_ = group_sums(above, group, n), group_sums(say * linear.open, group, n)
+    clipped, open_ = group_sums(above, group, n), group_sums(np.where(linear.open, say, 0.0), group, n)
     reached = group_sums(above * bound, group, n) / np.maximum(clipped, 1e-12)
     share = np.where(found.known, clipped / np.maximum(open_ + clipped, 1e-12), 0.0)
     return (1 - share) * found.radiance + share * reached
