@@ -72,6 +72,8 @@ def test_irradiance_does_not_leak_from_a_pane_to_the_frame_before_it() -> None:
     lit = np.tile(np.where(behind, 2.5, 0.3)[:, None], 3)
     assert field.denoise(lit) == pytest.approx(lit, rel=1e-3)
     assert field.smooth(lit, 1.0) == pytest.approx(lit, rel=0.01)  # which does not know the light
+    extreme = lit * np.where(behind, 1e6, 0.0)[:, None]
+    assert field.denoise(extreme) == pytest.approx(extreme, rel=1e-3)
 
 
 def test_denoising_keeps_the_edge_of_a_shadow() -> None:

@@ -15,8 +15,8 @@ from .samples import PixelSamples
 NEIGHBOURS = 10
 NORMAL_WEIGHT = 4.0
 """Patches that face 15 degrees away count as far as one patch size away."""
-KERNEL = 0.75
-"""Standard deviation of the interpolation kernel, in patch sizes."""
+KERNEL, DENOISED = 0.75, 1.0
+"""Standard deviation of the kernel that interpolates, and of the one that takes noise off, in patch sizes."""
 PLANE_WEIGHT = 5.0
 """A patch a fifth of its size before or behind a point's plane counts as far as one patch size beside it: what lies
 parallel, like the pane behind a window's frame, is lit otherwise."""
@@ -81,23 +81,23 @@ class IrradianceField:
             weight /= weight.sum(1, keepdims=True)
         return np.einsum("pk,pkc->pc", weight, values.astype(np.float32)[near])
 
-    def denoise(self, irradiance: NDArray[np.floating], width: float = 1.0) -> NDArray[np.float32]:
+    def denoise(self, irradiance: NDArray[np.floating]) -> NDArray[np.float32]:
         """Irradiance (P, 3) averaged over those neighbours of a patch that are lit like it."""
         rows = np.arange(len(self.position))
-        weight = self._weights(self.position, self.normal, rows, width)
-        weight = _lit_alike(weight, self.neighbours, rows, irradiance, EDGE)
+        weight = self._weights(self.position, self.normal, rows, DENOISED)
+        weight = _lit_alike(weight, self.neighbours, rows, _log_level(irradiance), EDGE)
         return np.einsum("pk,pkc->pc", weight, irradiance.astype(np.float32)[self.neighbours])
 
     def at_samples(
         self, samples: PixelSamples, patch: NDArray[np.int32], values: NDArray[np.floating]
     ) -> NDArray[np.float32]:
         """(n, C) patch values (P, C) interpolated at pixels; ``patch`` (n,) is the patch each pixel lies on."""
-        table = values.astype(np.float32)
+        table, level = values.astype(np.float32), _log_level(values)
         result = np.empty((len(patch), table.shape[1]), np.float32)
 
         def work(rows: slice) -> None:
             weight = self._weights(samples.position[rows], samples.normal[rows], patch[rows], KERNEL)
-            weight = _lit_alike(weight, self.neighbours[patch[rows]], patch[rows], table, POINT_EDGE)
+            weight = _lit_alike(weight, self.neighbours[patch[rows]], patch[rows], level, POINT_EDGE)
             result[rows] = np.einsum("pk,pkc->pc", weight, table[self.neighbours[patch[rows]]])
 
         over_blocks(len(patch), BLOCK // NEIGHBOURS, work)
@@ -118,14 +118,19 @@ class IrradianceField:
         return weight / weight.sum(1, keepdims=True)
 
 
+def _log_level(irradiance: NDArray[np.floating]) -> NDArray[np.float32]:
+    """(P,) logarithm of the mean over channels."""
+    return np.log(np.maximum(irradiance.mean(1), 1e-9)).astype(np.float32)
+
+
 def _lit_alike(
     weight: NDArray[np.float32],
     near: NDArray[np.int32],
     patch: NDArray[np.integer],
-    irradiance: NDArray[np.floating],
+    level: NDArray[np.float32],
     edge: float,
 ) -> NDArray[np.float32]:
-    """Weights (n, K) of the neighbours ``near`` of patches (n,), less where irradiance (P, 3) differs."""
-    level = np.log(np.maximum(irradiance.mean(1), 1e-9)).astype(np.float32)
-    weight = weight * np.exp(-0.5 * ((level[near] - level[patch][:, None]) / np.float32(edge)) ** 2)
+    """Weights (n, K) of the neighbours ``near`` of patches (n,), less where their log irradiance (P,) differs."""
+    square = ((level[near] - level[patch][:, None]) / np.float32(edge)) ** 2
+    weight = weight * np.exp(-0.5 * np.minimum(square, 60.0))
     return weight / weight.sum(1, keepdims=True)
