@@ -23,7 +23,13 @@ FloatArray = NDArray[np.floating]
 
 DIELECTRIC_F0 = 0.04
 MIN_ROUGHNESS = 0.03  # below, α² underflows towards a perfect mirror, whose integrals no longer change
+SHARPEST = 0.05
 N_ROUGHNESS, N_COSINE, N_SAMPLES = 48, 64, 1024
+
+
+def ray_alpha(roughness: FloatArray) -> NDArray[np.float32]:
+    """GGX width of the lobes that are traced, σ²; mirrors sharper than SHARPEST are traced as that."""
+    return (np.maximum(roughness, SHARPEST) ** 2).astype(np.float32)
 
 
 def smith_g1(cosine: FloatArray, alpha: FloatArray | float) -> FloatArray:

@@ -19,6 +19,7 @@ from ..transport.gather import GatherRays, Origins, emitter_of_face
 from ..transport.sampling import ggx_directions
 from ..transport.tracer import Tracer
 from ..transport.transport import Transport, facing_normals, find_patches, lobe_at, radiance_table, table_rows
+from .ggx import ray_alpha
 from .specular_weights import visible_normal_weights
 
 
@@ -124,7 +125,7 @@ def _continue_rays(
     normal = facing_normals(tracer, face, direction)
     point = start + direction * rays.distance[row, column][:, None] + 4 * tracer.epsilon * normal
     part = parts[face]
-    alpha = np.maximum(roughness[part], 0.05).astype(np.float32) ** 2
+    alpha = ray_alpha(roughness[part])
     reflected, half_cosine = ggx_directions(normal, -direction, alpha, rng.random((len(row), 2), np.float32))
     weight0, weight1, above = visible_normal_weights(normal, reflected, half_cosine, alpha)
     hits = tracer.closest(point, np.where(above[:, None], reflected, normal))

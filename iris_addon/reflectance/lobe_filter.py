@@ -18,6 +18,7 @@ from ..capture.types import Camera
 from ..parallel import BLOCK, over_blocks
 from ..surface.samples import PixelSamples
 from ..transport.sampling import dot
+from .ggx import ray_alpha
 
 STEPS = (1, 2, 4)
 REACH = 0.6
@@ -46,7 +47,7 @@ def denoise_lobes(
     lattice = _Lattice.of(samples.view[rows], samples.pixel[rows], cameras, stride)
     normal, toward = samples.normal[rows], samples.direction[rows]
     reflected = 2 * dot(normal, toward)[:, None] * normal - toward
-    precision = (0.5 / (REACH * np.maximum(roughness, 0.05) ** 2) ** 2).astype(np.float32)
+    precision = 0.5 / (np.float32(REACH) * ray_alpha(roughness)) ** 2
     for step in STEPS:
         lobes = _average(lobes, lattice, step, part, reflected, precision)
     return lobes

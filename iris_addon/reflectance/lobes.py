@@ -18,6 +18,7 @@ from ..transport.diffuse import schlick
 from ..transport.sampling import dot, ggx_directions, r2_sequence
 from ..transport.tracer import Tracer
 from ..transport.transport import Transport, find_patches, radiance_table
+from .ggx import ray_alpha
 from .specular_weights import visible_normal_weights
 
 
@@ -88,7 +89,7 @@ def trace_lobes(
     """
     u = r2_sequence(len(rows), n_rays, rng).reshape(-1, 2)
     normals = np.repeat(samples.normal[rows], n_rays, 0)
-    alpha = np.repeat(np.maximum(roughness, 0.05) ** 2, n_rays).astype(np.float32)
+    alpha = np.repeat(ray_alpha(roughness), n_rays)
     direction, half_cosine = ggx_directions(normals, np.repeat(samples.direction[rows], n_rays, 0), alpha, u)
     weight0, weight1, above = visible_normal_weights(normals, direction, half_cosine, alpha)
     origin = np.repeat(samples.position[rows], n_rays, 0) + tracer.epsilon * normals
