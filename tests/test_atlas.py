@@ -7,17 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import Delaunay
 
 from iris_addon.capture.meshes import uv_overlap
 from iris_addon.capture.types import Mesh
-from iris_addon.surface.atlas import (
-    UNSEEN_SHARE,
-    build_atlas,
-    fill_texels,
-    rasterise_atlas,
-    texel_density_from_footprint,
-    texel_index,
-)
+from iris_addon.surface.atlas import UNSEEN_SHARE, build_atlas, texel_density_from_footprint
+from iris_addon.surface.atlas_texels import fill_texels, interpolate_uv, rasterise_atlas, texel_index
+from iris_addon.surface.rasterise import covered_texels
 from iris_addon.transport.tracer import DEGENERATE_AREA
 from tests.box_room import box_mesh
 
@@ -158,6 +154,35 @@ def test_rasterised_texels_are_the_ones_looked_up() -> None:
     found = texel_index(uv, face.ravel()[shown], barycentric.reshape(-1, 2)[shown], SIZE)
     assert np.array_equal(found, shown)
     assert len(shown) / SIZE**2 == pytest.approx(areas_of(uv).sum(), rel=0.05)
+
+
+def test_triangles_that_share_edges_cover_every_texel_once() -> None:
+    rng = np.random.default_rng(3)
+    border = np.linspace(-0.2, 1.2, 8)
+    points = np.concatenate(
+        [
+            rng.random((200, 2)),
+            *(np.column_stack(p) for e in (-0.2, 1.2) for p in ((border, 0 * border + e), (0 * border + e, border))),
+        ]
+    )
+    uv = points[Delaunay(points).simplices].astype(np.float32)
+    size = 97
+    covered = covered_texels(uv, size)
+    assert np.array_equal(np.sort(covered.texel), np.arange(size * size))
+    at = interpolate_uv(uv, covered.face, covered.barycentric)
+    centres = np.column_stack([covered.texel % size + 0.5, size - 0.5 - covered.texel // size]) / size
+    assert np.abs(at - centres).max() < 1e-5
+
+
+def test_triangles_without_texels_or_area_cover_nothing() -> None:
+    uv = np.array([[[0.5, 0.5]] * 3, [[0, 0.3], [1, 0.3], [0.5, 0.3]], [[1.1, 0], [1.3, 0], [1.2, 1]]], np.float32)
+    assert len(covered_texels(uv, 64).face) == 0
+
+
+def test_a_texel_under_two_faces_is_reported_twice() -> None:
+    square = np.array([[[0, 0], [1, 0], [1, 1]], [[0, 0], [1, 1], [0, 1]]], np.float32)
+    covered = covered_texels(np.concatenate([square, square]), 8)
+    assert (np.bincount(covered.texel) == 2).all()
 
 
 def test_row_zero_is_the_top() -> None:

@@ -154,7 +154,7 @@ def unusable_uv(uv: NDArray[np.float32]) -> str | None:
     areas = 0.5 * np.abs(edge_a[:, 0] * edge_b[:, 1] - edge_a[:, 1] * edge_b[:, 0])
     if areas.sum() < 0.01:
         return "cover almost nothing of the texture"
-    if uv_overlap(uv) > MAX_UV_OVERLAP:
+    if areas.sum() > 1 + MAX_UV_OVERLAP or uv_overlap(uv) > MAX_UV_OVERLAP:
         return "use the same place of the texture for several faces"
     return None
 

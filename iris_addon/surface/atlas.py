@@ -17,16 +17,8 @@ from ..capture.types import Mesh
 from ..transport.tracer import DEGENERATE_AREA
 from .atlas_charts import merge_faces, pool_grains, sums
 from .atlas_packing import pack
-from .atlas_texels import ROWS_AT_ONCE, fill_texels, rasterise_atlas, texel_centres, texel_index, uv_sheet
 from .parts import component_labels, edge_adjacency
-
-__all__ = [
-    "build_atlas",
-    "fill_texels",
-    "rasterise_atlas",
-    "texel_density_from_footprint",
-    "texel_index",
-]
+from .rasterise import covered_texels
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -243,33 +235,20 @@ def _place(flat: _Flat, chart: IntArray, size: int) -> NDArray[np.float32]:
 def _overlaid(uv: NDArray[np.float32], depth: FloatArray, chart: IntArray, size: int) -> NDArray[np.bool_]:
     """(F,) faces that lie under another one of their chart.
 
-    A texel is overlaid where rays from above and from below meet different faces. Faces keep their depth, so that the
-    lower turn of a spiral comes off in one piece; coplanar ones are told apart by a small height in order of index.
+    Faces keep their depth, so that the lower turn of a spiral comes off in one piece; coplanar ones are told apart by a
+    small height in order of index.
     """
-    tie = np.arange(len(uv))[:, None] / len(uv)
-    height = 1000 * depth / max(float(np.ptp(depth)), 1e-12) + 0.5 * tie
-    sheets = uv_sheet(uv, size, height)
-    balance = np.zeros(len(uv), np.int64)
-    overlaid = np.zeros(int(chart.max()) + 1, np.int64)
-    reach = float(np.abs(height).max()) + 1
-    for top in range(0, size, ROWS_AT_ONCE):
-        rows = np.arange(top, min(top + ROWS_AT_ONCE, size))
-        above, below = (
-            sheets.closest(texel_centres(rows, size, z), np.broadcast_to([0, 0, -np.sign(z)], (len(rows) * size, 3)))
-            for z in (reach, -reach)
-        )
-        differ = np.flatnonzero((above.face != below.face) & (above.face >= 0) & (below.face >= 0))
-        inner = _inside(above.barycentric[differ]) & _inside(below.barycentric[differ])
-        upper, lower = above.face[differ[inner]], below.face[differ[inner]]
-        balance += np.bincount(lower, minlength=len(uv)) - np.bincount(upper, minlength=len(uv))
-        overlaid += np.bincount(chart[lower], minlength=len(overlaid))
-    return (balance > 0) & (overlaid[chart] >= OVERLAP_TEXELS)
-
-
-def _inside(barycentric: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Hits clear of the edges, where two neighbours may both be met."""
-    u, v = barycentric[:, 0], barycentric[:, 1]
-    return np.minimum(np.minimum(u, v), 1 - u - v) > 1e-3
+    covered = covered_texels(uv, size)
+    overlaid = np.bincount(covered.texel, minlength=1)[covered.texel] > 1
+    texel, face, weights = covered.texel[overlaid], covered.face[overlaid], covered.barycentric[overlaid]
+    height = 1000 * depth / max(float(np.ptp(depth)), 1e-12) + 0.5 * np.arange(len(uv))[:, None] / len(uv)
+    of_face = height[face]
+    order = np.lexsort((of_face[:, 0] + ((of_face[:, 1:] - of_face[:, :1]) * weights).sum(1), texel))
+    texel, face = texel[order], face[order]
+    lower, upper = face[np.diff(texel, prepend=-1) != 0], face[np.diff(texel, append=-1) != 0]
+    balance = np.bincount(lower, minlength=len(uv)) - np.bincount(upper, minlength=len(uv))
+    count = np.bincount(chart[lower], minlength=int(chart.max()) + 1)
+    return (balance > 0) & (count[chart] >= OVERLAP_TEXELS)
 
 
 def _split(chart: IntArray, lower: NDArray[np.bool_], pairs: tuple[IntArray, IntArray]) -> IntArray:

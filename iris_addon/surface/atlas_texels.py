@@ -5,10 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..capture.types import Mesh
-from ..transport.tracer import Tracer
-
-ROWS_AT_ONCE = 512
+from .rasterise import covered_texels
 
 
 def interpolate_uv(
@@ -39,42 +36,18 @@ def texel_index(
 def rasterise_atlas(uv: NDArray[np.floating], size: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """What each texel centre shows.
 
-    Rays are shot at the UV triangles, which lie in a plane: a ray tracer is at hand and costs the same for a wall of
-    two triangles as for a scan of a million.
-
     Args:
         uv: (F, 3, 2) per corner, charts without overlap.
 
     Returns:
         (size, size) int32 face, -1 outside all charts, and (size, size, 2) float32 weights of its corners 1 and 2.
     """
-    flat = uv_sheet(uv, size, np.zeros(len(uv)))
-    face = np.empty((size, size), np.int32)
-    barycentric = np.empty((size, size, 2), np.float32)
-    for top in range(0, size, ROWS_AT_ONCE):
-        rows = np.arange(top, min(top + ROWS_AT_ONCE, size))
-        origins = texel_centres(rows, size, height=1.0)
-        hits = flat.closest(origins, np.broadcast_to(np.array([0, 0, -1], np.float32), origins.shape))
-        face[rows] = hits.face.reshape(len(rows), size)
-        barycentric[rows] = hits.barycentric.reshape(len(rows), size, 2)
-    return face, barycentric
-
-
-def uv_sheet(uv: NDArray[np.floating], size: int, height: NDArray[np.floating]) -> Tracer:
-    """Tracer of the UV triangles in texels, x to the right and y = v up, each at its own ``height``.
-
-    Args:
-        height: (F,) or (F, 3) per corner.
-    """
-    z = np.broadcast_to(np.reshape(height, (len(uv), -1)), (len(uv), 3))
-    corners = np.concatenate([uv.astype(np.float64) * size, z[..., None]], -1).reshape(-1, 3)
-    return Tracer(Mesh(corners, np.arange(len(corners)).reshape(-1, 3)))
-
-
-def texel_centres(rows: NDArray[np.integer], size: int, height: float) -> NDArray[np.float32]:
-    """(len(rows) * size, 3) centres of the texels of image rows ``rows`` in the frame of :func:`uv_sheet`."""
-    x, y = np.meshgrid(np.arange(size) + 0.5, size - 0.5 - rows)
-    return np.stack([x, y, np.full_like(x, height)], -1).reshape(-1, 3).astype(np.float32)
+    covered = covered_texels(uv, size)
+    face = np.full(size * size, -1, np.int32)
+    barycentric = np.zeros((size * size, 2), np.float32)
+    face[covered.texel] = covered.face
+    barycentric[covered.texel] = covered.barycentric
+    return face.reshape(size, size), barycentric.reshape(size, size, 2)
 
 
 def fill_texels(values: NDArray[np.floating], known: NDArray[np.bool_]) -> NDArray[np.float32]:
