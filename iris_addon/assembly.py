@@ -14,12 +14,14 @@ from .compute import peak_memory_bytes
 from .config import SolveConfig
 from .emission.backdrop import fit_backdrop
 from .emission.types import LightProblem, Lights
+from .parallel import BLOCK, over_blocks
 from .photo_samples import PhotoSamples
 from .photometry import Photometry
 from .progress import Progress
 from .reflectance.bake import pixel_albedo, pixel_weight
 from .reflectance.ggx import DIELECTRIC_F0
 from .reflectance.gloss import Gloss
+from .reflectance.light_moments import light_moments
 from .reflectance.materials import MaterialProblem, scene_of, smooth_irradiance
 from .reflectance.specular import pixel_lobes, subtract_specular
 from .reflectance.textures import make_textures
@@ -27,7 +29,7 @@ from .result.types import Emitter, OutsideLight, Result
 from .surface.atlas import build_atlas, texel_density_from_footprint
 from .surface.build import Surface
 from .surface.samples import PixelSamples, as_picture
-from .transport.diffuse import grazing_gain, schlick
+from .transport.diffuse import schlick
 from .transport.tracer import Tracer
 from .transport.transport import Transport
 
@@ -66,8 +68,7 @@ def make_result(
     metallic = gloss.metallic[part]
     specular = subtract_specular(ls0, ls1, metallic)
     linear = photometry.linearise_pixels(photos.z, samples.view)
-    view_factor = 1 + grazing_gain(problem.diffuse.lobe, gloss.roughness[part]) * schlick(samples.cosine)
-    diffuse_light = irradiance * view_factor[:, None].astype(np.float32)
+    diffuse_light = irradiance * _view_factor(problem, lights, gloss.roughness[part], samples)[:, None]
     albedo = pixel_albedo(linear.radiance, specular, ls0, diffuse_light, metallic)
     weight = pixel_weight(samples.cosine, samples.footprint, irradiance, specular) * linear.open * linear.precision
     weight /= np.median(weight[weight > 0])
@@ -105,6 +106,22 @@ def make_result(
         capture.up,
     )
     return result, _rerenders(capture, samples, explained)
+
+
+def _view_factor(
+    problem: MaterialProblem, lights: Lights, roughness: NDArray[np.floating], samples: PixelSamples
+) -> NDArray[np.float32]:
+    """(n,) factor of the diffuse lobe of ``roughness`` (n,) towards the camera of each pixel."""
+    factor = np.ones(len(roughness), np.float32)
+    if problem.diffuse.lobe == "burley":
+        moments, patch = light_moments(problem.light, lights), problem.light.surface.sample_patch
+
+        def work(rows: slice) -> None:
+            angle, toward = schlick(samples.cosine[rows]), samples.direction[rows]
+            factor[rows] = moments.view_factor(patch[rows], roughness[rows], angle, toward)
+
+        over_blocks(len(factor), BLOCK, work)
+    return factor
 
 
 def _rerenders(

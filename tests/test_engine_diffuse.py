@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 
+from iris_addon.emission.hidden import nothing_hidden
+from iris_addon.emission.types import LightProblem, Lights
 from iris_addon.progress import Progress
 from iris_addon.reflectance.diffuse_lobe import choose_diffuse
+from iris_addon.reflectance.light_moments import LightMoments, light_moments
 from iris_addon.response.observations import Observations
 from iris_addon.response.radiance import Linearised
 from iris_addon.surface.build import build_surface
+from iris_addon.surface.field import IrradianceField
 from iris_addon.surface.samples import trace_pixels
 from iris_addon.transport.diffuse import MEAN_SCHLICK, albedo_gain, grazing_gain, schlick, under_lobe
 from iris_addon.transport.gather import Origins, emitter_form_factors, gather
@@ -81,6 +89,71 @@ def test_uniform_radiance_arrives_with_the_mean_factor_of_both_lobes() -> None:
     both = (1 + 0.64 * transport.rays.schlick_start) * (1 + 0.64 * transport.rays.schlick_end * (transport.target >= 0))
     np.testing.assert_allclose(lobed[: transport.n_seen, 0], both.mean(1), rtol=2e-3)
     assert 1.02 < lobed.mean() < 1.12
+
+
+def unit(x: np.ndarray) -> np.ndarray:
+    return x / np.linalg.norm(x, axis=-1, keepdims=True)
+
+
+@pytest.mark.parametrize("roughness", [0.1, 0.5, 1.0])
+@pytest.mark.parametrize("tilt", [0.0, 0.8, 1.3])
+def test_moments_of_light_give_burleys_lobe_from_every_side(roughness: float, tilt: float) -> None:
+    """Light from around one direction, up to near the horizon, seen from all around."""
+    rng = np.random.default_rng(0)
+    toward_lamp = np.array([np.sin(tilt), 0, np.cos(tilt)])
+    light = unit(toward_lamp + 0.3 * rng.normal(size=(4000, 3)))
+    light = light[light[:, 2] > 0.02]
+    views = unit(rng.normal(size=(300, 3)))
+    views = views[views[:, 2] > 0.15]
+    s_light, s_view = schlick(light[:, 2]), schlick(views[:, 2])
+    weight = light[:, 2] / light[:, 2].sum()  # radiance 1 everywhere: irradiance goes by the cosine
+    moments = LightMoments((weight @ light)[None], np.array([weight @ s_light]), (weight * s_light)[None] @ light)
+    k = roughness * (1 + views @ light.T) - 0.5
+    exact = (1 + k * s_light) * (1 + k * s_view[:, None]) @ weight
+    under_lobe_ = 1 + grazing_gain("burley", np.array(roughness)) * (weight @ s_light)
+    patch = np.zeros(len(views), int)
+    found = moments.view_factor(patch, roughness, s_view, views) * under_lobe_
+    np.testing.assert_allclose(found, exact, rtol=0.04, atol=0.01)
+    mean_angle = (1 + grazing_gain("burley", np.array(roughness)) * s_view) * under_lobe_
+    if roughness == 1 and tilt > 1:  # what the moments are for
+        assert np.abs(mean_angle / exact - 1).max() > 4 * np.abs(found / exact - 1).max()
+
+
+def test_moments_of_a_room() -> None:
+    """In uniform radiance those of the cosine-weighted hemisphere; under a lamp in the dark its direction."""
+    room = furnished_room()
+    tracer, rng = Tracer(room.mesh), np.random.default_rng(0)
+    samples = trace_pixels(tracer, cameras(12), 1, Progress())
+    surface = build_surface(room.mesh, samples, room.parts, 2000, rng)
+    transport = build_transport(tracer, surface, room.parts, 256, rng, Progress())
+    n, seen = transport.n_patches, transport.n_seen
+    field = IrradianceField.build(surface)
+    problem = cast(
+        LightProblem,
+        SimpleNamespace(transport=transport, hidden=nothing_hidden(transport), field=field, tracer=tracer),
+    )
+    nowhere = np.zeros(len(room.parts), bool)
+    uniform = Lights(
+        [], np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros((n, 0, 2), np.float32), nowhere,
+        np.ones((n, 3)), np.ones((n, 3)),
+    )  # fmt: skip
+    moments = light_moments(problem, uniform)
+    along = (moments.direction * field.normal).sum(1)
+    assert np.median(along) == pytest.approx(2 / 3, abs=0.02)
+    assert np.median(moments.grazing) == pytest.approx(MEAN_SCHLICK, rel=0.1)
+
+    lamp = room.lamps()[0]
+    factors = np.tile(np.array([0.01, 0.001], np.float32), (n, 1, 1))
+    one = replace(
+        uniform, emitters=[lamp], radiance=np.full((1, 3), 5.0), form_factors=factors, patch_radiance=np.zeros((n, 3))
+    )
+    moments = light_moments(problem, one)
+    centre = np.average(tracer.corners[lamp].mean(1), axis=0, weights=tracer.areas[lamp])
+    far = np.linalg.norm(centre - field.position, axis=1) > 1.5
+    agree = (unit(centre - field.position) * unit(moments.direction)).sum(1)[far]
+    assert agree.min() > 0.98
+    np.testing.assert_allclose(moments.grazing[:seen], 0.1, rtol=1e-4)
+    np.testing.assert_allclose(moments.grazing_direction, 0.1 * moments.direction, atol=1e-4)
 
 
 @pytest.mark.parametrize("lobe", ["lambert", "burley"])

@@ -82,7 +82,7 @@ def trace_highlights(problem: MaterialProblem, lights: Lights, gloss: Gloss, rng
     mixed = (o.saturated[rows] > 0).any(1) & ~(o.saturated[rows] > CLIPPED_SHARE).any(1)
     return Highlights(
         np.concatenate([patch, np.zeros(len(lamp), np.int64)]),
-        np.concatenate([problem.view_factor(gloss)[glossy], none[:, 0]]),
+        np.concatenate([problem.view_factor(lights, gloss.roughness[problem.part[glossy]], glossy), none[:, 0]]),
         o.view[rows].astype(np.int64),
         np.minimum(o.z[rows].astype(np.float64) + 0.5 / 255, 1.0),
         o.saturated[rows] > CLIPPED_SHARE,

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from .ggx import DIELECTRIC_F0
 from .gloss_cost import LobeHalves, PartFits
 
 LEVELS = (0.1, 0.2, 0.32, 0.5, 0.7, 1.0)
@@ -28,6 +29,8 @@ MAX_OBSERVATIONS = 500
 GAIN_NEEDED = 0.01
 """Relative fall of the robust residual that a gloss must bring over the rough dielectric."""
 METAL_GAIN_NEEDED = 0.15
+MAX_METAL = 0.95
+"""Brightest specular colour."""
 NEAR = 1.0
 """Metres over which parts of like albedo are taken for pieces of one material."""
 LIKE = 0.05
@@ -43,26 +46,34 @@ class Gloss:
 
     Attributes:
         roughness, metallic: (n_parts,).
+        specular: (n_parts, 3) reflectance at normal incidence: 4 %, or a metal's colour.
         decided: (n_parts,) bool, the photos decided; elsewhere the default stands.
     """
 
     roughness: NDArray[np.float64]
     metallic: NDArray[np.float64]
+    specular: NDArray[np.float64]
     decided: NDArray[np.bool_]
 
     def arrays(self) -> dict[str, NDArray]:
         """Plain arrays for a checkpoint."""
-        return {"roughness": self.roughness, "metallic": self.metallic, "decided": self.decided}
+        return {
+            "roughness": self.roughness,
+            "metallic": self.metallic,
+            "specular": self.specular,
+            "decided": self.decided,
+        }
 
     @staticmethod
     def from_arrays(arrays: dict[str, NDArray]) -> Gloss:
         """Inverse of :meth:`arrays`."""
-        return Gloss(arrays["roughness"], arrays["metallic"], arrays["decided"])
+        return Gloss(arrays["roughness"], arrays["metallic"], arrays["specular"], arrays["decided"])
 
 
 def rough_everywhere(n_parts: int) -> Gloss:
     """The null hypothesis."""
-    return Gloss(np.ones(n_parts), np.zeros(n_parts), np.zeros(n_parts, bool))
+    specular = np.full((n_parts, 3), DIELECTRIC_F0)
+    return Gloss(np.ones(n_parts), np.zeros(n_parts), specular, np.zeros(n_parts, bool))
 
 
 def choose_observations(
@@ -105,6 +116,7 @@ class _Costs:
 
     Attributes:
         plastic, metal: (k, levels) relative to the rough dielectric.
+        colour: (k, levels, 3) specular colour of the metal.
         count: (k,) observations.
         centre: (k, 3) metres.
         log_albedo: (k, 3).
@@ -113,6 +125,7 @@ class _Costs:
     ids: NDArray[np.integer]
     plastic: NDArray[np.float64]
     metal: NDArray[np.float64]
+    colour: NDArray[np.float64]
     count: NDArray[np.float64]
     centre: NDArray[np.float64]
     log_albedo: NDArray[np.float64]
@@ -147,8 +160,8 @@ def fit_gloss(observed: GlossObservations, n_parts: int, forced: bool | None = N
     gloss = rough_everywhere(n_parts)
     costs = None if forced is False else _part_costs(observed)
     if costs is not None:
-        for label, plastic, metal, count in zip(costs.ids, *costs.pooled(), strict=True):
-            _decide(gloss, int(label), plastic, metal, 0.0 if forced else 1.0 + FEW / count)
+        for label, colour, plastic, metal, count in zip(costs.ids, costs.colour, *costs.pooled(), strict=True):
+            _decide(gloss, int(label), plastic, metal, colour, 0.0 if forced else 1.0 + FEW / count)
     return gloss
 
 
@@ -164,30 +177,40 @@ def _part_costs(observed: GlossObservations) -> _Costs | None:
     _, one, patch = np.unique(o.patch[rows], return_index=True, return_inverse=True)
     part = np.repeat(np.arange(len(pieces)), count[enough])[one]
     fits = PartFits(patch, part, o.weight[rows], o.radiance[rows], np.maximum(o.irradiance[rows], 1e-5))
-    plastic, metal = np.empty((len(pieces), len(LEVELS))), np.empty((len(pieces), len(LEVELS)))
+    plastic, metal = np.empty((2, len(pieces), len(LEVELS)))
+    colour = np.empty((len(pieces), len(LEVELS), 3))
     for level, halves in enumerate(o.lobes):
         chosen = [(s0[rows], s1[rows]) for s0, s1 in halves]
         plastic[:, level] = fits.dielectric(o.diffuse[level][rows], chosen)
-        metal[:, level] = fits.metal(LEVELS[level], chosen)
+        metal[:, level], colour[:, level] = fits.metal(LEVELS[level], chosen)
     null = np.maximum(plastic[:, -1:], MIN_COST)
     log_albedo = np.log(np.maximum(o.radiance, 1e-4) / np.maximum(o.irradiance, 1e-4))
     return _Costs(
         ids[enough],
         plastic / null,
         metal / null,
+        colour,
         count[enough].astype(np.float64),
         np.stack([o.position[rows].mean(0) for rows in pieces]),
         np.stack([np.median(log_albedo[rows], axis=0) for rows in pieces]),
     )
 
 
-def _decide(gloss: Gloss, label: int, plastic: NDArray[np.float64], metal: NDArray[np.float64], caution: float) -> None:
+def _decide(
+    gloss: Gloss,
+    label: int,
+    plastic: NDArray[np.float64],
+    metal: NDArray[np.float64],
+    colour: NDArray[np.float64],
+    caution: float,
+) -> None:
     """Write the simplest material that explains the part about as well as any; ``caution`` scales the gains needed."""
     best_metal, best_plastic = float(metal.min()), float(plastic.min())
     gloss.decided[label] = True
     if best_metal < (1 - caution * METAL_GAIN_NEEDED) * best_plastic:
         gloss.metallic[label] = 1.0
         gloss.roughness[label] = _interpolate_minimum(metal)
+        gloss.specular[label] = np.clip(colour[int(np.argmin(metal))], DIELECTRIC_F0, MAX_METAL)
     elif best_plastic < (1 - caution * GAIN_NEEDED) * plastic[-1] and (not caution or _shows_highlight(plastic)):
         gloss.roughness[label] = _interpolate_minimum(plastic)
 

@@ -35,27 +35,32 @@ class PartFits:
         light = self.irradiance * diffuse[:, None]
         return self._cost(*(self._residuals(self.radiance - DIELECTRIC_F0 * s0 - s1, light) for s0, s1 in halves))
 
-    def metal(self, roughness: float, halves: LobeHalves) -> NDArray[np.float64]:
-        """(k,) robust cost with the specular colour free per patch and no diffuse part.
+    def metal(self, roughness: float, halves: LobeHalves) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(k,) robust cost with the specular colour free per patch and no diffuse part, (k, 3) that colour's median.
 
         A wide lobe of few rays meets a lamp or misses it, and a metal has nothing else to send: such a cost keeps the
         noise in it, which speaks against the metal.
         """
+        mean = np.mean([s0 for s0, _ in halves], axis=0), np.mean([s1 for _, s1 in halves], axis=0)
         if roughness >= WIDE:
-            halves = [(np.mean([s0 for s0, _ in halves], axis=0), np.mean([s1 for _, s1 in halves], axis=0))] * 2
-        return self._cost(*(self._residuals(self.radiance - s1, np.maximum(s0, 1e-5)) for s0, s1 in halves))
+            halves = [mean] * 2
+        cost = self._cost(*(self._residuals(self.radiance - s1, np.maximum(s0, 1e-5)) for s0, s1 in halves))
+        return cost, self._medians(self._albedo(self.radiance - mean[1], np.maximum(mean[0], 1e-5)))
 
     def _residuals(
         self, explained: NDArray[np.floating], per_albedo: NDArray[np.floating]
     ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
         """Residual of radiance relative to itself (m, 3): between the views of a patch, and between patches."""
-        n = len(self.part)
-        w = self.weight[:, None]
-        total = group_sums(w * per_albedo, self.patch, n)
-        albedo = np.clip(group_sums(w * explained, self.patch, n) / np.maximum(total, 1e-9), 0.0, 1.2)
+        albedo = self._albedo(explained, per_albedo)
         scale = np.maximum(self.radiance, 1e-4)
         views = (albedo[self.patch] * per_albedo - explained) / scale
         return views, (self._medians(albedo)[self.part[self.patch]] * per_albedo - explained) / scale
+
+    def _albedo(self, explained: NDArray[np.floating], per_albedo: NDArray[np.floating]) -> NDArray[np.float64]:
+        """(n, 3) diffuse albedo or specular colour of each patch, least squares over its views."""
+        n, w = len(self.part), self.weight[:, None]
+        total = group_sums(w * per_albedo, self.patch, n)
+        return np.clip(group_sums(w * explained, self.patch, n) / np.maximum(total, 1e-9), 0.0, 1.2)
 
     def _medians(self, values: NDArray[np.floating]) -> NDArray[np.float64]:
         """(k, C) median of the patches' values (n, C) per part."""

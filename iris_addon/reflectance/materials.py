@@ -21,9 +21,9 @@ from ..response.radiance import GroupRadiance, Linearised, group_radiance, raise
 from ..surface.field import IrradianceField
 from ..transport.diffuse import grazing_gain
 from .diffuse_lobe import DiffuseChoice
-from .ggx import DIELECTRIC_F0
 from .gloss import FIT_RAYS, LEVELS, Gloss, GlossObservations, choose_observations, fit_gloss
 from .glossy_bounce import GlossyBounce, trace_glossy_bounce
+from .light_moments import light_moments
 from .lobes import LobeRays, lobe_cache
 from .specular import Scene, rough_lobes, specular_lobes, subtract_specular
 
@@ -57,9 +57,17 @@ class MaterialProblem:
     seed: int
     gloss: bool | None = None
 
-    def view_factor(self, gloss: Gloss) -> NDArray[np.float64]:
-        """(M,) factor by which the diffuse lobe of each observation's part differs from Lambert towards its camera."""
-        return 1 + grazing_gain(self.diffuse.lobe, gloss.roughness)[self.part] * self.schlick
+    def view_factor(
+        self, lights: Lights, roughness: NDArray[np.floating], rows: NDArray[np.integer] | slice = slice(None)
+    ) -> NDArray[np.floating]:
+        """Factor by which the diffuse lobe differs from Lambert's towards the camera of each of the observations
+        ``rows``, (m,), under ``lights`` and for any ``roughness`` (..., m)."""
+        o = self.observations
+        patch, sample = o.patch[rows], o.sample[rows]
+        if self.diffuse.lobe == "lambert":
+            return np.ones((*roughness.shape[:-1], len(patch)))
+        moments = light_moments(self.light, lights)
+        return moments.view_factor(patch, roughness, self.schlick[rows], self.light.samples.direction[sample])
 
     def with_gloss(self, gloss: Gloss) -> MaterialProblem:
         """The same problem between patches whose diffuse lobes have the roughness of ``gloss``."""
@@ -92,20 +100,15 @@ def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progr
     gloss = fit.gloss(problem, lights)
     for round_ in range(rounds):
         specular = _observed_specular(problem, lights, gloss, round_, progress)
-        diffuse = group_radiance(
-            problem.linear,
-            problem.observations.patch,
-            problem.observations.count,
-            len(problem.observed.weight),
-            specular,
-            problem.view_factor(gloss),
-        )
-        seen = brightness(problem.observations, problem.linear, len(problem.observed.weight), specular)
+        o, n_patches = problem.observations, len(problem.observed.weight)
+        view_factor = problem.view_factor(lights, gloss.roughness[problem.part])
+        diffuse = group_radiance(problem.linear, o.patch, o.count, n_patches, specular, view_factor)
+        seen = brightness(o, problem.linear, n_patches, specular)
         problem = problem.with_gloss(gloss)
-        bounce = _bounce(problem, lights, gloss, round_)
+        bounce = _bounce(problem, gloss, round_)
         light_problem = replace(problem.light, brightness=seen, bounce=bounce)
         say = _say(problem, gloss, diffuse)
-        cast = _cast_radiance(problem, gloss, diffuse)
+        cast = _cast_radiance(problem, gloss, diffuse, view_factor)
         lights = refine_lights(light_problem, cast, lights, say, diffuse.radiance, progress)
         gloss = fit.gloss(problem, lights)
         progress.update((round_ + 1) / rounds)
@@ -117,30 +120,25 @@ def _glossy_parts(gloss: Gloss) -> NDArray[np.bool_]:
     return gloss.roughness <= PASSED_ON
 
 
-def _cast_radiance(problem: MaterialProblem, gloss: Gloss, diffuse: GroupRadiance) -> GroupRadiance:
+def _cast_radiance(
+    problem: MaterialProblem, gloss: Gloss, diffuse: GroupRadiance, view_factor: NDArray[np.floating]
+) -> GroupRadiance:
     """What patches cast on others themselves: as seen where matte, the diffuse part alone where paths go on."""
     part = problem.light.transport.part[: len(diffuse.weight)]
     metal = (gloss.metallic[part] > 0.5)[:, None]
     own = np.where(metal, 0.0, diffuse.radiance)
     passes = _glossy_parts(gloss)[part][:, None] & (diffuse.known | metal)
     o = problem.observations
-    matte = raised_by_clipped(problem.observed, problem.linear, o.patch, o.count, problem.view_factor(gloss))
+    matte = raised_by_clipped(problem.observed, problem.linear, o.patch, o.count, view_factor)
     return replace(problem.observed, radiance=np.where(passes, own, matte))
 
 
-def _bounce(problem: MaterialProblem, lights: Lights, gloss: Gloss, round_: int) -> GlossyBounce:
+def _bounce(problem: MaterialProblem, gloss: Gloss, round_: int) -> GlossyBounce:
     """Continued paths under the materials of this round."""
-    color = np.full((len(gloss.roughness), 3), DIELECTRIC_F0)
-    n = problem.light.transport.n_seen
-    part = problem.light.transport.part[:n]
-    # A metal's colour: what it was seen to send over what the hemisphere sends it.
-    reflectance = problem.observed.radiance / np.maximum(lights.irradiance[:n], 1e-6)
-    for label in np.flatnonzero(gloss.metallic > 0.5):
-        color[label] = np.clip(np.median(reflectance[part == label], axis=0), 0.05, 0.95)
     rng = np.random.default_rng([problem.seed, 37, round_])
     light = problem.light
     return trace_glossy_bounce(
-        light.tracer, light.transport, light.parts, gloss.roughness, color, _glossy_parts(gloss), rng
+        light.tracer, light.transport, light.parts, gloss.roughness, gloss.specular, _glossy_parts(gloss), rng
     )
 
 
@@ -215,7 +213,7 @@ class _GlossFit:
         # The widest lobes come from irradiance, as everywhere.
         rough = LEVELS[len(FIT_RAYS) :]
         lobes += [[rough_lobes(np.full(len(at), level), samples.cosine[at], local)] * 2 for level in rough]
-        diffuse = 1 + grazing_gain(problem.diffuse.lobe, np.array(LEVELS))[:, None] * problem.schlick[self.rows]
+        diffuse = problem.view_factor(lights, np.array(LEVELS)[:, None], self.rows)
         observed = GlossObservations(
             problem.part[self.rows],
             o.patch[self.rows],

@@ -81,12 +81,19 @@ class IrradianceField:
             weight /= weight.sum(1, keepdims=True)
         return np.einsum("pk,pkc->pc", weight, values.astype(np.float32)[near])
 
-    def denoise(self, irradiance: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Irradiance (P, 3) averaged over those neighbours of a patch that are lit like it."""
+    def denoise(
+        self, values: NDArray[np.floating], irradiance: NDArray[np.floating] | None = None
+    ) -> NDArray[np.float32]:
+        """Values (P, C) averaged over those neighbours of a patch that are lit like it.
+
+        Args:
+            irradiance: (P, 3) by which that is told; by default the values are irradiance themselves.
+        """
+        lit = values if irradiance is None else irradiance
         rows = np.arange(len(self.position))
         weight = self._weights(self.position, self.normal, rows, DENOISED)
-        weight = _lit_alike(weight, self.neighbours, rows, _log_level(irradiance), EDGE)
-        return np.einsum("pk,pkc->pc", weight, irradiance.astype(np.float32)[self.neighbours])
+        weight = _lit_alike(weight, self.neighbours, rows, _log_level(lit), EDGE)
+        return np.einsum("pk,pkc->pc", weight, values.astype(np.float32)[self.neighbours])
 
     def at_samples(
         self, samples: PixelSamples, patch: NDArray[np.int32], values: NDArray[np.floating]

@@ -1,0 +1,111 @@
+"""Burley's diffuse lobe towards a camera, given where the light comes from.
+
+Light transport takes the lobe apart into a factor of the light and one of the view, with a mean for the angle between
+the two (:mod:`iris_addon.transport.diffuse`). Photos are more exact than that: a wall is brighter seen from where its
+light comes from than seen against it, by a few per cent at grazing angles. Rooms are photographed from the middle, so
+that this is a trend between walls near the windows and far from them, which a light balance takes for weaker windows.
+The exact lobe is linear in the direction of light, cos²θd being (1 + l·v) / 2: a few sums over the light of a patch
+serve all its views.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..emission.solve import mean_radiance
+from ..emission.types import LightProblem, Lights
+from ..parallel import BLOCK, over_blocks
+from ..transport.diffuse import grazing_gain
+from ..transport.sampling import dot
+from ..transport.transport import radiance_table, table_rows
+
+
+@dataclass(frozen=True)
+class LightMoments:
+    """Means over the light that reaches each seen patch, weighted by what it adds to irradiance.
+
+    Attributes:
+        direction: (P, 3) mean of l, the unit vector towards the light.
+        grazing: (P,) mean of S, Schlick's (1 - cos θi)^5.
+        grazing_direction: (P, 3) mean of S l.
+    """
+
+    direction: NDArray[np.float32]
+    grazing: NDArray[np.float32]
+    grazing_direction: NDArray[np.float32]
+
+    def view_factor(
+        self,
+        patch: NDArray[np.integer],
+        roughness: NDArray[np.floating] | float,
+        schlick: NDArray[np.floating],
+        toward: NDArray[np.floating],
+    ) -> NDArray[np.float32]:
+        """(n,) factor of the view: what Burley's lobe sends a camera over the albedo times the irradiance / pi.
+
+        The irradiance is that of the patch under its lobe, ``1 + κ S``. The product of both S is small; in it the mean
+        angle stays.
+
+        Args:
+            patch: (n,) patch that each view sees.
+            roughness: (n,), or one for all.
+            schlick: (n,) S of the direction to the camera.
+            toward: (n, 3) unit vectors to the camera.
+        """
+        grazing, k = self.grazing[patch], roughness - 0.5
+        kappa = grazing_gain("burley", np.asarray(roughness))
+        light = 1 + k * grazing + roughness * dot(self.grazing_direction[patch], toward)
+        view = k + roughness * dot(self.direction[patch], toward) + kappa**2 * grazing
+        return ((light + schlick * view) / (1 + kappa * grazing)).astype(np.float32)
+
+
+def light_moments(problem: LightProblem, lights: Lights) -> LightMoments:
+    """Moments of the light of other patches and of the lamps.
+
+    A lamp counts as one point, its centre. Light from outside and by way of glossy surfaces is left to have the mean
+    direction of the rest.
+    """
+    sums = _gathered(problem, lights) + _of_lamps(problem, lights)
+    lit = lights.irradiance[: len(sums)]
+    sums = problem.field.denoise(sums, lit)
+    total = np.maximum(sums[:, :1], 1e-12)
+    # Nothing is known of the light of a patch that no ray found any for; it comes from ahead.
+    ahead = np.where(sums[:, :1] > 0, sums[:, 2:5] / total, problem.field.normal)
+    return LightMoments(ahead, sums[:, 1] / total[:, 0], sums[:, 5:] / total)
+
+
+def _gathered(problem: LightProblem, lights: Lights) -> NDArray[np.float32]:
+    """(P, 8) sums over the gather rays: light, light times S, and both times its direction."""
+    t, hidden = problem.transport, problem.hidden
+    radiance = lights.patch_radiance.copy()
+    for part, value in zip(hidden.parts, lights.hidden_radiance, strict=False):
+        radiance[hidden.on_hidden & (t.part == part)] = value
+    table = radiance_table(radiance, mean_radiance(lights.patch_radiance, problem)).mean(1)
+    sums = np.empty((t.n_seen, 8), np.float32)
+    n_rays = t.target.shape[1]
+
+    def work(rows: slice) -> None:
+        light = table[table_rows(t.target[rows], t.rays.face[rows], lights.mask)] / np.float32(n_rays)
+        both = np.stack([light, light * t.rays.schlick_start[rows]], 1)
+        sums[rows, :2] = both.sum(2)
+        sums[rows, 2:] = np.matmul(both, t.rays.direction[rows].astype(np.float32)).reshape(-1, 6)
+
+    over_blocks(t.n_seen, BLOCK // n_rays, work)
+    return sums
+
+
+def _of_lamps(problem: LightProblem, lights: Lights) -> NDArray[np.float32]:
+    """(P, 8) the same sums over the lamps."""
+    position, tracer = problem.field.position, problem.tracer
+    sums = np.zeros((len(position), 8), np.float32)
+    for k, faces in enumerate(lights.emitters):
+        centre = np.average(tracer.corners[faces].mean(1), axis=0, weights=tracer.areas[faces])
+        toward = (centre - position).astype(np.float32)
+        toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-6)
+        cast = lights.form_factors[: len(position), k] * np.float32(lights.radiance[k].mean())
+        sums[:, :2] += cast
+        sums[:, 2:] += (cast[:, :, None] * toward[:, None]).reshape(-1, 6)
+    return sums
