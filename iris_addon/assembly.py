@@ -21,8 +21,8 @@ from .progress import Progress
 from .reflectance.bake import pixel_albedo, pixel_weight
 from .reflectance.ggx import DIELECTRIC_F0
 from .reflectance.gloss import Gloss
-from .reflectance.light_moments import light_moments
-from .reflectance.materials import MaterialProblem, scene_of, smooth_irradiance
+from .reflectance.materials import MaterialProblem, scene_of
+from .reflectance.shading import Shading
 from .reflectance.specular import pixel_lobes, subtract_specular
 from .reflectance.textures import make_textures
 from .result.types import Emitter, OutsideLight, Result
@@ -53,7 +53,8 @@ def make_result(
     """Albedo per pixel, fused on the atlas; the result put together, and a few photos as it explains them."""
     samples, light = photos.samples, problem.light
     part = light.parts[samples.face]
-    irradiance = light.field.at_samples(samples, light.surface.sample_patch, smooth_irradiance(light.field, lights))
+    shading = problem.shading(lights)
+    irradiance = light.field.at_samples(samples, light.surface.sample_patch, shading.irradiance)
     ls0, ls1 = pixel_lobes(
         scene_of(light, lights),
         gloss,
@@ -68,7 +69,8 @@ def make_result(
     metallic = gloss.metallic[part]
     specular = subtract_specular(ls0, ls1, metallic)
     linear = photometry.linearise_pixels(photos.z, samples.view)
-    diffuse_light = irradiance * _view_factor(problem, lights, gloss.roughness[part], samples)[:, None]
+    view_factor = _view_factor(shading, light.surface.sample_patch, gloss.roughness[part], samples)
+    diffuse_light = irradiance * view_factor[:, None]
     albedo = pixel_albedo(linear.radiance, specular, ls0, diffuse_light, metallic)
     weight = pixel_weight(samples.cosine, samples.footprint, irradiance, specular) * linear.open * linear.precision
     weight /= np.median(weight[weight > 0])
@@ -109,18 +111,16 @@ def make_result(
 
 
 def _view_factor(
-    problem: MaterialProblem, lights: Lights, roughness: NDArray[np.floating], samples: PixelSamples
+    shading: Shading, patch: NDArray[np.integer], roughness: NDArray[np.floating], samples: PixelSamples
 ) -> NDArray[np.float32]:
     """(n,) factor of the diffuse lobe of ``roughness`` (n,) towards the camera of each pixel."""
-    factor = np.ones(len(roughness), np.float32)
-    if problem.diffuse.lobe == "burley":
-        moments, patch = light_moments(problem.light, lights), problem.light.surface.sample_patch
+    factor = np.empty(len(patch), np.float32)
 
-        def work(rows: slice) -> None:
-            angle, toward = schlick(samples.cosine[rows]), samples.direction[rows]
-            factor[rows] = moments.view_factor(patch[rows], roughness[rows], angle, toward)
+    def work(rows: slice) -> None:
+        angle, toward = schlick(samples.cosine[rows]), samples.direction[rows]
+        factor[rows] = shading.view_factor(patch[rows], roughness[rows], angle, toward)
 
-        over_blocks(len(factor), BLOCK, work)
+    over_blocks(len(patch), BLOCK, work)
     return factor
 
 

@@ -16,7 +16,8 @@ from .emission.types import Lights
 from .imaging import to_codes, write_png
 from .photometry import Photometry
 from .preview_files import KINDS, preview_path
-from .reflectance.materials import MaterialProblem, smooth_irradiance
+from .reflectance.materials import MaterialProblem
+from .reflectance.shading import smooth_irradiance
 from .result.report_pictures import ERROR_GAIN, heat, srgb
 from .surface.samples import as_picture
 
@@ -55,7 +56,7 @@ def write_previews(
     if not len(patch):
         return
     radiance = photometry.linearise_pixels(z[rows], view).radiance
-    irradiance = smooth_irradiance(problem.light.field, lights)[patch]
+    irradiance = smooth_irradiance(problem.light, lights)[patch]
     on_lamp = lights.mask[samples.face[rows]][:, None]
     white = max(float(np.percentile(irradiance, BRIGHT)), 1e-9)
     difference = photometry.develop(problem.observed.radiance[patch], view) - z[rows]

@@ -13,7 +13,7 @@ from iris_addon.emission.hidden import nothing_hidden
 from iris_addon.emission.types import LightProblem, Lights
 from iris_addon.progress import Progress
 from iris_addon.reflectance.diffuse_lobe import choose_diffuse
-from iris_addon.reflectance.light_moments import LightMoments, light_moments
+from iris_addon.reflectance.shading import LightMoments, light_moments
 from iris_addon.response.observations import Observations
 from iris_addon.response.radiance import Linearised
 from iris_addon.surface.build import build_surface
@@ -112,7 +112,7 @@ def test_moments_of_light_give_burleys_lobe_from_every_side(roughness: float, ti
     exact = (1 + k * s_light) * (1 + k * s_view[:, None]) @ weight
     under_lobe_ = 1 + grazing_gain("burley", np.array(roughness)) * (weight @ s_light)
     patch = np.zeros(len(views), int)
-    found = moments.view_factor(patch, roughness, s_view, views) * under_lobe_
+    found = moments.view_factor(patch, np.array([roughness]), s_view, views) * under_lobe_
     np.testing.assert_allclose(found, exact, rtol=0.04, atol=0.01)
     mean_angle = (1 + grazing_gain("burley", np.array(roughness)) * s_view) * under_lobe_
     if roughness == 1 and tilt > 1:  # what the moments are for

@@ -129,6 +129,8 @@ def test_a_metal_wall_is_metal(scene: Scene, roughness: float) -> None:
     rows = rows_on(scene, WALL)
     gloss = fit_floor(scene, seen(scene, rows, np.array([0.9, 0.7, 0.4]), roughness, 1.0), rows)
     assert gloss.metallic[WALL] == 1
+    np.testing.assert_allclose(gloss.specular[WALL], [0.9, 0.7, 0.4], rtol=0.1)
+    assert (np.delete(gloss.specular, WALL, 0) == DIELECTRIC_F0).all()
     assert gloss.roughness[WALL] == pytest.approx(roughness, abs=0.12)
 
 

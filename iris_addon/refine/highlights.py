@@ -47,7 +47,7 @@ class Highlights:
     """
 
     patch: NDArray[np.int64]
-    lobe: NDArray[np.float64]
+    lobe: NDArray[np.floating]
     view: NDArray[np.int64]
     z: NDArray[np.float64]
     clipped: NDArray[np.bool_]
@@ -78,11 +78,12 @@ def trace_highlights(problem: MaterialProblem, lights: Lights, gloss: Gloss, rng
     lamp, label = _lamp_observations(problem, lights, rng)
     rows = np.concatenate([glossy, lamp])
     none = np.zeros((len(lamp), 3))
+    lobe = problem.view_factor(problem.shading(lights), gloss.roughness[problem.part[glossy]], glossy)
     # Mixed observations, some of whose pixels are clipped, have a mean that no curve maps back: they have no say.
     mixed = (o.saturated[rows] > 0).any(1) & ~(o.saturated[rows] > CLIPPED_SHARE).any(1)
     return Highlights(
         np.concatenate([patch, np.zeros(len(lamp), np.int64)]),
-        np.concatenate([problem.view_factor(lights, gloss.roughness[problem.part[glossy]], glossy), none[:, 0]]),
+        np.concatenate([lobe, none[:, 0]]),
         o.view[rows].astype(np.int64),
         np.minimum(o.z[rows].astype(np.float64) + 0.5 / 255, 1.0),
         o.saturated[rows] > CLIPPED_SHARE,

@@ -18,13 +18,12 @@ from ..emission.types import LightProblem, Lights
 from ..progress import Progress
 from ..response.observations import Observations
 from ..response.radiance import GroupRadiance, Linearised, group_radiance, raised_by_clipped
-from ..surface.field import IrradianceField
 from ..transport.diffuse import grazing_gain
 from .diffuse_lobe import DiffuseChoice
 from .gloss import FIT_RAYS, LEVELS, Gloss, GlossObservations, choose_observations, fit_gloss
 from .glossy_bounce import GlossyBounce, trace_glossy_bounce
-from .light_moments import light_moments
 from .lobes import LobeRays, lobe_cache
+from .shading import Shading
 from .specular import Scene, rough_lobes, specular_lobes, subtract_specular
 
 PASSED_ON = 0.6
@@ -57,17 +56,18 @@ class MaterialProblem:
     seed: int
     gloss: bool | None = None
 
+    def shading(self, lights: Lights) -> Shading:
+        """The light of ``lights`` at the seen patches."""
+        return Shading.under(lights, self.light, self.diffuse.lobe)
+
     def view_factor(
-        self, lights: Lights, roughness: NDArray[np.floating], rows: NDArray[np.integer] | slice = slice(None)
-    ) -> NDArray[np.floating]:
+        self, shading: Shading, roughness: NDArray[np.floating], rows: NDArray[np.integer] | slice = slice(None)
+    ) -> NDArray[np.float32]:
         """Factor by which the diffuse lobe differs from Lambert's towards the camera of each of the observations
-        ``rows``, (m,), under ``lights`` and for any ``roughness`` (..., m)."""
+        ``rows``, (..., m), for any ``roughness`` (..., m)."""
         o = self.observations
-        patch, sample = o.patch[rows], o.sample[rows]
-        if self.diffuse.lobe == "lambert":
-            return np.ones((*roughness.shape[:-1], len(patch)))
-        moments = light_moments(self.light, lights)
-        return moments.view_factor(patch, roughness, self.schlick[rows], self.light.samples.direction[sample])
+        toward = self.light.samples.direction[o.sample[rows]]
+        return shading.view_factor(o.patch[rows], roughness, self.schlick[rows], toward)
 
     def with_gloss(self, gloss: Gloss) -> MaterialProblem:
         """The same problem between patches whose diffuse lobes have the roughness of ``gloss``."""
@@ -89,19 +89,15 @@ def scene_of(problem: LightProblem, lights: Lights) -> Scene:
     return Scene(problem.tracer, problem.transport, problem.parts, lights.patch_radiance, emission, unknown)
 
 
-def smooth_irradiance(field: IrradianceField, lights: Lights) -> NDArray[np.float32]:
-    """(P, 3) irradiance / pi of the seen patches without the noise of their rays."""
-    return field.denoise(lights.irradiance[: len(field.position)])
-
-
 def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progress: Progress) -> tuple[Lights, Gloss]:
     """Lamps and materials that explain the observations together, starting from lamps found by diffuse shading."""
     fit = _GlossFit.prepare(problem, lights)
-    gloss = fit.gloss(problem, lights)
+    shading = problem.shading(lights)
+    gloss = fit.gloss(problem, lights, shading)
     for round_ in range(rounds):
-        specular = _observed_specular(problem, lights, gloss, round_, progress)
+        specular = _observed_specular(problem, lights, shading, gloss, round_, progress)
         o, n_patches = problem.observations, len(problem.observed.weight)
-        view_factor = problem.view_factor(lights, gloss.roughness[problem.part])
+        view_factor = problem.view_factor(shading, gloss.roughness[problem.part])
         diffuse = group_radiance(problem.linear, o.patch, o.count, n_patches, specular, view_factor)
         seen = brightness(o, problem.linear, n_patches, specular)
         problem = problem.with_gloss(gloss)
@@ -110,7 +106,8 @@ def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progr
         say = _say(problem, gloss, diffuse)
         cast = _cast_radiance(problem, gloss, diffuse, view_factor)
         lights = refine_lights(light_problem, cast, lights, say, diffuse.radiance, progress)
-        gloss = fit.gloss(problem, lights)
+        shading = problem.shading(lights)
+        gloss = fit.gloss(problem, lights, shading)
         progress.update((round_ + 1) / rounds)
     return lights, gloss
 
@@ -152,18 +149,17 @@ def _say(problem: MaterialProblem, gloss: Gloss, diffuse: GroupRadiance) -> NDAr
 
 
 def _observed_specular(
-    problem: MaterialProblem, lights: Lights, gloss: Gloss, round_: int, progress: Progress
+    problem: MaterialProblem, lights: Lights, shading: Shading, gloss: Gloss, round_: int, progress: Progress
 ) -> NDArray[np.float32]:
     """(M, 3) specular radiance of every observation."""
     rng = np.random.default_rng([problem.seed, 31, round_])
-    irradiance = smooth_irradiance(problem.light.field, lights)[problem.observations.patch]
     ls0, ls1 = specular_lobes(
         scene_of(problem.light, lights),
         gloss,
         problem.light.samples,
         problem.observations.sample,
         problem.part,
-        irradiance,
+        shading.irradiance[problem.observations.patch],
         problem.specular_rays,
         rng,
         progress,
@@ -202,18 +198,17 @@ class _GlossFit:
         ]
         return _GlossFit(rows, rays)
 
-    def gloss(self, problem: MaterialProblem, lights: Lights) -> Gloss:
+    def gloss(self, problem: MaterialProblem, lights: Lights, shading: Shading) -> Gloss:
         """Roughness and metallic per part under ``lights``."""
         o, samples = problem.observations, problem.light.samples
         scene = scene_of(problem.light, lights)
-        irradiance = smooth_irradiance(problem.light.field, lights)
         at = o.sample[self.rows]
-        local = problem.light.field.at_samples(samples.take(at), o.patch[self.rows], irradiance)
+        local = problem.light.field.at_samples(samples.take(at), o.patch[self.rows], shading.irradiance)
         lobes = [[scene.lobes(half) for half in halves] for halves in self.rays]
         # The widest lobes come from irradiance, as everywhere.
         rough = LEVELS[len(FIT_RAYS) :]
         lobes += [[rough_lobes(np.full(len(at), level), samples.cosine[at], local)] * 2 for level in rough]
-        diffuse = problem.view_factor(lights, np.array(LEVELS)[:, None], self.rows)
+        diffuse = problem.view_factor(shading, np.array(LEVELS)[:, None], self.rows)
         observed = GlossObservations(
             problem.part[self.rows],
             o.patch[self.rows],

@@ -1,4 +1,4 @@
-"""Burley's diffuse lobe towards a camera, given where the light comes from.
+"""Light at the seen patches, and what a diffuse lobe sends of it towards a camera.
 
 Light transport takes the lobe apart into a factor of the light and one of the view, with a mean for the angle between
 the two (:mod:`iris_addon.transport.diffuse`). Photos are more exact than that: a wall is brighter seen from where its
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..emission.solve import mean_radiance
 from ..emission.types import LightProblem, Lights
 from ..parallel import BLOCK, over_blocks
-from ..transport.diffuse import grazing_gain
+from ..transport.diffuse import DiffuseLobe, grazing_gain
 from ..transport.sampling import dot
 from ..transport.transport import radiance_table, table_rows
 
@@ -40,26 +40,61 @@ class LightMoments:
     def view_factor(
         self,
         patch: NDArray[np.integer],
-        roughness: NDArray[np.floating] | float,
+        roughness: NDArray[np.floating],
         schlick: NDArray[np.floating],
         toward: NDArray[np.floating],
     ) -> NDArray[np.float32]:
-        """(n,) factor of the view: what Burley's lobe sends a camera over the albedo times the irradiance / pi.
-
-        The irradiance is that of the patch under its lobe, ``1 + κ S``. The product of both S is small; in it the mean
-        angle stays.
-
-        Args:
-            patch: (n,) patch that each view sees.
-            roughness: (n,), or one for all.
-            schlick: (n,) S of the direction to the camera.
-            toward: (n, 3) unit vectors to the camera.
-        """
+        """Burley's lobe in :meth:`Shading.view_factor`. The product of both S is small; in it the mean angle stays."""
         grazing, k = self.grazing[patch], roughness - 0.5
-        kappa = grazing_gain("burley", np.asarray(roughness))
+        kappa = grazing_gain("burley", roughness)
         light = 1 + k * grazing + roughness * dot(self.grazing_direction[patch], toward)
         view = k + roughness * dot(self.direction[patch], toward) + kappa**2 * grazing
         return ((light + schlick * view) / (1 + kappa * grazing)).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Shading:
+    """The light of all lamps at the seen patches.
+
+    Attributes:
+        irradiance: (P, 3) irradiance / pi without the noise of its rays.
+        moments: where it comes from; None for Lambert's lobe, which does not ask.
+    """
+
+    irradiance: NDArray[np.float32]
+    moments: LightMoments | None
+
+    @staticmethod
+    def under(lights: Lights, problem: LightProblem, lobe: DiffuseLobe) -> Shading:
+        """The light that ``lights`` cast on surfaces of a diffuse ``lobe``."""
+        moments = light_moments(problem, lights) if lobe == "burley" else None
+        return Shading(smooth_irradiance(problem, lights), moments)
+
+    def view_factor(
+        self,
+        patch: NDArray[np.integer],
+        roughness: NDArray[np.floating],
+        schlick: NDArray[np.floating],
+        toward: NDArray[np.floating],
+    ) -> NDArray[np.float32]:
+        """Factor of the view: what the diffuse lobe sends a camera over albedo times irradiance / pi, (..., n).
+
+        The irradiance is that of the patch under its lobe, ``1 + κ S``.
+
+        Args:
+            patch: (n,) patch that each view sees.
+            roughness: (..., n) or (..., 1).
+            schlick: (n,) S of the direction to the camera.
+            toward: (n, 3) unit vectors to the camera.
+        """
+        if self.moments is None:
+            return np.ones((*roughness.shape[:-1], len(patch)), np.float32)
+        return self.moments.view_factor(patch, roughness, schlick, toward)
+
+
+def smooth_irradiance(problem: LightProblem, lights: Lights) -> NDArray[np.float32]:
+    """(P, 3) irradiance / pi of the seen patches without the noise of their rays."""
+    return problem.field.denoise(lights.irradiance[: problem.transport.n_seen])
 
 
 def light_moments(problem: LightProblem, lights: Lights) -> LightMoments:
