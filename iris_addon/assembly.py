@@ -34,6 +34,8 @@ from .transport.tracer import Tracer
 from .transport.transport import Transport
 
 SHOWN_PHOTOS = 4
+UNSEEN = 0.2
+"""Confidence in a lamp that no photo shows."""
 HELD_OUT = 0.02
 """Share of pixels kept from the textures, to measure what they predict."""
 Rows = slice | NDArray[np.bool_]
@@ -151,24 +153,16 @@ def _predict(
 
 
 def _emitters(problem: LightProblem, lights: Lights) -> list[Emitter]:
-    """Lamps seen, then unseen parts that must glow: brighter than anything they could reflect."""
-    areas = problem.tracer.areas
-    found = [
-        (faces, radiance, float(1.0 / (1.0 + std)))
-        for faces, radiance, std in zip(lights.emitters, lights.radiance, lights.log_std, strict=True)
-    ]
-    typical = np.median(lights.irradiance[: problem.transport.n_seen], axis=0)
-    for part, radiance in zip(problem.hidden.parts, lights.hidden_radiance, strict=False):
-        if radiance.mean() > typical.mean():
-            found.append((np.flatnonzero((problem.parts == part) & (areas > 0)), radiance, 0.2))
+    areas, seen = problem.tracer.areas, np.bincount(problem.samples.face, minlength=len(problem.parts)) > 0
+    confidence = np.where([seen[faces].any() for faces in lights.emitters], 1.0 / (1.0 + lights.log_std), UNSEEN)
     return [
-        Emitter(k, faces, radiance, float(areas[faces].sum()), confidence)
-        for k, (faces, radiance, confidence) in enumerate(found)
+        Emitter(k, faces, radiance, float(areas[faces].sum()), float(confidence[k]))
+        for k, (faces, radiance) in enumerate(zip(lights.emitters, lights.radiance, strict=True))
     ]
 
 
 def _outside(problem: LightProblem, lights: Lights, backdrop: NDArray[np.float64] | None) -> OutsideLight | None:
-    sh = problem.hidden.outside_sh(lights.hidden_radiance[len(problem.hidden.parts) :])
+    sh = problem.hidden.outside_sh(lights.hidden_radiance)
     if sh is None and backdrop is None:
         return None
     return OutsideLight(np.zeros((1, 3)) if sh is None else sh, backdrop)
@@ -201,7 +195,7 @@ def report_figures(
             "camera": calibration.report(),
             "response": photometry.report(),
             "lamps": len(lights.emitters),
-            "hidden_parts": len(problem.light.hidden.parts),
+            "unseen_lamps": sum(emitter.confidence == UNSEEN for emitter in _emitters(problem.light, lights)),
             "outside_directions": len(problem.light.hidden.directions),
             "glossy_parts": int(((gloss.roughness < 1) & (gloss.metallic < 0.5)).sum()),
             "metallic_parts": int((gloss.metallic > 0.5).sum()),

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import trimesh
 
-from iris_addon.emission import search
-from iris_addon.emission.candidates import Brightness
+from iris_addon.capture.types import Mesh
+from iris_addon.emission import search, selection
+from iris_addon.emission.candidates import CERTAIN, Brightness
+from iris_addon.emission.hidden import HiddenSources
 from iris_addon.emission.types import LightProblem, Lights
+from iris_addon.progress import Progress
+from iris_addon.surface.parts import edge_adjacency
 
 N_PATCHES = 60
 WINDOW, BAR, WALL = 0, 1, 2
@@ -22,13 +28,14 @@ def problem(floor: tuple[float, float, float], clipped: tuple[bool, bool, bool])
     bound = np.where(np.array(clipped)[PATCH_FACE][:, None], value, 0.0)
     nothing = np.zeros(0, np.int64)
     return SimpleNamespace(  # type: ignore[return-value]
-        transport=SimpleNamespace(n_seen=N_PATCHES, n_patches=N_PATCHES, kappa=np.zeros(N_PATCHES)),
+        transport=SimpleNamespace(n_seen=N_PATCHES, n_patches=N_PATCHES, kappa=np.zeros(N_PATCHES), part=PATCH_FACE),
         surface=SimpleNamespace(sample_patch=np.arange(N_PATCHES), count=np.ones(N_PATCHES)),
         samples=SimpleNamespace(face=PATCH_FACE),
         tracer=SimpleNamespace(areas=np.array([2.0, 0.2, 10.0]), normals=np.eye(3)),
         parts=np.arange(3, dtype=np.int32),
         adjacency=(nothing, nothing),
         brightness=Brightness(value, np.where(bound > 0, np.nan, value), bound),
+        hidden=HiddenSources(nothing, np.zeros((0, 3)), np.zeros((N_PATCHES, 0, 2), np.float32)),
     )
 
 
@@ -46,7 +53,7 @@ def lights(lamps: list[tuple[int, float]], irradiance: tuple[float, float, float
 
 
 def found(problem: LightProblem, lights: Lights) -> list[int]:
-    return [int(face) for faces in search._candidates(problem, lights, search.CERTAIN, 1.25) for face in faces]
+    return [int(face) for faces in search._candidates(problem, lights, CERTAIN, 1.25) for face in faces]
 
 
 @pytest.mark.parametrize("between", [0.0, 0.08])
@@ -76,13 +83,57 @@ def test_a_lamp_without_which_the_room_is_lit_as_well_is_left_out(
 ) -> None:
     room = problem(floor=(1.0, 4.0, 0.1), clipped=(True, True, False))
     both = lights([(WINDOW, 4.0), (BAR, 4.0)], irradiance=(0.6, 0.6, 0.5))
-    fewer = lights([(BAR, 4.0)], irradiance=(0.6, 0.6, 0.5))
 
-    def solved(_problem: object, _observed: object, emitters: list, *_rest: object) -> Lights:
-        assert [int(faces[0]) for faces in emitters] == [BAR], "the one that is certain is never tried"
-        return SimpleNamespace(**vars(fewer) | {"held_out": loss_without})  # type: ignore[return-value]
+    def solved(
+        _problem: object, _observed: object, emitters: list, _before: object, *_: object, **__: object
+    ) -> Lights:
+        faces = [int(lamp[0]) for lamp in emitters]
+        assert BAR in faces, "the one that is certain is never left out"
+        lamps = lights([(face, 4.0) for face in faces], irradiance=(0.6, 0.6, 0.5))
+        return replace(lamps, held_out=1.0 if WINDOW in faces else loss_without)
 
-    monkeypatch.setattr(search, "solve_lights", solved)
-    before = SimpleNamespace(**vars(both) | {"held_out": 1.0})
-    kept = search._without_idle(room, None, before, None)  # type: ignore[arg-type]
-    assert [int(faces[0]) for faces in kept.emitters] == ([WINDOW, BAR] if stays else [BAR])
+    monkeypatch.setattr(selection, "solved", solved)
+    observed = SimpleNamespace(weight=np.ones(N_PATCHES))
+    kept = selection.needed_lamps(room, observed, both, Progress())  # type: ignore[arg-type]
+    assert sorted(int(faces[0]) for faces in kept) == ([WINDOW, BAR] if stays else [BAR])
+
+
+def test_the_only_lamp_of_a_room_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    room = problem(floor=(1.0, 0.1, 0.1), clipped=(True, False, False))
+    one = lights([(WINDOW, 4.0)], irradiance=(0.6, 0.6, 0.5))
+    monkeypatch.setattr(selection, "solved", lambda *_, **__: replace(one, held_out=1.0))
+    observed = SimpleNamespace(weight=np.ones(N_PATCHES))
+    kept = selection.needed_lamps(room, observed, one, Progress())  # type: ignore[arg-type]
+    assert [faces.tolist() for faces in kept] == [[WINDOW]]
+
+
+@pytest.mark.parametrize(("radiance", "loss", "taken"), [(4.0, 0.9, True), (4.0, 0.995, False), (0.2, 0.9, False)])
+def test_a_part_that_clips_is_a_lamp_if_the_room_asks_for_its_light(
+    radiance: float, loss: float, taken: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The window clips in every photo, at a bound that it could reflect: nobody but the other patches can tell."""
+    room = problem(floor=(0.3, 4.0, 0.1), clipped=(True, False, False))
+    bar = replace(lights([(BAR, 4.0)], irradiance=(0.6, 0.6, 0.5)), held_out=1.0)
+    both = replace(lights([(BAR, 4.0), (WINDOW, radiance)], irradiance=(0.6, 0.6, 0.5)), held_out=loss)
+
+    def solved(_problem: object, _observed: object, emitters: list, *_: object, **__: object) -> Lights:
+        return both if len(emitters) == 2 else bar
+
+    monkeypatch.setattr(selection, "solved", solved)
+    observed = SimpleNamespace(weight=np.ones(N_PATCHES))
+    result = selection.with_silent(room, observed, bar, Progress())  # type: ignore[arg-type]
+    assert [int(faces[0]) for faces in result.emitters] == ([BAR, WINDOW] if taken else [BAR])
+
+
+def test_a_lamp_has_a_side_between_any_two_sharp_edges() -> None:
+    """Of a box the six sides, of a tessellated ball itself."""
+    ball = trimesh.creation.icosphere(2)
+    for mesh, n_sides in ((trimesh.creation.box(), 6), (ball, 1)):
+        faces = np.asarray(mesh.faces)
+        scene = Mesh(np.asarray(mesh.vertices), faces, None, np.zeros(len(faces), np.int32))
+        room = SimpleNamespace(
+            parts=scene.parts, adjacency=edge_adjacency(scene), tracer=SimpleNamespace(normals=mesh.face_normals)
+        )
+        sides = selection._sides(room, np.arange(len(faces)))  # type: ignore[arg-type]
+        assert len(sides) == n_sides
+        assert np.array_equal(np.sort(np.concatenate(sides)), np.arange(len(faces)))

@@ -20,6 +20,7 @@ from iris_addon.result.types import Result
 from iris_addon.solve import solve
 from iris_addon.surface.atlas_texels import rasterise_atlas
 from iris_addon.transport.tracer import Tracer
+from tests.box_room import look_at
 from tests.engine_room import LAMP_PARTS, Room, cameras, furnished_room, photograph, render, same_results
 
 TINY = preset("draft", max_patches=4000, gather_rays=64, shadow_rays=64, atlas_size=128, rounds=1)
@@ -137,6 +138,26 @@ def test_saturated_white_walls_are_not_lamps(shoot: Shoot) -> None:
     for emitter in result.emitters:
         truth = shoot.room.emission[shoot.room.parts[emitter.faces[0]]]
         assert np.abs(np.log(emitter.radiance / truth)).max() < 0.3
+
+
+def test_lamps_that_no_photo_shows_are_found_by_their_light(shoot: Shoot) -> None:
+    """Cameras just under the lamps look at the floor; what they see of the room is lit as by both."""
+    views = [
+        replace(camera, c2w=look_at(camera.c2w[:3, 3] + [0, 0, 0.4], [*(4.0, 3.0) - camera.c2w[:2, 3], -0.4]))
+        for camera in cameras(12, 48, 36)
+    ]
+    tracer = Tracer(shoot.room.mesh)
+    seen = np.unique(np.concatenate([shoot.room.parts[tracer.closest(*view.rays()).face] for view in views]))
+    assert not np.isin(LAMP_PARTS, seen).any() and len(seen) >= 6
+    fine = furnished_room()
+    below = replace(shoot, views=views, radiance=render(fine, Tracer(fine.mesh), views, 128))
+    capture = photograph(shoot.room, views, below.radiance, below.exposures, gamma(), shoot.folder / "below")
+    result = solve(capture, FAST, shoot.folder / "unseen")
+    assert lamp_parts(shoot.room, result) == list(LAMP_PARTS)
+    for emitter in result.emitters:
+        truth = shoot.room.emission[shoot.room.parts[emitter.faces[0]]]
+        assert np.abs(np.log(emitter.radiance / truth)).max() < 0.4
+    assert result.report["model"]["unseen_lamps"] == 2
 
 
 # Repeating, stopping, going on ---------------------------------------------------------------------------------------

@@ -91,7 +91,7 @@ def test_forced_full_and_minimal_use_all_and_nothing(solved):
     per_channel = [np.ptp(np.array(list(result.exposures.values())), axis=1).max() for result in (full, minimal)]
     assert per_channel[0] > 0 and per_channel[1] == 0
     assert minimal.report["model"]["glossy_parts"] == 0
-    assert minimal.report["model"]["hidden_parts"] == 0 and minimal.report["model"]["outside_directions"] == 0
+    assert minimal.report["model"]["unseen_lamps"] == 0 and minimal.report["model"]["outside_directions"] == 0
 
 
 @pytest.mark.parametrize("power", [0.3, 0.9])

@@ -9,6 +9,7 @@ e^1.3). It is smooth in log e, so LBFGS takes a second. Saturated lamp pixels en
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -80,6 +81,7 @@ def solve_balance(
     evidence: Evidence,
     start: NDArray[np.floating],
     robust_log: float = ROBUST_LOG,
+    near: bool = False,
 ) -> Balance:
     """Radiance of every emitter from the shading of everything else.
 
@@ -91,6 +93,7 @@ def solve_balance(
         weight: (P,) say of each patch, >= 0.
         start: (E, 3) radiance to start from, > 0.
         robust_log: deviation of log albedo at which a patch starts to count as an outlier.
+        near: whether ``start`` is near the solution, so that no other level needs to be tried.
     """
     rows, label, part_ids = _usable(radiance, part, weight)
     n_tied = int(evidence.tie.max()) + 1
@@ -107,7 +110,9 @@ def solve_balance(
     )
     tested = np.arange(len(rows)) % HELD_OUT_EVERY == 0
     problem = whole.restrict(~tested)
-    unknowns = _minimise(problem, _first_guess(problem, np.log(start[first])), ITERATIONS)
+    log_start = np.log(start[first])
+    guess = _first_guess(problem, log_start, FIRST_LEVELS[:1] if near else FIRST_LEVELS)
+    unknowns = _minimise(problem, guess, ITERATIONS)
     log_e, log_albedo = problem.split(unknowns)
     return Balance(
         np.exp(log_e)[evidence.tie],
@@ -118,7 +123,7 @@ def solve_balance(
     )
 
 
-def _first_guess(problem: _Problem, log_e: NDArray[np.float64]) -> NDArray[np.float64]:
+def _first_guess(problem: _Problem, log_e: NDArray[np.float64], levels: Sequence[float]) -> NDArray[np.float64]:
     """Unknowns to start from: of starts at different levels the one that leads lowest, on a part of the patches.
 
     To a lamp a hundred times too dark every patch is an outlier and its own share of the light is nothing, so that all
@@ -127,10 +132,8 @@ def _first_guess(problem: _Problem, log_e: NDArray[np.float64]) -> NDArray[np.fl
     coarse = problem.restrict(np.arange(len(problem.part)) % FIRST_EVERY == 0)
     wide = replace(coarse, scale=FIRST_LOG)
     ends = []
-    for level in FIRST_LEVELS:
-        raised = log_e + np.log(level)
-        begin = np.concatenate([raised.ravel(), wide.implied_albedo(raised).ravel()])
-        ends.append(_minimise(wide, begin, FIRST_ITERATIONS))
+    for level in levels:
+        ends.append(_minimise(wide, wide.joined(log_e + np.log(level)), FIRST_ITERATIONS))
     return min(ends, key=lambda unknowns: coarse.loss(unknowns)[0])
 
 
@@ -178,6 +181,10 @@ class _Problem:
         """Log radiance (E', 3) and log albedo (n, 3) in the flat vector of unknowns."""
         n = 3 * self.form_factors.shape[1]
         return np.clip(unknowns[:n], -LOG_RANGE, LOG_RANGE).reshape(-1, 3), unknowns[n:].reshape(-1, 3)
+
+    def joined(self, log_e: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The flat vector of unknowns: given emitters, and the albedo that they imply."""
+        return np.concatenate([log_e.ravel(), self.implied_albedo(log_e).ravel()])
 
     def implied_albedo(self, log_e: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n, 3) median log albedo of every part under given emitters."""

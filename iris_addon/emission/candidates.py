@@ -25,6 +25,8 @@ FACE_SHARE = 0.7
 COPLANAR = 0.999
 """Cosine between the normals of faces in one plane."""
 MAX_LAMPS = 48
+CERTAIN = 3.0
+"""Reflectance needed from which on nothing but emission explains a face, however wrong the light still is."""
 MIN_PIXELS = 12
 """Fewer pixels over all photos are no evidence for a lamp."""
 VIEW_QUANTILE = 0.25
@@ -128,14 +130,16 @@ def group_emitters(
     areas: NDArray[np.floating],
     parts: NDArray[np.int32],
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
+    rest: NDArray[np.bool_] | None = None,
 ) -> list[NDArray[np.int64]]:
     """Emitting faces joined to lamps: whole parts where nearly all of a part emits, else faces joined by edges.
 
     Args:
         count: (F,) pixels that saw each face.
+        rest: (F,) faces that may be taken for the rest of a whole part, by default all.
     """
     whole = whole_parts(emitting, count, parts)
-    member = emitting | whole[parts]
+    member = emitting | (whole[parts] if rest is None else whole[parts] & rest)
     a, b = adjacency
     link = member[a] & member[b]
     label = component_labels(len(parts), a[link], b[link])

@@ -11,9 +11,17 @@ from ..progress import Progress
 from ..response.radiance import GroupRadiance
 from ..transport.diffuse import under_lobe
 from ..transport.transport import ESCAPED
-from .candidates import Brightness, coplanar_with, emitting_faces, group_emitters, reflectance_needed, whole_parts
+from .candidates import (
+    CERTAIN,
+    Brightness,
+    coplanar_with,
+    emitting_faces,
+    group_emitters,
+    reflectance_needed,
+    whole_parts,
+)
+from .selection import certainty, needed_lamps, same_emitters, solved, with_all_rays, with_silent
 from .solve import (
-    SEARCH_SHADOW_RAYS,
     form_factors_of,
     lamp_of_patch,
     lights_without_lamps,
@@ -27,11 +35,7 @@ OUTSIDE_GAIN = 0.02
 """Fall of the held-out loss that each step from no light outside to constant to directional must bring."""
 OPEN_SHARE = 0.15
 """Share of escaping rays from which a mesh is no closed room."""
-NEGLIGIBLE_POWER = 2e-4
-IDLE_LOSS = 0.002
-"""Rise of the held-out loss without a lamp, up to which the lamp does nothing."""
 HYSTERESIS = 0.8
-CERTAIN = 3.0
 THRESHOLDS = (CERTAIN, 1.6, 1.25)
 """Reflectance needed at which a face counts as a lamp, round by round, from the certain ones down."""
 
@@ -44,11 +48,10 @@ def find_lights(problem: LightProblem, observed: GroupRadiance, progress: Progre
     for threshold in THRESHOLDS:
         emitters = _candidates(problem, lights, threshold, threshold)
         if threshold == CERTAIN or not same_emitters(emitters, lights.emitters):
-            factors = form_factors_of(problem, emitters, progress, SEARCH_SHADOW_RAYS, lights)
-            lights = solve_lights(problem, observed, emitters, lights, progress, factors)
-    lights = _without_negligible(problem, observed, lights, progress)
-    lights = _without_idle(problem, observed, lights, progress)
-    return _with_all_rays(problem, observed, lights, progress)
+            lights = solved(problem, observed, emitters, lights, progress)
+    lights = with_silent(problem, observed, lights, progress)
+    emitters = needed_lamps(problem, observed, lights, progress)
+    return with_all_rays(problem, observed, emitters, lights, progress)
 
 
 def choose_outside(
@@ -69,19 +72,13 @@ def choose_outside(
         if best is None:
             lights = find_lights(tried, observed, progress)
         else:
-            start = replace(best[1], hidden_radiance=_expected_hidden(tried, best[1]))
+            dim = mean_radiance(best[1].patch_radiance, tried)
+            start = replace(best[1], hidden_radiance=np.tile(dim, (count, 1)))
             lights = solve_lights(tried, observed, start.emitters, start, progress, start.form_factors)
         if best is None or lights.held_out < (1 - OUTSIDE_GAIN) * best[1].held_out:
             best = tried, lights
     assert best is not None
     return best
-
-
-def _expected_hidden(problem: LightProblem, lights: Lights) -> NDArray[np.float64]:
-    """(H, 3) radiance expected of the hidden sources: what was found for parts, a dim room for directions."""
-    parts = lights.hidden_radiance[: len(problem.hidden.parts)]
-    dim = mean_radiance(lights.patch_radiance, problem)
-    return np.concatenate([parts, np.tile(dim, (len(problem.hidden.directions), 1))])
 
 
 def refine_lights(
@@ -99,13 +96,24 @@ def refine_lights(
         diffuse: (P, 3) radiance without its specular part.
     """
     # What the search has left out must be certain to come back.
-    emitters = _candidates(problem, lights, CERTAIN, THRESHOLDS[-1]) if problem.given is None else problem.given
+    emitters = problem.given
+    if emitters is None:
+        count = np.bincount(problem.samples.face, minlength=len(problem.parts))
+        unseen = [lamp for lamp in lights.emitters if not count[lamp].any()]
+        emitters = [*_candidates(problem, lights, CERTAIN, THRESHOLDS[-1], lights.mask), *unseen]
     factors = form_factors_of(problem, emitters, progress, known=lights)
     return solve_lights(problem, observed, emitters, lights, progress, factors, weight, diffuse)
 
 
-def _candidates(problem: LightProblem, lights: Lights, new: float, old: float) -> list[NDArray[np.int64]]:
-    """Lamps under the light known so far, at one threshold for new ones and one for those that count as lamps."""
+def _candidates(
+    problem: LightProblem, lights: Lights, new: float, old: float, rest: NDArray[np.bool_] | None = None
+) -> list[NDArray[np.int64]]:
+    """Lamps under the light known so far.
+
+    Args:
+        new, old: thresholds for faces that count as no lamp yet, and for those that do.
+        rest: (F,) faces that may be lamps because nearly all of their part is, by default all.
+    """
     n = problem.transport.n_seen
     lamp = lamp_of_patch(problem, lights.emitters)
     seen = _with_found(problem, lights, lamp)
@@ -121,7 +129,7 @@ def _candidates(problem: LightProblem, lights: Lights, new: float, old: float) -
     # A bright region of a part that otherwise reflects is a highlight or a caustic until it is far too bright for one.
     certain = coplanar_with(certain, emitting, problem.tracer.normals, problem.adjacency)
     emitting &= certain | whole_parts(emitting, count, problem.parts)[problem.parts]
-    return group_emitters(emitting, count, problem.tracer.areas, problem.parts, problem.adjacency)
+    return group_emitters(emitting, count, problem.tracer.areas, problem.parts, problem.adjacency, rest)
 
 
 def _with_found(problem: LightProblem, lights: Lights, lamp: NDArray[np.int64]) -> Brightness:
@@ -140,56 +148,9 @@ def _irradiance_by_rank(problem: LightProblem, lights: Lights, lamp: NDArray[np.
     window away.
     """
     irradiance = np.array(lights.irradiance[: problem.transport.n_seen], np.float64)
-    certainty = _certainty(problem, lights, lamp)
-    for k, own in enumerate(certainty):
-        at, weaker = np.flatnonzero(lamp == k), certainty < own
+    needed = certainty(problem, lights, lamp)
+    for k, own in enumerate(needed):
+        at, weaker = np.flatnonzero(lamp == k), needed < own
         direct = under_lobe(lights.form_factors[at][:, weaker], problem.transport.kappa[at])
         irradiance[at] -= direct @ lights.radiance[weaker]
     return irradiance
-
-
-def _certainty(problem: LightProblem, lights: Lights, lamp: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(E,) reflectance that each lamp would need if it were none, median over its patches."""
-    needed = reflectance_needed(problem.brightness, lights.irradiance[: problem.transport.n_seen])
-    on = [lamp == k for k in range(len(lights.emitters))]
-    return np.array([np.median(needed[at]) if at.any() else 0.0 for at in on])
-
-
-def _without_idle(problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress) -> Lights:
-    """Leave out lamps that are not certain, the least certain first, where the room is lit as well without them."""
-    certainty = _certainty(problem, lights, lamp_of_patch(problem, lights.emitters))
-    emitters, factors, kept = lights.emitters, lights.form_factors, np.ones(len(certainty), bool)
-    for k in np.argsort(certainty)[: int((certainty < CERTAIN).sum())]:
-        kept[k] = False
-        fewer = [faces for faces, keep in zip(emitters, kept, strict=True) if keep]
-        without = solve_lights(problem, observed, fewer, lights, progress, factors[:, kept])
-        if without.held_out < (1 + IDLE_LOSS) * lights.held_out:
-            lights = without
-        else:
-            kept[k] = True
-    return lights
-
-
-def _without_negligible(problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress) -> Lights:
-    """Leave out the lamps whose light nobody would miss: specks that mixed pixels at the edge of a real lamp make."""
-    if not lights.emitters:
-        return lights
-    power = np.array([problem.tracer.areas[f].sum() for f in lights.emitters]) * lights.radiance.mean(1)
-    kept = power > NEGLIGIBLE_POWER * power.sum()
-    if kept.all():
-        return lights
-    emitters = [faces for faces, keep in zip(lights.emitters, kept, strict=True) if keep]
-    return solve_lights(problem, observed, emitters, lights, progress, lights.form_factors[:, kept])
-
-
-def _with_all_rays(problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress) -> Lights:
-    """Solved again with as many shadow rays as lamps that were found deserve."""
-    if not lights.emitters:
-        return lights
-    factors = form_factors_of(problem, lights.emitters, progress)
-    return solve_lights(problem, observed, lights.emitters, lights, progress, factors)
-
-
-def same_emitters(a: list[NDArray[np.int64]], b: list[NDArray[np.int64]]) -> bool:
-    """Whether two lists name the same lamps."""
-    return len(a) == len(b) and all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))

@@ -32,6 +32,7 @@ def solve_lights(
     form_factors: NDArray[np.float32] | None = None,
     weight: NDArray[np.float64] | None = None,
     diffuse: NDArray[np.float64] | None = None,
+    near: bool = False,
 ) -> Lights:
     """Radiance of given emitters.
 
@@ -39,8 +40,9 @@ def solve_lights(
         observed: radiance of the seen patches, which is what they cast on others.
         before: lights of the previous pass, for the light that unseen patches reflect.
         form_factors: ``B`` when it is already known for these emitters.
-        weight: (P,) say of each seen patch; by default the pixels behind it.
+        weight: (P,) say of each seen patch, by default :func:`say_of`.
         diffuse: (P, 3) radiance without its specular part, once materials are known.
+        near: whether the lamps are among those of ``before`` and about as bright; one pass then does.
     """
     if not emitters and not len(before.hidden_radiance):
         return before
@@ -52,17 +54,19 @@ def solve_lights(
         form_factors = form_factors_of(problem, emitters, progress)
     hidden = problem.hidden
     on_lamp = patches_on(problem, mask)
-    dark = on_lamp | hidden.on_hidden
-    radiance = _start_radiance(observed, before, dark)
+    radiance = _start_radiance(observed, before, on_lamp, patches_on(problem, before.mask) if near else None)
     evidence = _with_hidden(_lamp_evidence(problem, emitters), before.hidden_radiance)
     kappa = problem.transport.kappa
     direct = under_lobe(form_factors, kappa)
     if problem.bounce is not None:
         direct += problem.bounce.form_factors(emitters, n_faces)
     all_factors = np.concatenate([direct, under_lobe(hidden.form_factors, kappa)], 1)
-    start = np.maximum(_first_finite(evidence.measured, 2.0 * evidence.bound, evidence.expected), 1e-3)
+    nothing_said = np.full_like(evidence.bound, float(observed.radiance.max()))
+    start = _first_finite(evidence.measured, 2.0 * evidence.bound, evidence.expected, nothing_said)
+    if near:
+        start[: len(emitters)] = before.radiance[_columns(emitters, before)]
     usable = observed.known.all(1) & ~on_lamp[: problem.transport.n_seen]
-    say = usable * (np.sqrt(np.minimum(observed.weight, 50.0)) if weight is None else weight)
+    say = usable * (say_of(observed) if weight is None else weight)
     n = problem.transport.n_seen
     shaded = observed.radiance if diffuse is None else diffuse
     part = problem.transport.part
@@ -74,18 +78,26 @@ def solve_lights(
         return problem.field.smooth(values[:n], NOISE_WIDTH, rows, group)
 
     smooth_shaded, smooth_factors = smooth(shaded), smooth(all_factors)
-    for _ in range(2):
+    for _ in range(1 if near else 2):
         unknown = mean_radiance(radiance, problem)
         indirect = problem.transport.gather_radiance(radiance, unknown, mask)
         if problem.bounce is not None:
             indirect = indirect + problem.bounce.gather_radiance(radiance, unknown, mask)
         balance = solve_balance(
-            smooth_shaded, smooth(indirect), smooth_factors, part[rows], say[rows], evidence, start, problem.robust_log
+            smooth_shaded,
+            smooth(indirect),
+            smooth_factors,
+            part[rows],
+            say[rows],
+            evidence,
+            start,
+            problem.robust_log,
+            near,
         )
         start = balance.radiance
         irradiance = indirect + all_factors @ balance.radiance
         albedo = dict(zip(balance.part_ids.tolist(), balance.part_albedo, strict=True))
-        radiance = _infer_unseen(problem, observed, radiance, irradiance, albedo, dark)
+        radiance = _infer_unseen(problem, observed, radiance, irradiance, albedo, on_lamp)
     lamps = len(emitters)
     return Lights(
         emitters,
@@ -99,6 +111,11 @@ def solve_lights(
         albedo,
         balance.held_out,
     )
+
+
+def say_of(observed: GroupRadiance) -> NDArray[np.float64]:
+    """(P,) say of each seen patch in the light balance, by the pixels behind it."""
+    return np.sqrt(np.minimum(observed.weight, 50.0))
 
 
 def _first_finite(*choices: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -150,8 +167,7 @@ def form_factors_of(
         limits: fewest and most shadow rays from a patch to a lamp; between them the budget is shared out evenly.
         known: lights whose lamps, where they are among ``emitters``, need not be traced again.
     """
-    column = {faces.tobytes(): k for k, faces in enumerate(known.emitters)} if known else {}
-    columns = np.array([column.get(faces.tobytes(), -1) for faces in emitters], np.int64)
+    columns = _columns(emitters, known) if known else np.full(len(emitters), -1)
     fresh = [faces for faces, k in zip(emitters, columns, strict=True) if k < 0]
     rng = np.random.default_rng([problem.seed, 17])
     t = problem.transport
@@ -169,6 +185,12 @@ def form_factors_of(
     return factors
 
 
+def _columns(emitters: list[NDArray[np.int64]], known: Lights) -> NDArray[np.int64]:
+    """(E,) index of each emitter among the lamps of ``known``, -1 where it is none of them."""
+    column = {faces.tobytes(): k for k, faces in enumerate(known.emitters)}
+    return np.array([column.get(faces.tobytes(), -1) for faces in emitters], np.int64)
+
+
 def _lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> Evidence:
     """Bounds and measurements per lamp from the pixels on it."""
     seen, face, patch = problem.brightness, problem.samples.face, problem.surface.sample_patch
@@ -179,6 +201,8 @@ def _lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> 
     bound = np.zeros((len(emitters), 3))
     measured = np.full((len(emitters), 3), np.nan)
     for index, piece in enumerate(pieces[: len(emitters)]):
+        if len(piece) == 0:
+            continue  # no photo shows it
         bound[index] = np.median(seen.bound[piece], axis=0)
         for channel in range(3):
             # An open pixel below what others saw clipped is the lamp's edge.
@@ -209,9 +233,15 @@ def lamp_of_patch(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> N
     return result
 
 
-def _start_radiance(observed: GroupRadiance, before: Lights, on_lamp: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _start_radiance(
+    observed: GroupRadiance, before: Lights, on_lamp: NDArray[np.bool_], was_lamp: NDArray[np.bool_] | None
+) -> NDArray[np.float64]:
+    """(N, 3) what patches cast as far as it is known: seen ones what was observed, or what ``before`` inferred of all
+    that were no lamp then."""
+    n = len(observed.radiance)
     radiance = before.patch_radiance.copy()
-    radiance[: len(observed.radiance)] = observed.radiance
+    known = np.ones(n, bool) if was_lamp is None else was_lamp[:n]
+    radiance[:n][known] = observed.radiance[known]
     radiance[on_lamp] = 0.0
     return radiance
 

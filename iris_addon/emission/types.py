@@ -26,7 +26,7 @@ class Lights:
     Attributes:
         emitters: faces of each.
         radiance: (E, 3).
-        hidden_radiance: (H, 3) of the hidden sources (unseen parts, then directions of outside light).
+        hidden_radiance: (H, 3) of the directions of outside light.
         log_std: (E,) uncertainty of log radiance.
         form_factors: (N, E, 2) ``B`` for all patches, seen and unseen, plain and times Schlick's S.
         mask: (F,) bool, faces that emit.

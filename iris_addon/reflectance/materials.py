@@ -83,8 +83,6 @@ class MaterialProblem:
 def scene_of(problem: LightProblem, lights: Lights) -> Scene:
     """What reflected rays meet under ``lights``."""
     emission = lights.face_emission(len(problem.parts))
-    for part, radiance in zip(problem.hidden.parts, lights.hidden_radiance, strict=False):
-        emission[problem.parts == part] = radiance
     unknown = mean_radiance(lights.patch_radiance, problem)
     return Scene(problem.tracer, problem.transport, problem.parts, lights.patch_radiance, emission, unknown)
 

@@ -114,11 +114,8 @@ def light_moments(problem: LightProblem, lights: Lights) -> LightMoments:
 
 def _gathered(problem: LightProblem, lights: Lights) -> NDArray[np.float32]:
     """(P, 8) sums over the gather rays: light, light times S, and both times its direction."""
-    t, hidden = problem.transport, problem.hidden
-    radiance = lights.patch_radiance.copy()
-    for part, value in zip(hidden.parts, lights.hidden_radiance, strict=False):
-        radiance[hidden.on_hidden & (t.part == part)] = value
-    table = radiance_table(radiance, mean_radiance(lights.patch_radiance, problem)).mean(1)
+    t = problem.transport
+    table = radiance_table(lights.patch_radiance, mean_radiance(lights.patch_radiance, problem)).mean(1)
     sums = np.empty((t.n_seen, 8), np.float32)
     n_rays = t.target.shape[1]
 

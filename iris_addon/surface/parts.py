@@ -13,6 +13,9 @@ from scipy.sparse.csgraph import connected_components
 
 from ..capture.types import Mesh
 
+CREASE_COSINE = 0.8
+"""Cosine between the normals of neighbours below which their edge is sharp."""
+
 
 def weld(vertices: NDArray[np.floating]) -> NDArray[np.int64]:
     """(V,) label per vertex, equal for vertices at the same place up to 1e-6 of the mesh's size."""
@@ -31,6 +34,14 @@ def edge_adjacency(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     order = np.argsort(key, kind="stable")
     same = (key[order][1:] == key[order][:-1]) & (edges[order][1:, 0] != edges[order][1:, 1])
     return face[order][:-1][same], face[order][1:][same]
+
+
+def smooth_edges(
+    normals: NDArray[np.floating], adjacency: tuple[NDArray[np.int64], NDArray[np.int64]]
+) -> NDArray[np.bool_]:
+    """(n,) whether each edge between neighbours is smooth and not sharp; ``normals`` (F, 3) unit."""
+    a, b = adjacency
+    return np.abs((normals[a] * normals[b]).sum(1)) > CREASE_COSINE
 
 
 def component_labels(n_faces: int, a: NDArray[np.integer], b: NDArray[np.integer]) -> NDArray[np.int32]:

@@ -13,9 +13,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..capture.meshes import face_areas
 from ..capture.types import Mesh
 from ..response.observations import group_means
-from .parts import component_labels, initial_parts
+from .parts import component_labels, initial_parts, smooth_edges
 from .samples import PixelSamples
 
 SCAN_FACES = 20_000
@@ -25,8 +26,6 @@ GRANULARITY = 0.6
 """Log-colour step times face count up to which a small region joins whatever it touches."""
 MIN_FACES = 60
 UNSEEN_STEP = 0.15
-CREASE_COSINE = 0.8
-"""Cosine between the normals of neighbours below which their edge is sharp."""
 PIECE_SHARE = 0.01
 """Share of all pixels from which a piece between sharp edges is a part of its own."""
 
@@ -47,21 +46,25 @@ def split_parts(
     parts = initial_parts(mesh)
     if mesh.parts is not None:
         return parts
-    return split_scan(split_creases(parts, adjacency, normals, samples), adjacency, normals, samples, z)
+    split = split_creases(parts, adjacency, normals, face_areas(mesh), samples)
+    return split_scan(split, adjacency, normals, samples, z)
 
 
 def split_creases(
     parts: NDArray[np.int32],
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
     normals: NDArray[np.floating],
+    areas: NDArray[np.floating],
     samples: PixelSamples,
 ) -> NDArray[np.int32]:
     """(F,) parts with the large pieces between sharp edges apart; what is left of a part stays one."""
     a, b = adjacency
-    smooth = np.abs((normals[a] * normals[b]).sum(1)) > CREASE_COSINE
+    smooth = smooth_edges(normals, adjacency)
     piece = component_labels(len(parts), a[smooth], b[smooth])
     pixels = np.bincount(piece[samples.face], minlength=int(piece.max()) + 1)
-    large = (pixels >= PIECE_SHARE * len(samples.face)) & (np.bincount(piece) < SCAN_FACES)
+    area = np.bincount(piece, areas)
+    unseen = (pixels == 0) & (area >= PIECE_SHARE * area.sum())
+    large = (unseen | (pixels >= PIECE_SHARE * len(samples.face))) & (np.bincount(piece) < SCAN_FACES)
     label = np.where(large[piece] & (np.bincount(parts) < SCAN_FACES)[parts], len(parts) + piece, parts)
     return np.unique(label, return_inverse=True)[1].astype(np.int32)
 

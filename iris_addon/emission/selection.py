@@ -1,0 +1,190 @@
+"""Which lamps a room needs: some are tried because photos say nothing against them, others left out again.
+
+The search (:mod:`iris_addon.emission.search`) takes for a lamp what is too bright to reflect. That is too little where
+photos clip, and too much before the lamps that light the room are known. What decides here is the light balance of
+patches it was not fitted to.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..progress import Progress
+from ..response.radiance import GroupRadiance
+from ..surface.parts import component_labels, smooth_edges
+from .candidates import CERTAIN, emitting_faces, group_emitters, reflectance_needed, whole_parts
+from .solve import SEARCH_SHADOW_RAYS, form_factors_of, lamp_of_patch, patches_on, say_of, solve_lights
+from .types import LightProblem, Lights
+
+NEGLIGIBLE_POWER = 2e-4
+IDLE_LOSS = 0.02
+"""Rise of the held-out loss without a lamp, up to which the lamp does nothing."""
+SILENT_GAIN, MAX_CLIPPED = 0.01, 8
+"""Fall of the held-out loss by which a part on which photos are silent becomes a lamp, and how many that clip are
+tried."""
+GLOWING = 1.25
+"""Reflectance it would need from which on such a part emits; below, it is of a light colour."""
+MAX_SIDES = 12
+"""A lamp with more sides is round."""
+
+
+def with_silent(problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress) -> Lights:
+    """Try parts on which photos are silent, and keep what the light of the room asks for.
+
+    Of a part that clips all over they say too little to need emission, of one that none shows nothing. A part that
+    takes the place of a lamp which is a piece of it may cost nothing; one beside it must gain.
+    """
+    proposed = [*_unseen_parts(problem, lights), *_clipped_parts(problem, lights)]
+    if not proposed:
+        return lights
+    mask = lights.mask.copy()
+    mask[np.concatenate(proposed)] = True
+    n = problem.transport.n_seen
+    say = np.where(patches_on(problem, mask)[:n], 0.0, say_of(observed))
+    base = solved(problem, observed, lights.emitters, lights, progress, say)
+    for faces in proposed:
+        apart = [lamp for lamp in base.emitters if not np.isin(lamp, faces).any()]
+        limit = 1 - SILENT_GAIN if len(apart) == len(base.emitters) else 1 + IDLE_LOSS
+        tried = solved(problem, observed, [*apart, faces], base, progress, say)
+        if _glows(problem, tried, faces) and tried.held_out < limit * base.held_out:
+            base = tried
+    return base
+
+
+def _glows(problem: LightProblem, lights: Lights, faces: NDArray[np.int64]) -> bool:
+    """Whether the lamp ``faces``, a whole part, is brighter than it could be by reflection."""
+    radiance = next(r for lamp, r in zip(lights.emitters, lights.radiance, strict=True) if np.array_equal(lamp, faces))
+    own = problem.transport.part == problem.parts[faces[0]]
+    return bool(radiance.mean() > GLOWING * lights.irradiance[own].mean())
+
+
+def _unseen_parts(problem: LightProblem, lights: Lights) -> list[NDArray[np.int64]]:
+    """Parts that no photo shows and that are no lamp yet, those that fill most of the room's view first."""
+    faces = [np.flatnonzero((problem.parts == part) & (problem.tracer.areas > 0)) for part in problem.hidden.parts]
+    return [part for part in faces if not lights.mask[part].any()]
+
+
+def _clipped_parts(problem: LightProblem, lights: Lights) -> list[NDArray[np.int64]]:
+    """Parts that clip in all views and are no lamp yet, those that need the largest reflectance first."""
+    n, patch, face = problem.transport.n_seen, problem.surface.sample_patch, problem.samples.face
+    seen = problem.brightness
+    clipped = ((seen.bound >= seen.floor) & (seen.floor > 0)).all(1)
+    emitting, count = emitting_faces(clipped, patch, face, len(problem.parts))
+    emitting = whole_parts(emitting, count, problem.parts)[problem.parts]
+    groups = group_emitters(emitting, count, problem.tracer.areas, problem.parts, problem.adjacency)
+    groups = [group for group in groups if not lights.mask[group].all()]
+    needed = _median_by_lamp(
+        reflectance_needed(seen, lights.irradiance[:n]), lamp_of_patch(problem, groups), len(groups)
+    )
+    return [groups[k] for k in np.argsort(-needed, kind="stable")[:MAX_CLIPPED]]
+
+
+def needed_lamps(
+    problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress
+) -> list[NDArray[np.int64]]:
+    """The lamps of ``lights`` without those, or those sides, that are not certain and that the room does not need.
+
+    Whether it does is asked of the same patches with and without the lamp, and so not of those on any: what is textured
+    and taken for a lamp would seem needed because its texture then does not count.
+    """
+    say = np.where(patches_on(problem, lights.mask)[: problem.transport.n_seen], 0.0, say_of(observed))
+    needed = certainty(problem, lights, lamp_of_patch(problem, lights.emitters))
+    power = np.array([problem.tracer.areas[f].sum() for f in lights.emitters]) * lights.radiance.mean(1)
+    # Mixed pixels at the edge of a real lamp make specks.
+    strong = power > NEGLIGIBLE_POWER * power.sum()
+    sure = [lights.emitters[k] for k in np.flatnonzero(strong & (needed >= CERTAIN))]
+    lamps = [lights.emitters[k] for k in np.flatnonzero(strong & (needed < CERTAIN))]
+    if lamps:
+        lights = _without_idle(problem, observed, sure, lamps, lights, say, progress)
+        lamps = lights.emitters[len(sure) :]
+        sides = [side for lamp in lamps for side in _sides(problem, lamp)]
+        if len(sides) > len(lamps):
+            lights = _without_idle(problem, observed, sure, sides, lights, say, progress)
+            lamps = [lamp[lights.mask[lamp]] for lamp in lamps]
+    return [*sure, *(lamp for lamp in lamps if len(lamp))]
+
+
+def _without_idle(
+    problem: LightProblem,
+    observed: GroupRadiance,
+    sure: list[NDArray[np.int64]],
+    open_: list[NDArray[np.int64]],
+    lights: Lights,
+    say: NDArray[np.float64],
+    progress: Progress,
+) -> Lights:
+    """The lamps ``sure`` and those of ``open_`` without which the held-out loss rises; the smallest are tried first."""
+    lights, left = solved(problem, observed, [*sure, *open_], lights, progress, say), list(open_)
+
+    def without(lamps: list[NDArray[np.int64]]) -> Lights:
+        kept = [lamp for lamp in left if all(lamp is not other for other in lamps)]
+        return solved(problem, observed, [*sure, *kept], lights, progress, say, near=True)
+
+    def idle(tried: Lights) -> bool:
+        return tried.held_out < (1 + IDLE_LOSS) * lights.held_out
+
+    if sure and left and idle(tried := without(left)):
+        return tried
+    seen = np.bincount(problem.samples.face, minlength=len(problem.parts)) > 0
+    for lamp in sorted(left, key=lambda lamp: problem.tracer.areas[lamp].sum()):
+        if len(sure) + len(left) == 1:
+            break
+        tried = without([lamp])
+        if idle(tried) or not (seen[lamp].any() or _glows(problem, lights, lamp)):
+            lights, left = tried, [other for other in left if other is not lamp]
+    return lights
+
+
+def _sides(problem: LightProblem, lamp: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Pieces of a lamp between its sharp edges; the lamp itself if it has none, or more than MAX_SIDES."""
+    member = np.zeros(len(problem.parts), bool)
+    member[lamp] = True
+    a, b = problem.adjacency
+    link = member[a] & member[b] & smooth_edges(problem.tracer.normals, problem.adjacency)
+    label = component_labels(len(member), a[link], b[link])[lamp]
+    sides = [lamp[label == k] for k in np.unique(label)]
+    return sides if len(sides) <= MAX_SIDES else [lamp]
+
+
+def with_all_rays(
+    problem: LightProblem,
+    observed: GroupRadiance,
+    emitters: list[NDArray[np.int64]],
+    before: Lights,
+    progress: Progress,
+) -> Lights:
+    """Solved with as many shadow rays as lamps that were found deserve."""
+    factors = form_factors_of(problem, emitters, progress)
+    return solve_lights(problem, observed, emitters, before, progress, factors)
+
+
+def solved(
+    problem: LightProblem,
+    observed: GroupRadiance,
+    emitters: list[NDArray[np.int64]],
+    before: Lights,
+    progress: Progress,
+    say: NDArray[np.float64] | None = None,
+    near: bool = False,
+) -> Lights:
+    """Lights with other lamps; what of their form factors ``before`` does not have is traced as the search does."""
+    factors = form_factors_of(problem, emitters, progress, SEARCH_SHADOW_RAYS, before)
+    return solve_lights(problem, observed, emitters, before, progress, factors, say, near=near)
+
+
+def certainty(problem: LightProblem, lights: Lights, lamp: NDArray[np.int64]) -> NDArray[np.float64]:
+    """(E,) reflectance that each lamp would need if it were none, median over its patches."""
+    needed = reflectance_needed(problem.brightness, lights.irradiance[: problem.transport.n_seen])
+    return _median_by_lamp(needed, lamp, len(lights.emitters))
+
+
+def _median_by_lamp(values: NDArray[np.float64], lamp: NDArray[np.int64], n_lamps: int) -> NDArray[np.float64]:
+    """(E,) median over the patches of each lamp, 0 without any."""
+    on = [lamp == k for k in range(n_lamps)]
+    return np.array([np.median(values[at]) if at.any() else 0.0 for at in on])
+
+
+def same_emitters(a: list[NDArray[np.int64]], b: list[NDArray[np.int64]]) -> bool:
+    """Whether two lists name the same lamps."""
+    return len(a) == len(b) and all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
