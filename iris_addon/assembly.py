@@ -153,7 +153,7 @@ def _predict(
 
 
 def _emitters(problem: LightProblem, lights: Lights) -> list[Emitter]:
-    areas, seen = problem.tracer.areas, np.bincount(problem.samples.face, minlength=len(problem.parts)) > 0
+    areas, seen = problem.tracer.areas, problem.samples.seen_faces(len(problem.parts))
     confidence = np.where([seen[faces].any() for faces in lights.emitters], 1.0 / (1.0 + lights.log_std), UNSEEN)
     return [
         Emitter(k, faces, radiance, float(areas[faces].sum()), float(confidence[k]))

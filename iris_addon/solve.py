@@ -24,7 +24,7 @@ from .compute import choose_device
 from .config import Refinements, SolveConfig
 from .emission.candidates import brightness
 from .emission.given import read_given_emitters
-from .emission.hidden import find_hidden, nothing_hidden
+from .emission.hidden import HiddenSources, find_hidden, nothing_hidden
 from .emission.search import choose_outside
 from .emission.types import LightProblem, Lights
 from .photo_samples import PhotoSamples, sample_photos
@@ -43,7 +43,7 @@ from .result.report_html import write_report
 from .result.types import Result
 from .surface.build import Surface, build_surface
 from .surface.field import IrradianceField
-from .surface.parts import edge_adjacency
+from .surface.parts import edge_adjacency, pieces_between_edges
 from .surface.segment import split_parts
 from .transport.cache import cached_transport
 from .transport.diffuse import grazing_gain, schlick
@@ -82,6 +82,10 @@ def solve(
             capture, tracer, surface, parts, config.gather_rays, config.seed, config.rng(2), progress
         )
         transport = replace(transport, device=choose_device(config.device))
+        hidden = nothing_hidden(transport)
+        if config.refinements.hidden_light is not False:
+            pieces = pieces_between_edges(tracer.normals, adjacency, parts)
+            hidden = find_hidden(transport, parts, pieces, photos.samples.seen_faces(len(parts)))
     observations = observe(surface.sample_patch, photos.samples.view, photos.z, photos.hdr, config.rng(3))
     with progress.stage("response"):
         photometry = Photometry.from_arrays(
@@ -90,7 +94,7 @@ def solve(
                 lambda: measure_photometry(capture, config, observations, photos.hdr, config.rng(4)).arrays(),
             )
         )
-    pose = partial(_problem, config, tracer, photos, parts, adjacency, surface, transport, observations, field)
+    pose = partial(_problem, config, tracer, photos, parts, adjacency, surface, transport, hidden, observations, field)
     problem = pose(photometry)
     with progress.stage("lights"):
         arrays = checkpoints.stage("lights", lambda: _lights(pose, problem, photometry, config.refinements, progress))
@@ -134,6 +138,7 @@ def _problem(
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
     surface: Surface,
     transport: Transport,
+    hidden: HiddenSources,
     observations: Observations,
     field: IrradianceField,
     photometry: Photometry,
@@ -150,7 +155,7 @@ def _problem(
         parts,
         adjacency,
         brightness(observations, linear, n),
-        nothing_hidden(transport) if forced.hidden_light is False else find_hidden(transport, int(parts.max()) + 1),
+        hidden,
         field,
         config.shadow_rays,
         config.seed,

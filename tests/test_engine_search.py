@@ -30,12 +30,12 @@ def problem(floor: tuple[float, float, float], clipped: tuple[bool, bool, bool])
     return SimpleNamespace(  # type: ignore[return-value]
         transport=SimpleNamespace(n_seen=N_PATCHES, n_patches=N_PATCHES, kappa=np.zeros(N_PATCHES), part=PATCH_FACE),
         surface=SimpleNamespace(sample_patch=np.arange(N_PATCHES), count=np.ones(N_PATCHES)),
-        samples=SimpleNamespace(face=PATCH_FACE),
+        samples=SimpleNamespace(face=PATCH_FACE, seen_faces=lambda n: np.ones(n, bool)),
         tracer=SimpleNamespace(areas=np.array([2.0, 0.2, 10.0]), normals=np.eye(3)),
         parts=np.arange(3, dtype=np.int32),
         adjacency=(nothing, nothing),
         brightness=Brightness(value, np.where(bound > 0, np.nan, value), bound),
-        hidden=HiddenSources(nothing, np.zeros((0, 3)), np.zeros((N_PATCHES, 0, 2), np.float32)),
+        hidden=HiddenSources((), np.zeros((0, 3)), np.zeros((N_PATCHES, 0, 2), np.float32)),
     )
 
 

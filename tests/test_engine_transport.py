@@ -225,7 +225,8 @@ def test_a_convex_body_in_uniform_light_sees_nothing_but_it() -> None:
     mesh = assemble(box(SIZE / 2 - 0.4, SIZE / 2 + 0.4), [0] * 6)
     tracer, transport = transport_of(Room(mesh, np.zeros((1, 3)), np.zeros((1, 3))))
     assert transport.escaped().min() == 1
-    hidden = find_hidden(transport, 1)
+    n_faces = len(mesh.faces)
+    hidden = find_hidden(transport, np.zeros(n_faces, np.int32), np.zeros(n_faces, np.int32), np.ones(n_faces, bool))
     assert len(hidden.directions) == 12
     light = np.tile([0.7, 0.8, 0.9], (12, 1))
     irradiance = hidden.form_factors[..., 0] @ light

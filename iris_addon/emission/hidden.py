@@ -18,7 +18,7 @@ from ..transport.transport import ESCAPED, Transport
 
 MIN_SHARE = 2e-3
 """A source that fills less than this share of the mean hemisphere is not looked for."""
-MAX_PARTS = 8
+MAX_PIECES = 8
 DIRECTIONAL_SHARE = 0.02
 """From this share of escaping rays on, light from outside may depend on direction."""
 
@@ -28,14 +28,14 @@ class HiddenSources:
     """Sources that no photo shows.
 
     Attributes:
-        parts: part ids that no photo sees and that many gather rays meet, most of them first. The search tries them as
-            lamps.
+        pieces: faces of each surface that no photo sees and many gather rays meet, most of them first. The search tries
+            them as lamps.
         directions: (D, 3) unit centres of the direction bins of outside light; D in {0, 1, 12}. Their radiance is an
             unknown of the light balance.
         form_factors: (N, D, 2) share of each patch's hemisphere, plain and times Schlick's S.
     """
 
-    parts: NDArray[np.int64]
+    pieces: tuple[NDArray[np.int64], ...]
     directions: NDArray[np.float64]
     form_factors: NDArray[np.float32]
 
@@ -66,11 +66,19 @@ def dodecahedron() -> NDArray[np.float64]:
 
 def nothing_hidden(transport: Transport) -> HiddenSources:
     """No light but that of surfaces the photos show."""
-    return HiddenSources(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((transport.n_patches, 0, 2), np.float32))
+    return HiddenSources((), np.zeros((0, 3)), np.zeros((transport.n_patches, 0, 2), np.float32))
 
 
-def find_hidden(transport: Transport, n_parts: int) -> HiddenSources:
-    """Parts never seen and directions of escape that reach the seen surfaces."""
+def find_hidden(
+    transport: Transport, parts: NDArray[np.int32], pieces: NDArray[np.int32], seen: NDArray[np.bool_]
+) -> HiddenSources:
+    """Surfaces never seen, and directions of escape, that reach the seen surfaces.
+
+    Args:
+        parts: (F,) part of each face.
+        pieces: (F,) piece of its part between sharp edges.
+        seen: (F,) faces that a photo shows.
+    """
     escaped = float((transport.target == ESCAPED).mean())
     directions = np.zeros((0, 3))
     if escaped > MIN_SHARE:
@@ -82,17 +90,19 @@ def find_hidden(transport: Transport, n_parts: int) -> HiddenSources:
             (transport.unseen_target, transport.unseen_origins, transport.unseen_rays),
         )
     ]
-    return HiddenSources(_unseen_parts(transport, n_parts), directions, np.concatenate(blocks))
+    return HiddenSources(_unseen_pieces(transport.rays, parts, pieces, seen), directions, np.concatenate(blocks))
 
 
-def _unseen_parts(transport: Transport, n_parts: int) -> NDArray[np.int64]:
-    """Parts that no photo sees, by the share of all gather rays that end on them, as far as that is worth a trial."""
-    n_seen, part = transport.n_seen, transport.part
-    seen = np.bincount(part[:n_seen], minlength=n_parts) > 0
-    target = transport.target[transport.target >= n_seen]
-    share = np.where(seen, 0.0, np.bincount(part[target], minlength=n_parts) / transport.target.size)
-    ids = np.argsort(-share, kind="stable")[:MAX_PARTS]
-    return ids[share[ids] > MIN_SHARE]
+def _unseen_pieces(
+    rays: GatherRays, parts: NDArray[np.int32], pieces: NDArray[np.int32], seen: NDArray[np.bool_]
+) -> tuple[NDArray[np.int64], ...]:
+    """Faces of parts, and of pieces of other parts, that no photo sees and rays of the seen patches meet."""
+    seen_part = np.bincount(parts, seen) > 0
+    label = np.where(seen_part[parts], len(seen_part) + pieces, parts)
+    met = np.bincount(rays.face[rays.face >= 0], minlength=len(parts))
+    share = np.where(np.bincount(label, seen) > 0, 0.0, np.bincount(label, met)) / rays.face.size
+    ids = np.argsort(-share, kind="stable")[:MAX_PIECES]
+    return tuple(np.flatnonzero(label == k) for k in ids if share[k] > MIN_SHARE)
 
 
 def _form_factors(

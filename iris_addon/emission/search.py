@@ -98,8 +98,8 @@ def refine_lights(
     # What the search has left out must be certain to come back.
     emitters = problem.given
     if emitters is None:
-        count = np.bincount(problem.samples.face, minlength=len(problem.parts))
-        unseen = [lamp for lamp in lights.emitters if not count[lamp].any()]
+        seen = problem.samples.seen_faces(len(problem.parts))
+        unseen = [lamp for lamp in lights.emitters if not seen[lamp].any()]
         emitters = [*_candidates(problem, lights, CERTAIN, THRESHOLDS[-1], lights.mask), *unseen]
     factors = form_factors_of(problem, emitters, progress, known=lights)
     return solve_lights(problem, observed, emitters, lights, progress, factors, weight, diffuse)

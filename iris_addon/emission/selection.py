@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..progress import Progress
 from ..response.radiance import GroupRadiance
-from ..surface.parts import component_labels, smooth_edges
+from ..surface.parts import pieces_between_edges
 from .candidates import CERTAIN, emitting_faces, group_emitters, reflectance_needed, whole_parts
 from .solve import SEARCH_SHADOW_RAYS, form_factors_of, lamp_of_patch, patches_on, say_of, solve_lights
 from .types import LightProblem, Lights
@@ -20,6 +20,8 @@ from .types import LightProblem, Lights
 NEGLIGIBLE_POWER = 2e-4
 IDLE_LOSS = 0.02
 """Rise of the held-out loss without a lamp, up to which the lamp does nothing."""
+SILENT_EVERY = 4
+"""One patch in so many is asked whether a silent part lights it; all are, before a lamp stays."""
 SILENT_GAIN, MAX_CLIPPED = 0.01, 8
 """Fall of the held-out loss by which a part on which photos are silent becomes a lamp, and how many that clip are
 tried."""
@@ -35,34 +37,35 @@ def with_silent(problem: LightProblem, observed: GroupRadiance, lights: Lights, 
     Of a part that clips all over they say too little to need emission, of one that none shows nothing. A part that
     takes the place of a lamp which is a piece of it may cost nothing; one beside it must gain.
     """
-    proposed = [*_unseen_parts(problem, lights), *_clipped_parts(problem, lights)]
+    unseen = [faces for faces in problem.hidden.pieces if not lights.mask[faces].any()]
+    proposed = [*unseen, *_clipped_parts(problem, lights)]
     if not proposed:
         return lights
     mask = lights.mask.copy()
     mask[np.concatenate(proposed)] = True
     n = problem.transport.n_seen
-    say = np.where(patches_on(problem, mask)[:n], 0.0, say_of(observed))
+    asked = ~patches_on(problem, mask)[:n] & (np.arange(n) % SILENT_EVERY == 0)
+    say = np.where(asked, say_of(observed), 0.0)
+    apart = [lamp for lamp in lights.emitters if not any(np.isin(lamp, faces).any() for faces in proposed)]
+    together = solved(problem, observed, [*apart, *proposed], lights, progress, say, near=True)
+    bright = [faces for faces in proposed if _glows(problem, together, faces)]
+    if not bright:
+        return lights
     base = solved(problem, observed, lights.emitters, lights, progress, say)
-    for faces in proposed:
+    for faces in bright:
         apart = [lamp for lamp in base.emitters if not np.isin(lamp, faces).any()]
         limit = 1 - SILENT_GAIN if len(apart) == len(base.emitters) else 1 + IDLE_LOSS
-        tried = solved(problem, observed, [*apart, faces], base, progress, say)
+        tried = solved(problem, observed, [*apart, faces], base, progress, say, near=True)
         if _glows(problem, tried, faces) and tried.held_out < limit * base.held_out:
             base = tried
     return base
 
 
 def _glows(problem: LightProblem, lights: Lights, faces: NDArray[np.int64]) -> bool:
-    """Whether the lamp ``faces``, a whole part, is brighter than it could be by reflection."""
+    """Whether a lamp is brighter than it could be by reflection of the light that reaches its part."""
     radiance = next(r for lamp, r in zip(lights.emitters, lights.radiance, strict=True) if np.array_equal(lamp, faces))
     own = problem.transport.part == problem.parts[faces[0]]
     return bool(radiance.mean() > GLOWING * lights.irradiance[own].mean())
-
-
-def _unseen_parts(problem: LightProblem, lights: Lights) -> list[NDArray[np.int64]]:
-    """Parts that no photo shows and that are no lamp yet, those that fill most of the room's view first."""
-    faces = [np.flatnonzero((problem.parts == part) & (problem.tracer.areas > 0)) for part in problem.hidden.parts]
-    return [part for part in faces if not lights.mask[part].any()]
 
 
 def _clipped_parts(problem: LightProblem, lights: Lights) -> list[NDArray[np.int64]]:
@@ -126,7 +129,7 @@ def _without_idle(
 
     if sure and left and idle(tried := without(left)):
         return tried
-    seen = np.bincount(problem.samples.face, minlength=len(problem.parts)) > 0
+    seen = problem.samples.seen_faces(len(problem.parts))
     for lamp in sorted(left, key=lambda lamp: problem.tracer.areas[lamp].sum()):
         if len(sure) + len(left) == 1:
             break
@@ -140,9 +143,7 @@ def _sides(problem: LightProblem, lamp: NDArray[np.int64]) -> list[NDArray[np.in
     """Pieces of a lamp between its sharp edges; the lamp itself if it has none, or more than MAX_SIDES."""
     member = np.zeros(len(problem.parts), bool)
     member[lamp] = True
-    a, b = problem.adjacency
-    link = member[a] & member[b] & smooth_edges(problem.tracer.normals, problem.adjacency)
-    label = component_labels(len(member), a[link], b[link])[lamp]
+    label = pieces_between_edges(problem.tracer.normals, problem.adjacency, member)[lamp]
     sides = [lamp[label == k] for k in np.unique(label)]
     return sides if len(sides) <= MAX_SIDES else [lamp]
 

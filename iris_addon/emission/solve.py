@@ -42,7 +42,7 @@ def solve_lights(
         form_factors: ``B`` when it is already known for these emitters.
         weight: (P,) say of each seen patch, by default :func:`say_of`.
         diffuse: (P, 3) radiance without its specular part, once materials are known.
-        near: whether the lamps are among those of ``before`` and about as bright; one pass then does.
+        near: whether the light is about that of ``before``; one pass from there then does.
     """
     if not emitters and not len(before.hidden_radiance):
         return before
@@ -64,7 +64,8 @@ def solve_lights(
     nothing_said = np.full_like(evidence.bound, float(observed.radiance.max()))
     start = _first_finite(evidence.measured, 2.0 * evidence.bound, evidence.expected, nothing_said)
     if near:
-        start[: len(emitters)] = before.radiance[_columns(emitters, before)]
+        known = _columns(emitters, before)
+        start[np.flatnonzero(known >= 0)] = before.radiance[known[known >= 0]]
     usable = observed.known.all(1) & ~on_lamp[: problem.transport.n_seen]
     say = usable * (say_of(observed) if weight is None else weight)
     n = problem.transport.n_seen

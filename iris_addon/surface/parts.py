@@ -36,18 +36,26 @@ def edge_adjacency(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return face[order][:-1][same], face[order][1:][same]
 
 
-def smooth_edges(
-    normals: NDArray[np.floating], adjacency: tuple[NDArray[np.int64], NDArray[np.int64]]
-) -> NDArray[np.bool_]:
-    """(n,) whether each edge between neighbours is smooth and not sharp; ``normals`` (F, 3) unit."""
-    a, b = adjacency
-    return np.abs((normals[a] * normals[b]).sum(1)) > CREASE_COSINE
-
-
 def component_labels(n_faces: int, a: NDArray[np.integer], b: NDArray[np.integer]) -> NDArray[np.int32]:
     """(n_faces,) connected component of each face under the links a - b."""
     graph = coo_matrix((np.ones(len(a), np.int8), (a, b)), shape=(n_faces, n_faces))
     return connected_components(graph, directed=False)[1].astype(np.int32)
+
+
+def pieces_between_edges(
+    normals: NDArray[np.floating],
+    adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
+    group: NDArray[np.integer] | NDArray[np.bool_],
+) -> NDArray[np.int32]:
+    """(F,) piece of each face between sharp edges.
+
+    Args:
+        normals: (F, 3) unit.
+        group: (F,) label that all faces of a piece share.
+    """
+    a, b = adjacency
+    joined = (np.abs((normals[a] * normals[b]).sum(1)) > CREASE_COSINE) & (group[a] == group[b])
+    return component_labels(len(normals), a[joined], b[joined])
 
 
 def initial_parts(mesh: Mesh) -> NDArray[np.int32]:

@@ -45,6 +45,10 @@ class PixelSamples:
         """(n,) cosine between the normal and the direction to the camera, in (0, 1]."""
         return np.clip(dot(self.normal, self.direction), 1e-3, 1.0).astype(np.float32)
 
+    def seen_faces(self, n_faces: int) -> NDArray[np.bool_]:
+        """(n_faces,) faces that a pixel shows."""
+        return np.bincount(self.face, minlength=n_faces) > 0
+
     def take(self, rows: NDArray[np.integer]) -> PixelSamples:
         """Some of the pixels."""
         return PixelSamples(*(getattr(self, column.name)[rows] for column in fields(self)))

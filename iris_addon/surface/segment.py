@@ -13,10 +13,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..capture.meshes import face_areas
 from ..capture.types import Mesh
 from ..response.observations import group_means
-from .parts import component_labels, initial_parts, smooth_edges
+from .parts import initial_parts, pieces_between_edges
 from .samples import PixelSamples
 
 SCAN_FACES = 20_000
@@ -46,25 +45,19 @@ def split_parts(
     parts = initial_parts(mesh)
     if mesh.parts is not None:
         return parts
-    split = split_creases(parts, adjacency, normals, face_areas(mesh), samples)
-    return split_scan(split, adjacency, normals, samples, z)
+    return split_scan(split_creases(parts, adjacency, normals, samples), adjacency, normals, samples, z)
 
 
 def split_creases(
     parts: NDArray[np.int32],
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
     normals: NDArray[np.floating],
-    areas: NDArray[np.floating],
     samples: PixelSamples,
 ) -> NDArray[np.int32]:
     """(F,) parts with the large pieces between sharp edges apart; what is left of a part stays one."""
-    a, b = adjacency
-    smooth = smooth_edges(normals, adjacency)
-    piece = component_labels(len(parts), a[smooth], b[smooth])
+    piece = pieces_between_edges(normals, adjacency, parts)
     pixels = np.bincount(piece[samples.face], minlength=int(piece.max()) + 1)
-    area = np.bincount(piece, areas)
-    unseen = (pixels == 0) & (area >= PIECE_SHARE * area.sum())
-    large = (unseen | (pixels >= PIECE_SHARE * len(samples.face))) & (np.bincount(piece) < SCAN_FACES)
+    large = (pixels >= PIECE_SHARE * len(samples.face)) & (np.bincount(piece) < SCAN_FACES)
     label = np.where(large[piece] & (np.bincount(parts) < SCAN_FACES)[parts], len(parts) + piece, parts)
     return np.unique(label, return_inverse=True)[1].astype(np.int32)
 
@@ -89,7 +82,7 @@ def split_scan(
     scans = np.flatnonzero((size >= SCAN_FACES) & (share >= SCAN_SHARE))
     if len(scans) == 0:
         return parts
-    seen = np.bincount(samples.face, minlength=n_faces) > 0
+    seen = samples.seen_faces(n_faces)
     colour = np.log(group_means(z, samples.face, n_faces) + 0.03)
     a, b = adjacency
     inside = np.isin(parts[a], scans) & np.isin(parts[b], scans)
