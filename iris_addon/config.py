@@ -21,7 +21,7 @@ class Refinements:
         white_balance: an exposure factor per channel, where exposures are unknown or corrected.
         corrected_exposures: exposures that the overlap asks for in place of recorded ones.
         exponent: that of response and radiance as light transport asks for it, where exposures are unknown.
-        hidden_light: light from where no photo looks: from beyond the mesh, by direction, and from behind corners.
+        hidden_light: light from where no photo looks: from beyond the mesh, by direction, and lamps that none shows.
         gloss: roughness and metallic of a part; without it all is rough.
     """
 

@@ -15,7 +15,7 @@ from iris_addon.transport.gather import Origins, emitter_form_factors, gather
 from iris_addon.transport.sampling import cosine_directions, ggx_directions, r2_sequence, tangent_frame
 from iris_addon.transport.tracer import Tracer
 from iris_addon.transport.transport import Transport, build_transport
-from tests.engine_room import SIZE, Room, assemble, box, cameras, furnished_room, quad
+from tests.engine_room import SIZE, WALLS, Room, assemble, box, cameras, furnished_room, quad
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -219,6 +219,19 @@ def test_radiosity_loses_no_energy() -> None:
     for _ in range(25):
         radiance = 1 + albedo * transport.gather_radiance(radiance, radiance.mean(0), none)
     assert radiance == pytest.approx(np.full_like(radiance, 2.0), rel=1e-4)
+
+
+@pytest.mark.parametrize("one_part", [False, True])
+def test_surfaces_that_no_photo_sees_come_in_the_order_of_the_rays_that_meet_them(one_part: bool) -> None:
+    """Ceiling and a box that nobody sees, as parts of their own and as pieces of the one part that all is."""
+    room = furnished_room(np.inf)
+    _, transport = transport_of(room)
+    ceiling, furniture = WALLS.index("ceiling"), 7
+    pieces = room.parts.astype(np.int32)
+    seen = ~np.isin(pieces, [ceiling, furniture])
+    hidden = find_hidden(transport, np.zeros_like(pieces) if one_part else pieces, pieces, seen)
+    assert [np.unique(room.parts[faces]).tolist() for faces in hidden.pieces] == [[ceiling], [furniture]]
+    assert find_hidden(transport, pieces, pieces, np.ones_like(seen)).pieces == ()
 
 
 def test_a_convex_body_in_uniform_light_sees_nothing_but_it() -> None:
