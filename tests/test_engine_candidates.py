@@ -13,11 +13,13 @@ from iris_addon.emission.candidates import (
     group_emitters,
     reflectance_needed,
     tie_fixtures,
+    with_gaps_closed,
 )
 from iris_addon.response.curve import gamma
 from iris_addon.response.observations import observe
 from iris_addon.response.radiance import linearise
 from iris_addon.surface.parts import edge_adjacency
+from iris_addon.transport.tracer import Tracer
 from tests.engine_room import assemble, quad
 
 N_VIEWS = 12
@@ -138,3 +140,17 @@ def test_a_pane_goes_on_in_its_plane_and_not_around_its_edge() -> None:
     assert found([up, up, up, side, up], bright) == [0, 1, 2]
     assert found([up, [-x for x in up], up, up, up], bright) == [0, 1, 2, 3]  # wound the other way
     assert found([up] * 5, bright & ~np.array([False, True, False, False, False])) == [0]  # a dark face between
+
+
+@pytest.mark.parametrize("emits_beside", [True, False])
+def test_triangles_smaller_than_pixels_are_part_of_the_lamp_around_them(emits_beside: bool) -> None:
+    """Every other triangle of a pane is hit by a pixel; gaps that border a wall, or lie around a corner, stay dark."""
+    mesh = assemble([quad([0, 0, 0], [1, 0, 0], [0, 1, 0], 0.1), quad([1, 0, 0], [0, 0, 1], [0, 1, 0], 0.1)], [0, 0])
+    tracer, adjacency = Tracer(mesh), edge_adjacency(mesh)
+    faces = np.arange(len(mesh.faces))
+    pane = faces < len(faces) // 2
+    seen = pane & (faces % 2 == 0)
+    emitting = seen & (emits_beside | (tracer.corners[:, :, 0].mean(1) < 0.3))
+    closed = with_gaps_closed(emitting, seen, tracer.normals, adjacency)
+    assert closed[emitting].all() and not closed[~pane].any()
+    assert (closed == pane).all() if emits_beside else not closed[tracer.corners[:, :, 0].min(1) > 0.35].any()

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..response.observations import Observations, order_in_groups
 from ..response.radiance import Linearised, group_radiance
-from ..surface.parts import component_labels
+from ..surface.parts import CREASE_COSINE, component_labels
 from ..transport.sampling import dot
 
 WHOLE_PART_SHARE = 0.75
@@ -116,6 +116,27 @@ def coplanar_with(
     holds_certain = np.zeros(len(emitting), bool)
     holds_certain[label[certain & emitting]] = True
     return emitting & holds_certain[label]
+
+
+def with_gaps_closed(
+    emitting: NDArray[np.bool_],
+    seen: NDArray[np.bool_],
+    normals: NDArray[np.floating],
+    adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
+) -> NDArray[np.bool_]:
+    """(F,) emitting faces, and those between them that no pixel hit: triangles may be smaller than pixels.
+
+    Unseen faces joined by smooth edges are one gap. It emits if nearly all seen faces at its border do.
+    """
+    a, b = adjacency
+    smooth = np.abs(dot(normals[a], normals[b])) > CREASE_COSINE
+    inside, border = smooth & ~seen[a] & ~seen[b], smooth & (seen[a] != seen[b])
+    gap = component_labels(len(emitting), a[inside], b[inside])
+    unseen_end, seen_end = np.where(seen[a], b, a)[border], np.where(seen[a], a, b)[border]
+    n_gaps = int(gap.max()) + 1
+    at_border = np.bincount(gap[unseen_end], minlength=n_gaps)
+    bright = np.bincount(gap[unseen_end], emitting[seen_end], n_gaps)
+    return emitting | (~seen & ((bright > FACE_SHARE * at_border) & (at_border > 0))[gap])
 
 
 def whole_parts(emitting: NDArray[np.bool_], count: NDArray[np.int64], parts: NDArray[np.int32]) -> NDArray[np.bool_]:

@@ -19,6 +19,7 @@ from .candidates import (
     group_emitters,
     reflectance_needed,
     whole_parts,
+    with_gaps_closed,
 )
 from .selection import certainty, needed_lamps, same_emitters, solved, with_all_rays, with_silent
 from .solve import (
@@ -129,6 +130,7 @@ def _candidates(
     # A bright region of a part that otherwise reflects is a highlight or a caustic until it is far too bright for one.
     certain = coplanar_with(certain, emitting, problem.tracer.normals, problem.adjacency)
     emitting &= certain | whole_parts(emitting, count, problem.parts)[problem.parts]
+    emitting = with_gaps_closed(emitting, count > 0, problem.tracer.normals, problem.adjacency)
     return group_emitters(emitting, count, problem.tracer.areas, problem.parts, problem.adjacency, rest)
 
 
