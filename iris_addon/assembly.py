@@ -153,12 +153,18 @@ def _predict(
 
 
 def _emitters(problem: LightProblem, lights: Lights) -> list[Emitter]:
-    areas, seen = problem.tracer.areas, problem.samples.seen_faces(len(problem.parts))
-    confidence = np.where([seen[faces].any() for faces in lights.emitters], 1.0 / (1.0 + lights.log_std), UNSEEN)
+    areas = problem.tracer.areas
+    confidence = np.where(_unseen(problem, lights), UNSEEN, 1.0 / (1.0 + lights.log_std))
     return [
         Emitter(k, faces, radiance, float(areas[faces].sum()), float(confidence[k]))
         for k, (faces, radiance) in enumerate(zip(lights.emitters, lights.radiance, strict=True))
     ]
+
+
+def _unseen(problem: LightProblem, lights: Lights) -> NDArray[np.bool_]:
+    """(E,) lamps that no photo shows."""
+    seen = problem.samples.seen_faces(len(problem.parts))
+    return np.array([not seen[faces].any() for faces in lights.emitters], bool)
 
 
 def _outside(problem: LightProblem, lights: Lights, backdrop: NDArray[np.float64] | None) -> OutsideLight | None:
@@ -195,7 +201,7 @@ def report_figures(
             "camera": calibration.report(),
             "response": photometry.report(),
             "lamps": len(lights.emitters),
-            "unseen_lamps": sum(emitter.confidence == UNSEEN for emitter in _emitters(problem.light, lights)),
+            "unseen_lamps": int(_unseen(problem.light, lights).sum()),
             "outside_directions": len(problem.light.hidden.directions),
             "glossy_parts": int(((gloss.roughness < 1) & (gloss.metallic < 0.5)).sum()),
             "metallic_parts": int((gloss.metallic > 0.5).sum()),
