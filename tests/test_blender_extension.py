@@ -198,6 +198,32 @@ def test_from_capture_to_files_and_back(package, tmp_path, worker, nerfstudio_ro
     assert not [line for line in said.splitlines() if "Warning: " in line or "rna_uiItemO" in line]
 
 
+def test_a_capture_comes_in_by_the_menu_and_by_being_dropped(package, tmp_path, worker, nerfstudio_room):
+    """What Blender does with File > Import and with a file dropped into the 3D view, but for the mouse."""
+    in_blender(
+        package,
+        tmp_path,
+        f"""
+        from types import SimpleNamespace as N
+        handler = bpy.types.FileHandler.bl_rna_get_subclass_py("IRIS_FH_capture")
+        over = lambda area: handler.poll_drop(N(area=area))
+        assert over(N(type="VIEW_3D")) and not over(N(type="IMAGE_EDITOR")) and not over(None)
+        assert handler.bl_file_extensions == ".json"
+        entries = []
+        layout = N(operator=lambda name, text: entries.append(name))
+        for draw in bpy.types.TOPBAR_MT_file_import._dyn_ui_initialize():
+            if draw.__module__.startswith(KEY):
+                draw(N(layout=layout), None)
+        assert entries == [handler.bl_import_operator] == ["iris.import_capture"]
+
+        preferences.python = {str(worker)!r}
+        dropped = {str(nerfstudio_room.root / "transforms.json")!r}
+        assert bpy.ops.iris.import_capture("INVOKE_DEFAULT", filepath=dropped) == {{"FINISHED"}}
+        assert len(scene.iris.views) == 6 and scene.iris.room is not None
+        """,
+    )
+
+
 def test_the_panel_has_a_picture_of_what_the_solve_knows_so_far(package, tmp_path):
     body = """
     from importlib import import_module
