@@ -77,11 +77,15 @@ def test_what_was_left_out_comes_back_only_if_it_is_certain() -> None:
     assert found(problem(floor=(2.0, 0.1, 0.1), clipped=(False, False, False)), under) == [WINDOW]
 
 
-@pytest.mark.parametrize(("loss_without", "stays"), [(1.0, False), (1.1, True)])
+@pytest.mark.parametrize(
+    ("shown", "loss_without", "stays"),
+    [(1.0, 1.0, False), (1.0, 1.1, True), (1.0, 1.02, True), (1 / 64, 1.02, False)],
+)
 def test_a_lamp_without_which_the_room_is_lit_as_well_is_left_out(
-    loss_without: float, stays: bool, monkeypatch: pytest.MonkeyPatch
+    shown: float, loss_without: float, stays: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    room = problem(floor=(1.0, 4.0, 0.1), clipped=(True, True, False))
+    """A radiance of 4 is two stops beyond photos that show 1, eight beyond those that show 1/64: that asks for more."""
+    room = problem(floor=(shown, 4.0, 0.1), clipped=(True, True, False))
     both = lights([(WINDOW, 4.0), (BAR, 4.0)], irradiance=(0.6, 0.6, 0.5))
 
     def solved(

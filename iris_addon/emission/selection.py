@@ -19,7 +19,7 @@ from .types import LightProblem, Lights
 
 NEGLIGIBLE_POWER = 2e-4
 IDLE_LOSS = 0.005
-"""Rise of the held-out loss without a lamp, per stop that it is brighter than photos show, up to which it does nothing."""
+"""Highest rise of the held-out loss without a lamp that does nothing, per stop it is brighter than photos show."""
 SILENT_EVERY = 4
 """One patch in so many is asked whether a silent part lights it; all are, before a lamp stays."""
 SILENT_GAIN, MAX_CLIPPED = 0.01, 8
@@ -124,8 +124,8 @@ def _without_idle(
         kept = [lamp for lamp in left if all(lamp is not other for other in lamps)]
         return solved(problem, observed, [*sure, *kept], lights, progress, say, near=True)
 
-    def idle(tried: Lights, share: float = 1.0) -> bool:
-        return tried.held_out < (1 + share * IDLE_LOSS) * lights.held_out
+    def idle(tried: Lights, stops: float = 1.0) -> bool:
+        return tried.held_out < (1 + stops * IDLE_LOSS) * lights.held_out
 
     if sure and left and idle(tried := without(left)):
         return tried
@@ -134,23 +134,22 @@ def _without_idle(
         if len(sure) + len(left) == 1:
             break
         tried = without([lamp])
-        if idle(tried, _stops_beyond_photos(problem, lights, lamp)) or not (
-            seen[lamp].any() or _glows(problem, lights, lamp)
-        ):
+        radiance = lights.radiance[len(sure) + next(k for k, other in enumerate(left) if other is lamp)]
+        dim = not seen[lamp].any() and not _glows(problem, lights, lamp)
+        if dim or idle(tried, _stops_beyond_photos(problem, lamp, radiance)):
             lights, left = tried, [other for other in left if other is not lamp]
     return lights
 
 
-def _stops_beyond_photos(problem: LightProblem, lights: Lights, lamp: NDArray[np.int64]) -> float:
+def _stops_beyond_photos(problem: LightProblem, lamp: NDArray[np.int64], radiance: NDArray[np.float64]) -> float:
     """By how many stops a lamp would have to be brighter than photos show, from half a stop to ten.
 
     The further beyond, the more the room has to ask for it: a strip of a frame can stand in for the window behind it at
     a hundred times the radiance.
     """
-    found = next(r for other, r in zip(lights.emitters, lights.radiance, strict=True) if other is lamp).mean()
     on = lamp_of_patch(problem, [lamp]) == 0
     shown = np.median(problem.brightness.floor[on].mean(1)) if on.any() else 0.0
-    return float(np.clip(np.log2(found / max(shown, 1e-9)), 0.5, 10.0))
+    return float(np.clip(np.log2(radiance.mean() / max(shown, 1e-9)), 0.5, 10.0))
 
 
 def _sides(problem: LightProblem, lamp: NDArray[np.int64]) -> list[NDArray[np.int64]]:
