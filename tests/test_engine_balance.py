@@ -118,9 +118,9 @@ def test_gradient_is_that_of_the_loss(shading: Shading) -> None:
     evidence = replace(shading.nothing_known, bound=shading.truth * 1.5, expected=shading.truth * 0.5)
     evidence.measured[0] = shading.truth[0] * 1.1
     problem = _Problem(
-        np.log(shading.radiance[rows]),
-        shading.indirect[rows],
-        shading.form_factors[rows],
+        np.log(shading.radiance[rows]).T,
+        shading.indirect[rows].T,
+        shading.form_factors[rows].T,
         np.full(len(rows), 1 / len(rows)),
         label,
         len(ids),

@@ -80,7 +80,7 @@ def test_uniform_radiance_arrives_with_the_mean_factor_of_both_lobes() -> None:
     n, none = transport.n_patches, np.zeros(len(room.parts), bool)
     ones, unknown = np.ones((n, 3)), np.ones(3)
     kappa = np.full(n, 0.64)
-    lobed = type(transport)(**{**vars(transport), "kappa": kappa}).gather_radiance(ones, unknown, none)
+    lobed = replace(transport, kappa=kappa).gather_radiance(ones, unknown, none)
     flat = transport.gather_radiance(ones, unknown, none)
     np.testing.assert_allclose(flat, 1.0, rtol=1e-5)
     # S of the angles of arrival averages to about the same mean in a room of large walls; both factors multiply.

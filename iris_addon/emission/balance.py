@@ -99,9 +99,9 @@ def solve_balance(
     n_tied = int(evidence.tie.max()) + 1
     first = np.array([np.flatnonzero(evidence.tie == k)[0] for k in range(n_tied)])
     whole = _Problem(
-        np.log(radiance[rows]),
-        np.maximum(indirect[rows], 1e-6),
-        np.stack([form_factors[rows][:, evidence.tie == k].sum(1) for k in range(n_tied)], -1).astype(np.float64),
+        np.ascontiguousarray(np.log(radiance[rows], dtype=np.float64).T),
+        np.ascontiguousarray(np.maximum(indirect[rows], 1e-6, dtype=np.float64).T),
+        np.stack([form_factors[rows][:, evidence.tie == k].sum(1, np.float64) for k in range(n_tied)]),
         weight[rows],
         label,
         len(part_ids),
@@ -144,11 +144,15 @@ def _minimise(problem: _Problem, unknowns: NDArray[np.float64], iterations: int)
 
 @dataclass(frozen=True)
 class _Problem:
-    """The loss and its gradient: P patches, E' tied emitters, n parts."""
+    """The loss and its gradient: P patches, E' tied emitters, n parts.
 
-    log_radiance: NDArray[np.float64]  # (P, 3)
-    indirect: NDArray[np.float64]  # (P, 3)
-    form_factors: NDArray[np.float64]  # (P, E')
+    Patches run along the last axis and arrays are changed in place: the loss is taken thousands of times, and fresh
+    memory for each step of it takes four times as long as the sums.
+    """
+
+    log_radiance: NDArray[np.float64]  # (3, P)
+    indirect: NDArray[np.float64]  # (3, P)
+    form_factors: NDArray[np.float64]  # (E', P)
     weight: NDArray[np.float64]  # (P,) sums to 1
     part: NDArray[np.int64]  # (P,)
     n_parts: int
@@ -159,18 +163,31 @@ class _Problem:
         """Some of the patches, their weights scaled to sum to one."""
         return replace(
             self,
-            log_radiance=self.log_radiance[keep],
-            indirect=self.indirect[keep],
-            form_factors=self.form_factors[keep],
+            log_radiance=self.log_radiance[:, keep],
+            indirect=self.indirect[:, keep],
+            form_factors=self.form_factors[:, keep],
             weight=self.weight[keep] / self.weight[keep].sum(),
             part=self.part[keep],
         )
 
+    def incoming(self, log_e: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(3, P) irradiance / pi."""
+        incoming = np.exp(log_e).T @ self.form_factors
+        incoming += self.indirect
+        return incoming
+
+    def deviation(self, incoming: NDArray[np.float64], albedo: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(3, P) of log albedo from that of the part, in units of the robust loss."""
+        r = np.log(incoming)
+        np.subtract(self.log_radiance, r, out=r)
+        r -= albedo.T.take(self.part, 1)
+        r /= self.scale
+        return r
+
     def shading_loss(self, log_e: NDArray[np.float64], albedo: NDArray[np.float64]) -> float:
         """Robust deviation of log albedo from one value per part, mean over patches."""
-        incoming = self.indirect + self.form_factors @ np.exp(log_e)
-        r = (self.log_radiance - np.log(incoming) - albedo[self.part]) / self.scale
-        return float((self.weight @ np.log1p(r**2)).sum())
+        r = self.deviation(self.incoming(log_e), albedo)
+        return float((np.log1p(r**2) @ self.weight).sum())
 
     @property
     def n_effective(self) -> int:
@@ -179,7 +196,7 @@ class _Problem:
 
     def split(self, unknowns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Log radiance (E', 3) and log albedo (n, 3) in the flat vector of unknowns."""
-        n = 3 * self.form_factors.shape[1]
+        n = 3 * len(self.form_factors)
         return np.clip(unknowns[:n], -LOG_RANGE, LOG_RANGE).reshape(-1, 3), unknowns[n:].reshape(-1, 3)
 
     def joined(self, log_e: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -188,7 +205,7 @@ class _Problem:
 
     def implied_albedo(self, log_e: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n, 3) median log albedo of every part under given emitters."""
-        implied = self.log_radiance - np.log(self.indirect + self.form_factors @ np.exp(log_e))
+        implied = (self.log_radiance - np.log(self.incoming(log_e))).T
         order = np.argsort(self.part, kind="stable")
         pieces = np.split(implied[order], np.cumsum(np.bincount(self.part, minlength=self.n_parts))[:-1])
         return np.stack([np.median(piece, axis=0) if len(piece) else np.log(np.full(3, 0.5)) for piece in pieces])
@@ -196,13 +213,16 @@ class _Problem:
     def loss(self, unknowns: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         """Robust loss and its gradient in log radiance and log albedo."""
         log_e, albedo = self.split(unknowns)
-        emission = np.exp(log_e)
-        incoming = self.indirect + self.form_factors @ emission
-        r = (self.log_radiance - np.log(incoming) - albedo[self.part]) / self.scale
-        value = float((self.weight @ np.log1p(r**2)).sum())
-        dr = 2 * r / (1 + r**2) * (self.weight / self.scale)[:, None]
-        grad_e = -(self.form_factors.T @ (dr / incoming)) * emission
-        grad_a = -group_sums(dr, self.part, self.n_parts)
+        incoming = self.incoming(log_e)
+        r = self.deviation(incoming, albedo)
+        square = r**2
+        value = float((np.log1p(square) @ self.weight).sum())
+        square += 1
+        r /= square
+        r *= self.weight * (2 / self.scale)  # now the derivative of the loss in log albedo, negative
+        grad_a = -group_sums(r.T, self.part, self.n_parts)
+        r /= incoming
+        grad_e = -(self.form_factors @ r.T) * np.exp(log_e)
         too_white = np.clip(albedo - np.log(MAX_ALBEDO), 0.0, None)
         share = np.bincount(self.part, self.weight, self.n_parts)[:, None]
         value += 50.0 * float((share * too_white**2).sum())
@@ -214,11 +234,10 @@ class _Problem:
 
     def log_std(self, log_e: NDArray[np.float64]) -> NDArray[np.float64]:
         """(E',) standard deviation of log radiance that the shading alone leaves, from the curvature of the loss."""
-        incoming = self.indirect + self.form_factors @ np.exp(log_e)
         curvature = np.zeros(len(log_e))
-        for channel in range(3):
-            share = self.form_factors * np.exp(log_e[:, channel]) / incoming[:, channel : channel + 1]
-            curvature += self.weight @ share**2 / 3
+        for channel, incoming in enumerate(self.incoming(log_e)):
+            share = self.form_factors * np.exp(log_e[:, channel : channel + 1]) / incoming
+            curvature += share**2 @ self.weight / 3
         return 1.0 / np.sqrt(np.maximum(curvature * self.n_effective / self.scale**2, 1e-6))
 
 

@@ -79,7 +79,7 @@ def solve_lights(
         return problem.field.smooth(values[:n], NOISE_WIDTH, rows, group)
 
     smooth_shaded, smooth_factors = smooth(shaded), smooth(all_factors)
-    for _ in range(1 if near else 2):
+    for known_about in (True,) if near else (False, True):
         unknown = mean_radiance(radiance, problem)
         indirect = problem.transport.gather_radiance(radiance, unknown, mask)
         if problem.bounce is not None:
@@ -93,7 +93,7 @@ def solve_lights(
             evidence,
             start,
             problem.robust_log,
-            near,
+            known_about,
         )
         start = balance.radiance
         irradiance = indirect + all_factors @ balance.radiance

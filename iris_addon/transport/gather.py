@@ -148,7 +148,9 @@ def _add_gathered(
     cos_surface = np.abs((origins.normal[row, column % origins.normal.shape[1]] * direction).sum(1))
     per_area = cos_surface * cos_light / np.maximum(np.pi * rays.distance[row, column] ** 2, 1e-9)
     weight = n_rays * per_area / (n_rays * per_area + n_samples / area[k])
-    np.add.at(result, (row, k), (weight / n_rays)[:, None] * with_schlick(cos_surface))
+    for kind, factor in enumerate(with_schlick(cos_surface).T):
+        total = np.bincount(row * len(area) + k, weight / n_rays * factor, minlength=result[..., 0].size)
+        result[..., kind] += total.reshape(len(result), len(area))
 
 
 def with_schlick(cosine: NDArray[np.floating]) -> NDArray[np.floating]:

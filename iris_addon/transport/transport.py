@@ -7,6 +7,7 @@ off, found because gather rays ended there. Their radiance is not observed and f
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -74,33 +75,39 @@ class Transport:
         Returns:
             (N, 3) irradiance / pi, without emitters and without light from outside.
         """
-        table = torch.from_numpy(radiance_table(radiance, unknown)).to(self.device)
-        own = np.split(self.kappa, [self.n_seen])
-        rows = [
-            _mean_of_targets(table, rays, target, emitter_faces, kappa, self.kappa)
-            for rays, target, kappa in (
-                (self.rays, self.target, own[0]),
-                (self.unseen_rays, self.unseen_target, own[1]),
-            )
-        ]
-        return np.concatenate(rows)
+        # Turned by two, so that ESCAPED and UNKNOWN, which count from the end, come first: torch counts from zero.
+        table = torch.from_numpy(np.roll(radiance_table(radiance, unknown), 2, axis=0)).to(self.device)
+        dark = np.append(emitter_faces, False)
+        seen = _mean_of_targets(table, self.rays, self.target, dark, self._lobe_weights[0])
+        unseen = _mean_of_targets(table, self.unseen_rays, self.unseen_target, dark, self._lobe_weights[1])
+        return np.concatenate([seen, unseen])
+
+    @cached_property
+    def _lobe_weights(self) -> tuple[NDArray[np.float32] | None, NDArray[np.float32] | None]:
+        """Of the rays of seen and of unseen patches; None where all patches are Lambertian. Many lamps are tried."""
+        if not self.kappa.any():
+            return None, None
+        own = np.split(self.kappa.astype(np.float32), [self.n_seen])
+        kappa = np.append(self.kappa, [0, 0]).astype(np.float32)  # the last two for UNKNOWN and ESCAPED
+        return (
+            _lobe_weights(self.rays, self.target, own[0], kappa),
+            _lobe_weights(self.unseen_rays, self.unseen_target, own[1], kappa),
+        )
 
 
 def _mean_of_targets(
     table: torch.Tensor,
     rays: GatherRays,
     target: NDArray[np.int32],
-    emitters: NDArray[np.bool_],
-    own: NDArray[np.floating],
-    kappa: NDArray[np.floating],
+    dark: NDArray[np.bool_],
+    weight: NDArray[np.float32] | None,
 ) -> NDArray[np.float32]:
+    """(n, 3) of the rays (n, R); those that end on ``dark`` (F + 1,) faces, the last for none, carry nothing."""
     index = np.empty(target.shape, np.int32)
-    weight = np.empty(target.shape, np.float32) if kappa.any() else None
 
     def work(rows: slice) -> None:
-        index[rows] = table_rows(target[rows], rays.face[rows], emitters) % len(table)
-        if weight is not None:
-            weight[rows] = _lobe_weights(rays, rows, target[rows], own[rows], kappa)
+        np.add(target[rows], 2, out=index[rows])
+        np.putmask(index[rows], dark.take(rays.face[rows]), ESCAPED + 2)
 
     over_blocks(len(target), BLOCK // target.shape[1], work)
     at = torch.from_numpy(index).to(table.device)
@@ -111,12 +118,17 @@ def _mean_of_targets(
 
 
 def _lobe_weights(
-    rays: GatherRays, rows: slice, target: NDArray[np.int32], own: NDArray, kappa: NDArray
+    rays: GatherRays, target: NDArray[np.int32], own: NDArray[np.float32], kappa: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """(rows, R) ``1 + κ S`` where a ray starts, κ being ``own`` (rows,), times the same where it ends."""
-    own, kappa = own.astype(np.float32), kappa.astype(np.float32)
-    ending = np.where(target >= 0, kappa[target], np.float32(0))
-    return (1 + own[:, None] * rays.schlick_start[rows]) * (1 + ending * rays.schlick_end[rows])
+    """(n, R) ``1 + κ S`` where a ray starts, κ being ``own`` (n,), times the same where it ends."""
+    weight = np.empty(target.shape, np.float32)
+
+    def work(rows: slice) -> None:
+        starting = 1 + own[rows, None] * rays.schlick_start[rows]
+        weight[rows] = starting * (1 + kappa[target[rows]] * rays.schlick_end[rows])
+
+    over_blocks(len(target), BLOCK // target.shape[1], work)
+    return weight
 
 
 def lobe_at(
