@@ -10,6 +10,7 @@ import pytest
 from iris_addon.emission.balance import (
     MAX_ALBEDO,
     ROBUST_LOG,
+    ROOM_ALBEDO,
     Balance,
     Evidence,
     _DirectEvidence,
@@ -100,6 +101,20 @@ def test_one_lamp_comes_back_exactly(shading: Shading) -> None:
 @pytest.mark.parametrize("factor", [0.05, 30.0])
 def test_the_start_does_not_matter(shading: Shading, factor: float) -> None:
     assert shading.solve(start=shading.truth * factor).radiance == pytest.approx(shading.truth, rel=0.03)
+
+
+def test_where_no_light_comes_back_the_room_is_of_common_albedo(shading: Shading) -> None:
+    """Without interreflection light times albedo is all that photos tell; what rooms are like sets the level."""
+    from_lamps = shading.form_factors @ shading.truth
+    direct = shading.radiance * from_lamps / (shading.indirect + from_lamps)
+    dark = replace(shading, radiance=direct, indirect=np.zeros_like(direct))
+    for factor in (0.05, 30.0):
+        balance = dark.solve(start=shading.truth * factor)
+        share = np.bincount(np.searchsorted(balance.part_ids, shading.part), minlength=len(balance.part_ids))
+        mean = np.exp((share / share.sum()) @ np.log(balance.part_albedo))
+        assert mean.prod() ** (1 / 3) == pytest.approx(ROOM_ALBEDO, rel=0.05)
+        ratio = balance.radiance / shading.truth
+        assert ratio[0] == pytest.approx(ratio[1], rel=0.05)
 
 
 def test_texture_and_outliers_do_little(shading: Shading) -> None:
