@@ -205,7 +205,7 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
     step = staticmethod(project.relight_step)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Each lamp with a switch, its colour and its strength."""
+        """Each lamp with a switch, its colour and its strength; objects to put in."""
         layout, scene = self.layout, context.scene
         settings = scene.iris
         if APPLIED not in scene:
@@ -222,7 +222,7 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         lights = [thing.name for thing in scene.objects if thing.type == "LIGHT" and not thing.hide_render]
         if lights:
             paragraph(layout, f"Shine as well: {', '.join(lights[:3])}", context, "INFO")
-        paragraph(layout, "To insert: add objects to the scene and render; they are lit by these lamps", context)
+        layout.operator_menu_enum("iris.place", "thing", text="Place Object", icon="MESH_UVSPHERE")
 
 
 class IRIS_UL_lamps(bpy.types.UIList):  # noqa: N801 - Blender's naming

@@ -268,6 +268,57 @@ def test_a_scene_is_solved_on_its_own_objects(package, tmp_path, worker, nerfstu
     in_blender(package, tmp_path, body)
 
 
+def test_things_are_set_onto_the_surface_they_are_pointed_at(package, tmp_path, worker, nerfstudio_room):
+    """What a click does with the line of sight through it: to the floor, to a wall, in units of centimetres, beside."""
+    body = f"""
+    from mathutils import Vector
+    preferences.python = {str(worker)!r}
+    assert not bpy.ops.iris.place.poll()
+    bpy.ops.iris.import_capture(filepath={str(nerfstudio_room.root)!r})
+    bpy.ops.iris.solve()
+    bpy.ops.iris.apply()
+    bpy.data.objects.remove(scene.objects["Cube"])
+    room = [thing for thing in scene.objects if thing.type == "MESH"]
+    low = min((thing.matrix_world @ Vector(c) for thing in room for c in thing.bound_box), key=lambda c: c.z)
+    high = max((thing.matrix_world @ Vector(c) for thing in room for c in thing.bound_box), key=lambda c: c.x)
+    eye = sum((view.camera.matrix_world.translation for view in scene.iris.views), Vector()) / len(scene.iris.views)
+
+    def place(direction, **settings):
+        before = set(scene.objects)
+        assert bpy.ops.iris.place(origin=eye, direction=direction, **settings) == {{"FINISHED"}}
+        bpy.context.view_layer.update()
+        return sorted(set(scene.objects) - before, key=lambda thing: thing.type)
+
+    def extent(thing):
+        corners = [thing.matrix_world @ Vector(corner) for corner in thing.bound_box]
+        return [(min(c[k] for c in corners), max(c[k] for c in corners)) for k in range(3)]
+
+    anchor, ball = place((0, 0, -1), thing="MIRROR")
+    (x0, x1), (y0, y1), (z0, z1) = extent(ball)
+    assert abs(z0 - low.z) < 1e-3 and abs(z1 - z0 - 0.3) < 1e-3, (z0, z1, low.z)
+    assert abs((x0 + x1) / 2 - eye.x) < 1e-3 and abs((y0 + y1) / 2 - eye.y) < 1e-3
+    anchor, box = place((1, 0, 0), thing="BOX", size=0.5)
+    (x0, x1), _y, _z = extent(box)
+    assert abs(x1 - high.x) < 1e-3 and abs(x1 - x0 - 0.15) < 1e-3, (x0, x1, high.x)  # its underside on the wall
+
+    # The one that is selected is moved, with the size it has; what was put in first is stood upon as the room is.
+    bpy.context.view_layer.objects.active = anchor
+    assert place((0, 0, -1), thing="SELECTED") == []
+    (_x, _y, (z0, z1)) = extent(box)
+    assert abs(z0 - low.z - 0.3) < 2e-2 and abs(z1 - z0 - 0.15) < 1e-2, (z0, z1)
+    count = len(bpy.data.objects), len(bpy.data.meshes), len(bpy.data.materials)
+    fails(bpy.ops.iris.place, "there is no surface", thing="GREY", origin=(0, 0, 99), direction=(0, 0, 1))
+    assert count == (len(bpy.data.objects), len(bpy.data.meshes), len(bpy.data.materials))
+    bpy.context.view_layer.objects.active = scene.iris.room
+    fails(bpy.ops.iris.place, "is the room", thing="SELECTED", direction=(0, 0, 1))
+
+    scene.unit_settings.scale_length = 0.01
+    anchor, ball = place((0, 0, -1), thing="GREY")
+    assert abs(extent(ball)[2][1] - extent(ball)[2][0] - 30) < 0.1
+    """
+    in_blender(package, tmp_path, body)
+
+
 # ---- what goes wrong -----------------------------------------------------------------------------------------------
 
 

@@ -77,7 +77,7 @@ def add_object(
     for layer in collection.id_data.view_layers if isinstance(collection.id_data, bpy.types.Scene) else ():
         layer.update()
     anchor = bpy.data.objects.new(name, None)
-    anchor.matrix_world = placement_matrix(thing.placement, room, _corners(objects))
+    anchor.matrix_world = placement_matrix(thing.placement, room, corners_of(objects))
     collection.objects.link(anchor)
     for child in objects:
         if child.parent is None:
@@ -163,8 +163,8 @@ def _use_material(objects: Iterable[bpy.types.Object], material: bpy.types.Mater
             thing.data.materials.append(material)
 
 
-def _corners(objects: Iterable[bpy.types.Object]) -> NDArray[np.float64]:
-    """(n, 3) vertices of the meshes and corners of the boxes of anything else that has an extent."""
+def corners_of(objects: Iterable[bpy.types.Object]) -> NDArray[np.float64]:
+    """(n, 3) in world space: vertices of the meshes, and corners of the boxes of anything else that has an extent."""
     found = [np.empty((0, 3))]
     for thing in objects:
         if thing.type == "MESH":
