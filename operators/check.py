@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..iris_addon.blender.camera import set_frame
 from ..iris_addon.blender.capture_in import photo_of
 from .data import start_import
 from .polls import NeedsReader
@@ -71,7 +72,8 @@ def look_at_photo(context: bpy.types.Context, index: int) -> None:
     scene.camera = camera
     image = photo_of(camera)
     if scene.iris.source == "CAPTURE" and image is not None and image.size[0]:
-        scene.render.resolution_x, scene.render.resolution_y = image.size
+        width, height = image.size
+        set_frame(scene, width, height, scene.iris.views[index].aspect)
     for area in context.screen.areas if context.screen is not None else ():
         if area.type == "VIEW_3D":
             area.spaces.active.region_3d.view_perspective = "CAMERA"

@@ -9,16 +9,26 @@ from pathlib import Path
 import bpy
 
 from ..iris_addon.blender import jobs
-from ..iris_addon.blender.capture_in import Inspected, add_capture, read_inspected
+from ..iris_addon.blender.capture_in import (
+    COLLECTION,
+    Inspected,
+    add_capture,
+    has_mesh,
+    read_inspected,
+    refresh_capture,
+)
 from ..iris_addon.blender.commands import ADDON, inspect_command
+from ..iris_addon.blender.onto_objects import APPLIED, restore
 from ..iris_addon.blender.review import sparkline
-from ..iris_addon.blender.scene_capture import write_scene_capture
+from ..iris_addon.blender.scene_capture import read_view_cameras, write_scene_capture
 from ..iris_addon.errors import IrisError
 from .polls import NeedsReader
 from .preferences import ROOT_PACKAGE, solver_python
-from .project import capture_path, folder, inspection_folder
+from .project import capture_path, folder, inspection_folder, own_folder
 from .watch import run
 
+CAPTURE = "iris_capture"
+"""Custom property of a room: the capture it is of."""
 DEMO = ADDON / "assets" / "demo_room"
 
 
@@ -83,7 +93,7 @@ class IRIS_OT_use_scene(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blende
                 settings.result = ""
             settings.source, settings.capture, settings.room = "SCENE", "", None
             # Kept by name: saving the file elsewhere, or under another name, must not lose the result.
-            settings.result = str(folder(context.scene))
+            settings.result = str(own_folder(context.scene))
         return start_import(self, context)
 
 
@@ -97,30 +107,50 @@ class IRIS_OT_add_capture(bpy.types.Operator):  # noqa: N801 - Blender's naming
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Read the folder of the check and make objects of it."""
         scene = context.scene
+        settings = scene.iris
         try:
             inspected = read_inspected(inspection_folder(scene))
+            objects = read_view_cameras(folder(scene)) if settings.source == "SCENE" else {}
         except IrisError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        settings = scene.iris
-        if settings.source == "CAPTURE":
+        if settings.source == "SCENE":
+            cameras = [scene.objects.get(objects.get(view.name, "")) for view in inspected.views]
+        elif _is_of(settings.room, settings.capture, scene):
+            if APPLIED in scene and not has_mesh(settings.room, inspected.mesh):
+                restore(scene)  # the result is that of another mesh
             present = {view.name: view.camera for view in settings.views if view.camera is not None}
-            cameras = [present.get(view.name) for view in inspected.views]
-            if settings.room is None or settings.room.name not in scene.objects or None in cameras:
-                settings.room, cameras = add_capture(inspected, scene)
+            present = {name: camera for name, camera in present.items() if camera.name in scene.objects}
+            cameras = refresh_capture(inspected, settings.room, present)
         else:
-            cameras = [scene.objects.get(view.name) for view in inspected.views]
+            if settings.room is not None:
+                _put_away(settings.room)
+            settings.room, cameras = add_capture(inspected, scene)
+            settings.room[CAPTURE] = settings.capture
         _fill(settings, inspected, cameras)
         self.report({"INFO"}, f"{inspected.name}: {len(inspected.views)} photos")
         return {"FINISHED"}
 
 
 def choose_capture(settings: bpy.types.PropertyGroup, path: Path) -> None:
-    """Make ``path`` the capture of the scene; a folder for results that belonged to another one is let go."""
-    if settings.views and (settings.source, settings.capture) != ("CAPTURE", str(path)):
-        settings.result, settings.room = "", None
-        settings.views.clear()
+    """Make ``path`` the capture of the scene; a folder for results that belonged to another one is let go.
+
+    Room and photos of that one stay until this one has been read: it may be no capture at all.
+    """
+    if (settings.source, settings.capture) not in (("CAPTURE", str(path)), ("CAPTURE", "")):
+        settings.result = ""
     settings.source, settings.capture = "CAPTURE", str(path)
+
+
+def _is_of(room: bpy.types.Object | None, capture: str, scene: bpy.types.Scene) -> bool:
+    return room is not None and room.get(CAPTURE) == capture and room.name in scene.objects
+
+
+def _put_away(room: bpy.types.Object) -> None:
+    """Hide the room of another capture with its photos: it would stand in this one."""
+    for collection in room.users_collection:
+        if collection.name.startswith(COLLECTION):
+            collection.hide_viewport = collection.hide_render = True
 
 
 def start_import(operator: bpy.types.Operator, context: bpy.types.Context) -> set[str]:
@@ -134,8 +164,11 @@ def start_import(operator: bpy.types.Operator, context: bpy.types.Context) -> se
         # The file that was open may be another one by now; it finds the check again by its folder.
         scene = bpy.data.scenes.get(name)
         if record.state == "done" and scene is not None and inspection_folder(scene) == target:
-            with bpy.context.temp_override(**_window_of(scene)):
-                bpy.ops.iris.add_capture("EXEC_DEFAULT", True)
+            try:
+                with bpy.context.temp_override(**_window_of(scene)):
+                    bpy.ops.iris.add_capture("EXEC_DEFAULT", True)
+            except RuntimeError as error:  # how Blender hands on what an operator reports
+                raise IrisError(str(error).strip().removeprefix("Error: "), "check the capture again") from error
 
     capture = capture_path(scene)
     assert capture is not None
@@ -143,9 +176,15 @@ def start_import(operator: bpy.types.Operator, context: bpy.types.Context) -> se
 
 
 def write_scene(operator: bpy.types.Operator, context: bpy.types.Context) -> bool:
-    """Write the scene as a capture if that is what is solved; False, and reported, if it cannot be."""
+    """Write the scene as a capture if that is what is solved; False, and reported, if it cannot be.
+
+    With a result on its objects the scene is not what was photographed: what was written before is solved again.
+    """
     scene = context.scene
     if scene.iris.source != "SCENE":
+        return True
+    if APPLIED in scene and (folder(scene) / "capture" / "transforms.json").is_file():
+        operator.report({"INFO"}, "The scene as it was before Apply; Restore Originals to take in changes made since")
         return True
     try:
         for warning in write_scene_capture(scene, context.evaluated_depsgraph_get(), folder(scene)):
@@ -167,7 +206,7 @@ def _fill(settings: bpy.types.PropertyGroup, inspected: Inspected, cameras: list
     settings.views.clear()
     for view, camera in zip(inspected.views, cameras, strict=True):
         item = settings.views.add()
-        item.name, item.camera = view.name, camera
+        item.name, item.camera, item.aspect = view.name, camera, view.camera.fx / view.camera.fy
         item.exposure = view.exposure or 0.0
         item.saturated, item.seen, item.histogram = view.saturated, view.seen, sparkline(view.histogram)
         item.score, item.shift, item.verdict = view.score, view.shift, view.verdict

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import bpy
 
-from ..iris_addon.blender import jobs
+from ..iris_addon.blender import jobs, lamps
 from ..iris_addon.blender.onto_objects import APPLIED
 from ..iris_addon.blender.review import model_lines
 from ..iris_addon.errors import IrisError
@@ -235,6 +235,9 @@ class IRIS_UL_lamps(bpy.types.UIList):  # noqa: N801 - Blender's naming
         row.prop(item, "on", text="", icon="OUTLINER_OB_LIGHT" if item.on else "LIGHT", emboss=False)
         row.label(text=item.name)
         row = split.row(align=True)
+        if not lamps.is_plain(item.material):
+            row.label(text="edited by hand")
+            return
         row.active = item.on
         row.prop(item, "color", text="")
         row.prop(item, "strength", text="")

@@ -70,8 +70,14 @@ def environment_python(folder: Path) -> Path:
 
 
 def solver_python(context: bpy.types.Context) -> str:
-    """Path of the solver's Python, empty where none is set."""
-    return bpy.path.abspath(context.preferences.addons[ROOT_PACKAGE].preferences.python)
+    """Path of the solver's Python: the one chosen, or the one made here; empty where there is neither."""
+    chosen = bpy.path.abspath(context.preferences.addons[ROOT_PACKAGE].preferences.python)
+    made = environment_python(environment_folder())
+    return chosen or (str(made) if made.is_file() and _finished() else "")
+
+
+def _finished() -> bool:
+    return jobs.record("environment", environment_folder()).state == "done"
 
 
 class IRIS_OT_test_python(bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -121,6 +127,7 @@ class IRIS_OT_make_environment(bpy.types.Operator):  # noqa: N801 - Blender's na
         def ended(record: jobs.Record) -> None:
             if record.state == "done":
                 preferences.python = str(environment_python(folder))
+                context.preferences.is_dirty = True  # so that Blender writes it down when it ends
 
         try:
             folder.mkdir(parents=True, exist_ok=True)

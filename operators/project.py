@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -47,9 +48,17 @@ def folder(scene: bpy.types.Scene) -> Path:
         assert capture is not None
         capture = capture if capture.is_dir() else capture.parent
         return capture.with_name(f"{capture.name}-iris")
+    name = bpy.path.clean_name(scene.name)  # "Day/Night" is a name of a scene, and no name of a folder
     if bpy.data.filepath:
-        return Path(bpy.data.filepath).with_suffix(f".{scene.name}-iris")
-    return Path(bpy.utils.extension_path_user(ROOT_PACKAGE, path=f"unsaved/{scene.name}"))
+        return Path(f"{Path(bpy.data.filepath).with_suffix('')}.{name}-iris")
+    return Path(bpy.utils.extension_path_user(ROOT_PACKAGE, path=f"unsaved/{name}"))
+
+
+def own_folder(scene: bpy.types.Scene) -> Path:
+    """:func:`folder`, but one that no other unsaved file finds."""
+    where = folder(scene)
+    unsaved = not scene.iris.result and not bpy.data.filepath
+    return where.with_name(f"{where.name}-{time.time_ns():x}") if unsaved else where
 
 
 def inspection_folder(scene: bpy.types.Scene) -> Path:
@@ -83,7 +92,7 @@ def check_step(scene: bpy.types.Scene) -> Step:
     record = jobs.record("inspect", inspection_folder(scene))
     if record.state == "running":
         return Step("running", "Looking at the photos")
-    if record.state in ("failed", "interrupted") and not settings.views:
+    if record.state in ("failed", "interrupted"):
         return Step("failed", "The capture cannot be used as it is")
     if not settings.views:
         return Step("missing", "First: data")

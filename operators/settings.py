@@ -49,6 +49,7 @@ class IrisView(bpy.types.PropertyGroup):
     """One photo as the check found it; ``name`` is that of the view."""
 
     camera: bpy.props.PointerProperty(type=bpy.types.Object)
+    aspect: bpy.props.FloatProperty(name="Pixel aspect", description="Focal length along x over along y", default=1)
     exposure: bpy.props.FloatProperty(name="Exposure", description="Relative exposure; 0 where it is unknown", min=0.0)
     saturated: bpy.props.FloatProperty(name="Saturated", description="Share of pixels at the upper end", min=0, max=1)
     histogram: bpy.props.StringProperty(name="Histogram", description="Display values from black to saturated")

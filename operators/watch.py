@@ -80,6 +80,8 @@ def unregister() -> None:
     atexit.unregister(jobs.stop_all)
 
 
+KEPT_AREAS = ("VIEW_3D", "OUTLINER", "PREFERENCES")
+"""Editors that do not turn into another."""
 JOB_NAMES = tuple((name, name.title(), "") for name in ("solve", "inspect", "environment", "test"))
 
 
@@ -150,7 +152,7 @@ def show_in_editor(
     if context.screen is None:
         return
     areas = [area for area in context.screen.areas if area.type == area_type]
-    others = [] if only_open else [area for area in context.screen.areas if area.type not in ("VIEW_3D", "OUTLINER")]
+    others = [] if only_open else [area for area in context.screen.areas if area.type not in KEPT_AREAS]
     candidates = areas or others
     if not candidates:
         return

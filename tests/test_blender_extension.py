@@ -260,9 +260,15 @@ def test_a_scene_is_solved_on_its_own_objects(package, tmp_path, worker, nerfstu
     assert scene.iris.source == "SCENE" and len(scene.iris.views) == 6
     assert (Path(scene.iris.result) / "capture" / "transforms.json").is_file()
     assert Path(scene.iris.result).is_relative_to(home)  # never into the extension's folder, nor beside the capture
+    assert all(view.camera is not None for view in scene.iris.views)
     bpy.ops.iris.solve()
     bpy.ops.iris.apply()
     assert len(scene.iris.lamps) == 1 and room.data.name.endswith("IRIS")
+    # Solved again as it was, not in its new dress.
+    written = (Path(scene.iris.result) / "capture" / "mesh.obj").read_bytes()
+    bpy.ops.iris.solve()
+    assert (Path(scene.iris.result) / "capture" / "mesh.obj").read_bytes() == written
+    bpy.ops.iris.apply()
     bpy.ops.iris.restore()
     """
     in_blender(package, tmp_path, body)
@@ -315,6 +321,39 @@ def test_things_are_set_onto_the_surface_they_are_pointed_at(package, tmp_path, 
     scene.unit_settings.scale_length = 0.01
     anchor, ball = place((0, 0, -1), thing="GREY")
     assert abs(extent(ball)[2][1] - extent(ball)[2][0] - 30) < 0.1
+    """
+    in_blender(package, tmp_path, body)
+
+
+def test_a_capture_that_has_changed_is_taken_in_by_checking_again(package, tmp_path, worker, nerfstudio_room):
+    """Poses, lenses and mesh onto the objects that are there; what is no capture takes nothing away."""
+    body = f"""
+    import json
+    preferences.python = {str(worker)!r}
+    capture = Path({str(nerfstudio_room.root)!r})
+    bpy.ops.iris.import_capture(filepath=str(capture))
+    bpy.ops.iris.solve()
+    bpy.ops.iris.apply()
+    count, room = len(scene.objects), scene.iris.room
+    first = scene.iris.views[0].camera
+    (home / "other.json").write_text("{{}}")
+    fails(bpy.ops.iris.import_capture, "", filepath=str(home / "other.json"))
+    assert scene.iris.room == room and len(scene.iris.views) == 6 and "iris_applied" in scene
+    bpy.ops.iris.import_capture(filepath=str(capture))
+    assert len(scene.objects) == count and scene.iris.room == room and "iris_applied" in scene
+
+    poses = json.loads((capture / "transforms.json").read_text())
+    for frame in poses["frames"]:
+        frame["transform_matrix"][0][3] += 0.1
+    before = first.matrix_world.translation.copy()
+    (capture / "transforms.json").write_text(json.dumps(poses))
+    bpy.data.objects.remove(scene.iris.views[3].camera)
+    mesh = capture / poses.get("mesh", "mesh.obj")
+    bpy.ops.iris.check()
+    bpy.context.view_layer.update()
+    assert len(scene.objects) == count and all(view.camera is not None for view in scene.iris.views)
+    assert abs((first.matrix_world.translation - before).length - 0.1) < 1e-5
+    assert scene.iris.room == room and "iris_applied" in scene  # its mesh is what it was
     """
     in_blender(package, tmp_path, body)
 

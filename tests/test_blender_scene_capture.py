@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 import pytest
 
-from iris_addon.blender.scene_capture import read_face_runs, write_scene_capture
+from iris_addon.blender.scene_capture import read_face_runs, read_view_cameras, write_scene_capture
 from iris_addon.capture import read_capture
 from iris_addon.errors import BadInput
 from tests.blender_room import box as box_mesh
@@ -30,8 +30,9 @@ def box(name: str, **placed) -> None:
     bpy.context.scene.collection.objects.link(thing)
 
 
-def photo(path, width=40, height=30):
+def photo(path, width=40, height=30, level=0):
     image = bpy.data.images.new("photo", width, height)
+    image.generated_color = (level / 255, level / 255, level / 255, 1.0)
     image.filepath_raw, image.file_format = str(path), "PNG"
     image.save()
     bpy.data.images.remove(image)
@@ -59,8 +60,10 @@ def test_a_scene_becomes_a_capture_in_metres_that_the_solver_reads(tmp_path):
     assert [view.exposure for view in capture.views] == [0.5, 1.5, 2.5]
     np.testing.assert_allclose(np.ptp(capture.mesh.vertices, axis=0), [6, 4, 3], atol=1e-5)
     assert len(np.unique(capture.mesh.parts)) == 2
+    names = read_view_cameras(tmp_path / "job")
+    assert sorted(names.values()) == ["cam 0", "cam 1", "cam 2"]
     for view in capture.views:
-        eye = scene.objects[view.name.replace("_", " ")] if view.name not in scene.objects else scene.objects[view.name]
+        eye = scene.objects[names[view.name]]
         frame = [eye.matrix_world @ corner for corner in eye.data.view_frame(scene=scene)]  # from the top right, on
         camera = view.camera
         for corner, (i, j) in zip(frame, ((40, 0), (40, 30), (0, 30), (0, 0)), strict=True):
@@ -71,6 +74,28 @@ def test_a_scene_becomes_a_capture_in_metres_that_the_solver_reads(tmp_path):
     runs = read_face_runs(tmp_path / "job")
     assert [(run.object, run.stop - run.start) for run in runs] == [("room", 12), ("table", 12)]
     np.testing.assert_allclose(runs[0].to_capture[:3, :3], np.diag([3, 2, 1.5]), atol=1e-6)
+
+
+def test_photos_of_cameras_with_like_names_stay_apart_and_are_never_written_to(tmp_path):
+    """Two names that are one once they are cleaned for the disk, written twice: links to the artist's own files."""
+    box("room")
+    scene = bpy.context.scene
+    scene.render.resolution_x, scene.render.resolution_y = 400, 300
+    own = {}
+    for number, name in enumerate(("Camera", "Camera.001", "Camera_001")):
+        eye = bpy.data.objects.new(name, bpy.data.cameras.new(name))
+        scene.collection.objects.link(eye)
+        path = photo(tmp_path / f"{number}.png", level=40 * number)
+        eye.data.background_images.new().image = bpy.data.images.load(str(path))
+        own[name] = path.read_bytes()
+    bpy.context.view_layer.update()
+    for _ in range(2):
+        write_scene_capture(scene, bpy.context.evaluated_depsgraph_get(), tmp_path / "job")
+        names = read_view_cameras(tmp_path / "job")
+        assert sorted(names.values()) == sorted(own)
+        for view in read_capture(tmp_path / "job" / "capture").views:
+            assert view.photo.read_bytes() == own[names[view.name]]
+        assert [(tmp_path / f"{number}.png").read_bytes() for number in range(3)] == list(own.values())
 
 
 def test_a_scene_without_usable_photos_is_refused(tmp_path):

@@ -18,25 +18,34 @@ SENSOR_MM = 36.0
 
 def add_camera(camera: Camera, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
     """A camera object whose rays are ``camera.rays()`` once :func:`look_through` has set the frame for it."""
-    data = bpy.data.cameras.new(name)
+    camera_object = bpy.data.objects.new(name, bpy.data.cameras.new(name))
+    set_lens(camera_object.data, camera)
+    camera_object.matrix_world = Matrix(camera.c2w.tolist())
+    collection.objects.link(camera_object)
+    return camera_object
+
+
+def set_lens(data: bpy.types.Camera, camera: Camera) -> None:
+    """Focal length and shift of ``camera``; how high its pixels are is up to the frame."""
     data.sensor_fit = "HORIZONTAL"
     data.sensor_width = SENSOR_MM
     data.lens = camera.fx * SENSOR_MM / camera.width
     data.shift_x = (0.5 * camera.width - camera.cx) / camera.width
     data.shift_y = (camera.cy - 0.5 * camera.height) * camera.fx / camera.fy / camera.width
     data.clip_start, data.clip_end = 1e-3, 1e4
-    camera_object = bpy.data.objects.new(name, data)
-    camera_object.matrix_world = Matrix(camera.c2w.tolist())
-    collection.objects.link(camera_object)
-    return camera_object
 
 
 def look_through(scene: bpy.types.Scene, camera: Camera, camera_object: bpy.types.Object) -> None:
     """Make ``camera_object`` the active camera and give the frame the size and pixel aspect of ``camera``."""
     scene.camera = camera_object
-    scene.render.resolution_x, scene.render.resolution_y = camera.width, camera.height
     scene.render.resolution_percentage = 100
-    aspect = camera.fx / camera.fy  # Blender takes each side of the ratio only from 1 up
+    set_frame(scene, camera.width, camera.height, camera.fx / camera.fy)
+
+
+def set_frame(scene: bpy.types.Scene, width: int, height: int, aspect: float) -> None:
+    """Pixels of the frame, and fx / fy of the cameras it is for."""
+    scene.render.resolution_x, scene.render.resolution_y = width, height
+    # Blender takes each side of the ratio only from 1 up.
     scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = max(1.0, 1.0 / aspect), max(1.0, aspect)
 
 

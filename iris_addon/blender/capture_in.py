@@ -6,20 +6,21 @@ solver knows comes in the same way, with Blender's own Python and numpy alone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import bpy
 import numpy as np
-from mathutils import Vector
+from mathutils import Matrix, Vector
 
 from ..array_files import read_arrays
 from ..capture.types import Camera, Mesh
 from ..errors import BadInput
 from ..result.json_files import json_object, numbers, read_json
-from .camera import add_camera, look_through
+from .camera import add_camera, look_through, set_lens
+from .onto_objects import ORIGINAL_MESH
 from .scene_out import plain_mesh
 
 MEND = "check the capture again"
@@ -123,16 +124,61 @@ def add_capture(inspected: Inspected, scene: bpy.types.Scene) -> tuple[bpy.types
     collection.objects.link(room)
     photos = bpy.data.collections.new("IRIS Photos")
     collection.children.link(photos)
-    cameras = []
-    for view in inspected.views:
-        camera = add_camera(view.camera, view.name, photos)
-        camera.parent = anchor
-        camera.data.display_size = 0.1
-        show_photo(camera, view.photo)
-        camera.data.iris_exposure = view.exposure or 0.0
-        cameras.append(camera)
+    cameras = [_add_view(view, anchor, photos) for view in inspected.views]
     look_through(scene, inspected.views[0].camera, cameras[0])
     return room, cameras
+
+
+def has_mesh(room: bpy.types.Object, mesh: Mesh) -> bool:
+    """Whether ``mesh`` is what the object had before anything was applied to it."""
+    data, other = room.get(ORIGINAL_MESH, room.data), plain_mesh(mesh, room.name)
+    try:
+        return len(data.loops) == len(other.loops) and _content(data) == _content(other)
+    finally:
+        bpy.data.meshes.remove(other)
+
+
+def refresh_capture(
+    inspected: Inspected, room: bpy.types.Object, present: Mapping[str, bpy.types.Object]
+) -> list[bpy.types.Object]:
+    """What was read again onto the objects of :func:`add_capture`; returns the camera of each photo.
+
+    Args:
+        room: as it was before anything was applied to it, if its mesh has changed.
+        present: cameras by view. Those that are gone are made again.
+    """
+    if not has_mesh(room, inspected.mesh):
+        before, room.data = room.data, plain_mesh(inspected.mesh, room.name)
+        if not before.users:
+            bpy.data.meshes.remove(before)
+    cameras = []
+    for view in inspected.views:
+        camera = present.get(view.name)
+        if camera is None:
+            camera = _add_view(view, room.parent, room.users_collection[0])
+        set_lens(camera.data, view.camera)
+        camera.matrix_basis = Matrix(view.camera.c2w.tolist())
+        camera.data.iris_exposure = view.exposure or 0.0
+        cameras.append(camera)
+    return cameras
+
+
+def _content(data: bpy.types.Mesh) -> tuple[bytes, bytes]:
+    points, corners = np.empty(3 * len(data.vertices), np.float32), np.empty(len(data.loops), np.int32)
+    data.vertices.foreach_get("co", points)
+    data.loops.foreach_get("vertex_index", corners)
+    return points.tobytes(), corners.tobytes()
+
+
+def _add_view(
+    view: InspectedView, anchor: bpy.types.Object | None, collection: bpy.types.Collection
+) -> bpy.types.Object:
+    camera = add_camera(view.camera, view.name, collection)
+    camera.parent = anchor
+    camera.data.display_size = 0.1
+    show_photo(camera, view.photo)
+    camera.data.iris_exposure = view.exposure or 0.0
+    return camera
 
 
 def show_photo(camera: bpy.types.Object, photo: Path, alpha: float = 0.5) -> None:

@@ -40,7 +40,8 @@ CANCELLED = Record("cancelled")
 
 @dataclass
 class Job:
-    """A process that runs for ``folder``; ``on_end`` is told once, on the thread that polls."""
+    """A process that runs for ``folder``; ``on_end`` is told once, on the thread that polls. If that raises IrisError,
+    the job has failed."""
 
     name: JobName
     folder: Path
@@ -103,7 +104,7 @@ def poll() -> bool:
         news |= job.worker.poll()
         if not job.worker.running:
             del _running[key]
-            job.on_end(_end(job))
+            _finish(job)
             news = True
     return news
 
@@ -112,7 +113,7 @@ def wait(job: Job) -> None:
     """Block until ``job`` has ended, and end it."""
     job.worker.wait()
     if _running.pop((job.name, job.folder), None) is not None:
-        job.on_end(_end(job))
+        _finish(job)
 
 
 def stop_all() -> None:
@@ -124,6 +125,14 @@ def stop_all() -> None:
         _end(job)
 
 
+def _finish(job: Job) -> None:
+    ended = _end(job)
+    try:
+        job.on_end(ended)
+    except IrisError as error:
+        _note(job, Record("failed", error.what, error.fix))
+
+
 def _end(job: Job) -> Record:
     job.worker.close()
     try:
@@ -133,12 +142,16 @@ def _end(job: Job) -> Record:
         ended = CANCELLED
     except IrisError as error:
         ended = Record("failed", error.what, error.fix)
+    _note(job, ended)
+    return ended
+
+
+def _note(job: Job, ended: Record) -> None:
     try:
         _write(job.name, job.folder, ended)
     except IrisError as error:
         job.worker.log.append(f"error: {error}")
     _ended[job.name, job.folder] = ended
-    return ended
 
 
 def _path(name: JobName, folder: Path) -> Path:

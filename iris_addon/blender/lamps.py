@@ -19,6 +19,11 @@ def lamp_materials(objects: Iterable[bpy.types.Object]) -> list[bpy.types.Materi
     return sorted(lamps, key=lambda material: (material[LAMP_ID], material.name))
 
 
+def is_plain(material: bpy.types.Material | None) -> bool:
+    """Whether it is as it was made, so that it can be turned here."""
+    return material is not None and _shader(material) is not None
+
+
 def is_on(material: bpy.types.Material | None) -> bool:
     """Whether it shines."""
     return material is not None and OFF_STRENGTH not in material
@@ -26,9 +31,9 @@ def is_on(material: bpy.types.Material | None) -> bool:
 
 def switch(material: bpy.types.Material | None, on: bool) -> None:
     """Let it shine with the strength it had, or not at all."""
-    if material is None or on == is_on(material):
+    if material is None or on == is_on(material) or (shader := _shader(material)) is None:
         return
-    socket = _socket(material, "Emission Strength")
+    socket = shader.inputs["Emission Strength"]
     if on:
         socket.default_value = material[OFF_STRENGTH]
         del material[OFF_STRENGTH]
@@ -39,35 +44,36 @@ def switch(material: bpy.types.Material | None, on: bool) -> None:
 
 def strength(material: bpy.types.Material | None) -> float:
     """Radiance of the brightest channel, also of a lamp that is off."""
-    if material is None:
+    if material is None or (shader := _shader(material)) is None:
         return 0.0
-    return float(material.get(OFF_STRENGTH, _socket(material, "Emission Strength").default_value))
+    return float(material.get(OFF_STRENGTH, shader.inputs["Emission Strength"].default_value))
 
 
 def set_strength(material: bpy.types.Material | None, value: float) -> None:
     """Set the radiance of the brightest channel; a lamp that is off stays off."""
-    if material is None:
+    if material is None or (shader := _shader(material)) is None:
         return
     if OFF_STRENGTH in material:
         material[OFF_STRENGTH] = value
     else:
-        _socket(material, "Emission Strength").default_value = value
+        shader.inputs["Emission Strength"].default_value = value
 
 
 def color(material: bpy.types.Material | None) -> tuple[float, float, float]:
     """Linear colour of its light."""
-    if material is None:
+    if material is None or (shader := _shader(material)) is None:
         return (0.0, 0.0, 0.0)
-    red, green, blue, _ = _socket(material, "Emission Color").default_value
+    red, green, blue, _ = shader.inputs["Emission Color"].default_value
     return (red, green, blue)
 
 
 def set_color(material: bpy.types.Material | None, value: Sequence[float]) -> None:
     """Set the linear colour of its light."""
-    if material is not None:
-        _socket(material, "Emission Color").default_value = (*value, 1.0)
+    if material is not None and (shader := _shader(material)) is not None:
+        shader.inputs["Emission Color"].default_value = (*value, 1.0)
 
 
-def _socket(material: bpy.types.Material, name: str) -> bpy.types.NodeSocket:
-    shader = next(node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
-    return shader.inputs[name]
+def _shader(material: bpy.types.Material) -> bpy.types.Node | None:
+    """The Principled BSDF; None where the artist has built the lamp anew."""
+    nodes = material.node_tree.nodes if material.node_tree is not None else ()
+    return next((node for node in nodes if node.bl_idname == "ShaderNodeBsdfPrincipled"), None)

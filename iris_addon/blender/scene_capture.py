@@ -56,9 +56,13 @@ def write_scene_capture(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, 
         target.mkdir(parents=True, exist_ok=True)
         shutil.rmtree(target / "photos", ignore_errors=True)
         (target / "photos").mkdir()
-        frames = [_frame(target / "photos", *view) for view in views]
+        frames, cameras = [], {}
+        for number, view in enumerate(views):
+            stem = f"{number:04d}_{bpy.path.clean_name(view[0])}"  # two names may be the same once they are cleaned
+            frames.append(_frame(target / "photos" / stem, *view))
+            cameras[stem] = view[0]
         _write_obj(target / "mesh.obj", room, scale)
-        _write_json(folder / "scene_map.json", {"runs": [_run_json(run) for run in runs]})
+        _write_json(folder / "scene_map.json", {"runs": [_run_json(run) for run in runs], "cameras": cameras})
         _write_json(target / "transforms.json", {"mesh": "mesh.obj", "frames": frames})
     except OSError as error:
         raise IrisError(
@@ -82,6 +86,13 @@ def read_face_runs(folder: Path) -> list[FaceRun]:
         except (KeyError, TypeError, ValueError) as error:
             raise BadInput(f"is damaged ({error!r})", "check this scene again", path) from error
     return runs
+
+
+def read_view_cameras(folder: Path) -> dict[str, str]:
+    """The camera object behind each view that :func:`write_scene_capture` wrote; raises BadInput."""
+    path = folder / "scene_map.json"
+    listed = json_object(read_json(path).get("cameras"), "cameras", path)
+    return {str(view): str(name) for view, name in listed.items()}
 
 
 def whole_object(room: bpy.types.Object | None) -> list[FaceRun]:
@@ -121,13 +132,14 @@ def _view(scene: bpy.types.Scene, thing: bpy.types.Object, scale: float) -> tupl
     return thing.name, image, camera, float(getattr(thing.data, "iris_exposure", 0.0))
 
 
-def _frame(folder: Path, name: str, image: bpy.types.Image, camera: Camera, exposure: float) -> dict[str, Any]:
-    """The entry of transforms.json, with the photo brought into ``folder``."""
+def _frame(stem: Path, name: str, image: bpy.types.Image, camera: Camera, exposure: float) -> dict[str, Any]:
+    """The entry of transforms.json, with the photo brought to ``stem`` and its suffix."""
     source = Path(bpy.path.abspath(image.filepath_raw or image.filepath))
     suffix = source.suffix.lower()
     if suffix not in PHOTO_SUFFIXES:
         raise BadInput(f"the photo of camera '{name}' is no PNG, JPEG or EXR", "save it as one of them", source)
-    target = folder / f"{bpy.path.clean_name(name)}{suffix}"
+    target = stem.with_name(stem.name + suffix)
+    target.unlink(missing_ok=True)  # it may be a link to the artist's own file, which must not be written to
     if image.packed_file is not None:
         target.write_bytes(image.packed_file.data)
     elif not source.is_file():

@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 
 from ..result.types import Result
+from .version import set_engine
 
 STATE, WORLD = "iris_original_scene", "iris_original_world"
 
@@ -31,7 +32,7 @@ def restore_scene(scene: bpy.types.Scene) -> None:
     """Give ``scene`` back what :func:`keep_scene` wrote down."""
     kept = json.loads(scene[STATE])
     scene.world = scene.get(WORLD)
-    scene.render.engine = kept["engine"]
+    set_engine(scene, kept["engine"])
     view = scene.view_settings
     view.view_transform = kept["view_transform"]
     view.look, view.exposure = kept["look"], kept["exposure"]

@@ -40,6 +40,20 @@ def compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
     return getattr(scene, name)
 
 
+EEVEE = ("BLENDER_EEVEE", "BLENDER_EEVEE_NEXT")
+"""One engine, called the latter from 4.2 to 4.5."""
+
+
+def set_engine(scene: bpy.types.Scene, engine: str) -> None:
+    """Render ``scene`` with ``engine``, as whichever release called it; one this Blender lacks changes nothing."""
+    for name in EEVEE if engine in EEVEE else (engine,):
+        try:
+            scene.render.engine = name
+        except TypeError:  # not in the list of engines, which can be had in no other way
+            continue
+        return
+
+
 def can_denoise() -> bool:
     """Whether Cycles of this build has OpenImageDenoise; builds from a distribution often lack it."""
     import _cycles  # the extension module exists only inside Blender
