@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from .capture import load_photo
 from .capture.types import Capture
+from .errors import BadInput
 from .progress import Progress
 from .surface.samples import PixelSamples, pixel_lattice, stride_for_budget, trace_pixels
 from .transport.tracer import Tracer
@@ -57,7 +58,7 @@ def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progres
     """Trace a lattice of pixels of every training photo and read their values.
 
     Raises:
-        BadInput: a photo cannot be read.
+        BadInput: a photo cannot be read, or none shows the mesh.
     """
     cameras = [view.camera for view in capture.views]
     stride = stride_for_budget(cameras, PIXEL_BUDGET)
@@ -78,11 +79,16 @@ def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progres
         missing.append(
             (
                 np.full(len(missed), index, np.int16),
-                view.camera.rays()[1][missed],
+                view.camera.rays(missed)[1],
                 photo.values.reshape(-1, 3)[missed],
             )
         )
         progress.update((index + 1) / len(capture.views))
+    if not valid.any():
+        raise BadInput(
+            "no pixel of any photo shows the mesh",
+            "check that poses and mesh are of one scene, in one unit and one system of axes (inspect shows them)",
+        )
     if not valid.all():
         samples, z = samples.take(np.flatnonzero(valid)), z[valid]
     columns = [np.concatenate(column) for column in zip(*missing, strict=True)]

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from .assembly import make_result, report_figures
 from .calibration import calibrate
+from .capture.exposures import with_unit_mean
 from .capture.types import Capture
 from .checkpoint import Checkpoints, fingerprint
 from .compute import choose_device
@@ -27,6 +28,7 @@ from .emission.given import read_given_emitters
 from .emission.hidden import HiddenSources, find_hidden, nothing_hidden
 from .emission.search import choose_outside
 from .emission.types import LightProblem, Lights
+from .errors import BadInput
 from .photo_samples import PhotoSamples, sample_photos
 from .photometry import Photometry, measure_photometry
 from .preview import write_previews
@@ -61,13 +63,17 @@ def solve(
     """Recover response, exposures, lights and materials; write the result folder ``out``.
 
     Raises:
-        BadInput: a photo cannot be read.
+        BadInput: a photo cannot be read, or the photos say nothing.
         Cancelled: finished stages stay in ``out`` for ``resume``.
         IrisError: the disk is full.
     """
     progress = progress or Progress()
     progress.expect(WEIGHTS | JOINT_WEIGHT if config.joint else WEIGHTS)
     checkpoints = Checkpoints(out / "checkpoints", fingerprint(capture, config), resume)
+    unit = 1.0
+    if config.hdr is None:
+        views, unit = with_unit_mean(capture.views)
+        capture = replace(capture, views=views)
     with progress.stage("photos"):
         tracer = Tracer(capture.mesh)
         capture, calibration = calibrate(capture, tracer, progress)
@@ -118,6 +124,7 @@ def solve(
             lights, joint = Lights.from_arrays(arrays), {"joint": joint_report(arrays)}
     with progress.stage("textures"):
         result, rerenders = make_result(capture, config, problem, photos, photometry, lights, gloss, progress)
+        result = result.with_exposures_times(unit)
     result.report.update(
         report_figures(
             config, capture, calibration, tracer, surface, transport, photometry, problem, lights, gloss, progress
@@ -144,6 +151,8 @@ def _problem(
     photometry: Photometry,
 ) -> MaterialProblem:
     linear = linearise(observations, photometry.response, photometry.exposures)
+    if not linear.open.all(1).any():
+        raise BadInput("every pixel of the photos is clipped in one channel or another", "add darker photos")
     n, forced = len(surface.part), config.refinements
     angle = schlick(photos.samples.cosine[observations.sample].astype(np.float64))
     diffuse = choose_diffuse(observations, linear, angle)
@@ -159,7 +168,7 @@ def _problem(
         field,
         config.shadow_rays,
         config.seed,
-        given=read_given_emitters(config.emitters, len(parts)) if isinstance(config.emitters, Path) else None,
+        given=read_given_emitters(config.emitters, tracer.areas) if isinstance(config.emitters, Path) else None,
     )
     part = parts[photos.samples.face[observations.sample]]
     view_factor = 1 + grazing_gain(diffuse.lobe, np.array(LEVELS[-1])) * angle

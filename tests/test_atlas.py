@@ -141,6 +141,13 @@ def test_a_soup_of_loose_triangles_fits(count: int) -> None:
     assert (areas_of(uv) > 0).all()
 
 
+@pytest.mark.parametrize("seen", [1, 2, 3, 4, 5])
+def test_photos_of_a_few_faces_leave_room_for_all(seen: int) -> None:
+    uv = build_atlas(box_mesh(), np.where(np.arange(12) < seen, 100.0, 0.0), SIZE)
+    assert np.isfinite(uv).all() and (areas_of(uv) > 0).all()
+    assert areas_of(uv)[:seen].sum() > 0.2
+
+
 def test_an_unseen_mesh_is_laid_out_all_the_same() -> None:
     uv = build_atlas(box_mesh(), np.zeros(12), SIZE)
     assert areas_of(uv).sum() > 0.4

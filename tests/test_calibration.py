@@ -16,7 +16,7 @@ from iris_addon.imaging import write_png
 from iris_addon.photo_samples import BeyondMesh
 from iris_addon.photometry import Photometry
 from iris_addon.progress import Cancelled, Progress
-from iris_addon.response.curve import gamma
+from iris_addon.response.curve import gamma, identity
 from iris_addon.result.sh import sh_radiance
 from iris_addon.transport.tracer import Tracer
 from tests.engine_room import cameras, furnished_room, photograph, render
@@ -124,6 +124,19 @@ def test_the_backdrop_is_the_radiance_that_photos_show_beyond_the_mesh() -> None
     assert found is not None
     error = sh_radiance(found, direction[200:]) / radiance[200:] - 1
     assert np.abs(error).mean() < 0.05
+
+
+@pytest.mark.parametrize("lit", [0.0, 0.3])
+def test_a_backdrop_that_is_mostly_black_is_dark_and_finite(lit: float) -> None:
+    """Renders before an empty world: half of the pixels and more are exactly zero."""
+    rng = np.random.default_rng(1)
+    direction = rng.normal(size=(2000, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    radiance = np.where(rng.random((2000, 1)) < lit, 0.5, 0.0) * np.ones(3)
+    pixels = BeyondMesh(0.1, np.zeros(2000, np.int16), direction, radiance)
+    found = fit_backdrop(pixels, Photometry(identity(), np.ones((1, 3)), np.nan, False, True))
+    assert found is not None and np.isfinite(found).all()
+    assert np.abs(sh_radiance(found, direction)).max() <= lit
 
 
 def test_the_mesh_is_not_touched(painted: tuple[Capture, Tracer], tmp_path: Path) -> None:

@@ -185,6 +185,34 @@ def test_exposures_under_a_given_curve() -> None:
     assert fit.response is truth
 
 
+def test_exposures_of_a_walk_are_chained_from_photo_to_photo() -> None:
+    """Each photo overlaps with the next four only, and the light changes by three stops on the way."""
+    rng = np.random.default_rng(12)
+    n_views, overlap = 60, 5
+    exposures = 2.0 ** np.linspace(-1.5, 1.5, n_views)
+    first = np.repeat(np.arange(1 - overlap, n_views), 12)
+    patch = np.repeat(np.arange(len(first)), overlap)
+    view = (first[:, None] + np.arange(overlap)).ravel()
+    kept = (view >= 0) & (view < n_views)
+    patch, view = patch[kept], view[kept]
+    radiance = rng.uniform(0.1, 0.3, (len(first), 3))
+    z = curve.gamma().apply(radiance[patch] * exposures[view, None])
+    walk = observe(patch.astype(np.int32), view.astype(np.int16), z.astype(np.float32), False, rng)
+    fit = fit_overlap(doubled(walk), None, n_views, rng, curve.gamma())
+    off = np.log2(fit.exposures / exposures[:, None])
+    assert np.abs(off - off.mean()).max() < 0.02
+
+
+def test_photos_that_are_known_to_be_of_one_exposure_keep_the_common_curve() -> None:
+    """They cannot tell a curve; without that a power of it fitted as well as the curve itself."""
+    rng = np.random.default_rng(13)
+    common = family.to_response([family.PRIOR_MEAN])
+    observations, _ = observations_of(common, np.ones(8), rng)
+    fit = fit_overlap(doubled(observations), np.full(8, 3.0), 8, rng)
+    assert np.array_equal(fit.response.samples, common.samples)
+    assert fit.exposures == pytest.approx(3.0)
+
+
 # Radiance ------------------------------------------------------------------------------------------------------------
 
 

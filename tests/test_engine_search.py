@@ -97,7 +97,7 @@ def test_a_lamp_without_which_the_room_is_lit_as_well_is_left_out(
         return replace(lamps, held_out=1.0 if WINDOW in faces else loss_without)
 
     monkeypatch.setattr(selection, "solved", solved)
-    observed = SimpleNamespace(weight=np.ones(N_PATCHES))
+    observed = SimpleNamespace(weight=np.ones(N_PATCHES), known=np.ones((N_PATCHES, 3), bool))
     kept = selection.needed_lamps(room, observed, both, Progress())  # type: ignore[arg-type]
     assert sorted(int(faces[0]) for faces in kept) == ([WINDOW, BAR] if stays else [BAR])
 
@@ -106,7 +106,7 @@ def test_the_only_lamp_of_a_room_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     room = problem(floor=(1.0, 0.1, 0.1), clipped=(True, False, False))
     one = lights([(WINDOW, 4.0)], irradiance=(0.6, 0.6, 0.5))
     monkeypatch.setattr(selection, "solved", lambda *_, **__: replace(one, held_out=1.0))
-    observed = SimpleNamespace(weight=np.ones(N_PATCHES))
+    observed = SimpleNamespace(weight=np.ones(N_PATCHES), known=np.ones((N_PATCHES, 3), bool))
     kept = selection.needed_lamps(room, observed, one, Progress())  # type: ignore[arg-type]
     assert [faces.tolist() for faces in kept] == [[WINDOW]]
 
@@ -124,7 +124,7 @@ def test_a_part_that_clips_is_a_lamp_if_the_room_asks_for_its_light(
         return both if len(emitters) == 2 else bar
 
     monkeypatch.setattr(selection, "solved", solved)
-    observed = SimpleNamespace(weight=np.ones(N_PATCHES))
+    observed = SimpleNamespace(weight=np.ones(N_PATCHES), known=np.ones((N_PATCHES, 3), bool))
     result = selection.with_silent(room, observed, bar, Progress())  # type: ignore[arg-type]
     assert [int(faces[0]) for faces in result.emitters] == ([BAR, WINDOW] if taken else [BAR])
 

@@ -10,11 +10,12 @@ import pytest
 
 from iris_addon.capture.types import Camera, Capture
 from iris_addon.config import SolveConfig, preset
-from iris_addon.errors import Cancelled
-from iris_addon.imaging import read_image
+from iris_addon.errors import BadInput, Cancelled
+from iris_addon.imaging import read_image, write_png
 from iris_addon.preview_files import KINDS, preview_path
 from iris_addon.progress import Progress, ProgressEvent
 from iris_addon.response.curve import gamma
+from iris_addon.result.io import load_result
 from iris_addon.result.report_pictures import srgb
 from iris_addon.result.types import Result
 from iris_addon.solve import solve
@@ -127,6 +128,40 @@ def test_the_previews_show_the_room_as_far_as_it_is_known(shoot: Shoot) -> None:
 
 def test_a_matte_room_has_no_metal(found: Result) -> None:
     assert found.textures.metallic.max() == 0
+
+
+def test_the_unit_of_the_exposures_is_that_of_the_light(shoot: Shoot, reference: Path) -> None:
+    """Seconds or hundredths of microseconds: materials are the same, radiance is less by what exposures are more."""
+    unit, capture, plain = 1e8, shoot.capture(), load_result(reference)
+    views = tuple(replace(view, exposure=unit * (view.exposure or np.nan)) for view in capture.views)
+    result = solve(replace(capture, views=views), FAST, shoot.folder / "unit")
+    assert result.textures.base_color == pytest.approx(plain.textures.base_color, abs=2e-3)
+    for ours, theirs in zip(result.emitters, plain.emitters, strict=True):
+        assert np.array_equal(ours.faces, theirs.faces)
+        assert unit * ours.radiance == pytest.approx(theirs.radiance, rel=1e-3)
+    for name, exposure in plain.exposures.items():
+        assert result.exposures[name] == pytest.approx(unit * exposure, rel=1e-6)
+
+
+@pytest.mark.parametrize("value", [0, 255])
+def test_photos_that_say_nothing_are_refused_or_end_in_a_result(shoot: Shoot, value: int) -> None:
+    """A lens cap, and a window that outshines all: white photos have no radiance; black ones are of a dark room."""
+    capture = shoot.capture()
+    folder = shoot.folder / f"all-{value}"
+    folder.mkdir()
+    views = []
+    for view in capture.views:
+        photo = folder / view.photo.name
+        write_png(photo, np.full((36, 48, 3), value, np.uint8))
+        views.append(replace(view, photo=photo))
+    blank = replace(capture, views=tuple(views))
+    if value:
+        with pytest.raises(BadInput, match="clipped"):
+            solve(blank, FAST, folder / "out")
+    else:
+        result = solve(blank, FAST, folder / "out")
+        assert all(emitter.radiance.max() < 1e-2 for emitter in result.emitters)
+        assert np.isfinite(result.textures.base_color).all()
 
 
 def test_saturated_white_walls_are_not_lamps(shoot: Shoot) -> None:

@@ -73,13 +73,26 @@ def test_no_given_lamp_is_an_answer_too(solved, tmp_path):
 
 @pytest.mark.parametrize(
     ("content", "said"),
-    [("{}", "emitters"), ('{"emitters": [{"faces": [[0, 99]]}]}', "beyond"), ('{"emitters": [3]}', r"emitters\[0\]")],
+    [
+        ("{}", "emitters"),
+        ('{"emitters": [{"faces": [[0, 99]]}]}', "beyond"),
+        ('{"emitters": [3]}', r"emitters\[0\]"),
+        ('{"emitters": [{"faces": [[3, 4]]}]}', "has an area"),
+        ('{"emitters": [{"faces": []}]}', "has an area"),
+    ],
 )
 def test_a_mask_that_cannot_be_used_is_named(tmp_path, content, said):
     path = tmp_path / "mask.json"
     path.write_text(content)
     with pytest.raises(BadInput, match=said):
-        read_given_emitters(path, 12)
+        read_given_emitters(path, np.where(np.arange(12) == 3, 0.0, 1.0))
+
+
+def test_a_face_of_two_given_lamps_is_the_first_ones_and_one_without_area_nobodys(tmp_path):
+    path = tmp_path / "mask.json"
+    path.write_text('{"emitters": [{"faces": [[2, 5]]}, {"faces": [[4, 7]]}]}')
+    first, second = read_given_emitters(path, np.where(np.arange(12) == 3, 0.0, 1.0))
+    assert first.tolist() == [2, 4] and second.tolist() == [5, 6]
 
 
 def test_forced_full_and_minimal_use_all_and_nothing(solved):

@@ -46,6 +46,19 @@ def from_frame(frame: Mapping[str, Any], label: str, path: Path) -> float | None
     return None
 
 
+def with_unit_mean(views: Sequence[View]) -> tuple[tuple[View, ...], float]:
+    """Views whose exposures have a geometric mean of 1, and the factor by which they are less than those given.
+
+    Microseconds are as good a unit as seconds, and what is small against radiance must not depend on it. Views that do
+    not all have exposures stay as they are.
+    """
+    given = [view.exposure for view in views if view.exposure is not None]
+    if not views or len(given) < len(views):
+        return tuple(views), 1.0
+    unit = float(np.exp(np.log(given).mean()))
+    return tuple(replace(view, exposure=value / unit) for view, value in zip(views, given, strict=True)), unit
+
+
 # ---- EXIF ----------------------------------------------------------------------------------------------------------
 
 _TAGS = {"seconds": ExifTags.Base.ExposureTime, "f_number": ExifTags.Base.FNumber, "iso": ExifTags.Base.ISOSpeedRatings}

@@ -40,10 +40,15 @@ class Camera:
         """(3,) centre of projection in world space."""
         return self.c2w[:3, 3]
 
-    def rays(self) -> tuple[FloatArray, FloatArray]:
-        """Origins and unit directions through all pixel centres, each (height·width, 3), row-major, world space."""
-        i, j = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
-        local = np.stack([(i - self.cx) / self.fx, -(j - self.cy) / self.fy, -np.ones_like(i)], -1).reshape(-1, 3)
+    def rays(self, pixel: NDArray[np.integer] | None = None) -> tuple[FloatArray, FloatArray]:
+        """Origins and unit directions through pixel centres, each (n, 3), world space.
+
+        Args:
+            pixel: (n,) row-major indices, by default all.
+        """
+        row, column = np.divmod(np.arange(self.width * self.height) if pixel is None else pixel, self.width)
+        i, j = column + 0.5, row + 0.5
+        local = np.stack([(i - self.cx) / self.fx, -(j - self.cy) / self.fy, -np.ones_like(i)], -1)
         directions = local @ self.c2w[:3, :3].T
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         return np.broadcast_to(self.position, directions.shape), directions

@@ -17,8 +17,9 @@ from ..result.sh import fit_sh, sh_basis
 MIN_SHARE = 2e-3
 """Share of all pixels from which what lies beyond the mesh is worth a background."""
 RIDGE = 0.02
-"""Relative; directions that no photo shows stay near the mean."""
-OUTLIER = 0.5
+"""Directions that no photo shows stay near the mean."""
+OUTLIER, LEAST_SCALE = 0.5, 0.01
+"""Relative deviation of an outlier, and of the mean, from which on radiance counts as bright."""
 ROUNDS = 4
 
 
@@ -28,7 +29,11 @@ def fit_backdrop(beyond: BeyondMesh, photometry: Photometry) -> NDArray[np.float
         return None
     linear = photometry.linearise_pixels(beyond.z, beyond.view)
     radiance = np.where(linear.open, linear.radiance, linear.bound).astype(np.float64)
-    scale = radiance.mean(1) + np.median(radiance.mean(1))
+    mean = radiance.mean(1)
+    if not mean.any():
+        return np.zeros((9, 3))
+    # Half of it may be black: a render before an empty world.
+    scale = mean + max(float(np.median(mean)), LEAST_SCALE * float(mean.mean()))
     weight = 1 / scale**2
     for _ in range(ROUNDS - 1):
         sh = fit_sh(beyond.direction, radiance, weight / weight.sum(), RIDGE)

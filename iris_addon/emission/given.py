@@ -11,16 +11,25 @@ from ..errors import BadInput
 from ..result.json_files import from_ranges, json_object, read_json
 
 
-def read_given_emitters(path: Path, n_faces: int) -> list[NDArray[np.int64]]:
+def read_given_emitters(path: Path, areas: NDArray[np.floating]) -> list[NDArray[np.int64]]:
     """Faces of each lamp: ``{"emitters": [{"faces": [[first, last + 1], ...]}, ...]}``; no lamp is a valid answer.
 
+    Args:
+        areas: (F,) of the mesh's faces. Those without are left out, and one that two lamps name is the first one's.
+
     Raises:
-        BadInput: unreadable, or a face is not of this mesh.
+        BadInput: unreadable, a face is not of this mesh, or a lamp is left without any.
     """
     listed = read_json(path).get("emitters")
     if not isinstance(listed, list):
         raise BadInput("'emitters' is missing or not a list", "give an emitters.json with the faces of each lamp", path)
-    return [
-        from_ranges(json_object(entry, f"emitters[{k}]", path).get("faces"), n_faces, f"emitters[{k}].faces", path)
-        for k, entry in enumerate(listed)
-    ]
+    emitters, taken = [], np.zeros(len(areas), bool)
+    for k, entry in enumerate(listed):
+        label = f"emitters[{k}].faces"
+        faces = from_ranges(json_object(entry, f"emitters[{k}]", path).get("faces"), len(areas), label, path)
+        faces = faces[(areas[faces] > 0) & ~taken[faces]]
+        if not len(faces):
+            raise BadInput(f"{label} names no face of its own that has an area", "leave that lamp out", path)
+        taken[faces] = True
+        emitters.append(faces)
+    return emitters

@@ -22,6 +22,8 @@ IDLE_LOSS = 0.005
 """Highest rise of the held-out loss without a lamp that does nothing, per stop it is brighter than photos show."""
 SILENT_EVERY = 4
 """One patch in so many is asked whether a silent part lights it; all are, before a lamp stays."""
+LEAST_ASKED = 4
+"""Patches without which nobody is asked: what is left of the room says nothing."""
 SILENT_GAIN, MAX_CLIPPED = 0.01, 8
 """Fall of the held-out loss by which a part on which photos are silent becomes a lamp, and how many that clip are
 tried."""
@@ -46,6 +48,8 @@ def with_silent(problem: LightProblem, observed: GroupRadiance, lights: Lights, 
     n = problem.transport.n_seen
     asked = ~patches_on(problem, mask)[:n] & (np.arange(n) % SILENT_EVERY == 0)
     say = np.where(asked, say_of(observed), 0.0)
+    if np.count_nonzero(say[observed.known.all(1)]) < LEAST_ASKED:
+        return lights
     apart = [lamp for lamp in lights.emitters if not any(np.isin(lamp, faces).any() for faces in proposed)]
     together = solved(problem, observed, [*apart, *proposed], lights, progress, say, near=True)
     bright = [faces for faces in proposed if _glows(problem, together, faces)]

@@ -43,6 +43,9 @@ def solve_lights(
         weight: (P,) say of each seen patch, by default :func:`say_of`.
         diffuse: (P, 3) radiance without its specular part, once materials are known.
         near: whether the light is about that of ``before``; one pass from there then does.
+
+    Returns:
+        The lights; ``before`` where there is nothing to solve for, or no patch to tell it from.
     """
     if not emitters and not len(before.hidden_radiance):
         return before
@@ -72,6 +75,8 @@ def solve_lights(
     shaded = observed.radiance if diffuse is None else diffuse
     part = problem.transport.part
     rows = fitted_patches(shaded, say)
+    if not len(rows):
+        return before
     group = np.where(say > 0, part[:n], -1)
 
     def smooth(values: NDArray[np.floating]) -> NDArray[np.float32]:

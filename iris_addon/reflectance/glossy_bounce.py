@@ -76,10 +76,12 @@ def trace_glossy_bounce(
         glossy: (n_parts,) bool, parts on which paths go on.
     """
 
+    on_glossy = np.append(glossy[parts], False)  # the last for rays that hit nothing
+
     def continued(
         start: int, origins: Origins, rays: GatherRays
     ) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
-        row, column = np.nonzero((rays.face >= 0) & glossy[parts[rays.face]])
+        row, column = np.nonzero(on_glossy[rays.face])
         kappa = transport.kappa[start : start + len(rays.face)]
         n = len(row)
         weight, target, face = np.empty((n, 3), np.float32), np.empty(n, np.int32), np.empty(n, np.int32)

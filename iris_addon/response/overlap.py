@@ -99,8 +99,8 @@ def fit_overlap(
     problem = OverlapProblem.build(observations, index, exposures, n_views, refinements.white_balance)
     if fixed is not None:
         return OverlapFit(fixed, problem.exposures(fixed), np.nan, False)
-    if exposures is None and problem.exposure_spread() < MIN_EXPOSURE_SPREAD:
-        # Photos of one exposure say nothing about the curve: the most common one stands.
+    if _of_one_exposure(problem):
+        # They say nothing about the curve: the most common one stands.
         median = family.to_response([family.PRIOR_MEAN])
         return OverlapFit(median, problem.exposures(median), np.nan, False)
     held_out = rng.random(problem.n_patches) < 0.2
@@ -114,6 +114,12 @@ def fit_overlap(
             knots, error = _fit_curves(training, testing, refinements)
     response = family.to_response(knots)
     return OverlapFit(response, problem.exposures(response), error, len(knots) == 3)
+
+
+def _of_one_exposure(problem: OverlapProblem) -> bool:
+    """Whether photos were taken alike, by their own account and by that of the exposures that are known."""
+    known = 0.0 if problem.log_t is None else float(problem.log_t.std() / np.log(2))
+    return max(known, replace(problem, log_t=None).exposure_spread()) < MIN_EXPOSURE_SPREAD
 
 
 def _fit_curves(

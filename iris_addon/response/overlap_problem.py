@@ -6,11 +6,13 @@ Residuals are in display values; radiance, and exposures where they are unknown,
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
+from scipy.sparse import coo_matrix
 
 from . import family
 from .curve import Response
@@ -140,10 +142,29 @@ class OverlapProblem:
     def _chained(self, log_x: NDArray[np.float64]) -> NDArray[np.float64]:
         """(V, C) log exposures on which the log values (m, C) of the views of each patch agree."""
         use = ~self.clipped
-        columns = [
-            _chain_exposures(log_x[:, c], self.patch, self.view, use, self.n_views) for c in range(log_x.shape[1])
-        ]
-        return np.stack(columns, -1)
+        log_x, patch = log_x[use], self.patch[use]
+        mean = group_sums(log_x, patch, self.n_patches) / self._views_of_patch
+        return self._chain @ group_sums(log_x - mean[patch], self.view[use], self.n_views)
+
+    @cached_property
+    def _views_of_patch(self) -> NDArray[np.int64]:
+        """(n, 1) unclipped views of each patch, at least 1."""
+        return np.maximum(np.bincount(self.patch[~self.clipped], minlength=self.n_patches), 1)[:, None]
+
+    @cached_property
+    def _chain(self) -> NDArray[np.float64]:
+        """(V, V) from the sums of log values over their patches' means, per view, to log exposures.
+
+        It inverts the Laplacian of the graph of photos that share patches: a walk through a house, where each photo
+        overlaps with the next few only, takes thousands of turns of patch means and view means to agree. Photos that
+        share nothing with the rest come out near the mean.
+        """
+        use = ~self.clipped
+        at = (np.ones(int(use.sum())), (self.view[use], self.patch[use]))
+        incidence = coo_matrix(at, (self.n_views, self.n_patches)).tocsr()
+        shared = incidence.multiply(1 / self._views_of_patch.T) @ incidence.T
+        views = np.asarray(incidence.sum(1)).ravel()
+        return np.linalg.pinv(np.diag(views) - shared.toarray(), rcond=1e-9, hermitian=True)
 
     def _spread(self, log_x: NDArray[np.float64], log_t: NDArray[np.float64]) -> float:
         """Median disagreement of views about a patch's log radiance under given log exposures (V, 3)."""
@@ -214,22 +235,3 @@ class OverlapProblem:
 def _robust(residual: NDArray[np.float64]) -> NDArray[np.float64]:
     """Residuals whose squares are Cauchy's loss, flat; the prior beside them stays quadratic."""
     return np.copysign(np.sqrt(np.log1p(residual**2)), residual).ravel()
-
-
-def _chain_exposures(
-    log_x: NDArray[np.float64],
-    patch: NDArray[np.int64],
-    view: NDArray[np.int64],
-    use: NDArray[np.bool_],
-    n_views: int,
-) -> NDArray[np.float64]:
-    """Log exposures under a given curve: patch means and view means of log exposure in turn until they agree."""
-    log_x, patch, view = log_x[use], patch[use], view[use]
-    log_t = np.zeros(n_views)
-    per_patch = np.maximum(np.bincount(patch), 1)
-    per_view = np.maximum(np.bincount(view, minlength=n_views), 1)
-    for _ in range(40):
-        log_l = np.bincount(patch, log_x - log_t[view]) / per_patch
-        log_t = np.bincount(view, log_x - log_l[patch], n_views) / per_view
-        log_t -= log_t.mean()
-    return log_t

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -96,6 +96,19 @@ class Result:
         """What the solve found wrong with all cameras of the capture, as report.json has it; None if nothing."""
         correction = self._model("camera").get("correction")
         return CameraCorrection.from_content(correction) if isinstance(correction, dict) else None
+
+    def with_exposures_times(self, factor: float) -> Result:
+        """The same photos explained by exposures times ``factor`` and radiance that is less by it."""
+        outside = self.outside
+        if outside is not None:
+            backdrop = None if outside.backdrop is None else outside.backdrop / factor
+            outside = OutsideLight(outside.sh / factor, backdrop)
+        return replace(
+            self,
+            emitters=tuple(replace(emitter, radiance=emitter.radiance / factor) for emitter in self.emitters),
+            outside=outside,
+            exposures={name: exposure * factor for name, exposure in self.exposures.items()},
+        )
 
     def _model(self, name: str) -> dict[str, Any]:
         """What report.json says of one refinement of the model; empty where it says nothing."""

@@ -122,7 +122,7 @@ def _wanted_texels(areas: FloatArray, density: NDArray[np.floating]) -> FloatArr
     if not seen.any():
         return areas
     wanted = areas * density.astype(np.float64) ** 2
-    if len(wanted) > MOST_OF_ONE_FACE:
+    if np.count_nonzero(seen) > MOST_OF_ONE_FACE:  # among fewer, each may have its share
         largest = -np.partition(-wanted, range(MOST_OF_ONE_FACE))[:MOST_OF_ONE_FACE]
         # With m faces cut to the cap, the others' sum is MOST_OF_ONE_FACE - m times the cap.
         for m, at_most in enumerate(largest):

@@ -92,8 +92,7 @@ def trace_pixels(tracer: Tracer, cameras: Sequence[Camera], stride: int, progres
     columns: list[tuple[NDArray, ...]] = []
     for index, camera in enumerate(cameras):
         pixel = pixel_lattice(camera, stride, index)
-        origin, direction = camera.rays()
-        origin, direction = origin[pixel], direction[pixel]
+        origin, direction = camera.rays(pixel)
         hits = tracer.closest(origin, direction)
         kept = np.flatnonzero(hits.face >= 0)
         face, barycentric = hits.face[kept], hits.barycentric[kept]

@@ -59,10 +59,11 @@ def cached_transport(
     transport = build_transport(tracer, surface, parts, n_rays, rng, progress)
     try:
         write_arrays(path, _arrays(transport))
-        _prune(path.parent)
     except IrisError as error:
         # A cache that cannot be written costs time in the next run; it must not cost this one.
         progress.update(1.0, f"transport is not cached: {error}")
+    with suppress(OSError):  # another solve may be tidying up as well
+        _prune(path.parent)
     return transport
 
 

@@ -140,7 +140,7 @@ def _add_gathered(
 ) -> None:
     """Add the gather rays that hit an emitter, weighted against the area samples they compete with."""
     n_rays = rays.face.shape[1]
-    row, column = np.nonzero(label[rays.face] >= 0)
+    row, column = np.nonzero((label >= 0)[rays.face])
     face = rays.face[row, column]
     k = label[face]
     direction = rays.direction[row, column].astype(np.float32)
