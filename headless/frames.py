@@ -78,21 +78,25 @@ def open_frames(folder: Path, length: int, suffix: str, job: Mapping[str, Any]) 
 
 
 def write_film(frames: Frames, fps: float) -> Path | None:
-    """The frames from 1 on as ``film.mp4``, or None without ffmpeg, without frame 1 or for EXR.
+    """The frames from 1 on as ``film.mp4``, or None without ffmpeg, for EXR, and while one is missing between others.
 
     Raises:
         IrisError: ffmpeg fails.
     """
     ffmpeg = shutil.which("ffmpeg")
-    if ffmpeg is None or frames.suffix != ".png" or not frames.finished(1):
+    there = [frame for frame in range(1, frames.length + 1) if frames.finished(frame)]
+    if ffmpeg is None or frames.suffix != ".png" or not there or there[-1] != len(there):
         return None
     film, unfinished = frames.folder / "film.mp4", frames.folder / ".film.mp4"
     even = "pad=ceil(iw/2)*2:ceil(ih/2)*2"  # H.264 in 4:2:0 has no odd sizes
     command: Sequence[str] = [
         *(ffmpeg, "-y", "-loglevel", "error", "-framerate", str(fps), "-start_number", "1"),
-        *("-i", str(frames.folder / "frame_%04d.png"), "-vf", even, "-pix_fmt", "yuv420p", str(unfinished)),
+        *("-i", "frame_%04d.png", "-vf", even, "-pix_fmt", "yuv420p", unfinished.name),
     ]
-    ran = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", check=False)
+    # In the folder, whose name may hold what ffmpeg takes for a pattern.
+    ran = subprocess.run(
+        command, cwd=frames.folder, capture_output=True, encoding="utf-8", errors="replace", check=False
+    )
     if ran.returncode != 0:
         unfinished.unlink(missing_ok=True)
         said = (ran.stderr.strip().splitlines() or ["no message"])[-1]

@@ -9,6 +9,7 @@ import numpy as np
 
 from iris_addon.capture import load_photo
 from iris_addon.capture.types import View
+from iris_addon.errors import BadInput
 from iris_addon.result.edits import SceneEdit
 from iris_addon.result.types import Result
 
@@ -21,7 +22,7 @@ class ChangedPhoto:
 
     Attributes:
         display: (H, W, 3) display values, or None where the photo holds radiance.
-        radiance: (H, W, 3) linear.
+        radiance: (H, W, 3) linear; in the unit of the photo where that holds radiance.
     """
 
     display: FloatArray | None
@@ -38,8 +39,15 @@ class PhotoInsertion:
     """Differential rendering onto the photo of one view; the room without edits is rendered once."""
 
     def __init__(self, result: Result, view: View, samples: int, seed: int) -> None:
+        """Read the photo; raises BadInput if the result has no response that it was taken with."""
         self.result, self.view = result, view
         self.photo = load_photo(view)
+        if not self.photo.hdr and result.response.family == "identity":
+            raise BadInput(
+                "the room was solved from radiance, so the response of this photo is not known",
+                "solve the photos, or give --views whose photos are the EXR files",
+                view.photo,
+            )
         self.samples, self.seed = samples, seed
         self._without: tuple[FloatArray, FloatArray] | None = None
 
@@ -58,7 +66,8 @@ class PhotoInsertion:
             self.result, self.view.camera, edit, self._without, samples=self.samples, seed=self.seed
         )
         if self.photo.hdr:
-            return ChangedPhoto(None, change_light(values, changed, 1.0))
+            known = known_exposure(self.result, self.view)
+            return ChangedPhoto(None, change_light(values, changed, 1.0 if known is None else known))
         return ChangedPhoto(*change_photo(values, changed, response, self._exposure(changed.without)))
 
     def _exposure(self, without: FloatArray) -> FloatArray:

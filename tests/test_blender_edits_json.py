@@ -116,6 +116,9 @@ def test_wrong_objects_are_refused(lit):
     ):
         with pytest.raises(BadInput, match="objects"):
             insertion_edits(lit, {"objects": [thing]})
+    for job in ({"object": []}, {"recovered": {}, "objects": []}, {"views": [{"view": 0, "things": []}]}):
+        with pytest.raises(BadInput, match="unknown key"):
+            insertion_edits(lit, job)
 
 
 def test_the_reference_files_of_a_capture_are_read():

@@ -10,8 +10,8 @@ from headless import cli
 from headless.frame_range import FrameRange
 from headless.frames import open_frames, write_film
 from iris_addon.errors import BadInput
-from iris_addon.imaging import read_exr, read_image, write_png
-from iris_addon.response.curve import gamma
+from iris_addon.imaging import read_exr, read_image, write_exr, write_png
+from iris_addon.response.curve import gamma, identity
 from iris_addon.result.io import save_result
 from tests.blender_room import camera, room
 
@@ -87,6 +87,10 @@ def test_the_film_appears_whole_or_not_at_all(tmp_path, monkeypatch):
     with pytest.raises(Exception, match="broken"):
         write_film(frames, 24)
     assert {path.name for path in frames.folder.iterdir()} == {"frame_0001.png", "frames.json", "film.mp4"}
+    gap = open_frames(tmp_path / "gap %d", 4, ".png", {})
+    for frame in (1, 3):
+        write_png(gap.path(frame), np.zeros((3, 3, 3), np.uint8))
+    assert write_film(gap, 24) is None
 
 
 @pytest.mark.bpy
@@ -141,6 +145,27 @@ def test_light_onto_a_photo_is_linear_on_request(solved):
     radiance, photo = read_exr(out / "a.exr"), read_image(solved / "a.png") / 255
     expected = gamma().invert(photo) / np.array([0.2, 0.25, 0.3])
     np.testing.assert_allclose(radiance[0], expected[0], rtol=0.2, atol=0.02)
+
+
+@pytest.mark.bpy
+def test_photos_that_hold_radiance_are_changed_in_their_own_unit(solved):
+    """EXR photos at an exposure: kept as they are without objects, and an object in them is as bright as they are."""
+    result = replace(
+        room(emission={3: (8, 6, 4)}), response=identity(), exposures={name: np.full(3, 4.0) for name in ("a", "b")}
+    )
+    save_result(result, solved / "result")
+    poses = json.loads((solved / "transforms.json").read_text())
+    for frame in poses["frames"]:
+        name = frame["file_path"].removesuffix(".png")
+        write_exr(solved / f"{name}.exr", np.full((18, 24, 3), 1.5, np.float32))
+        frame.update(file_path=f"{name}.exr", exposure=4.0)
+    lamp = {"shape": "sphere", "radius": 0.2, "location": [0, 0, -0.4], "base_color": 0, "emission": 30}
+    nothing, job = write_job(solved, "none.json", objects=[]), write_job(solved, "lamp.json", objects=[lamp])
+    run(solved, "insert", "--objects", job, "--onto-photos", code=3)  # photos of an unknown response
+    (solved / "transforms.json").write_text(json.dumps(poses))
+    np.testing.assert_array_equal(read_exr(run(solved, "insert", "--objects", nothing, "--onto-photos") / "a.exr"), 1.5)
+    inserted = read_exr(run(solved, "insert", "--objects", job, "--onto-photos") / "a.exr")
+    np.testing.assert_allclose(inserted[9, 12], 4.0 * 30.0, rtol=0.05)
 
 
 # ---- shares, camera ------------------------------------------------------------------------------------------------

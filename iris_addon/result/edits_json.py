@@ -45,6 +45,7 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 RELIGHT_KEYS = {"recovered", "lights", "outside", "camera", "length"}
 # Keys of the reference files that carry no instruction beyond their presence.
 REFERENCE_KEYS = {"poses", "original_emitters", "kept_faces_of_scene_ply", "what", "note", "lighting"}
+INSERTION_KEYS = {"objects", "lights", "views", "camera", "length", "poses", "note", "lighting"}
 
 
 def new_lights_edit(result: Result, lights_json: Json) -> SceneEdit:
@@ -122,10 +123,12 @@ def insertion_edits(
         time: of an animation, 0 ... 1.
     """
     objects_json = json_map(at_time(json_map(objects_json, "the insertion job"), time), "the insertion job")
+    known_keys(objects_json, INSERTION_KEYS, "the insertion job")
     single = {"view": 0, "objects": objects_json.get("objects", []), "lights": objects_json.get("lights", [])}
     edits = []
     for k, view in enumerate(json_list(objects_json.get("views", [single]), "views")):
         view = json_map(view, f"views[{k}]")
+        known_keys(view, {"view", "objects", "lights"}, f"views[{k}]")
         index = whole(view.get("view"), f"views[{k}].view")
         camera = cameras[index] if index < len(cameras) else None
         things = [
