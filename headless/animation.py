@@ -50,7 +50,7 @@ def render_frames(
             radiance = result.response.apply(radiance * np.asarray(frames.facts["exposure"]))
         write_picture(frames.path(frame), radiance)
 
-    settings = {"samples": args.samples, "seed": args.seed}
+    settings = {"samples": args.samples, "seed": args.seed, "gpu": args.gpu}
     todo = [frame for frame in args.frames if not frames.finished(frame)]
     # A room in which nothing moves is built once for all frames.
     batches = [[frame] for frame in todo] if _moves(job) else [todo]

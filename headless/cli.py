@@ -149,6 +149,7 @@ def make_parser() -> _Parser:
         command.add_argument("--frames", type=_frames, metavar="1-120", help="an animation; finished frames are kept")
         command.add_argument("--fps", type=_positive, default=24, help="of film.mp4, made where there is ffmpeg")
         _add_sampling(command)
+        command.add_argument("--gpu", action="store_true", help="render on a GPU where Cycles finds one")
 
     camera = add("camera", "response, exposures and white balance as .cube tables and an OpenColorIO configuration")
     camera.add_argument("result", type=Path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +39,7 @@ class ChangedPhoto:
 class PhotoInsertion:
     """Differential rendering onto the photo of one view; the room without edits is rendered once."""
 
-    def __init__(self, result: Result, view: View, samples: int, seed: int) -> None:
+    def __init__(self, result: Result, view: View, samples: int, seed: int, gpu: bool = False) -> None:
         """Read the photo; raises BadInput if the result has no response that it was taken with."""
         self.result, self.view = result, view
         self.photo = load_photo(view)
@@ -48,7 +49,7 @@ class PhotoInsertion:
                 "solve the photos, or give --views whose photos are the EXR files",
                 view.photo,
             )
-        self.samples, self.seed = samples, seed
+        self.sampling: dict[str, Any] = {"samples": samples, "seed": seed, "gpu": gpu}
         self._without: tuple[FloatArray, FloatArray] | None = None
 
     def picture(self, edit: SceneEdit) -> ChangedPhoto:
@@ -61,10 +62,8 @@ class PhotoInsertion:
             linear = values if self.photo.hdr else response.invert(values) / (1.0 if known is None else known)
             return ChangedPhoto(None if self.photo.hdr else values, linear)
         if self._without is None:
-            self._without = render_pair(self.result, self.view.camera, None, samples=self.samples, seed=self.seed)
-        changed = render_change(
-            self.result, self.view.camera, edit, self._without, samples=self.samples, seed=self.seed
-        )
+            self._without = render_pair(self.result, self.view.camera, None, **self.sampling)
+        changed = render_change(self.result, self.view.camera, edit, self._without, **self.sampling)
         if self.photo.hdr:
             known = known_exposure(self.result, self.view)
             return ChangedPhoto(None, change_light(values, changed, 1.0 if known is None else known))

@@ -91,7 +91,7 @@ def insert(args: argparse.Namespace, progress: Progress) -> Outcome:
     with progress.stage("insert"):
         for number, (index, edit) in enumerate(edits):
             cameras = [views[index].camera]
-            (radiance,) = render_views(result, cameras, edit=edit, samples=args.samples, seed=args.seed)
+            (radiance,) = render_views(result, cameras, edit=edit, **_sampling(args))
             written.append(developer.write(views[index], radiance))
             progress.update((number + 1) / len(edits))
     return Outcome.of("Rendered", {"files": written})
@@ -123,7 +123,7 @@ def _render_edited(
 
     with progress.stage(args.command):
         cameras = [view.camera for view in views]
-        render_views(result, cameras, edit=edit_at(0.0), samples=args.samples, seed=args.seed, on_view=on_view)
+        render_views(result, cameras, edit=edit_at(0.0), on_view=on_view, **_sampling(args))
     return Outcome.of("Rendered", {"files": written})
 
 
@@ -148,12 +148,12 @@ def _insert_onto_photos(
     if args.frames is not None:
         from .animation import insert_frames
 
-        insertion = PhotoInsertion(result, views[edits[0][0]], args.samples, args.seed)
+        insertion = PhotoInsertion(result, views[edits[0][0]], **_sampling(args))
         return insert_frames(args, progress, insertion, job, lambda time: edits_at(time)[0][1])
     written = []
     with progress.stage("insert"):
         for number, (index, edit) in enumerate(edits):
-            picture = PhotoInsertion(result, views[index], args.samples, args.seed).picture(edit)
+            picture = PhotoInsertion(result, views[index], **_sampling(args)).picture(edit)
             written.append(picture.write(args.out, views[index].name, linear=args.linear))
             progress.update((number + 1) / len(edits))
     return Outcome.of("Rendered", {"files": written})
@@ -169,7 +169,7 @@ def _render_shares(args: argparse.Namespace, progress: Progress, result: Result,
     written = []
     with progress.stage("render"):
         for number, view in enumerate(views):
-            shares = render_light_shares(result, view.camera, samples=args.samples, seed=args.seed, denoise=True)
+            shares = render_light_shares(result, view.camera, denoise=True, **_sampling(args))
             written.append(args.out / f"{view.name}.exr")
             write_shares(written[-1], shares)
             progress.update((number + 1) / len(views))
@@ -192,6 +192,10 @@ def _mix_shares(
 
 
 # ---- common --------------------------------------------------------------------------------------------------------
+
+
+def _sampling(args: argparse.Namespace) -> dict[str, Any]:
+    return {"samples": args.samples, "seed": args.seed, "gpu": args.gpu}
 
 
 def _read(args: argparse.Namespace) -> tuple[Result, tuple[View, ...]]:

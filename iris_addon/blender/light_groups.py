@@ -38,6 +38,7 @@ def render_light_shares(
     seed: int = 0,
     denoise: bool = False,
     max_bounces: int = 24,
+    gpu: bool = False,
 ) -> LightShares:
     """Path-trace one view of ``result`` as changed by ``edit``, every light's part kept apart.
 
@@ -48,7 +49,7 @@ def render_light_shares(
     """
     built = build_scene(result, edit, lamps_apart=True)
     try:
-        set_cycles(built.scene, samples=samples, denoise=denoise, seed=seed, max_bounces=max_bounces)
+        set_cycles(built.scene, samples=samples, denoise=denoise, seed=seed, max_bounces=max_bounces, gpu=gpu)
         names = group_lights(built.scene, [*built.lamps, *built.lights, *built.inserted])
         look_through(built.scene, camera, add_camera(camera, "IRIS View", built.scene.collection))
         return _render_shares(built.scene, names, denoise and can_denoise())
