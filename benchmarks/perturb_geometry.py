@@ -36,7 +36,7 @@ HOLE_RAYS = 20_000
 def shake_mesh(root: Path, _truth: Path, millimetres: float, rng: np.random.Generator) -> str:
     """Every vertex off by a normal error of ``millimetres`` per axis; vertices at one place move together."""
     mesh = _mesh(root)
-    place = weld(mesh.vertices)
+    place = weld(mesh)
     move = rng.standard_normal((int(place.max()) + 1, 3)) * millimetres / 1000
     _replace(root, Mesh(mesh.vertices + move[place], mesh.faces, None, mesh.parts), np.arange(len(mesh.faces)))
     return f"{millimetres:g} mm"

@@ -98,6 +98,19 @@ def test_photos_of_cameras_with_like_names_stay_apart_and_are_never_written_to(t
         assert [(tmp_path / f"{number}.png").read_bytes() for number in range(3)] == list(own.values())
 
 
+def test_what_renders_but_is_not_seen_in_viewports_is_named(tmp_path):
+    box("room")
+    box("ceiling")
+    scene = bpy.context.scene
+    scene.objects["ceiling"].hide_viewport = True
+    eye = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
+    scene.collection.objects.link(eye)
+    scene.render.resolution_x, scene.render.resolution_y = 400, 300
+    eye.data.background_images.new().image = bpy.data.images.load(str(photo(tmp_path / "a.png")))
+    (warning,) = write_scene_capture(scene, bpy.context.evaluated_depsgraph_get(), tmp_path / "job")
+    assert "ceiling" in warning
+
+
 def test_a_scene_without_usable_photos_is_refused(tmp_path):
     box("room")
     scene, graph = bpy.context.scene, bpy.context.evaluated_depsgraph_get

@@ -121,8 +121,11 @@ def test_connected_components_are_the_parts_of_a_mesh_without_any() -> None:
 def test_faces_that_share_an_edge_are_neighbours() -> None:
     a, b = edge_adjacency(assemble([quad([0, 0, 0], [1, 0, 0], [0, 1, 0])], [0]))
     assert sorted([int(a[0]), int(b[0])]) == [0, 1] and len(a) == 1
-    a, _ = edge_adjacency(assemble(box([0, 0, 0], [1, 1, 1]), [0] * 6))
+    mesh = assemble(box([0, 0, 0], [1, 1, 1]), [0] * 6)
+    a, _ = edge_adjacency(mesh)
     assert len(a) == 18  # a closed surface of 12 triangles has 18 edges
+    far = replace(mesh, vertices=np.concatenate([mesh.vertices, [[1e7, 0, 0]]]))  # a point of no face
+    assert np.array_equal(edge_adjacency(far)[0], a)
 
 
 def test_the_lattice_of_pixels_moves_from_view_to_view() -> None:

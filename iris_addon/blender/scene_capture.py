@@ -163,10 +163,14 @@ def _link(source: Path, target: Path) -> None:
 
 
 def _warnings(scene: bpy.types.Scene) -> list[str]:
+    warnings = []
+    hidden = [thing.name for thing in scene.objects if thing.type == "MESH" and thing.hide_viewport > thing.hide_render]
+    if hidden:
+        warnings.append(f"disabled in viewports, and so left out of the room: {', '.join(hidden[:5])}")
     tree = compositor_tree(scene)
     if tree is not None and any(node.bl_idname == "CompositorNodeLensdist" for node in tree.nodes):
-        return ["the compositor's Lens Distortion is ignored: the photos must be undistorted"]
-    return []
+        warnings.append("the compositor's Lens Distortion is ignored: the photos must be undistorted")
+    return warnings
 
 
 # ---- files ---------------------------------------------------------------------------------------------------------

@@ -17,17 +17,22 @@ CREASE_COSINE = 0.8
 """Cosine between the normals of neighbours below which their edge is sharp."""
 
 
-def weld(vertices: NDArray[np.floating]) -> NDArray[np.int64]:
-    """(V,) label per vertex, equal for vertices at the same place up to 1e-6 of the mesh's size."""
-    extent = float(np.ptp(vertices, axis=0).max())
-    quantised = np.round((vertices - vertices.min(0)) / (extent * 1e-6)).astype(np.int64)
-    _, label = np.unique(quantised, axis=0, return_inverse=True)
-    return label.ravel()
+WELD_STEPS = 1_000_000
+"""Into so many steps the mesh's size is cut to tell places apart; three such numbers fit into one of 64 bits."""
+
+
+def weld(mesh: Mesh) -> NDArray[np.int64]:
+    """(V,) label per vertex, equal for vertices at the same place up to 1e-6 of the size of what has faces."""
+    used = mesh.vertices[np.unique(mesh.faces)]
+    low, extent = used.min(0), float(np.ptp(used, axis=0).max())
+    steps = np.clip(np.round((mesh.vertices - low) * (WELD_STEPS / extent)), 0, WELD_STEPS).astype(np.int64)
+    _, label = np.unique(steps[:, 0] << 40 | steps[:, 1] << 20 | steps[:, 2], return_inverse=True)
+    return label
 
 
 def edge_adjacency(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Pairs of faces that share an edge of the welded mesh, two (n,); an edge of k faces gives a chain of k - 1."""
-    corner = weld(mesh.vertices)[mesh.faces]
+    corner = weld(mesh)[mesh.faces]
     edges = np.sort(np.stack([corner[:, [0, 1]], corner[:, [1, 2]], corner[:, [2, 0]]], 1).reshape(-1, 2), axis=1)
     face = np.repeat(np.arange(len(mesh.faces)), 3)
     key = edges[:, 0] * (corner.max() + 1) + edges[:, 1]
@@ -58,8 +63,14 @@ def pieces_between_edges(
     return component_labels(len(normals), a[joined], b[joined])
 
 
-def initial_parts(mesh: Mesh) -> NDArray[np.int32]:
-    """(F,) part per face: the capture's own, else connected components."""
+def initial_parts(
+    mesh: Mesh, adjacency: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
+) -> NDArray[np.int32]:
+    """(F,) part per face: the capture's own, else connected components.
+
+    Args:
+        adjacency: that of :func:`edge_adjacency` if it is known.
+    """
     if mesh.parts is not None:
         return mesh.parts
-    return component_labels(len(mesh.faces), *edge_adjacency(mesh))
+    return component_labels(len(mesh.faces), *(adjacency or edge_adjacency(mesh)))

@@ -42,7 +42,7 @@ def split_parts(
         normals: (F, 3) unit.
         z: (n, 3) display values of the pixels.
     """
-    parts = initial_parts(mesh)
+    parts = initial_parts(mesh, adjacency)
     if mesh.parts is not None:
         return parts
     return split_scan(split_creases(parts, adjacency, normals, samples), adjacency, normals, samples, z)
