@@ -28,6 +28,8 @@ DWA_LEVEL = 120.0
 LDR_SUFFIXES = (".png", ".jpg", ".jpeg")
 HDR_SUFFIXES = (".exr",)
 IMAGE_SUFFIXES = LDR_SUFFIXES + HDR_SUFFIXES
+SATURATED = 254.5 / 255
+"""Display value from which on a channel is clipped: the highest byte."""
 
 # What Pillow's decoders raise on damaged files. UnidentifiedImageError is an OSError.
 _DECODE_ERRORS = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error, Image.DecompressionBombError)

@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 
 from .capture.types import Capture
 from .config import SolveConfig
+from .imaging import SATURATED
 from .parallel import BLOCK, over_blocks
 from .response import curve
 from .response.curve import Response
 from .response.family import FITTED
 from .response.files import read_response
-from .response.observations import SATURATED, Observations
+from .response.observations import Observations
 from .response.overlap import fit_overlap
-from .response.radiance import MODEL_NOISE, Linearised
+from .response.radiance import MODEL_NOISE, Linearised, quantisation_noise
 
 
 @dataclass(frozen=True)
@@ -81,10 +82,9 @@ class Photometry:
         def work(rows: slice) -> None:
             t = self.exposures[view[rows]]
             x = self.response.invert(np.clip(z[rows] + 0.5 / 255, 0, 1))
-            quantisation = (1 / 255 / np.sqrt(12)) / (np.maximum(self.response.slope(x), 1e-3) * np.maximum(x, 1e-5))
             radiance[rows] = x / t
             bound[rows] = np.where(clipped[rows], 1 / t, 0.0)
-            precision[rows] = MODEL_NOISE**2 / (MODEL_NOISE**2 + quantisation**2)
+            precision[rows] = MODEL_NOISE**2 / (MODEL_NOISE**2 + quantisation_noise(self.response, x) ** 2)
 
         over_blocks(len(z), BLOCK, work)
         return Linearised(radiance, ~clipped, bound, precision)

@@ -11,6 +11,7 @@ import torch
 
 from iris_addon import solve as solver
 from iris_addon.config import preset
+from iris_addon.imaging import SATURATED
 from iris_addon.photometry import Photometry
 from iris_addon.progress import Progress
 from iris_addon.refine.highlights import Highlights, trace_highlights
@@ -18,7 +19,6 @@ from iris_addon.refine.joint import PhotoLoss, Refinement, develop, refine, refi
 from iris_addon.reflectance.materials import scene_of
 from iris_addon.reflectance.specular import specular_lobes, subtract_specular
 from iris_addon.response.curve import gamma
-from iris_addon.response.observations import SATURATED
 from iris_addon.response.radiance import linearise
 from iris_addon.transport.tracer import Tracer
 from tests.engine_room import cameras, furnished_room, photograph, render

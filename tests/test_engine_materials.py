@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from iris_addon.emission.balance import MAX_ALBEDO
 from iris_addon.progress import Progress
-from iris_addon.reflectance.bake import MAX_ALBEDO, fuse_texels, pixel_albedo, pixel_weight
+from iris_addon.reflectance.bake import fuse_texels, pixel_albedo, pixel_weight
 from iris_addon.reflectance.ggx import DIELECTRIC_F0, specular_integrals
 from iris_addon.reflectance.gloss import (
     LEVELS,

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from iris_addon.errors import BadInput
+from iris_addon.imaging import SATURATED
 from iris_addon.photometry import Photometry
 from iris_addon.response import curve, family
 from iris_addon.response.curve import N_SAMPLES, Response
 from iris_addon.response.files import read_response
-from iris_addon.response.observations import SATURATED, Observations, observe, order_in_groups
+from iris_addon.response.observations import Observations, observe, order_in_groups
 from iris_addon.response.overlap import fit_overlap
 from iris_addon.response.radiance import group_radiance, linearise, raised_by_clipped
 

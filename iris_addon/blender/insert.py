@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..capture.types import Camera
+from ..imaging import SATURATED
 from ..response.curve import Response
-from ..response.observations import SATURATED
 from ..result.edits import SceneEdit
 from ..result.types import Result
 from .render import render_camera, render_coverage, render_views, set_cycles

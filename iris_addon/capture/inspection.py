@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..array_files import write_arrays
-from ..imaging import to_codes, write_png
+from ..imaging import SATURATED, to_codes, write_png
 from ..progress import Progress
 from ..result.json_files import write_json
 from ..transport.tracer import Tracer
@@ -28,7 +28,6 @@ from .alignment import Alignment, align, shrink, small_camera
 from .photos import load_photo
 from .types import Camera, Capture, Mesh, Photo, View
 
-SATURATED = 254.5 / 255
 BLACK = 0.5 / 255
 BINS = 32
 MANY_SATURATED = 0.25

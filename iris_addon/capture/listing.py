@@ -19,7 +19,6 @@ class Listing:
 
     Attributes:
         mesh_file: the mesh to read.
-        mesh_named: whether the capture names it, so that nothing had to be guessed.
     """
 
     name: str

@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from ..errors import BadInput
 from .obj import read_obj
-from .types import FloatArray, Mesh
+from .types import DEGENERATE_AREA, FloatArray, Mesh
 
 MESH_SUFFIXES = (".ply", ".obj", ".glb")
 MAX_MESH_BYTES = 2 << 30
 MAX_FACES = 20_000_000
-DEGENERATE_AREA = 1e-12  # square metres
 UV_TOLERANCE = 1e-4
 MAX_UV_OVERLAP = 0.01
 

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.floating]
 
 Split = Literal["train", "val"]
+DEGENERATE_AREA = 1e-12
+"""Square metres up to which a face counts as none."""
 
 
 @dataclass(frozen=True)

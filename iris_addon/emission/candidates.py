@@ -63,22 +63,26 @@ def brightness(
 
 
 def _low_quantile(
-    value: NDArray[np.float64], open_: NDArray[np.bool_], count: NDArray[np.floating], face: NDArray[np.integer], n: int
+    value: NDArray[np.float64],
+    open_: NDArray[np.bool_],
+    count: NDArray[np.floating],
+    patch: NDArray[np.integer],
+    n: int,
 ) -> NDArray[np.float64]:
-    """Low quantile over views of what each face is known to reach; a bound only raises what it is compared with."""
+    """Low quantile over views of what each patch is known to reach; a bound only raises what it is compared with."""
     result = np.zeros(n)
     bound = np.zeros(n)
-    np.maximum.at(bound, face, np.where(open_, 0.0, value))
+    np.maximum.at(bound, patch, np.where(open_, 0.0, value))
     use = np.flatnonzero(open_)
-    order = use[order_in_groups(value[use], face[use])]
-    sorted_face = face[order]
+    order = use[order_in_groups(value[use], patch[use])]
+    in_order = patch[order]
     weight = count[order].astype(np.float64)
-    total = np.bincount(sorted_face, weight, n)
-    running = np.cumsum(weight) - np.concatenate([[0], np.cumsum(total)])[sorted_face]
-    reached = running >= VIEW_QUANTILE * total[sorted_face]
-    chosen = np.flatnonzero(reached & np.concatenate([[True], (sorted_face[1:] != sorted_face[:-1]) | ~reached[:-1]]))
-    result[sorted_face[chosen]] = value[order][chosen]
-    open_share = total / np.maximum(np.bincount(face, count, n), 1e-9)
+    total = np.bincount(in_order, weight, n)
+    running = np.cumsum(weight) - np.concatenate([[0], np.cumsum(total)])[in_order]
+    reached = running >= VIEW_QUANTILE * total[in_order]
+    chosen = np.flatnonzero(reached & np.concatenate([[True], (in_order[1:] != in_order[:-1]) | ~reached[:-1]]))
+    result[in_order[chosen]] = value[order][chosen]
+    open_share = total / np.maximum(np.bincount(patch, count, n), 1e-9)
     return np.where(open_share > VIEW_QUANTILE, result, np.maximum(result, bound))
 
 

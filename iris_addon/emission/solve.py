@@ -9,7 +9,7 @@ from ..progress import Progress
 from ..response.radiance import GroupRadiance
 from ..transport.diffuse import under_lobe
 from ..transport.gather import emitter_form_factors, emitter_of_face
-from .balance import Evidence, fitted_patches, solve_balance
+from .balance import MAX_ALBEDO, Evidence, fitted_patches, solve_balance
 from .candidates import tie_fixtures
 from .types import LightProblem, Lights
 
@@ -269,7 +269,7 @@ def _infer_unseen(
     typical = np.median(np.stack(list(albedo.values())), axis=0) if albedo else np.full(3, 0.5)
     table = np.tile(np.clip(typical, 0.05, 0.9), (int(problem.parts.max()) + 1, 1))
     for part, value in albedo.items():
-        table[part] = np.clip(value, 0.0, 0.95)
+        table[part] = np.clip(value, 0.0, MAX_ALBEDO)
     inferred = table[problem.transport.part] * irradiance
     result = radiance.copy()
     n = problem.transport.n_seen

@@ -28,7 +28,7 @@ PRIOR_STD = 0.4
 def choose_exponent(problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress) -> float:
     """The g under which the light balances best; 1 where it balances ever better towards the ends of the range.
 
-    It does so where most light comes from what no photo shows: then (5) is about guesses.
+    It does so where most light comes from what no photo shows: then the light balance is about guesses.
 
     Args:
         observed: radiance of the seen patches, up to a power.

@@ -109,7 +109,7 @@ def _glossy_observations(
 
 
 def _lamp_shares(rays: LobeRays, lights: Lights) -> NDArray[np.float64]:
-    """(m, E) specular share of each lamp: its part of the lobe, weighted as eq. (2) weights it."""
+    """(m, E) specular share of each lamp: its part of the lobe, 0.04 G1 F0 + G1 F1 as in :class:`LobeRays`."""
     hit = emitter_of_face(lights.emitters, len(lights.mask))[rays.face]
     (m, n_rays), n_lamps = hit.shape, len(lights.emitters)
     row, column = np.nonzero(hit >= 0)

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..emission.balance import MAX_ALBEDO
 from ..response.observations import group_sums
 
-MAX_ALBEDO = 0.95
 DIM = 0.05
 """Share of the median irradiance below which a quotient of radiance and irradiance is not worth much."""
 HIGHLIGHT = 20.0

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..emission.balance import MAX_ALBEDO
 from ..response.observations import group_sums
 from ..result.types import Textures
 from ..surface.atlas_texels import fill_texels, rasterise_atlas, texel_index
 from ..surface.samples import PixelSamples
-from .bake import MAX_ALBEDO, TexelAlbedo, fuse_texels
+from .bake import TexelAlbedo, fuse_texels
 from .gloss import Gloss
 
 DOUBT = 0.02

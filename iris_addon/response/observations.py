@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-SATURATED = 254.5 / 255.0
+from ..imaging import SATURATED
+
 """Display values at or above this are clipped: floor(255 z) = 255 only for z = 1."""
 
 

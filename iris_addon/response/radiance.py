@@ -68,12 +68,15 @@ def linearise(observations: Observations, response: Response, exposures: NDArray
         shape = z.shape
         return Linearised(z / t, np.ones(shape, bool), np.zeros(shape), np.full(shape, 1 / MODEL_NOISE**2))
     x = response.invert(np.clip(z + 0.5 / 255, 0, 1))
-    slope = np.maximum(response.slope(x), 1e-3)
-    quantisation = (1 / 255 / np.sqrt(12)) / (slope * np.maximum(x, 1e-5))
     # Pixels of one observation dither the quantisation step only where they differ; count it once.
-    precision = 1.0 / (MODEL_NOISE**2 + quantisation**2)
+    precision = 1.0 / (MODEL_NOISE**2 + quantisation_noise(response, x) ** 2)
     clipped = o.saturated > CLIPPED_SHARE
     return Linearised(x / t, o.saturated == 0, np.where(clipped, 1.0 / t, 0.0), precision)
+
+
+def quantisation_noise(response: Response, x: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Relative standard deviation of relative exposures ``x`` (n, 3) that were kept as bytes."""
+    return (1 / 255 / np.sqrt(12)) / (np.maximum(response.slope(x), 1e-3) * np.maximum(x, 1e-5))
 
 
 def group_radiance(

@@ -49,7 +49,7 @@ def read_json(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > MAX_JSON_BYTES:
             raise BadInput(f"is larger than {MAX_JSON_BYTES >> 20} MiB", MEND, path)
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise BadInput(f"cannot be read ({error.strerror})", "check the path, or restore the file", path) from error
     except (ValueError, RecursionError) as error:

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..capture.types import Mesh
-from ..transport.tracer import DEGENERATE_AREA
+from ..capture.types import DEGENERATE_AREA, Mesh
 from .atlas_charts import merge_faces, pool_grains, sums
 from .atlas_packing import pack
 from .parts import component_labels, edge_adjacency

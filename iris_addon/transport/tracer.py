@@ -13,10 +13,9 @@ from threading import Lock
 import numpy as np
 from numpy.typing import NDArray
 
-from ..capture.types import Mesh
+from ..capture.types import DEGENERATE_AREA, Mesh
 from ..parallel import over_blocks
 
-DEGENERATE_AREA = 1e-12
 CHUNK = 1 << 18
 
 

@@ -24,7 +24,7 @@ from .tracer import Tracer
 
 UNKNOWN, ESCAPED = -1, -2
 UNSEEN_RAYS_SHARE = 4
-"""Unseen patches get this fraction's inverse of the rays: their radiance is second-hand anyway."""
+"""Unseen patches get one in so many of the rays: their radiance is second-hand anyway."""
 
 
 @dataclass(frozen=True)
