@@ -222,7 +222,9 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         lights = [thing.name for thing in scene.objects if thing.type == "LIGHT" and not thing.hide_render]
         if lights:
             paragraph(layout, f"Shine as well: {', '.join(lights[:3])}", context, "INFO")
-        layout.operator_menu_enum("iris.place", "thing", text="Place Object", icon="MESH_UVSPHERE")
+        row = layout.row(align=True)
+        row.prop(settings, "placed", text="")
+        row.operator("iris.place", text="Place", icon="MESH_UVSPHERE").thing = settings.placed
 
 
 class IRIS_UL_lamps(bpy.types.UIList):  # noqa: N801 - Blender's naming

@@ -7,11 +7,11 @@ from __future__ import annotations
 import bpy
 from bpy_extras.view3d_utils import region_2d_to_origin_3d, region_2d_to_vector_3d
 
-from ..iris_addon.blender.carried import SHAPES, Carried
+from ..iris_addon.blender.carried import Carried
 from ..iris_addon.blender.onto_objects import APPLIED
 from ..iris_addon.errors import BadInput
+from .settings import PLACEABLE, SELECTED
 
-SELECTED = "SELECTED"
 NOTCH, NOTCH_DEGREES = 1.1, 15.0
 """A notch of the wheel: factor on the size, and turn."""
 HELP = "Click: leave it there    Wheel: size (× {size:.2f})    Shift Wheel: turn ({turn:.0f}°)    Esc: cancel"
@@ -24,13 +24,7 @@ class IRIS_OT_place(bpy.types.Operator):  # noqa: N801 - Blender's naming
     bl_label = "Place Object"
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
 
-    thing: bpy.props.EnumProperty(
-        name="Object",
-        items=(
-            *((key, name, "A new one, 30 cm wide") for key, (name, *_rest) in SHAPES.items()),
-            (SELECTED, "Selected Object", "The active object with its children"),
-        ),
-    )
+    thing: bpy.props.EnumProperty(name="Object", items=PLACEABLE)
     size: bpy.props.FloatProperty(
         name="Size", description="Factor on its size", default=1.0, min=0.01, soft_max=10.0, options={"SKIP_SAVE"}
     )

@@ -10,6 +10,7 @@ from typing import Any
 import bpy
 
 from ..iris_addon.blender import lamps
+from ..iris_addon.blender.carried import SHAPES
 
 # ---- callbacks -----------------------------------------------------------------------------------------------------
 
@@ -39,6 +40,13 @@ EXPOSURE = bpy.props.FloatProperty(
     name="Exposure",
     description="Relative exposure of this camera's photo, time · ISO/100 / f-number²; 0 where it is unknown",
     min=0.0,
+)
+
+
+SELECTED = "SELECTED"
+PLACEABLE = (
+    *((key, name, "A new one, 30 cm wide") for key, (name, *_rest) in SHAPES.items()),
+    (SELECTED, "Selected Object", "The active object with its children"),
 )
 
 
@@ -149,6 +157,7 @@ class IrisSettings(bpy.types.PropertyGroup):
     view_index: bpy.props.IntProperty(update=_look)
     lamps: bpy.props.CollectionProperty(type=IrisLamp)
     lamp_index: bpy.props.IntProperty()
+    placed: bpy.props.EnumProperty(name="Object", description="What Place sets into the room", items=PLACEABLE)
     overlay: bpy.props.FloatProperty(
         name="Photo",
         description="How much of the photo is shown over the mesh",

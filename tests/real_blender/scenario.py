@@ -200,6 +200,33 @@ def add_object(stage: Stage) -> str:
     return session.ask("bpy.context.window_manager.windows[0].view_layer.objects.active.name")
 
 
+def place_object(stage: Stage) -> str:
+    """Place, over the room, larger by the wheel, a click; then once more, and Esc: nothing is left of that."""
+    session = stage.session
+    left, top, width, height = session.region("VIEW_3D", "WINDOW")
+    middle = (left + 0.35 * width, top + 0.7 * height)
+    before = session.ask("sorted(bpy.data.objects.keys())")
+
+    def carry() -> None:
+        session.press("iris.place", columns=(0.7, 0.8, 0.9))
+        session.display.move(*middle)
+        session.display.scroll(*middle, -3)
+
+    carry()
+    stage.photograph("15_placing")
+    session.display.click(*middle)
+    until(lambda: len(session.ask("bpy.data.objects.keys()")) == len(before) + 2, "an object is placed", 20)
+    stage.photograph("16_placed")
+    placed = sorted(set(session.ask("bpy.data.objects.keys()")) - set(before))
+    size = session.ask(f"max(bpy.data.objects[{placed[-1]!r}].dimensions)")
+    assert abs(size - 0.3 * 1.1**3) < 0.01, size
+    now = session.ask("content()")
+    carry()
+    session.display.keys("Escape")
+    until(lambda: session.ask("content()") == now, "nothing is left of what was taken back", 20)
+    return f"{placed[0]}, {size:.2f} m wide"
+
+
 def enable_again(stage: Stage) -> str:
     """Disable and enable by the box in the preferences: nothing is left, then everything is back."""
     session = stage.session
@@ -229,5 +256,6 @@ STEPS: tuple[Callable[[Stage], str], ...] = (
     apply,
     switch_off,
     add_object,
+    place_object,
     enable_again,
 )
