@@ -37,7 +37,7 @@ class OverlapFit:
 
     Attributes:
         exposures: (V, 3) factor per view and channel; the channels differ where white balance was found to drift.
-        residual: robust RMS of the display-value residual on held-out patches.
+        residual: median absolute residual of display values on held-out patches, each as the robust loss takes it.
         per_channel: whether three curves earned their place over one.
     """
 
@@ -134,8 +134,9 @@ def _fit_curves(
     # One curve is the null hypothesis: cameras apply the same curve to all channels far more often than not.
     separate_error = testing.disagreement(separate)
     if refinements.channel_curves or separate_error < 0.97 * error:
-        return training.minimise(separate, MAX_STEPS), min(error, separate_error)
-    return shared, min(error, separate_error)
+        separate = training.minimise(separate, MAX_STEPS)
+        return separate, testing.disagreement(separate)
+    return shared, error
 
 
 def _first_guess(problem: OverlapProblem) -> NDArray[np.float64]:

@@ -183,7 +183,11 @@ class Session:
         """Do what opens a window and put that at (left, top, width, height)."""
         before = self.windows()
         open_it()
-        until(lambda: self.windows() > before, f"the window {title} opens", 30)
+        try:
+            until(lambda: self.windows() > before, f"the window {title} opens", 30)
+        except AssertionError:  # a click that came while Blender was busy: repeated, as a person would
+            open_it()
+            until(lambda: self.windows() > before, f"the window {title} opens", 30)
         self.display.place(title, *box)
         self.display.still()
 
