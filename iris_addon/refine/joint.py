@@ -23,7 +23,7 @@ from ..emission.types import Lights
 from ..photometry import Photometry
 from ..progress import Progress
 from ..reflectance.gloss import Gloss
-from ..reflectance.materials import MaterialProblem
+from ..reflectance.materials import MaterialProblem, continued_paths
 from ..response.curve import N_SAMPLES
 from ..transport.diffuse import under_lobe
 from .highlights import Highlights, trace_highlights
@@ -72,7 +72,7 @@ def refine_lights(
     tie = tie_fixtures(lights.emitters, problem.light.tracer.areas)
     device = problem.light.transport.device
     found = refine(highlights, photometry, lights.radiance, lights.log_std, tie, device, progress)
-    return (_relit(problem, lights, found.radiance) if found.taken else lights), found
+    return (_relit(problem, lights, gloss, found.radiance) if found.taken else lights), found
 
 
 def refine(
@@ -186,10 +186,11 @@ def _tensor(values: NDArray, device: str) -> torch.Tensor:
     return torch.from_numpy(np.ascontiguousarray(array)).to(device)
 
 
-def _relit(problem: MaterialProblem, lights: Lights, radiance: NDArray[np.float64]) -> Lights:
-    """``lights`` with other lamps: what they cast changes, and so what unseen and clipped patches pass on."""
+def _relit(problem: MaterialProblem, lights: Lights, gloss: Gloss, radiance: NDArray[np.float64]) -> Lights:
+    """``lights`` with other lamps: what they cast changes, by way of gloss too, and so what others pass on."""
     transport = problem.light.transport
-    factors = under_lobe(lights.form_factors, transport.kappa)
+    bounce = continued_paths(problem, gloss, 0)
+    factors = under_lobe(lights.form_factors, transport.kappa) + bounce.form_factors(lights.emitters, len(lights.mask))
     irradiance = lights.irradiance + factors @ (radiance - lights.radiance)
     irradiance = np.maximum(irradiance, 0.1 * lights.irradiance)
     ratio = irradiance / np.maximum(lights.irradiance, 1e-9)

@@ -99,7 +99,7 @@ def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progr
         diffuse = group_radiance(problem.linear, o.patch, o.count, n_patches, specular, view_factor)
         seen = brightness(o, problem.linear, n_patches, specular)
         problem = problem.with_gloss(gloss)
-        bounce = _bounce(problem, gloss, round_)
+        bounce = continued_paths(problem, gloss, round_)
         light_problem = replace(problem.light, brightness=seen, bounce=bounce)
         say = _say(problem, gloss, diffuse)
         cast = _cast_radiance(problem, gloss, diffuse, view_factor)
@@ -128,7 +128,7 @@ def _cast_radiance(
     return replace(problem.observed, radiance=np.where(passes, own, matte))
 
 
-def _bounce(problem: MaterialProblem, gloss: Gloss, round_: int) -> GlossyBounce:
+def continued_paths(problem: MaterialProblem, gloss: Gloss, round_: int) -> GlossyBounce:
     """Continued paths under the materials of this round."""
     rng = np.random.default_rng([problem.seed, 37, round_])
     light = problem.light
