@@ -157,12 +157,13 @@ def _speed_panel(axes: Axes, metric: str, methods: Sequence[Points]) -> None:
 
 def _published(axes: Axes, figures: Sequence[Published]) -> None:
     """Published figures as dashed lines with a tick at the time they took."""
-    for figure in figures:
-        axes.axhline(figure.value, color=GREY, linewidth=0.9, linestyle=(0, (5, 4)), zorder=0)
-        minutes = f"{figure.seconds / 60:.0f} min, {figure.machine}"
+    machines = ", ".join(sorted({figure.machine for figure in figures}))
+    for number, figure in enumerate(figures):
+        label = f"published: {machines}, other rooms" if number == 0 else None
+        axes.axhline(figure.value, color=GREY, linewidth=0.9, linestyle=(0, (5, 4)), zorder=0, label=label)
         axes.plot([figure.seconds], [figure.value], marker="|", color=GREY, markersize=12)
         axes.annotate(
-            f"{figure.name}: {minutes}, other rooms",
+            f"{figure.name}, {figure.seconds / 60:.0f} min",
             (0.995, figure.value),
             xycoords=("axes fraction", "data"),
             xytext=(0, 3),
