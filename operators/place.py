@@ -55,6 +55,7 @@ class IRIS_OT_place(bpy.types.Operator):  # noqa: N801 - Blender's naming
         except BadInput as error:
             carried.take_back()
             return self._refused(error)
+        carried.leave(context)
         return {"FINISHED"}
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
@@ -129,6 +130,7 @@ class IRIS_OT_place(bpy.types.Operator):  # noqa: N801 - Blender's naming
     def _end(self, context: bpy.types.Context, keep: bool) -> set[str]:
         context.workspace.status_text_set(None)
         if keep and self._stands:
+            self._carried.leave(context)
             return {"FINISHED"}
         self._carried.take_back()
         return {"CANCELLED"}

@@ -308,7 +308,7 @@ def test_things_are_set_onto_the_surface_they_are_pointed_at(package, tmp_path, 
     assert abs(x1 - high.x) < 1e-3 and abs(x1 - x0 - 0.15) < 1e-3, (x0, x1, high.x)  # its underside on the wall
 
     # The one that is selected is moved, with the size it has; what was put in first is stood upon as the room is.
-    bpy.context.view_layer.objects.active = anchor
+    assert bpy.context.view_layer.objects.active == anchor and bpy.context.selected_objects == [anchor]
     assert place((0, 0, -1), thing="SELECTED") == []
     (_x, _y, (z0, z1)) = extent(box)
     assert abs(z0 - low.z - 0.3) < 2e-2 and abs(z1 - z0 - 0.15) < 1e-2, (z0, z1)

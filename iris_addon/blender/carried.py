@@ -76,6 +76,13 @@ class Carried:
         in_metres = placement_matrix(placed, self._room, self._corners)
         self._thing.matrix_world = Matrix.Scale(1 / self._unit, 4) @ in_metres @ Matrix.Scale(self._unit, 4)
 
+    def leave(self, context: bpy.types.Context) -> None:
+        """Let it stand, selected and active as what was just added to a scene is."""
+        for thing in context.selected_objects:
+            thing.select_set(False)
+        self._thing.select_set(True)
+        context.view_layer.objects.active = self._thing
+
     def take_back(self) -> None:
         """As if it had never been taken up."""
         self._thing.matrix_world = self._before
