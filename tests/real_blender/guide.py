@@ -19,6 +19,7 @@ PICTURES = {  # name in the guide: picture of the test, what of it is shown (lef
     "solve": ("07_preview", VIEW),
     "review": ("08_review_render", VIEW),
     "lamp_off": ("11_lamp_off", VIEW),
+    "placed": ("15_placing", VIEW),
 }
 
 
