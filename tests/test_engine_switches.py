@@ -90,7 +90,7 @@ def test_a_mask_that_cannot_be_used_is_named(tmp_path, content, said):
 
 def test_a_face_of_two_given_lamps_is_the_first_ones_and_one_without_area_nobodys(tmp_path):
     path = tmp_path / "mask.json"
-    path.write_text('{"emitters": [{"faces": [[2, 5]]}, {"faces": [[4, 7]]}]}')
+    path.write_text('{"emitters": [{"faces": [[2, 5]]}, {"faces": [[4, 7]]}, {"faces": [[2, 4]]}]}')
     first, second = read_given_emitters(path, np.where(np.arange(12) == 3, 0.0, 1.0))
     assert first.tolist() == [2, 4] and second.tolist() == [5, 6]
 

@@ -18,7 +18,7 @@ def read_given_emitters(path: Path, areas: NDArray[np.floating]) -> list[NDArray
         areas: (F,) of the mesh's faces. Those without are left out, and one that two lamps name is the first one's.
 
     Raises:
-        BadInput: unreadable, a face is not of this mesh, or a lamp is left without any.
+        BadInput: unreadable, a face is not of this mesh, or a lamp has none with an area.
     """
     listed = read_json(path).get("emitters")
     if not isinstance(listed, list):
@@ -27,9 +27,11 @@ def read_given_emitters(path: Path, areas: NDArray[np.floating]) -> list[NDArray
     for k, entry in enumerate(listed):
         label = f"emitters[{k}].faces"
         faces = from_ranges(json_object(entry, f"emitters[{k}]", path).get("faces"), len(areas), label, path)
-        faces = faces[(areas[faces] > 0) & ~taken[faces]]
+        faces = faces[areas[faces] > 0]
         if not len(faces):
-            raise BadInput(f"{label} names no face of its own that has an area", "leave that lamp out", path)
-        taken[faces] = True
-        emitters.append(faces)
+            raise BadInput(f"{label} names no face that has an area", "leave that lamp out", path)
+        own = faces[~taken[faces]]
+        taken[own] = True
+        if len(own):
+            emitters.append(own)
     return emitters
