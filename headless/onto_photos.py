@@ -57,23 +57,20 @@ class PhotoInsertion:
         from iris_addon.blender.insert import change_light, change_photo, render_change, render_pair
 
         values, response = self.photo.values.astype(np.float64), self.result.response
+        known = known_exposure(self.result, self.view)
         if edit.changes_nothing:
-            known = known_exposure(self.result, self.view)
             linear = values if self.photo.hdr else response.invert(values) / (1.0 if known is None else known)
             return ChangedPhoto(None if self.photo.hdr else values, linear)
         if self._without is None:
             self._without = render_pair(self.result, self.view.camera, None, **self.sampling)
         changed = render_change(self.result, self.view.camera, edit, self._without, **self.sampling)
         if self.photo.hdr:
-            known = known_exposure(self.result, self.view)
             return ChangedPhoto(None, change_light(values, changed, 1.0 if known is None else known))
-        return ChangedPhoto(*change_photo(values, changed, response, self._exposure(changed.without)))
+        exposure = self._fitted_exposure(changed.without) if known is None else known
+        return ChangedPhoto(*change_photo(values, changed, response, exposure))
 
-    def _exposure(self, without: FloatArray) -> FloatArray:
-        """(3,) as recovered or recorded; where it is neither, the one that makes the render look like the photo."""
-        known = known_exposure(self.result, self.view)
-        if known is not None:
-            return known
+    def _fitted_exposure(self, without: FloatArray) -> FloatArray:
+        """(3,) the exposure that makes the render look like the photo."""
         from iris_addon.evaluate.held_out import fit_gains
 
         return fit_gains(without, self.photo, self.result.response)

@@ -13,12 +13,11 @@ from ..iris_addon.blender.capture_in import (
     COLLECTION,
     Inspected,
     add_capture,
-    has_mesh,
     read_inspected,
     refresh_capture,
 )
 from ..iris_addon.blender.commands import ADDON, inspect_command
-from ..iris_addon.blender.onto_objects import APPLIED, restore
+from ..iris_addon.blender.onto_objects import APPLIED
 from ..iris_addon.blender.review import sparkline
 from ..iris_addon.blender.scene_capture import read_view_cameras, write_scene_capture
 from ..iris_addon.errors import IrisError
@@ -117,11 +116,9 @@ class IRIS_OT_add_capture(bpy.types.Operator):  # noqa: N801 - Blender's naming
         if settings.source == "SCENE":
             cameras = [scene.objects.get(objects.get(view.name, "")) for view in inspected.views]
         elif _is_of(settings.room, settings.capture, scene):
-            if APPLIED in scene and not has_mesh(settings.room, inspected.mesh):
-                restore(scene)  # the result is that of another mesh
             present = {view.name: view.camera for view in settings.views if view.camera is not None}
             present = {name: camera for name, camera in present.items() if camera.name in scene.objects}
-            cameras = refresh_capture(inspected, settings.room, present)
+            cameras = refresh_capture(inspected, scene, settings.room, present)
         else:
             if settings.room is not None:
                 _put_away(settings.room)

@@ -72,12 +72,10 @@ def environment_python(folder: Path) -> Path:
 def solver_python(context: bpy.types.Context) -> str:
     """Path of the solver's Python: the one chosen, or the one made here; empty where there is neither."""
     chosen = bpy.path.abspath(context.preferences.addons[ROOT_PACKAGE].preferences.python)
+    if chosen:  # panels ask at every redraw: the disk is looked at only where nothing is chosen
+        return chosen
     made = environment_python(environment_folder())
-    return chosen or (str(made) if made.is_file() and _finished() else "")
-
-
-def _finished() -> bool:
-    return jobs.record("environment", environment_folder()).state == "done"
+    return str(made) if made.is_file() and jobs.record("environment", environment_folder()).state == "done" else ""
 
 
 class IRIS_OT_test_python(bpy.types.Operator):  # noqa: N801 - Blender's naming

@@ -20,7 +20,7 @@ from ..capture.types import Camera, Mesh
 from ..errors import BadInput
 from ..result.json_files import json_object, numbers, read_json
 from .camera import add_camera, look_through, set_lens
-from .onto_objects import ORIGINAL_MESH
+from .onto_objects import APPLIED, ORIGINAL_MESH, restore
 from .scene_out import plain_mesh
 
 MEND = "check the capture again"
@@ -129,28 +129,23 @@ def add_capture(inspected: Inspected, scene: bpy.types.Scene) -> tuple[bpy.types
     return room, cameras
 
 
-def has_mesh(room: bpy.types.Object, mesh: Mesh) -> bool:
-    """Whether ``mesh`` is what the object had before anything was applied to it."""
-    data, other = room.get(ORIGINAL_MESH, room.data), plain_mesh(mesh, room.name)
-    try:
-        return len(data.loops) == len(other.loops) and _content(data) == _content(other)
-    finally:
-        bpy.data.meshes.remove(other)
-
-
 def refresh_capture(
-    inspected: Inspected, room: bpy.types.Object, present: Mapping[str, bpy.types.Object]
+    inspected: Inspected, scene: bpy.types.Scene, room: bpy.types.Object, present: Mapping[str, bpy.types.Object]
 ) -> list[bpy.types.Object]:
     """What was read again onto the objects of :func:`add_capture`; returns the camera of each photo.
 
+    A result that was applied is taken off where it is that of another mesh.
+
     Args:
-        room: as it was before anything was applied to it, if its mesh has changed.
         present: cameras by view. Those that are gone are made again.
     """
-    if not has_mesh(room, inspected.mesh):
-        before, room.data = room.data, plain_mesh(inspected.mesh, room.name)
-        if not before.users:
-            bpy.data.meshes.remove(before)
+    spare = plain_mesh(inspected.mesh, room.name)
+    if _content(room.get(ORIGINAL_MESH, room.data)) != _content(spare):
+        if APPLIED in scene:
+            restore(scene)
+        room.data, spare = spare, room.data
+    if not spare.users:
+        bpy.data.meshes.remove(spare)
     cameras = []
     for view in inspected.views:
         camera = present.get(view.name)

@@ -21,7 +21,7 @@ def lamp_materials(objects: Iterable[bpy.types.Object]) -> list[bpy.types.Materi
 
 def is_plain(material: bpy.types.Material | None) -> bool:
     """Whether it is as it was made, so that it can be turned here."""
-    return material is not None and _shader(material) is not None
+    return _shader(material) is not None
 
 
 def is_on(material: bpy.types.Material | None) -> bool:
@@ -31,7 +31,8 @@ def is_on(material: bpy.types.Material | None) -> bool:
 
 def switch(material: bpy.types.Material | None, on: bool) -> None:
     """Let it shine with the strength it had, or not at all."""
-    if material is None or on == is_on(material) or (shader := _shader(material)) is None:
+    shader = _shader(material)
+    if material is None or shader is None or on == is_on(material):
         return
     socket = shader.inputs["Emission Strength"]
     if on:
@@ -44,14 +45,16 @@ def switch(material: bpy.types.Material | None, on: bool) -> None:
 
 def strength(material: bpy.types.Material | None) -> float:
     """Radiance of the brightest channel, also of a lamp that is off."""
-    if material is None or (shader := _shader(material)) is None:
+    shader = _shader(material)
+    if material is None or shader is None:
         return 0.0
     return float(material.get(OFF_STRENGTH, shader.inputs["Emission Strength"].default_value))
 
 
 def set_strength(material: bpy.types.Material | None, value: float) -> None:
     """Set the radiance of the brightest channel; a lamp that is off stays off."""
-    if material is None or (shader := _shader(material)) is None:
+    shader = _shader(material)
+    if material is None or shader is None:
         return
     if OFF_STRENGTH in material:
         material[OFF_STRENGTH] = value
@@ -61,7 +64,8 @@ def set_strength(material: bpy.types.Material | None, value: float) -> None:
 
 def color(material: bpy.types.Material | None) -> tuple[float, float, float]:
     """Linear colour of its light."""
-    if material is None or (shader := _shader(material)) is None:
+    shader = _shader(material)
+    if material is None or shader is None:
         return (0.0, 0.0, 0.0)
     red, green, blue, _ = shader.inputs["Emission Color"].default_value
     return (red, green, blue)
@@ -69,11 +73,12 @@ def color(material: bpy.types.Material | None) -> tuple[float, float, float]:
 
 def set_color(material: bpy.types.Material | None, value: Sequence[float]) -> None:
     """Set the linear colour of its light."""
-    if material is not None and (shader := _shader(material)) is not None:
+    shader = _shader(material)
+    if shader is not None:
         shader.inputs["Emission Color"].default_value = (*value, 1.0)
 
 
-def _shader(material: bpy.types.Material) -> bpy.types.Node | None:
-    """The Principled BSDF; None where the artist has built the lamp anew."""
-    nodes = material.node_tree.nodes if material.node_tree is not None else ()
+def _shader(material: bpy.types.Material | None) -> bpy.types.Node | None:
+    """The Principled BSDF; None without a material, and where the artist has built the lamp anew."""
+    nodes = material.node_tree.nodes if material is not None and material.node_tree is not None else ()
     return next((node for node in nodes if node.bl_idname == "ShaderNodeBsdfPrincipled"), None)

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from ..response.observations import Observations, order_in_groups
 from ..response.radiance import Linearised, group_radiance
-from ..surface.parts import CREASE_COSINE, component_labels
-from ..transport.sampling import dot
+from ..surface.parts import component_labels, smooth_edges
 
 WHOLE_PART_SHARE = 0.75
 """A part of whose pixels this share emits is a lamp as a whole, the faces no photo sees included."""
@@ -113,9 +112,8 @@ def coplanar_with(
 
     Of a pane's triangles some may be seen in long exposures alone, which say no more than that they are bright.
     """
-    both = emitting[adjacency[0]] & emitting[adjacency[1]]
-    a, b = (side[both] for side in adjacency)
-    flat = np.abs(dot(normals[a], normals[b])) > COPLANAR
+    a, b = adjacency
+    flat = emitting[a] & emitting[b] & smooth_edges(normals, adjacency, COPLANAR)
     label = component_labels(len(emitting), a[flat], b[flat])
     holds_certain = np.zeros(len(emitting), bool)
     holds_certain[label[certain & emitting]] = True
@@ -133,7 +131,7 @@ def with_gaps_closed(
     Unseen faces joined by smooth edges are one gap. It emits if nearly all seen faces at its border do.
     """
     a, b = adjacency
-    smooth = np.abs(dot(normals[a], normals[b])) > CREASE_COSINE
+    smooth = smooth_edges(normals, adjacency)
     inside, border = smooth & ~seen[a] & ~seen[b], smooth & (seen[a] != seen[b])
     gap = component_labels(len(emitting), a[inside], b[inside])
     unseen_end, seen_end = np.where(seen[a], b, a)[border], np.where(seen[a], a, b)[border]

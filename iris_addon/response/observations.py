@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from ..imaging import SATURATED
 
-"""Display values at or above this are clipped: floor(255 z) = 255 only for z = 1."""
-
 
 @dataclass(frozen=True)
 class Observations:

@@ -47,6 +47,16 @@ def component_labels(n_faces: int, a: NDArray[np.integer], b: NDArray[np.integer
     return connected_components(graph, directed=False)[1].astype(np.int32)
 
 
+def smooth_edges(
+    normals: NDArray[np.floating],
+    adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
+    cosine: float = CREASE_COSINE,
+) -> NDArray[np.bool_]:
+    """(n,) whether the normals (F, 3) of each pair of neighbours differ by less than the angle of ``cosine``."""
+    a, b = adjacency
+    return np.abs((normals[a] * normals[b]).sum(1)) > cosine
+
+
 def pieces_between_edges(
     normals: NDArray[np.floating],
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
@@ -59,7 +69,7 @@ def pieces_between_edges(
         group: (F,) label that all faces of a piece share.
     """
     a, b = adjacency
-    joined = (np.abs((normals[a] * normals[b]).sum(1)) > CREASE_COSINE) & (group[a] == group[b])
+    joined = smooth_edges(normals, adjacency) & (group[a] == group[b])
     return component_labels(len(normals), a[joined], b[joined])
 
 
