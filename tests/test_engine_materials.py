@@ -214,14 +214,14 @@ def test_a_pixels_albedo_inverts_the_model() -> None:
 
 
 def test_near_head_on_well_lit_pixels_have_the_most_to_say() -> None:
-    """Pixels as one of the first, each worse in one thing: angle, distance, light, a highlight."""
-    cosine, footprint = np.array([1, 1, 1, 0.5, 1, 1, 1]), np.array([1, 1, 1, 1, 2, 1, 1]) * 0.01
-    irradiance, specular = np.ones((7, 3)), np.full((7, 3), 1e-6)
+    """Pixels as one of the first, each worse in one thing: angle, distance, light, a highlight, an edge."""
+    cosine, footprint = np.array([1, 1, 1, 0.5, 1, 1, 1, 1]), np.array([1, 1, 1, 1, 2, 1, 1, 1]) * 0.01
+    irradiance, specular = np.ones((8, 3)), np.full((8, 3), 1e-6)
     irradiance[5], specular[6] = 0.05, 1.0
-    weight = pixel_weight(cosine, footprint, irradiance, specular)[:, 0]
+    weight = pixel_weight(cosine, footprint, irradiance, specular, np.arange(8) == 7)[:, 0]
     assert weight[1:3] == pytest.approx(weight[0]) and (weight[3:] < 0.5 * weight[0]).all()
     assert weight[0] == pytest.approx(4 * weight[4], rel=1e-3)
-    assert weight[6] < 0.01 * weight[0]
+    assert weight[6] < 0.01 * weight[0] and weight[7] < 0.01 * weight[0]
 
 
 def test_a_clipped_channel_takes_the_colour_of_its_part() -> None:

@@ -2,7 +2,7 @@
 
 ``kd = (L - specular) / Ld`` at every pixel, with the irradiance interpolated from patches, so that the texture keeps
 the photos' resolution and the shading stays out of it. Texels take a robust mean over photos, weighted by resolution,
-angle and the precision of the byte behind each value.
+angle and the precision of the byte behind each value, and hardly see pixels on an edge, which mix two surfaces.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ DIM = 0.05
 """Share of the median irradiance below which a quotient of radiance and irradiance is not worth much."""
 HIGHLIGHT = 20.0
 """Inverse of the specular radiance, in irradiance / pi, from which on errors of the lobe outweigh all others."""
+MIXED_SAY = 1e-3
+"""Say of a pixel on an edge: any other that shows the place outweighs it."""
 OUTLIER = 0.25
 """Relative distance from a texel's mean at which a photo loses half its say."""
 
@@ -55,19 +57,21 @@ def pixel_weight(
     footprint: NDArray[np.floating],
     irradiance: NDArray[np.floating],
     specular: NDArray[np.floating],
+    mixed: NDArray[np.bool_],
 ) -> NDArray[np.float32]:
-    """(n, 3) say of a pixel: near and head-on it sees more, in the dark and under a highlight less.
+    """(n, 3) say of a pixel: near and head-on it sees more, in the dark, under a highlight and on an edge less.
 
     An error of the irradiance or of the specular part is one of the albedo once divided by the irradiance.
 
     Args:
         irradiance: (n, 3) irradiance / pi.
         specular: (n, 3) radiance taken off the pixel's.
+        mixed: (n,) pixels on an edge.
     """
     near = np.median(footprint) / np.maximum(footprint, 1e-6)
     lit = irradiance / (irradiance + DIM * np.median(irradiance))
     highlight = HIGHLIGHT * specular.mean(1) / np.maximum(irradiance.mean(1), 1e-6)
-    sharp = cosine**2 * np.clip(near, 0.05, 20.0) ** 2
+    sharp = cosine**2 * np.clip(near, 0.05, 20.0) ** 2 * np.where(mixed, np.float32(MIXED_SAY), 1)
     return ((sharp / (1 + highlight**2))[:, None] * lit**2).astype(np.float32)
 
 

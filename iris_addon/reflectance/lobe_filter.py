@@ -9,13 +9,13 @@ their images sharp.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..capture.types import Camera
 from ..parallel import BLOCK, over_blocks
+from ..surface.lattice import Lattice
 from ..surface.samples import PixelSamples
 from ..transport.sampling import dot
 from .ggx import ray_alpha
@@ -44,7 +44,7 @@ def denoise_lobes(
         cameras: of the views, for the width of their photos.
         stride: spacing of the lattice of pixels, see :func:`iris_addon.surface.samples.pixel_lattice`.
     """
-    lattice = _Lattice.of(samples.view[rows], samples.pixel[rows], cameras, stride)
+    lattice = Lattice.of(samples.view[rows], samples.pixel[rows], cameras, stride, max(STEPS))
     normal, toward = samples.normal[rows], samples.direction[rows]
     reflected = 2 * dot(normal, toward)[:, None] * normal - toward
     precision = 0.5 / (np.float32(REACH) * ray_alpha(roughness)) ** 2
@@ -55,7 +55,7 @@ def denoise_lobes(
 
 def _average(
     lobes: NDArray[np.float32],
-    lattice: _Lattice,
+    lattice: Lattice,
     step: int,
     part: NDArray[np.integer],
     reflected: NDArray[np.floating],
@@ -77,36 +77,3 @@ def _average(
 
     over_blocks(len(lobes), BLOCK // 2, work)
     return result
-
-
-@dataclass(frozen=True)
-class _Lattice:
-    """Which pixel lies beside which: the lattices of all photos in one array, with a margin around each.
-
-    Attributes:
-        slot: (n,) place of each pixel in that array.
-        pitch: (n,) length of a row of its lattice there.
-        occupant: pixel at each place, -1 for none.
-    """
-
-    slot: NDArray[np.int64]
-    pitch: NDArray[np.int64]
-    occupant: NDArray[np.int32]
-
-    @staticmethod
-    def of(view: NDArray[np.integer], pixel: NDArray[np.integer], cameras: Sequence[Camera], stride: int) -> _Lattice:
-        """The lattice of pixels (n,) of views (n,)."""
-        margin = max(STEPS)
-        wide = np.array([-(-camera.width // stride) + 2 * margin for camera in cameras])
-        high = np.array([-(-camera.height // stride) + 2 * margin for camera in cameras])
-        first = np.concatenate([[0], np.cumsum(wide * high)])
-        row, column = np.divmod(pixel, np.array([camera.width for camera in cameras])[view])
-        pitch = wide[view]
-        slot = first[view] + (row // stride + margin) * pitch + column // stride + margin
-        occupant = np.full(first[-1], -1, np.int32)
-        occupant[slot] = np.arange(len(slot), dtype=np.int32)
-        return _Lattice(slot, pitch, occupant)
-
-    def pixel_at(self, block: slice, down: int, across: int) -> NDArray[np.int32]:
-        """The pixel so many rows below and columns beside each of a block, -1 where there is none."""
-        return self.occupant[self.slot[block] + down * self.pitch[block] + across]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..emission.balance import MAX_ALBEDO
-from ..response.observations import group_sums
+from ..response.observations import group_sums, order_in_groups
 from ..result.types import Textures
 from ..surface.atlas_texels import fill_texels, rasterise_atlas, texel_index
 from ..surface.samples import PixelSamples
@@ -14,7 +14,13 @@ from .bake import TexelAlbedo, fuse_texels
 from .gloss import Gloss
 
 DOUBT = 0.02
-"""Weight (in head-on pixels) that the mean colour of the part counts for in every texel."""
+"""Weight (in head-on pixels) that what is expected of a texel counts for."""
+NEIGHBOUR_ERROR = 0.1
+"""Relative spread of a part's texels from which a texel is more like those beside it than like the part's mean."""
+REACH = 3
+"""Texels over which good ones tell about doubtful ones."""
+DIM_ALBEDO = 0.02
+"""Added to albedo where it divides: relative differences of black surfaces are noise."""
 FULL_CONFIDENCE = 4.0
 """Weight (in head-on pixels) at which a texel counts as well seen."""
 
@@ -71,16 +77,81 @@ def _fill(
     known.flat[at] = True
     count = np.bincount(samples.face, minlength=len(parts))
     part_mean = _part_means(parts[samples.face], albedo, weight, int(parts.max()) + 1).astype(np.float32)
-    colour = part_mean[parts[np.maximum(face.ravel(), 0)]]
+    part = parts[np.maximum(face.ravel(), 0)]
+    colour = part_mean[part]
     value = np.zeros((size * size, 3), np.float32)
-    # Where hardly any light falls, albedo is noise over noise: there the part's colour has the say.
-    trust = (fused.weight / (fused.weight + DOUBT))[:, None]
-    value[at] = trust * complete_channels(fused.value, colour[at]) + (1 - trust) * colour[at]
+    value[at] = with_expected(fused, part[at], part_mean, size)
     value = value.reshape(size, size, 3)
     unseen = (face >= 0) & (count[np.maximum(face, 0)] == 0)
     filled = fill_texels(value, known)
     constant = colour.reshape(size, size, 3)
     return np.where((unseen & ~known)[..., None], constant, filled).astype(np.float32)
+
+
+def with_expected(
+    fused: TexelAlbedo, part: NDArray[np.integer], part_mean: NDArray[np.float32], size: int
+) -> NDArray[np.float32]:
+    """(T, 3) fused texels, mixed with what is expected where they say little.
+
+    That is where hardly any light falls, and on edges, where photos mix two surfaces. Expected is the colour of the
+    part, as far as the part is of one colour, else that of the texels beside it.
+
+    Args:
+        part: (T,) part of each texel.
+    """
+    colour = part_mean[part]
+    own = complete_channels(fused.value, colour)
+    sure = fused.weight > DOUBT
+    plain = _plain(own, colour, part, sure, len(part_mean))[part]
+    beside, found = _from_neighbours(fused.texel, own, sure, size)
+    blend = np.where(found & ~sure, 1 - plain, 0)[:, None]
+    expected = colour + blend * (beside - colour)
+    doubt = DOUBT * np.where(found, 1, plain)
+    return own + (doubt / (fused.weight + doubt))[:, None] * (expected - own)
+
+
+def _plain(
+    value: NDArray[np.float32],
+    colour: NDArray[np.float32],
+    part: NDArray[np.integer],
+    sure: NDArray[np.bool_],
+    n_parts: int,
+) -> NDArray[np.float32]:
+    """(n_parts,) 1 for parts whose texels are of one colour, near 0 for textured ones."""
+    off = np.abs(value[sure] - colour[sure]).mean(1) / (colour[sure].mean(1) + DIM_ALBEDO)
+    of = part[sure]
+    order = order_in_groups(off, of)
+    bounds = np.searchsorted(of[order], np.arange(n_parts + 1))
+    count = np.diff(bounds)
+    spread = np.zeros(n_parts, np.float32)
+    middle = (bounds[:-1] + count // 2)[count > 0]
+    spread[count > 0] = off[order[middle]]
+    return 1 / (1 + (spread / NEIGHBOUR_ERROR) ** 4)
+
+
+def _from_neighbours(
+    texel: NDArray[np.int64], value: NDArray[np.float32], known: NDArray[np.bool_], size: int
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """``value`` (T, 3) with texels that are not ``known`` as the mean of the known among the eight around them, in
+    rounds up to :data:`REACH`, and which are known then."""
+    pitch = size + 2  # a frame around the atlas saves asking for its border
+    place = (texel // size + 1) * pitch + texel % size + 1
+    row_at = np.full(pitch * pitch, -1, np.int32)
+    row_at[place[known]] = np.flatnonzero(known)
+    value, known = value.copy(), known.copy()
+    steps = [down + across for down in (-pitch, 0, pitch) for across in (-1, 0, 1)]
+    for _ in range(REACH):
+        asked = np.flatnonzero(~known)
+        total, count = np.zeros((len(asked), 3), np.float32), np.zeros(len(asked), np.float32)
+        for step in steps:
+            near = row_at[place[asked] + step]
+            total += np.where((near >= 0)[:, None], value[near], 0)
+            count += near >= 0
+        reached = asked[count > 0]
+        value[reached] = (total / np.maximum(count, 1)[:, None])[count > 0]
+        known[reached] = True
+        row_at[place[reached]] = reached
+    return value, known
 
 
 def complete_channels(value: NDArray[np.floating], colour: NDArray[np.floating]) -> NDArray[np.float32]:

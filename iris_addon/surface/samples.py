@@ -89,27 +89,30 @@ def stride_for_budget(cameras: Sequence[Camera], budget: int) -> int:
 
 def trace_pixels(tracer: Tracer, cameras: Sequence[Camera], stride: int, progress: Progress) -> PixelSamples:
     """Primary rays through the centres of a lattice of pixels of every camera."""
-    columns: list[tuple[NDArray, ...]] = []
+    views = []
     for index, camera in enumerate(cameras):
-        pixel = pixel_lattice(camera, stride, index)
-        origin, direction = camera.rays(pixel)
-        hits = tracer.closest(origin, direction)
-        kept = np.flatnonzero(hits.face >= 0)
-        face, barycentric = hits.face[kept], hits.barycentric[kept]
-        toward = -direction[kept].astype(np.float32)
-        normal = tracer.normals[face]
-        normal *= np.where((normal * toward).sum(1, keepdims=True) < 0, -1, 1).astype(np.float32)
-        columns.append(
-            (
-                np.full(len(kept), index, np.int16),
-                pixel[kept],
-                face,
-                barycentric,
-                points_on_faces(tracer.corners, face, barycentric).astype(np.float32),
-                normal,
-                toward,
-                hits.distance[kept] / np.float32(np.sqrt(camera.fx * camera.fy)),
-            )
-        )
+        views.append(trace_view(tracer, camera, index, pixel_lattice(camera, stride, index)))
         progress.update((index + 1) / len(cameras))
-    return PixelSamples(*(np.concatenate(column) for column in zip(*columns, strict=True)))
+    columns = zip(*(([getattr(view, column.name) for column in fields(view)]) for view in views), strict=True)
+    return PixelSamples(*(np.concatenate(column) for column in columns))
+
+
+def trace_view(tracer: Tracer, camera: Camera, index: int, pixel: NDArray[np.int32]) -> PixelSamples:
+    """Primary rays through the centres of pixels (k,) of view ``index``; those that miss the mesh are left out."""
+    origin, direction = camera.rays(pixel)
+    hits = tracer.closest(origin, direction)
+    kept = np.flatnonzero(hits.face >= 0)
+    face, barycentric = hits.face[kept], hits.barycentric[kept]
+    toward = -direction[kept].astype(np.float32)
+    normal = tracer.normals[face]
+    normal *= np.where((normal * toward).sum(1, keepdims=True) < 0, -1, 1).astype(np.float32)
+    return PixelSamples(
+        np.full(len(kept), index, np.int16),
+        pixel[kept],
+        face,
+        barycentric,
+        points_on_faces(tracer.corners, face, barycentric).astype(np.float32),
+        normal,
+        toward,
+        hits.distance[kept] / np.float32(np.sqrt(camera.fx * camera.fy)),
+    )

@@ -1,0 +1,107 @@
+"""Which pixels lie on an edge, and what texels on an edge become."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from iris_addon.capture.types import Camera
+from iris_addon.progress import Progress
+from iris_addon.reflectance.bake import TexelAlbedo
+from iris_addon.reflectance.textures import with_expected
+from iris_addon.surface.mixed import mixed_pixels
+from iris_addon.surface.samples import trace_pixels
+from iris_addon.transport.tracer import Tracer
+from tests.box_room import look_at
+from tests.engine_room import assemble, quad
+
+WALL, TABLE = 0, 1
+
+
+def mixed_picture(quads: list, parts: list[int], stride: int, width: int = 60) -> tuple[np.ndarray, np.ndarray]:
+    """(h, w) which pixels of a lattice are mixed, and the part under each (-1 none), seen from 3 m along -z."""
+    mesh = assemble(quads, parts)
+    assert mesh.parts is not None
+    tracer = Tracer(mesh)
+    camera = Camera(width, width, width, width, width / 2, width / 2, look_at(np.array([0, -1e-3, 3.0]), np.zeros(3)))
+    samples = trace_pixels(tracer, [camera], stride, Progress())
+    mixed, part = np.zeros((2, width, width), int)
+    part -= 1
+    mixed.flat[samples.pixel] = mixed_pixels(tracer, samples, mesh.parts, [camera], stride)
+    part.flat[samples.pixel] = mesh.parts[samples.face]
+    return mixed[::stride, ::stride] > 0, part[::stride, ::stride]
+
+
+def beside_another(part: np.ndarray) -> np.ndarray:
+    """Pixels one of whose eight neighbours within the picture is of another part."""
+    padded = np.pad(part, 1, mode="edge")
+    h, w = part.shape
+    return np.any([padded[i : i + h, j : j + w] != part for i in range(3) for j in range(3)], axis=0)
+
+
+WIDE_WALL = quad([-3, -3, 0], [6, 0, 0], [0, 6, 0])
+
+
+@pytest.mark.parametrize("height", [0.5, 1e-4])
+def test_pixels_around_the_outline_of_another_part_are_mixed_and_no_others(height: float) -> None:
+    """A table before a wall, and a picture that lies almost in it."""
+    mixed, part = mixed_picture([WIDE_WALL, quad([-0.5, -0.4, height], [1, 0, 0], [0, 0.8, 0])], [WALL, TABLE], 1)
+    assert (part == TABLE).sum() > 100 and (mixed == beside_another(part)).all()
+
+
+def test_a_step_within_one_part_is_an_edge() -> None:
+    mixed, _ = mixed_picture([WIDE_WALL, quad([-0.5, -0.4, 0.5], [1, 0, 0], [0, 0.8, 0])], [WALL, WALL], 1)
+    _, part = mixed_picture([WIDE_WALL, quad([-0.5, -0.4, 0.5], [1, 0, 0], [0, 0.8, 0])], [WALL, TABLE], 1)
+    assert (mixed == beside_another(part)).all()
+
+
+def test_a_crease_is_an_edge_and_the_border_of_the_photo_is_none() -> None:
+    roof = [quad([-3, -3, -3], [3, 0, 3], [0, 6, 0]), quad([0, -3, 0], [3, 0, -3], [0, 6, 0])]
+    mixed, _ = mixed_picture(roof, [WALL, WALL], 1)
+    assert mixed[:, 29:31].all() and not mixed[:, :29].any() and not mixed[:, 31:].any()
+
+
+def test_a_plane_seen_at_a_grazing_angle_has_no_edge_but_its_end() -> None:
+    slope = quad([-3, -3, -30], [6, 0, 0], [0, 3, 29.0])
+    mixed, part = mixed_picture([slope], [WALL], 1)
+    seen = part == WALL
+    assert seen.any() and not seen.all()
+    assert (mixed[seen] == beside_another(part)[seen]).all()
+
+
+def test_a_coarse_lattice_asks_the_true_neighbours() -> None:
+    quads = [WIDE_WALL, quad([-0.5, -0.4, 0.5], [1, 0, 0], [0, 0.8, 0])]
+    fine, _ = mixed_picture(quads, [WALL, TABLE], 1, width=120)
+    coarse, _ = mixed_picture(quads, [WALL, TABLE], 3, width=120)
+    assert coarse.any() and (coarse == fine[::3, ::3]).all()
+
+
+def fused(value: np.ndarray, weight: np.ndarray) -> TexelAlbedo:
+    """A square of texels, all of them seen."""
+    n = len(weight)
+    return TexelAlbedo(np.arange(n), value.astype(np.float32), weight.astype(np.float32))
+
+
+def test_an_edge_takes_the_colour_of_a_plain_part_and_its_neighbours_of_a_textured_one() -> None:
+    """The first column lies on an edge; stripes run across it."""
+    size = 16
+    stripes = np.where(np.arange(size) // 4 % 2, 0.6, 0.2)[:, None] * np.ones((1, size))
+    weight = np.ones((size, size))
+    weight[:, 0] = 1e-3
+    part = np.zeros(size * size, np.int32)
+    for albedo in (np.full((size, size), 0.4), stripes):
+        contaminated = albedo.copy()
+        contaminated[:, 0] = 0.95
+        value = np.repeat(contaminated.reshape(-1, 1), 3, 1)
+        mean = np.full((1, 3), 0.4, np.float32)
+        found = with_expected(fused(value, weight.ravel()), part, mean, size)[:, 0].reshape(size, size)
+        inside = np.arange(size) % 4 % 3 > 0  # rows whose neighbours are of one stripe
+        assert found[inside, 0] == pytest.approx(albedo[inside, 0], abs=0.06)
+        assert found[:, 1:] == pytest.approx(albedo[:, 1:], abs=0.02)
+
+
+def test_an_edge_without_good_neighbours_takes_the_colour_of_its_part() -> None:
+    value = np.tile([0.9, 0.9, 0.9], (16, 1))
+    mean = np.array([[0.3, 0.2, 0.1]], np.float32)
+    found = with_expected(fused(value, np.full(16, 1e-4)), np.zeros(16, np.int32), mean, 4)
+    assert found == pytest.approx(np.tile(mean, (16, 1)), abs=0.01)
