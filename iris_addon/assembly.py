@@ -28,7 +28,6 @@ from .reflectance.textures import make_textures
 from .result.types import Emitter, OutsideLight, Result
 from .surface.atlas import build_atlas, texel_density_from_footprint
 from .surface.build import Surface
-from .surface.mixed import mixed_pixels
 from .surface.samples import PixelSamples, as_picture
 from .transport.diffuse import schlick
 from .transport.tracer import Tracer
@@ -55,7 +54,6 @@ def make_result(
 ) -> tuple[Result, dict[str, NDArray[np.float32]]]:
     """Albedo per pixel, fused on the atlas; the result put together, and a few photos as it explains them."""
     samples, light = photos.samples, problem.light
-    cameras = [view.camera for view in capture.views]
     part = light.parts[samples.face]
     shading = problem.shading(lights)
     irradiance = light.field.at_samples(samples, light.surface.sample_patch, shading.irradiance)
@@ -64,7 +62,7 @@ def make_result(
         gloss,
         samples,
         irradiance,
-        cameras,
+        [view.camera for view in capture.views],
         photos.stride,
         config.specular_rays,
         config.rng(6),
@@ -76,8 +74,7 @@ def make_result(
     view_factor = _view_factor(shading, light.surface.sample_patch, gloss.roughness[part], samples)
     diffuse_light = irradiance * view_factor[:, None]
     albedo = pixel_albedo(linear.radiance, specular, ls0, diffuse_light, metallic)
-    mixed = mixed_pixels(light.tracer, samples, light.parts, cameras, photos.stride)
-    weight = pixel_weight(samples.cosine, samples.footprint, irradiance, specular, mixed)
+    weight = pixel_weight(samples.cosine, samples.footprint, irradiance, specular, photos.mixed)
     weight *= linear.open * linear.precision
     weight /= np.median(weight[weight > 0])
     held_out = config.rng(7).random(len(part)) < HELD_OUT

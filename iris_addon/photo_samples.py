@@ -45,6 +45,7 @@ class PhotoSamples:
         z: (n, 3) float32 display values in [0, 1], or radiance for HDR input.
         beyond: some of the pixels that miss the mesh.
         stride: one pixel of every stride x stride was looked at.
+        mixed: (n,) bool pixels on an edge, see :mod:`.surface.mixed`; none before parts are known.
     """
 
     samples: PixelSamples
@@ -52,6 +53,7 @@ class PhotoSamples:
     hdr: bool
     beyond: BeyondMesh
     stride: int
+    mixed: NDArray[np.bool_]
 
 
 def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progress) -> PhotoSamples:
@@ -92,4 +94,4 @@ def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progres
     if not valid.all():
         samples, z = samples.take(np.flatnonzero(valid)), z[valid]
     columns = [np.concatenate(column) for column in zip(*missing, strict=True)]
-    return PhotoSamples(samples, z, hdr, BeyondMesh(len(columns[0]) / looked, *columns), stride)
+    return PhotoSamples(samples, z, hdr, BeyondMesh(len(columns[0]) / looked, *columns), stride, np.zeros(len(z), bool))

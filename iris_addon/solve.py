@@ -45,6 +45,7 @@ from .result.report_html import write_report
 from .result.types import Result
 from .surface.build import Surface, build_surface
 from .surface.field import IrradianceField
+from .surface.mixed import mixed_pixels
 from .surface.parts import edge_adjacency, pieces_between_edges
 from .surface.segment import split_parts
 from .transport.cache import cached_transport
@@ -81,6 +82,8 @@ def solve(
     with progress.stage("surface"):
         adjacency = edge_adjacency(capture.mesh)
         parts = split_parts(capture.mesh, adjacency, tracer.normals, photos.samples, photos.z)
+        cameras = [view.camera for view in capture.views]
+        photos = replace(photos, mixed=mixed_pixels(tracer, photos.samples, parts, cameras, photos.stride))
         surface = build_surface(capture.mesh, photos.samples, parts, config.max_patches, config.rng(1))
         field = IrradianceField.build(surface)
     with progress.stage("transport"):
@@ -92,7 +95,7 @@ def solve(
         if config.refinements.hidden_light is not False:
             pieces = pieces_between_edges(tracer.normals, adjacency, parts)
             hidden = find_hidden(transport, parts, pieces, photos.samples.seen_faces(len(parts)))
-    observations = observe(surface.sample_patch, photos.samples.view, photos.z, photos.hdr, config.rng(3))
+    observations = observe(surface.sample_patch, photos.samples.view, photos.z, photos.mixed, photos.hdr, config.rng(3))
     with progress.stage("response"):
         photometry = Photometry.from_arrays(
             checkpoints.stage(

@@ -13,6 +13,7 @@ from iris_addon.imaging import write_png
 from iris_addon.progress import Progress
 from iris_addon.reflectance.ggx import DIELECTRIC_F0, specular_integrals
 from iris_addon.response.curve import Response
+from iris_addon.response.observations import Observations, observe
 from iris_addon.surface.samples import trace_pixels
 from iris_addon.transport.gather import Origins, emitter_form_factors, gather
 from iris_addon.transport.tracer import Tracer
@@ -232,3 +233,9 @@ def same_results(a: Path, b: Path) -> bool:
     lights = (a / "emitters.json").read_text() == (b / "emitters.json").read_text()
     curves = (a / "response.json").read_text() == (b / "response.json").read_text()
     return reports[0] == reports[1] and files[0] == files[1] and equal and lights and curves
+
+
+def observe_off_edges(patch: np.ndarray, view: np.ndarray, z: np.ndarray, rng: np.random.Generator) -> Observations:
+    """Observations of display values ``z`` (n, 3), none of them on an edge."""
+    mixed = np.zeros(len(z), bool)
+    return observe(patch.astype(np.int32), view.astype(np.int16), z.astype(np.float32), mixed, False, rng)

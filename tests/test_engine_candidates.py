@@ -16,11 +16,10 @@ from iris_addon.emission.candidates import (
     with_gaps_closed,
 )
 from iris_addon.response.curve import gamma
-from iris_addon.response.observations import observe
 from iris_addon.response.radiance import linearise
 from iris_addon.surface.parts import edge_adjacency
 from iris_addon.transport.tracer import Tracer
-from tests.engine_room import assemble, quad
+from tests.engine_room import assemble, observe_off_edges, quad
 
 N_VIEWS = 12
 EXPOSURES = 2.0 ** np.linspace(-3, 3, N_VIEWS)
@@ -34,7 +33,7 @@ def brightness_of(
     patch, view = (a.ravel() for a in np.meshgrid(np.arange(n), np.arange(len(exposures)), indexing="ij"))
     exposed = np.clip(radiance[patch, view] * exposures[view], 0, 1)[:, None]
     z = np.floor(255 * gamma().apply(np.repeat(exposed, 3, 1))) / 255
-    o = observe(patch.astype(np.int32), view.astype(np.int16), z.astype(np.float32), False, np.random.default_rng(0))
+    o = observe_off_edges(patch, view, z, np.random.default_rng(0))
     linear = linearise(o, gamma(), np.repeat(exposures[:, None], 3, 1))
     return brightness(o, linear, n, None if specular is None else specular[patch, view][:, None].repeat(3, 1))
 

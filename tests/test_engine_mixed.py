@@ -9,6 +9,7 @@ from iris_addon.capture.types import Camera
 from iris_addon.progress import Progress
 from iris_addon.reflectance.bake import TexelAlbedo
 from iris_addon.reflectance.textures import with_expected
+from iris_addon.response.observations import observe
 from iris_addon.surface.mixed import mixed_pixels
 from iris_addon.surface.samples import trace_pixels
 from iris_addon.transport.tracer import Tracer
@@ -74,6 +75,18 @@ def test_a_coarse_lattice_asks_the_true_neighbours() -> None:
     fine, _ = mixed_picture(quads, [WALL, TABLE], 1, width=120)
     coarse, _ = mixed_picture(quads, [WALL, TABLE], 3, width=120)
     assert coarse.any() and (coarse == fine[::3, ::3]).all()
+
+
+def test_what_a_view_shows_of_a_patch_is_what_its_pixels_off_the_edge_show() -> None:
+    """Two patches of four pixels each, half of the first and all of the second on an edge."""
+    patch, view = np.repeat([0, 1], 4).astype(np.int32), np.zeros(8, np.int16)
+    z = np.repeat(np.array([0.2, 0.2, 1.0, 1.0, 0.4, 0.6, 0.4, 0.6], np.float32)[:, None], 3, 1)
+    mixed = np.arange(8) >= 2
+    o = observe(patch, view, z, mixed, False, np.random.default_rng(0))
+    assert o.count.tolist() == [4, 4] and o.sample[0] < 2
+    assert o.z[0] == pytest.approx(0.2, abs=1e-3) and o.z[1] == pytest.approx(0.5)
+    assert o.saturated[0] == pytest.approx(0, abs=2e-3)
+    assert o.spread[1] == pytest.approx(0.1, abs=1e-3)
 
 
 def fused(value: np.ndarray, weight: np.ndarray) -> TexelAlbedo:

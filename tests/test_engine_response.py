@@ -14,9 +14,10 @@ from iris_addon.photometry import Photometry
 from iris_addon.response import curve, family
 from iris_addon.response.curve import N_SAMPLES, Response
 from iris_addon.response.files import read_response
-from iris_addon.response.observations import Observations, observe, order_in_groups
+from iris_addon.response.observations import Observations, order_in_groups
 from iris_addon.response.overlap import fit_overlap
 from iris_addon.response.radiance import group_radiance, linearise, raised_by_clipped
+from tests.engine_room import observe_off_edges
 
 X = np.linspace(0, 1, N_SAMPLES)
 EXPOSURES = 2.0 ** np.array([-2, -1, 0, 1, 2, -1.5, 0.5, 1.5, -0.5, 0, 1, -1])
@@ -62,7 +63,7 @@ def observations_of(
     )
     wrong = rng.random(len(patch)) < outliers
     z[wrong] = np.clip(z[wrong] + rng.uniform(-0.3, 0.3, (int(wrong.sum()), 1)), 0, 1)
-    return observe(patch.astype(np.int32), view.astype(np.int16), z.astype(np.float32), False, rng), radiance
+    return observe_off_edges(patch, view, z, rng), radiance
 
 
 def doubled(o: Observations) -> Observations:
@@ -198,7 +199,7 @@ def test_exposures_of_a_walk_are_chained_from_photo_to_photo() -> None:
     patch, view = patch[kept], view[kept]
     radiance = rng.uniform(0.1, 0.3, (len(first), 3))
     z = curve.gamma().apply(radiance[patch] * exposures[view, None])
-    walk = observe(patch.astype(np.int32), view.astype(np.int16), z.astype(np.float32), False, rng)
+    walk = observe_off_edges(patch, view, z, rng)
     fit = fit_overlap(doubled(walk), None, n_views, rng, curve.gamma())
     off = np.log2(fit.exposures / exposures[:, None])
     assert np.abs(off - off.mean()).max() < 0.02
@@ -240,7 +241,7 @@ def test_one_view_with_a_highlight_does_not_move_a_patch() -> None:
 def test_what_every_photo_clips_is_a_lower_bound() -> None:
     patch, view = np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], np.int16)
     z = np.array([[1.0] * 3, [1.0] * 3, [0.5] * 3, [1.0] * 3], np.float32)
-    observations = observe(patch, view, z, False, np.random.default_rng(8))
+    observations = observe_off_edges(patch, view, z, np.random.default_rng(8))
     linear = linearise(observations, curve.gamma(), np.array([[2.0] * 3, [0.25] * 3]))
     found = group_radiance(linear, observations.patch, observations.count, 2)
     assert (found.known == [[False] * 3, [True] * 3]).all()
@@ -259,7 +260,7 @@ def test_pixels_that_clip_in_the_shortest_exposure_raise_their_patch() -> None:
     shown = np.where(z >= 1, 1.0, np.floor(z * 255) / 255).astype(np.float32)
     # Observations are means of one photo on one patch; halves seen by photos of their own.
     view = (2 * half + view).astype(np.int16)
-    observations = observe(patch.astype(np.int32), view, shown, False, np.random.default_rng(0))
+    observations = observe_off_edges(patch, view, shown, np.random.default_rng(0))
     linear = linearise(observations, truth, np.repeat(np.tile(exposures, 2)[:, None], 3, 1))
     o, plain = observations, np.ones(len(observations.patch))
     found = group_radiance(linear, o.patch, o.count, 2)
@@ -304,7 +305,7 @@ def test_observations_are_means_per_patch_and_view() -> None:
     patch, view = rng.integers(0, 20, 3000).astype(np.int32), rng.integers(0, 5, 3000).astype(np.int16)
     z = rng.random((3000, 3)).astype(np.float32)
     z[rng.random(3000) < 0.2] = 1.0
-    o = observe(patch, view, z, False, rng)
+    o = observe_off_edges(patch, view, z, rng)
     assert (o.patch[o.sample_to_observation] == patch).all() and (o.view[o.sample_to_observation] == view).all()
     assert (patch[o.sample] == o.patch).all() and (view[o.sample] == o.view).all()
     rows = (patch == 7) & (view == 3)

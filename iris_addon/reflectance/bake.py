@@ -13,14 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..emission.balance import MAX_ALBEDO
-from ..response.observations import group_sums
+from ..response.observations import MIXED_SAY, group_sums
 
 DIM = 0.05
 """Share of the median irradiance below which a quotient of radiance and irradiance is not worth much."""
 HIGHLIGHT = 20.0
 """Inverse of the specular radiance, in irradiance / pi, from which on errors of the lobe outweigh all others."""
-MIXED_SAY = 1e-3
-"""Say of a pixel on an edge: any other that shows the place outweighs it."""
 OUTLIER = 0.25
 """Relative distance from a texel's mean at which a photo loses half its say."""
 

@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 
 from ..imaging import SATURATED
 
+MIXED_SAY = 1e-3
+"""Say of a pixel on an edge: any other that shows the place outweighs it."""
+
 
 @dataclass(frozen=True)
 class Observations:
@@ -25,7 +28,7 @@ class Observations:
         z: (M, 3) float32 mean display value in [0, 1] (HDR input: radiance).
         spread: (M, 3) float32 standard deviation of the display value over the pixels.
         saturated: (M, 3) float32 share of pixels clipped.
-        sample: (M,) int64 one pixel of the observation, index into the pixel samples.
+        sample: (M,) int64 one pixel of the observation, not on an edge if it has such; index into the pixel samples.
         sample_to_observation: (n,) int32 observation of every pixel sample.
     """
 
@@ -63,25 +66,36 @@ def group_means(values: NDArray[np.floating], group: NDArray[np.integer], n_grou
 
 
 def observe(
-    patch: NDArray[np.int32], view: NDArray[np.int16], z: NDArray[np.float32], hdr: bool, rng: np.random.Generator
+    patch: NDArray[np.int32],
+    view: NDArray[np.int16],
+    z: NDArray[np.float32],
+    mixed: NDArray[np.bool_],
+    hdr: bool,
+    rng: np.random.Generator,
 ) -> Observations:
     """Group pixel samples by patch and view.
+
+    Pixels on an edge show other surfaces too; they count as others do, but what is seen is what the others say.
 
     Args:
         patch: (n,) patch of each pixel.
         view: (n,) view of each pixel.
         z: (n, 3) display values of the pixels; radiance for HDR input, which never saturates.
+        mixed: (n,) pixels on an edge.
     """
     n_views = int(view.max()) + 1
     key = patch.astype(np.int64) * n_views + view
     order = rng.permutation(len(key))
+    order = np.concatenate([order[~mixed[order]], order[mixed[order]]])
     unique, first, inverse, count = np.unique(key[order], return_index=True, return_inverse=True, return_counts=True)
     group = np.empty(len(key), np.int32)
     group[order] = inverse
     m = len(unique)
-    mean = group_means(z, group, m)
-    square = group_means(z.astype(np.float64) ** 2, group, m)
-    clipped = np.zeros((m, 3)) if hdr else group_means((z >= SATURATED).astype(np.float32), group, m)
+    say = np.where(mixed, np.float32(MIXED_SAY), np.float32(1))[:, None]
+    norm = np.bincount(group, say[:, 0], m)[:, None]
+    mean = group_sums(say * z, group, m) / norm
+    square = group_sums(say * z.astype(np.float64) ** 2, group, m) / norm
+    clipped = np.zeros((m, 3)) if hdr else group_sums(np.where(z >= SATURATED, say, 0), group, m) / norm
     return Observations(
         (unique // n_views).astype(np.int32),
         (unique % n_views).astype(np.int16),
