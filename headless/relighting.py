@@ -42,6 +42,7 @@ def render(args: argparse.Namespace, progress: Progress) -> Outcome:
     """Novel views; with --light-shares every light's part of them."""
     result, views = _read(args)
     if args.light_shares:
+        _without_frames(args, "--light-shares")
         return _render_shares(args, progress, result, views)
     job = {"camera": {"path": "all"}}
     return _render_edited(args, progress, result, views, job, lambda _time: None)
@@ -53,6 +54,7 @@ def relight(args: argparse.Namespace, progress: Progress) -> Outcome:
     job = read_json(args.lights)
     with _naming(args.lights):
         if args.shares is not None:
+            _without_frames(args, "--shares")
             return _mix_shares(args, progress, result, views, job)
         relight_edit(result, job, args.lights.parent)  # what is wrong is told before anything is rendered
 
@@ -77,6 +79,12 @@ def insert(args: argparse.Namespace, progress: Progress) -> Outcome:
     if beyond:
         what = f"names view {beyond[0]}, there are {len(views)}"
         raise BadInput(what, f"count the views of {args.views}", args.objects)
+    shown = [index for index, _ in edits]
+    twice = [index for index in shown if shown.count(index) > 1]
+    if twice:
+        raise BadInput(f"names view {twice[0]} twice", "put all objects of a view into one entry", args.objects)
+    if args.onto_photos and "camera" in job:
+        raise BadInput("moves the camera, but a photo stays where it is", "leave out 'camera'", args.objects)
     if args.frames is not None and len(edits) != 1:
         raise BadInput(f"has objects for {len(edits)} views", "keep one of them for an animation", args.objects)
     if args.onto_photos:
@@ -209,6 +217,11 @@ def _read(args: argparse.Namespace) -> tuple[Result, tuple[View, ...]]:
         views = tuple(view for view in views if view.name in args.only)
     result = load_result(args.result)
     return result, tuple(result.as_taken(views))
+
+
+def _without_frames(args: argparse.Namespace, option: str) -> None:
+    if args.frames is not None:
+        raise BadInput(f"{option} makes one picture per view, --frames makes many", f"leave out {option} or --frames")
 
 
 def _developer(args: argparse.Namespace, result: Result) -> Developer:

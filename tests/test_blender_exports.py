@@ -8,6 +8,9 @@ import pytest
 
 from iris_addon.blender.apply import apply
 from iris_addon.blender.images import read_image
+from iris_addon.blender.object_files import import_objects
+from iris_addon.errors import IrisError
+from iris_addon.result.edits import ObjectFile
 from iris_addon.result.io import load_result, save_result
 from iris_addon.result.types import Textures
 from tests.blender_room import box, room
@@ -109,3 +112,19 @@ def test_the_texture_set_is_the_result_again(tmp_path):
     np.testing.assert_allclose(back.textures.metallic, result.textures.metallic, atol=1e-4)
     np.testing.assert_allclose(back.face_emission(), result.face_emission(), rtol=1e-6)
     np.testing.assert_allclose(back.mesh.vertices, result.mesh.vertices, atol=1e-6)
+
+
+def test_gltf_files_ask_for_the_add_on_that_reads_them(tmp_path):
+    import addon_utils
+
+    apply(solved(), glb=tmp_path / "room.glb", blend=None)
+    source = ObjectFile(tmp_path / "room.glb")
+    addon_utils.disable("io_scene_gltf2")
+    try:
+        with pytest.raises(IrisError, match="glTF"):
+            apply(solved(), glb=tmp_path / "again.glb", blend=None)
+        with pytest.raises(IrisError, match="glTF"):
+            import_objects(source, bpy.context.scene.collection)
+    finally:
+        addon_utils.enable("io_scene_gltf2")
+    assert import_objects(source, bpy.context.scene.collection) and not (tmp_path / "again.glb").exists()

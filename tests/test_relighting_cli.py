@@ -168,6 +168,23 @@ def test_photos_that_hold_radiance_are_changed_in_their_own_unit(solved):
     np.testing.assert_allclose(inserted[9, 12], 4.0 * 30.0, rtol=0.05)
 
 
+@pytest.mark.parametrize(
+    ("command", "options", "job", "told"),
+    [
+        ("render", ["--light-shares", "--frames", "1-2"], None, "leave out --light-shares or --frames"),
+        ("relight", ["--shares", "shares", "--frames", "1-2"], {}, "leave out --shares or --frames"),
+        ("insert", [], {"views": [{"view": 1}, {"view": 0}, {"view": 1}]}, "names view 1 twice"),
+        ("insert", ["--onto-photos", "--frames", "1-2"], {"camera": {"view": 1}}, "a photo stays where it is"),
+    ],
+)
+def test_options_that_cannot_both_be_followed_are_refused(solved, capsys, command, options, job, told):
+    if job is not None:
+        option = {"relight": "--lights", "insert": "--objects"}[command]
+        options = [*options, option, write_job(solved, "job.json", **job)]
+    assert not run(solved, command, *options, code=3).exists()
+    assert told in capsys.readouterr().err
+
+
 # ---- shares, camera ------------------------------------------------------------------------------------------------
 
 

@@ -29,7 +29,7 @@ from .images import srgb_image
 from .render import set_cycles
 from .scene_out import add_room, datablocks
 from .scene_state import show_like_the_photos
-from .version import require_build_option
+from .version import require_build_option, require_gltf
 from .world import make_world
 
 
@@ -47,10 +47,12 @@ def apply(
     strength (KHR_materials_emissive_strength in glTF), cameras of ``views`` come along.
 
     Raises:
-        IrisError: a file cannot be written, or this Blender was built without an exporter that is asked for.
+        IrisError: a file cannot be written, or this Blender lacks an exporter that is asked for.
     """
     if usd is not None:
         require_build_option("usd", "USD export")
+    if glb is not None:
+        require_gltf()
     before = set(datablocks())
     scene = bpy.data.scenes.new("IRIS")
     try:

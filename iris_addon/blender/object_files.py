@@ -6,7 +6,7 @@ import bpy
 
 from ..errors import BadInput
 from ..result.edits import ObjectFile
-from .version import require_build_option
+from .version import require_build_option, require_gltf
 
 KINDS = ".blend, .glb, .gltf, .obj, .usd, .usda, .usdc or .usdz"
 
@@ -40,6 +40,7 @@ def _import_file(source: ObjectFile) -> None:
         with bpy.data.libraries.load(path) as (found, wanted):
             wanted.objects = found.objects
     elif kind in (".glb", ".gltf"):
+        require_gltf()
         bpy.ops.import_scene.gltf(filepath=path)
     elif kind == ".obj":
         require_build_option("io_wavefront_obj", "An .obj file")

@@ -70,6 +70,15 @@ def require_build_option(option: str, what: str) -> None:
         )
 
 
+def require_gltf() -> None:
+    """Raise :class:`IrisError` unless Blender's own glTF add-on is enabled."""
+    if not hasattr(bpy.types, "IMPORT_SCENE_OT_gltf"):
+        raise IrisError(
+            "Blender's add-on for glTF files is switched off",
+            "enable 'glTF 2.0 format' under Preferences > Add-ons, or leave .glb files out",
+        )
+
+
 def enable_gpu() -> bool:
     """Let Cycles use the fastest kind of GPU at hand; False where there is none."""
     addon = bpy.context.preferences.addons.get("cycles")
