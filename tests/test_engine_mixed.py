@@ -113,6 +113,19 @@ def test_an_edge_takes_the_colour_of_a_plain_part_and_its_neighbours_of_a_textur
         assert found[:, 1:] == pytest.approx(albedo[:, 1:], abs=0.02)
 
 
+def test_an_edge_takes_nothing_from_the_chart_of_another_part_beside_it() -> None:
+    """Two striped parts side by side, the last column of the first one on an edge."""
+    size = 16
+    part = np.repeat((np.arange(size) >= 8)[None], size, 0).astype(np.int32)
+    value = np.where(part == 0, 0.6, 0.1) * np.where(np.arange(size) % 2, 0.7, 1.3)
+    value[:, 7] = 0.95
+    weight = np.where(np.arange(size) == 7, 1e-4, 1.0) * np.ones((size, 1))
+    mean = np.array([[0.6] * 3, [0.1] * 3], np.float32)
+    texels = fused(np.repeat(value.reshape(-1, 1), 3, 1), weight.ravel())
+    found = with_expected(texels, part.ravel(), mean, size)[:, 0].reshape(size, size)
+    assert found[:, 7] == pytest.approx(np.full(size, 0.78), abs=0.05)
+
+
 def test_an_edge_without_good_neighbours_takes_the_colour_of_its_part() -> None:
     value = np.tile([0.9, 0.9, 0.9], (16, 1))
     mean = np.array([[0.3, 0.2, 0.1]], np.float32)

@@ -49,7 +49,10 @@ def make_textures(
     texel = texel_index(uv, samples.face, samples.barycentric, size)
     fused = fuse_texels(texel, albedo, weight, size * size)
     face, _ = rasterise_atlas(uv, size)
-    base_color = _fill(fused, face, parts, samples, albedo, weight, size)
+    # By the pixels, not by the faces under texel centres: at a chart's border those lie beyond it.
+    part = np.empty(size * size, np.int32)
+    part[texel] = parts[samples.face]
+    base_color = _fill(fused, part[fused.texel], face, parts, samples, albedo, weight, size)
     shown = np.maximum(face, 0)
     inside = face >= 0
     base_color[inside & lamps[shown]] = 0.0
@@ -63,6 +66,7 @@ def make_textures(
 
 def _fill(
     fused: TexelAlbedo,
+    part: NDArray[np.int32],
     face: NDArray[np.int32],
     parts: NDArray[np.int32],
     samples: PixelSamples,
@@ -71,20 +75,17 @@ def _fill(
     size: int,
 ) -> NDArray[np.float32]:
     """(size, size, 3) base colour everywhere: seen texels as they are, faces seen in part from their own texels,
-    faces never seen from the mean of their part."""
-    at = fused.texel
+    faces never seen from the mean of their part; ``part`` (T,) of the seen texels."""
     known = np.zeros((size, size), bool)
-    known.flat[at] = True
+    known.flat[fused.texel] = True
     count = np.bincount(samples.face, minlength=len(parts))
     part_mean = _part_means(parts[samples.face], albedo, weight, int(parts.max()) + 1).astype(np.float32)
-    part = parts[np.maximum(face.ravel(), 0)]
-    colour = part_mean[part]
     value = np.zeros((size * size, 3), np.float32)
-    value[at] = with_expected(fused, part[at], part_mean, size)
-    value = value.reshape(size, size, 3)
-    unseen = (face >= 0) & (count[np.maximum(face, 0)] == 0)
-    filled = fill_texels(value, known)
-    constant = colour.reshape(size, size, 3)
+    value[fused.texel] = with_expected(fused, part, part_mean, size)
+    filled = fill_texels(value.reshape(size, size, 3), known)
+    shown = np.maximum(face, 0)
+    unseen = (face >= 0) & (count[shown] == 0)
+    constant = part_mean[parts[shown]]
     return np.where((unseen & ~known)[..., None], constant, filled).astype(np.float32)
 
 
@@ -103,7 +104,7 @@ def with_expected(
     own = complete_channels(fused.value, colour)
     sure = fused.weight > DOUBT
     plain = _plain(own, colour, part, sure, len(part_mean))[part]
-    beside, found = _from_neighbours(fused.texel, own, sure, size)
+    beside, found = _from_neighbours(fused.texel, part, own, sure, size)
     blend = np.where(found & ~sure, 1 - plain, 0)[:, None]
     expected = colour + blend * (beside - colour)
     doubt = DOUBT * np.where(found, 1, plain)
@@ -130,10 +131,14 @@ def _plain(
 
 
 def _from_neighbours(
-    texel: NDArray[np.int64], value: NDArray[np.float32], known: NDArray[np.bool_], size: int
+    texel: NDArray[np.int64],
+    part: NDArray[np.integer],
+    value: NDArray[np.float32],
+    known: NDArray[np.bool_],
+    size: int,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """``value`` (T, 3) with texels that are not ``known`` as the mean of the known among the eight around them, in
-    rounds up to :data:`REACH`, and which are known then."""
+    """``value`` (T, 3) with texels that are not ``known`` as the mean of the known ones of their part among the eight
+    around them, in rounds up to :data:`REACH`, and which are known then."""
     pitch = size + 2  # a frame around the atlas saves asking for its border
     place = (texel // size + 1) * pitch + texel % size + 1
     row_at = np.full(pitch * pitch, -1, np.int32)
@@ -145,8 +150,9 @@ def _from_neighbours(
         total, count = np.zeros((len(asked), 3), np.float32), np.zeros(len(asked), np.float32)
         for step in steps:
             near = row_at[place[asked] + step]
-            total += np.where((near >= 0)[:, None], value[near], 0)
-            count += near >= 0
+            good = (near >= 0) & (part[near] == part[asked])
+            total += np.where(good[:, None], value[near], 0)
+            count += good
         reached = asked[count > 0]
         value[reached] = (total / np.maximum(count, 1)[:, None])[count > 0]
         known[reached] = True
