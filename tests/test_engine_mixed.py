@@ -70,6 +70,13 @@ def test_a_plane_seen_at_a_grazing_angle_has_no_edge_but_its_end() -> None:
     assert (mixed[seen] == beside_another(part)[seen]).all()
 
 
+@pytest.mark.parametrize("stride", [1, 3])
+def test_a_single_pixel_in_the_corner_of_a_photo_is_mixed(stride: int) -> None:
+    speck = quad([-1.5, 1.47, 0], [0.03, 0, 0], [0, 0.03, 0])
+    mixed, part = mixed_picture([speck], [WALL], stride)
+    assert (part == WALL).sum() == 1 and mixed[part == WALL].all()
+
+
 def test_a_coarse_lattice_asks_the_true_neighbours() -> None:
     quads = [WIDE_WALL, quad([-0.5, -0.4, 0.5], [1, 0, 0], [0, 0.8, 0])]
     fine, _ = mixed_picture(quads, [WALL, TABLE], 1, width=120)

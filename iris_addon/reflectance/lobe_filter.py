@@ -68,10 +68,11 @@ def _average(
         total, norm = lobes[block].copy(), np.ones(block.stop - block.start, np.float32)
         for down, across in NEIGHBOURS:
             near = lattice.pixel_at(block, step * down, step * across)
-            turn = reflected[near] - reflected[block]
+            at = np.maximum(near, 0)
+            turn = reflected[at] - reflected[block]
             say = np.float32(CORNER if down and across else SIDE) * np.exp(-precision[block] * dot(turn, turn))
-            say[(near < 0) | (part[near] != part[block])] = 0
-            total += say[:, None] * lobes[near]
+            say[(near < 0) | (part[at] != part[block])] = 0
+            total += say[:, None] * lobes[at]
             norm += say
         result[block] = total / norm[:, None]
 

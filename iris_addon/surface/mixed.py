@@ -54,8 +54,9 @@ def _probe(tracer: Tracer, pixel: NDArray[np.integer], parts: NDArray[np.integer
         for down, across in BESIDE
     ]
     traced = trace_view(tracer, camera, 0, np.unique(np.concatenate([pixel, *around])).astype(np.int32))
-    mixed = _beside_others(traced, parts, [camera], 1)
-    return mixed[np.searchsorted(traced.pixel, pixel)]
+    mixed = np.ones(camera.height * camera.width, bool)
+    mixed[traced.pixel] = _beside_others(traced, parts, [camera], 1)
+    return mixed[pixel]
 
 
 def _beside_others(
@@ -69,10 +70,11 @@ def _beside_others(
         position, normal = samples.position[block], samples.normal[block]
         for down, across in BESIDE:
             near = lattice.pixel_at(block, down, across)
-            step, other = samples.position[near] - position, samples.normal[near]
+            at = np.maximum(near, 0)
+            step, other = samples.position[at] - position, samples.normal[at]
             height = np.maximum(np.abs(dot(step, normal)), np.abs(dot(step, other)))
-            reach = stride * np.minimum(samples.footprint[block], samples.footprint[near])
-            unlike = (part[near] != part[block]) | (dot(normal, other) < SAME_DIRECTION) | (height > reach)
+            reach = stride * np.minimum(samples.footprint[block], samples.footprint[at])
+            unlike = (part[at] != part[block]) | (dot(normal, other) < SAME_DIRECTION) | (height > reach)
             mixed[block] |= np.where(near >= 0, unlike, near == NO_PIXEL)
 
     over_blocks(len(part), BLOCK // 2, work)
