@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..progress import Progress
+from ..response.observations import group_medians
 from ..response.radiance import GroupRadiance
 from ..surface.parts import pieces_between_edges
 from .candidates import CERTAIN, emitting_faces, group_emitters, reflectance_needed, whole_parts
@@ -199,8 +200,8 @@ def certainty(problem: LightProblem, lights: Lights, lamp: NDArray[np.int64]) ->
 
 def _median_by_lamp(values: NDArray[np.float64], lamp: NDArray[np.int64], n_lamps: int) -> NDArray[np.float64]:
     """(E,) median over the patches of each lamp, 0 without any."""
-    on = [lamp == k for k in range(n_lamps)]
-    return np.array([np.median(values[at]) if at.any() else 0.0 for at in on])
+    of_some = lamp >= 0
+    return group_medians(values[of_some, None], lamp[of_some], n_lamps)[:, 0]
 
 
 def same_emitters(a: list[NDArray[np.int64]], b: list[NDArray[np.int64]]) -> bool:

@@ -19,6 +19,8 @@ DIM = 0.05
 """Share of the median irradiance below which a quotient of radiance and irradiance is not worth much."""
 HIGHLIGHT = 20.0
 """Inverse of the specular radiance, in irradiance / pi, from which on errors of the lobe outweigh all others."""
+DIM_ALBEDO = 0.02
+"""Added to albedo where it divides: relative differences of black surfaces are noise."""
 OUTLIER = 0.25
 """Relative distance from a texel's mean at which a photo loses half its say."""
 
@@ -100,7 +102,7 @@ def fuse_texels(
 
     first, norm = mean(weight)
     expected = first.astype(np.float32)[row]
-    off = np.abs(value - expected).mean(1, keepdims=True) / (expected.mean(1, keepdims=True) + 0.02)
+    off = np.abs(value - expected).mean(1, keepdims=True) / (expected.mean(1, keepdims=True) + DIM_ALBEDO)
     fused, _ = mean(weight / (1 + (off / OUTLIER) ** 2))
     shown = np.where(norm > 0, fused, np.nan)[:-1].astype(np.float32)
     return TexelAlbedo(texels, shown, norm[:-1].max(1).astype(np.float32))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..response.observations import group_sums, order_in_groups
+from ..response.observations import group_medians, group_sums
 from .ggx import DIELECTRIC_F0
 
 SPATIAL_WEIGHT = 0.35
@@ -64,13 +64,7 @@ class PartFits:
 
     def _medians(self, values: NDArray[np.floating]) -> NDArray[np.float64]:
         """(k, C) median of the patches' values (n, C) per part."""
-        count = np.bincount(self.part)
-        start = np.cumsum(count) - count
-        columns = []
-        for column in values.T:
-            ordered = column[order_in_groups(column, self.part)]
-            columns.append((ordered[start + (count - 1) // 2] + ordered[start + count // 2]) / 2)
-        return np.stack(columns, -1)
+        return group_medians(values, self.part, int(self.part.max()) + 1)
 
     def _cost(self, a: tuple[NDArray, NDArray], b: tuple[NDArray, NDArray]) -> NDArray[np.float64]:
         """Robust mean of the squared residuals, less the noise of few rays.

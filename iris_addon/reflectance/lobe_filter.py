@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..capture.types import Camera
 from ..parallel import BLOCK, over_blocks
-from ..surface.lattice import Lattice
+from ..surface.lattice import NEIGHBOURS, Lattice
 from ..surface.samples import PixelSamples
 from ..transport.sampling import dot
 from .ggx import ray_alpha
@@ -23,7 +23,6 @@ from .ggx import ray_alpha
 STEPS = (1, 2, 4)
 REACH = 0.6
 """Turn of the reflected direction, in GGX widths, that is one standard deviation of the filter."""
-NEIGHBOURS = [(down, across) for down in (-1, 0, 1) for across in (-1, 0, 1) if down or across]
 SIDE, CORNER = 0.5, 0.25
 """Say of the eight neighbours against the pixel's own: a binomial kernel."""
 

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..emission.balance import MAX_ALBEDO
-from ..response.observations import group_sums, order_in_groups
+from ..response.observations import group_medians, group_sums
 from ..result.types import Textures
-from ..surface.atlas_texels import fill_texels, rasterise_atlas, texel_index
+from ..surface.atlas_texels import extend_texels, fill_texels, rasterise_atlas, texel_index
 from ..surface.samples import PixelSamples
-from .bake import TexelAlbedo, fuse_texels
+from .bake import DIM_ALBEDO, TexelAlbedo, fuse_texels
 from .gloss import Gloss
 
 DOUBT = 0.02
@@ -19,8 +19,6 @@ NEIGHBOUR_ERROR = 0.1
 """Relative spread of a part's texels from which a texel is more like those beside it than like the part's mean."""
 REACH = 3
 """Texels over which good ones tell about doubtful ones."""
-DIM_ALBEDO = 0.02
-"""Added to albedo where it divides: relative differences of black surfaces are noise."""
 FULL_CONFIDENCE = 4.0
 """Weight (in head-on pixels) at which a texel counts as well seen."""
 
@@ -104,7 +102,7 @@ def with_expected(
     own = complete_channels(fused.value, colour)
     sure = fused.weight > DOUBT
     plain = _plain(own, colour, part, sure, len(part_mean))[part]
-    beside, found = _from_neighbours(fused.texel, part, own, sure, size)
+    beside, found = extend_texels(fused.texel, own, sure, part, size, REACH)
     blend = np.where(found & ~sure, 1 - plain, 0)[:, None]
     expected = colour + blend * (beside - colour)
     doubt = DOUBT * np.where(found, 1, plain)
@@ -120,44 +118,8 @@ def _plain(
 ) -> NDArray[np.float32]:
     """(n_parts,) 1 for parts whose texels are of one colour, near 0 for textured ones."""
     off = np.abs(value[sure] - colour[sure]).mean(1) / (colour[sure].mean(1) + DIM_ALBEDO)
-    of = part[sure]
-    order = order_in_groups(off, of)
-    bounds = np.searchsorted(of[order], np.arange(n_parts + 1))
-    count = np.diff(bounds)
-    spread = np.zeros(n_parts, np.float32)
-    middle = (bounds[:-1] + count // 2)[count > 0]
-    spread[count > 0] = off[order[middle]]
-    return 1 / (1 + (spread / NEIGHBOUR_ERROR) ** 4)
-
-
-def _from_neighbours(
-    texel: NDArray[np.int64],
-    part: NDArray[np.integer],
-    value: NDArray[np.float32],
-    known: NDArray[np.bool_],
-    size: int,
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """``value`` (T, 3) with texels that are not ``known`` as the mean of the known ones of their part among the eight
-    around them, in rounds up to :data:`REACH`, and which are known then."""
-    pitch = size + 2  # a frame around the atlas saves asking for its border
-    place = (texel // size + 1) * pitch + texel % size + 1
-    row_at = np.full(pitch * pitch, -1, np.int32)
-    row_at[place[known]] = np.flatnonzero(known)
-    value, known = value.copy(), known.copy()
-    steps = [down + across for down in (-pitch, 0, pitch) for across in (-1, 0, 1)]
-    for _ in range(REACH):
-        asked = np.flatnonzero(~known)
-        total, count = np.zeros((len(asked), 3), np.float32), np.zeros(len(asked), np.float32)
-        for step in steps:
-            near = row_at[place[asked] + step]
-            good = (near >= 0) & (part[near] == part[asked])
-            total += np.where(good[:, None], value[near], 0)
-            count += good
-        reached = asked[count > 0]
-        value[reached] = (total / np.maximum(count, 1)[:, None])[count > 0]
-        known[reached] = True
-        row_at[place[reached]] = reached
-    return value, known
+    spread = group_medians(off[:, None], part[sure], n_parts)[:, 0]
+    return (1 / (1 + (spread / NEIGHBOUR_ERROR) ** 4)).astype(np.float32)
 
 
 def complete_channels(value: NDArray[np.floating], colour: NDArray[np.floating]) -> NDArray[np.float32]:

@@ -65,6 +65,18 @@ def group_means(values: NDArray[np.floating], group: NDArray[np.integer], n_grou
     return group_sums(values, group, n_groups) / count[:, None]
 
 
+def group_medians(values: NDArray[np.floating], group: NDArray[np.integer], n_groups: int) -> NDArray[np.float64]:
+    """(n_groups, C) median of ``values`` (n, C) per group; zero where a group is empty."""
+    count = np.bincount(group, minlength=n_groups)
+    some = count > 0
+    start, count = (np.cumsum(count) - count)[some], count[some]
+    medians = np.zeros((n_groups, values.shape[1]))
+    for channel, column in enumerate(values.T):
+        ordered = column[order_in_groups(column, group)]
+        medians[some, channel] = (ordered[start + (count - 1) // 2] + ordered[start + count // 2]) / 2
+    return medians
+
+
 def observe(
     patch: NDArray[np.int32],
     view: NDArray[np.int16],

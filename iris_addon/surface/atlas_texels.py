@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
+from .lattice import NEIGHBOURS
 from .rasterise import covered_texels
 
 
@@ -75,24 +77,64 @@ def fill_texels(values: NDArray[np.floating], known: NDArray[np.bool_]) -> NDArr
     return image.reshape(values.shape)
 
 
+def extend_texels(
+    texel: NDArray[np.int64],
+    values: NDArray[np.float32],
+    known: NDArray[np.bool_],
+    label: NDArray[np.integer],
+    size: int,
+    rounds: int,
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """``values`` (T, C) of some texels with those not ``known`` (T,) as the mean of the known ones of their ``label``
+    (T,) among the eight around them, so many rounds on; and which are known then.
+
+    Args:
+        texel: (T,) flat index of each in the atlas of side ``size``.
+    """
+    row, column = np.divmod(texel, size)
+    image = np.zeros((size, size, values.shape[1]), np.float32)
+    labels = np.zeros((size, size), label.dtype)
+    told = np.zeros((size, size), bool)
+    image[row, column], labels[row, column], told[row, column] = values, label, known
+    for _ in range(rounds):
+        asked = np.flatnonzero(~told[row, column])
+        mean, found = _means_around(image, told, row[asked], column[asked], labels)
+        reached = asked[found]
+        image[row[reached], column[reached]] = mean[found]
+        told[row[reached], column[reached]] = True
+    return image[row, column], told[row, column]
+
+
 def _dilate(image: NDArray[np.float32], weight: NDArray[np.float32]) -> None:
     """Give unknown texels beside known ones the mean of their known neighbours, in place."""
-    size = len(weight)
-    around = np.pad(weight > 0, 1)
-    near = np.zeros_like(weight, bool)
-    steps = [(i, j) for i in (0, 1, 2) for j in (0, 1, 2) if (i, j) != (1, 1)]
-    for i, j in steps:
-        near |= around[i : i + size, j : j + size]
-    row, column = np.nonzero(near & (weight == 0))
+    known = weight > 0
+    beside = np.asarray(binary_dilation(known, np.ones((3, 3), bool)), bool)
+    row, column = np.nonzero(beside & ~known)
+    image[row, column] = _means_around(image, known, row, column)[0]
+    weight[row, column] = 1
+
+
+def _means_around(
+    image: NDArray[np.float32],
+    known: NDArray[np.bool_],
+    row: NDArray[np.integer],
+    column: NDArray[np.integer],
+    label: NDArray[np.integer] | None = None,
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """(k, C) mean of the known ones, with ``label`` those of the same, among the eight texels around each of some, and
+    where there is any."""
+    last = len(known) - 1
     total = np.zeros((len(row), image.shape[-1]), np.float32)
     count = np.zeros((len(row), 1), np.float32)
-    for i, j in steps:
-        known = around[row + i, column + j][:, None]
-        at = np.clip(row + i - 1, 0, size - 1), np.clip(column + j - 1, 0, size - 1)
-        total += known * image[at]
-        count += known
-    image[row, column] = total / count
-    weight[row, column] = 1
+    for down, across in NEIGHBOURS:
+        inside = (row + down >= 0) & (row + down <= last) & (column + across >= 0) & (column + across <= last)
+        at = np.clip(row + down, 0, last), np.clip(column + across, 0, last)
+        good = inside & known[at]
+        if label is not None:
+            good &= label[at] == label[row, column]
+        total += np.where(good[:, None], image[at], 0)
+        count += good[:, None]
+    return total / np.maximum(count, 1), count[:, 0] > 0
 
 
 def _coarser(

@@ -13,6 +13,7 @@ from ..capture.types import Camera
 NO_PIXEL = -1
 """A place of the lattice whose pixel is not among those asked about."""
 BEYOND_PHOTO = -2
+NEIGHBOURS = [(down, across) for down in (-1, 0, 1) for across in (-1, 0, 1) if down or across]
 
 
 @dataclass(frozen=True)

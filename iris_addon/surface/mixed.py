@@ -16,12 +16,11 @@ from ..capture.types import Camera
 from ..parallel import BLOCK, over_blocks
 from ..transport.sampling import dot
 from ..transport.tracer import Tracer
-from .lattice import NO_PIXEL, Lattice
+from .lattice import NEIGHBOURS, NO_PIXEL, Lattice
 from .samples import PixelSamples, trace_view
 
 SAME_DIRECTION = 0.7
 """Cosine between the normals of neighbouring pixels below which there is a crease between them."""
-BESIDE = [(down, across) for down in (-1, 0, 1) for across in (-1, 0, 1) if down or across]
 
 
 def mixed_pixels(
@@ -51,7 +50,7 @@ def _probe(tracer: Tracer, pixel: NDArray[np.integer], parts: NDArray[np.integer
     row, column = np.divmod(pixel.astype(np.int64), camera.width)
     around = [
         np.clip(row + down, 0, camera.height - 1) * camera.width + np.clip(column + across, 0, camera.width - 1)
-        for down, across in BESIDE
+        for down, across in NEIGHBOURS
     ]
     traced = trace_view(tracer, camera, 0, np.unique(np.concatenate([pixel, *around])).astype(np.int32))
     mixed = np.ones(camera.height * camera.width, bool)
@@ -68,7 +67,7 @@ def _beside_others(
 
     def work(block: slice) -> None:
         position, normal = samples.position[block], samples.normal[block]
-        for down, across in BESIDE:
+        for down, across in NEIGHBOURS:
             near = lattice.pixel_at(block, down, across)
             at = np.maximum(near, 0)
             step, other = samples.position[at] - position, samples.normal[at]

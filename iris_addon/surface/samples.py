@@ -93,8 +93,8 @@ def trace_pixels(tracer: Tracer, cameras: Sequence[Camera], stride: int, progres
     for index, camera in enumerate(cameras):
         views.append(trace_view(tracer, camera, index, pixel_lattice(camera, stride, index)))
         progress.update((index + 1) / len(cameras))
-    columns = zip(*(([getattr(view, column.name) for column in fields(view)]) for view in views), strict=True)
-    return PixelSamples(*(np.concatenate(column) for column in columns))
+    names = [column.name for column in fields(PixelSamples)]
+    return PixelSamples(*(np.concatenate([getattr(view, name) for view in views]) for name in names))
 
 
 def trace_view(tracer: Tracer, camera: Camera, index: int, pixel: NDArray[np.int32]) -> PixelSamples:
