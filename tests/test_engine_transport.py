@@ -8,7 +8,7 @@ import pytest
 from iris_addon.capture.types import Mesh
 from iris_addon.emission.hidden import find_hidden
 from iris_addon.progress import Progress
-from iris_addon.reflectance.ggx import smith_g1, specular_integrals
+from iris_addon.reflectance.ggx import grazing_fresnel, smith_g1, specular_integrals
 from iris_addon.surface.build import build_surface
 from iris_addon.surface.samples import trace_pixels
 from iris_addon.transport.gather import Origins, emitter_form_factors, gather
@@ -91,7 +91,7 @@ def test_visible_normals_give_the_directional_albedo_of_the_table(roughness: flo
     assert np.linalg.norm(incoming, axis=1) == pytest.approx(1, abs=2e-3)
     leaves = (incoming * normal).sum(1)
     weight = np.where(leaves > 0, smith_g1(np.maximum(leaves, 1e-6), alpha), 0)
-    fresnel = (1 - half) ** 5
+    fresnel = grazing_fresnel(half)
     f0, f1 = specular_integrals(np.array([roughness]), np.array([cosine]))
     assert (weight * (1 - fresnel)).mean() == pytest.approx(f0[0], abs=0.01)
     assert (weight * fresnel).mean() == pytest.approx(f1[0], abs=0.005)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from iris_addon.reflectance.ggx import directional_albedo, smith_g1, specular_integrals
+from iris_addon.reflectance.ggx import directional_albedo, grazing_fresnel, smith_g1, specular_integrals
 
 
 def brute_force(roughness: float, cosine: float, n: int = 400_000) -> tuple[float, float]:
@@ -18,7 +18,7 @@ def brute_force(roughness: float, cosine: float, n: int = 400_000) -> tuple[floa
     alpha = roughness**2
     d = alpha**2 / (np.pi * ((half[:, 2] ** 2) * (alpha**2 - 1) + 1) ** 2)
     g = smith_g1(z, alpha) * smith_g1(np.array(cosine), alpha)
-    f1 = (1 - half @ outgoing) ** 5
+    f1 = grazing_fresnel(half @ outgoing)
     weight = 2 * np.pi * d * g / (4 * z * cosine) * z
     return float(np.mean(weight * (1 - f1))), float(np.mean(weight * f1))
 
@@ -42,3 +42,11 @@ def test_specular_reflects_no_more_than_arrives() -> None:
 def test_smooth_metal_reflects_its_colour_head_on() -> None:
     color = np.array([0.9, 0.6, 0.3])
     assert directional_albedo(color, 0.05, 1.0, 1.0) == pytest.approx(color, abs=0.01)
+
+
+def test_a_dielectric_reflects_what_snell_and_fresnel_say() -> None:
+    """Of IOR 1.5: 4 % head-on, all at grazing, and at Brewster's angle half of what the one polarisation reflects."""
+    brewster = 1 / np.sqrt(1 + 1.5**2)
+    across = ((1.5**2 - 1) / (1.5**2 + 1)) ** 2
+    f1 = grazing_fresnel(np.array([1.0, brewster, 0.0]))
+    assert 0.04 * (1 - f1) + f1 == pytest.approx([0.04, across / 2, 1.0], abs=1e-12)

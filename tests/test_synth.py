@@ -11,6 +11,8 @@ import pytest
 from scipy.ndimage import binary_erosion
 
 from iris_addon.blender.camera import read_camera
+from iris_addon.blender.materials import layer_transmittance
+from iris_addon.blender.render import render_coverage, render_linear, set_cycles
 from iris_addon.blender.synth import synth
 from iris_addon.blender.synth_maps import add_outputs, render_maps
 from iris_addon.blender.synth_photos import GREY, exposures, film, read_response
@@ -147,7 +149,9 @@ def test_maps_hold_the_principled_inputs(capture: Path):
         on_block = gt(capture, "IndexMA", k)[..., 0] == materials["paint"]
         found |= on_block.any()
         assert np.abs(gt(capture, "BaseCol", k)[on_block] - PAINT).max(initial=0) < 1e-3
-        assert np.abs(gt(capture, "DiffCol", k)[on_block] - PAINT).max(initial=0) < 1e-3
+        left = np.array(PAINT) * layer_transmittance(1.0, "MULTI_GGX")
+        assert np.abs(gt(capture, "BaseCol", k)[on_block] - PAINT).max(initial=0) < 1e-3
+        assert np.abs(gt(capture, "DiffCol", k)[on_block] - left).max(initial=0) < 1e-3
         assert (gt(capture, "Roughness", k)[on_block] == 1).all()
         assert (gt(capture, "albedo", k)[on_block] > gt(capture, "DiffCol", k)[on_block]).all()
     assert found
@@ -174,7 +178,43 @@ def test_mixed_shaders_give_mixed_maps(tmp_path: Path):
     )
     assert maps.roughness[on_block] == pytest.approx(0.8, abs=1e-5)
     assert maps.metallic[on_block] == pytest.approx(0.25, abs=1e-5)
-    assert maps.diffuse_albedo[on_block] == pytest.approx(0.75 * maps.base_color[on_block], abs=1e-5)
+    assert maps.layer[on_block] == pytest.approx(1, abs=1e-5)
+    left = 0.25 + 0.75 * layer_transmittance(1.0, "MULTI_GGX")
+    assert maps.diffuse_albedo[on_block] == pytest.approx(0.75 * left * maps.base_color[on_block], abs=1e-4)
+
+
+@pytest.mark.parametrize("roughness", [0.2, 0.45, 1.0])
+@pytest.mark.parametrize("surface", ["MULTI_GGX", "GGX", "textured", "no layer"])
+def test_true_albedo_is_what_cycles_reflects(surface: str, roughness: float):
+    """A ball in a white world is as bright as its directional albedo, over all angles together."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.world = bpy.data.worlds.new("white")
+    if scene.world.node_tree is None:
+        scene.world.use_nodes = True
+    scene.world.node_tree.nodes["Background"].inputs[0].default_value = (1, 1, 1, 1)
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=128, ring_count=64)
+    bpy.ops.object.shade_smooth()
+    paint = material("paint", (0.7, 0.4, 0.1))
+    bpy.context.object.data.materials.append(paint)
+    shader = paint.node_tree.nodes["Principled BSDF"]
+    shader.inputs["Roughness"].default_value = roughness
+    if surface == "textured":
+        value = paint.node_tree.nodes.new("ShaderNodeValue")
+        value.outputs[0].default_value = roughness
+        paint.node_tree.links.new(value.outputs[0], shader.inputs["Roughness"])
+    elif surface == "no layer":
+        shader.inputs["Specular IOR Level"].default_value = 0.0
+    else:
+        shader.distribution = surface
+    thing = photographer("photo", (0, 0, 50), (0, 0, 0), 0.04)
+    scene.render.resolution_x = scene.render.resolution_y = 48
+    add_outputs(scene, [paint])
+    maps = render_maps(scene, read_camera(scene, thing), thing)
+    set_cycles(scene, samples=256, denoise=False, seed=0, max_bounces=2)
+    scene.cycles.pixel_filter_type, scene.render.film_transparent = "BOX", True
+    seen = render_linear(scene).sum((0, 1)) / render_coverage(scene).sum()
+    assert maps.albedo[maps.material == 1].mean(0) == pytest.approx(seen, rel=0.012, abs=0.004)
 
 
 def test_emitter_faces_emit_the_radiance_that_is_rendered(capture: Path, read: Capture):

@@ -29,11 +29,18 @@ CONFIDENCE = "IRIS Confidence"
 LAMP_ID = "iris_lamp"
 """Custom property of a lamp's material: the id of its emitter in the result."""
 
-# Share of the base's light that is left under the dielectric (GGX, IOR 1.5), averaged over the cosine-weighted
-# hemisphere.
-# Measured in Cycles with a ball in a white world.
 LAYER_ROUGHNESS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
-LAYER_TRANSMITTANCE = (0.9077, 0.9083, 0.9109, 0.9164, 0.9235, 0.9305, 0.9366, 0.9417, 0.9459, 0.9487, 0.9513)
+LAYER_TRANSMITTANCE = {
+    "GGX": (0.9077, 0.9083, 0.9109, 0.9164, 0.9235, 0.9305, 0.9366, 0.9417, 0.9459, 0.9487, 0.9513),
+    "MULTI_GGX": (0.9081, 0.9088, 0.9125, 0.9199, 0.9291, 0.9388, 0.9483, 0.9573, 0.9652, 0.9723, 0.9782),
+}
+"""Share of the base's light that is left under the dielectric (IOR 1.5) of each of Principled's distributions, averaged
+over the cosine-weighted hemisphere; measured in Cycles with a ball in a white world."""
+
+
+def layer_transmittance(roughness: NDArray[np.floating] | float, distribution: str = "GGX") -> NDArray[np.float64]:
+    """(...) what the dielectric layer of Cycles' Principled leaves of the diffuse base's light, (0, 1]."""
+    return np.asarray(np.interp(roughness, LAYER_ROUGHNESS, LAYER_TRANSMITTANCE[distribution]))
 
 
 def layered_base_color(
@@ -43,8 +50,7 @@ def layered_base_color(
 
     Metals have no layer and keep theirs. Capped at 1: beyond, a surface would reflect more than it gets.
     """
-    transmittance = np.interp(roughness, LAYER_ROUGHNESS, LAYER_TRANSMITTANCE)
-    gain = (1 - metallic) / transmittance + metallic
+    gain = (1 - metallic) / layer_transmittance(roughness) + metallic
     return np.minimum(base_color * gain[..., None], 1.0).astype(np.float32)
 
 

@@ -1,8 +1,12 @@
-"""Ground-truth maps: what the Principled inputs are at the centre of each pixel, exactly.
+"""Ground-truth maps: what the surface's parameters are at the centre of each pixel, exactly.
 
 Every material gets AOV outputs that tap its base colour, roughness and metallic, and Cycles evaluates them with one
 sample per pixel through a filter so narrow that the sample lies in the pixel's centre. Textures and procedural nodes
 need no reimplementation, and the maps agree with rays through pixel centres traced against the exported mesh.
+
+Cycles lays the dielectric of a Principled surface over its diffuse base, whereas the metrics' model adds the two lobes.
+The diffuse albedo of the maps is what is left of the base under that layer: with the base itself, the true maps would
+not make the true pictures.
 """
 
 from __future__ import annotations
@@ -21,13 +25,20 @@ from ..capture.types import Camera
 from ..errors import BadInput, IrisError
 from ..reflectance.ggx import directional_albedo
 from .camera import look_through
+from .materials import LAYER_ROUGHNESS, layer_transmittance
 from .render import set_cycles
 from .synth_scene import surface_shader
 from .version import multilayer_exr
 
 FloatArray = NDArray[np.floating]
 
-AOVS = {"iris_base_color": "COLOR", "iris_roughness": "VALUE", "iris_metallic": "VALUE"}
+AOVS = {
+    "iris_base_color": "COLOR",
+    "iris_roughness": "VALUE",
+    "iris_metallic": "VALUE",
+    "iris_layer": "VALUE",
+    "iris_base_left": "VALUE",
+}
 
 
 @dataclass(frozen=True)
@@ -38,6 +49,8 @@ class Maps:
         base_color: (H, W, 3) scene-linear Rec.709; 0 on emitters.
         roughness: (H, W) Principled roughness; 1 on emitters.
         metallic: (H, W).
+        layer: (H, W) share of what is not metal that has a dielectric over its diffuse base.
+        base_left: (H, W) share of the diffuse base's light that is left under it.
         emission: (H, W, 3) radiance emitted by the surface seen.
         material: (H, W) index of the material, from 1; 0 is nothing.
         normal: (H, W, 3) unit shading normal, world space, towards the viewer.
@@ -49,6 +62,8 @@ class Maps:
     base_color: FloatArray
     roughness: FloatArray
     metallic: FloatArray
+    layer: FloatArray
+    base_left: FloatArray
     emission: FloatArray
     material: NDArray[np.int64]
     normal: FloatArray
@@ -58,14 +73,18 @@ class Maps:
 
     @property
     def diffuse_albedo(self) -> FloatArray:
-        """(H, W, 3) kd = a (1 − m)."""
-        return self.base_color * (1 - self.metallic[..., None])
+        """(H, W, 3) kd = a (1 − m), less what the layer takes."""
+        return self.base_color * ((1 - self.metallic) * self.base_left)[..., None]
 
     @property
     def albedo(self) -> FloatArray:
         """(H, W, 3) directional albedo a' at the view; 0 on emitters and where nothing is seen."""
         seen = (self.material > 0) & ~(self.emission > 0).any(-1)
-        return directional_albedo(self.base_color, self.roughness, self.metallic, self.cosine) * seen[..., None]
+        black = np.zeros_like(self.base_color)
+        dielectric = directional_albedo(black, self.roughness, np.zeros_like(self.metallic), self.cosine)
+        metal = directional_albedo(self.base_color, self.roughness, np.ones_like(self.metallic), self.cosine)
+        layer, m = ((1 - self.metallic) * self.layer)[..., None], self.metallic[..., None]
+        return (self.diffuse_albedo + layer * dielectric + m * metal) * seen[..., None]
 
 
 # ---- tapping the materials ------------------------------------------------------------------------------------------
@@ -94,10 +113,10 @@ def add_outputs(scene: bpy.types.Scene, materials: Sequence[bpy.types.Material])
             _feed(material.node_tree, source, output.inputs["Color" if kind == "COLOR" else "Value"])
 
 
-def _principled_inputs(material: bpy.types.Material, node: bpy.types.Node | None) -> tuple[Source, Source, Source]:
-    """Base colour, roughness and metallic of the shader tree below ``node``."""
+def _principled_inputs(material: bpy.types.Material, node: bpy.types.Node | None) -> tuple[Source, ...]:
+    """Base colour, roughness, metallic, layer and what it leaves, of the shader tree below ``node``."""
     if node is None or node.bl_idname == "ShaderNodeEmission":
-        return (0.0, 0.0, 0.0), 1.0, 0.0
+        return (0.0, 0.0, 0.0), 1.0, 0.0, 0.0, 1.0
     inputs = node.inputs
 
     def source(name: str) -> Source:
@@ -107,22 +126,37 @@ def _principled_inputs(material: bpy.types.Material, node: bpy.types.Node | None
         return tuple(socket.default_value[:3]) if socket.type == "RGBA" else socket.default_value
 
     if node.bl_idname == "ShaderNodeBsdfPrincipled":
-        return source("Base Color"), source("Roughness"), source("Metallic")
+        level, roughness = inputs["Specular IOR Level"], source("Roughness")
+        layered = level.is_linked or level.default_value > 0
+        left = _base_left(material.node_tree, roughness, node.distribution) if layered else 1.0
+        return source("Base Color"), roughness, source("Metallic"), float(layered), left
     if node.bl_idname == "ShaderNodeBsdfDiffuse":
-        return source("Color"), 1.0, 0.0
+        return source("Color"), 1.0, 0.0, 0.0, 1.0
     if node.bl_idname == "ShaderNodeBsdfAnisotropic":  # the Glossy BSDF
-        return source("Color"), source("Roughness"), 1.0
+        return source("Color"), source("Roughness"), 1.0, 1.0, 1.0
     if node.bl_idname == "ShaderNodeMixShader":
         one, other = (_principled_inputs(material, s.links[0].from_node if s.is_linked else None) for s in inputs[1:3])
-        color, roughness, metallic = (
-            _mix(material.node_tree, inputs[0], *pair) for pair in zip(one, other, strict=True)
-        )
-        return color, roughness, metallic
+        return tuple(_mix(material.node_tree, inputs[0], *pair) for pair in zip(one, other, strict=True))
     raise BadInput(
         f"material '{material.name}' has a {node.bl_label} surface, for which there is no ground truth",
         "use a Principled BSDF there",
         bpy.data.filepath or None,
     )
+
+
+def _base_left(tree: bpy.types.NodeTree, roughness: Source, distribution: str) -> Source:
+    """The transmittance of a Principled layer of constant or textured roughness."""
+    if isinstance(roughness, float):
+        return float(layer_transmittance(roughness, distribution))
+    ramp = tree.nodes.new("ShaderNodeValToRGB")
+    stops = ramp.color_ramp.elements
+    while len(stops) < len(LAYER_ROUGHNESS):
+        stops.new(1.0)
+    for stop, at in zip(stops, LAYER_ROUGHNESS, strict=True):
+        stop.position = at
+        stop.color = (*[float(layer_transmittance(at, distribution))] * 3, 1.0)
+    _feed(tree, roughness, ramp.inputs[0])
+    return ramp.outputs["Color"]
 
 
 def _mix(tree: bpy.types.NodeTree, factor: bpy.types.NodeSocket, a: Source, b: Source) -> Source:
@@ -166,6 +200,8 @@ def render_maps(scene: bpy.types.Scene, camera: Camera, camera_object: bpy.types
         base_color=np.where(lit[..., None], 0.0, passes["iris_base_color"][..., :3]),
         roughness=np.where(lit, 1.0, passes["iris_roughness"][..., 0]),
         metallic=np.where(lit, 0.0, passes["iris_metallic"][..., 0]),
+        layer=np.where(lit, 0.0, passes["iris_layer"][..., 0]),
+        base_left=np.where(lit, 1.0, passes["iris_base_left"][..., 0]),
         emission=emission,
         material=material,
         normal=normal * np.where(cosine < 0, -1, 1)[..., None],

@@ -2,9 +2,12 @@
 
 The model is that of FIPT (Wu et al. 2023, eq. 5) and IRIS: base colour a, roughness σ (GGX α = σ²), metallic m,
 
-    kd = a (1 − m),   ks = a m + 0.04 (1 − m),   F = ks F0 + F1,   F0 = 1 − F1,   F1 = (1 − h·ωi)^5
+    kd = a (1 − m),   ks = a m + 0.04 (1 − m),   F = ks F0 + F1,   F0 = 1 − F1
 
     a'(ωo) = kd + ks ∫ F0 D G + ∫ F1 D G        (integrals over ωi with the cosine and 1 / (4 n·ωi n·ωo) inside)
+
+F1 is Schlick's (1 − h·ωi)^5 there. Here it is what makes F that of a dielectric of IOR 1.5 (:func:`grazing_fresnel`):
+renderers reflect that, and Schlick's curve is up to a fifth below it between 50 and 75 degrees.
 
 The two integrals depend on σ and n·ωo alone and are tabulated on first use. Single scattering only: at high roughness
 F0 + F1 integrate to less than 1, the energy of further bounces between microfacets is lost, as in the model itself.
@@ -21,10 +24,26 @@ from ..parallel import over_blocks
 
 FloatArray = NDArray[np.floating]
 
-DIELECTRIC_F0 = 0.04
+IOR = 1.5
+DIELECTRIC_F0 = ((IOR - 1) / (IOR + 1)) ** 2
 MIN_ROUGHNESS = 0.03  # below, α² underflows towards a perfect mirror, whose integrals no longer change
 SHARPEST = 0.05
 N_ROUGHNESS, N_COSINE, N_SAMPLES = 48, 64, 1024
+
+
+def grazing_fresnel(cosine: FloatArray) -> FloatArray:
+    """F1: 0.04 F0 + F1 is what a dielectric of IOR 1.5 reflects (Fresnel's equations, unpolarised).
+
+    Args:
+        cosine: (...) between the half vector and the incident direction, in [0, 1].
+
+    Returns:
+        (...) 0 head-on to 1 at grazing.
+    """
+    inside = np.sqrt(1 - (1 - cosine**2) / IOR**2)
+    across = ((cosine - IOR * inside) / (cosine + IOR * inside)) ** 2
+    along = ((IOR * cosine - inside) / (IOR * cosine + inside)) ** 2
+    return (0.5 * (across + along) - DIELECTRIC_F0) / (1 - DIELECTRIC_F0)
 
 
 def ray_alpha(roughness: FloatArray) -> NDArray[np.float32]:
@@ -72,7 +91,7 @@ def _integrals(roughness: float, cosine: FloatArray, u: FloatArray) -> tuple[Flo
     h_dot_o = np.clip(np.einsum("csk,ck->cs", half, outgoing), 0, 1)
     incoming_z = 2 * h_dot_o * half[..., 2] - cosine[:, None]
     weight = np.where(incoming_z > 0, smith_g1(np.maximum(incoming_z, 0), alpha), 0.0)
-    f1 = (1 - h_dot_o) ** 5
+    f1 = grazing_fresnel(h_dot_o)
     return np.mean(weight * (1 - f1), 1), np.mean(weight * f1, 1)
 
 

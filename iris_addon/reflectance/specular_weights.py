@@ -1,13 +1,12 @@
-"""Weights of reflected rays drawn from visible GGX normals, split by FIPT's Fresnel terms."""
+"""Weights of reflected rays drawn from visible GGX normals, split by the Fresnel terms F0 and F1."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..transport.diffuse import fifth_power
 from ..transport.sampling import dot
-from .ggx import smith_g1
+from .ggx import grazing_fresnel, smith_g1
 
 
 def visible_normal_weights(
@@ -26,5 +25,5 @@ def visible_normal_weights(
     cosine = dot(incident, normal)
     above = cosine > 1e-3
     g1 = np.where(above, smith_g1(np.maximum(cosine, 1e-3), alpha), 0.0)
-    fresnel = fifth_power(1 - half_cosine)
+    fresnel = grazing_fresnel(half_cosine)
     return (g1 * (1 - fresnel)).astype(np.float32), (g1 * fresnel).astype(np.float32), above
