@@ -20,6 +20,7 @@ from iris_addon.reflectance.gloss import (
     fit_gloss,
     rough_everywhere,
 )
+from iris_addon.reflectance.gloss_cost import PartFits
 from iris_addon.reflectance.lobes import LobeRays, trace_lobes
 from iris_addon.reflectance.specular import ROUGH, rough_lobes
 from iris_addon.reflectance.textures import complete_channels, make_textures
@@ -155,6 +156,43 @@ def test_sheen_alone_is_no_gloss(highlight: bool) -> None:
         [[lobe] * 2 for lobe in lobes],
     )
     assert (fit_gloss(observed, 1).roughness[0] < 1) == highlight
+
+
+def test_gloss_by_chance_alone_is_rare() -> None:
+    """Lobes that have nothing to do with what was seen are found in about the share of parts that 1.5 standard errors
+    of a normal distribution leave (7 %), for each of the four levels that are traced; not in a third of them."""
+    rng = np.random.default_rng(5)
+    parts, patches, views = 60, 40, 4
+    n = parts * patches * views
+    zero = np.zeros((n, 3))
+    light = 0.5 * (1 + 0.03 * rng.normal(size=(n, 1))) * np.ones(3)
+    lobes = [(zero, np.abs(0.005 * rng.normal(size=(n, 1))) * np.ones(3)) for _ in LEVELS[:-2]]
+    observed = GlossObservations(
+        np.repeat(np.arange(parts), patches * views),
+        np.repeat(np.arange(parts * patches), views),
+        np.ones(n),
+        np.repeat(10.0 * np.arange(parts), patches * views)[:, None] * np.ones(3),  # none near another
+        light,
+        np.ones((n, 3)),
+        np.ones((len(LEVELS), n)),
+        [[lobe] * 2 for lobe in (*lobes, (zero, zero), (zero, zero))],
+    )
+    glossy = fit_gloss(observed, parts).roughness < 1
+    assert glossy.mean() < 0.2
+
+
+def test_the_standard_error_of_a_cost_is_its_spread_over_draws() -> None:
+    rng = np.random.default_rng(1)
+    draws, patches = 400, 50
+    n = draws * patches
+    views = rng.integers(1, 5, n)  # observations of each patch
+    patch, part = np.repeat(np.arange(n), views), np.repeat(np.arange(draws), patches)
+    fits = PartFits(patch, part, np.ones(len(patch)), *np.ones((2, len(patch), 3)))
+    cost = rng.normal(0.3, 0.1, n)
+    error = fits.standard_error(cost)
+    assert fits.mean(cost).std() == pytest.approx(np.sqrt(np.mean(error**2)), rel=0.1)
+    alone = PartFits(np.zeros(3, int), np.zeros(1, int), np.ones(3), *np.ones((2, 3, 3)))
+    assert alone.standard_error(np.array([-0.2])) == pytest.approx(0.2)
 
 
 def test_parts_that_hardly_anybody_saw_keep_the_default(scene: Scene) -> None:

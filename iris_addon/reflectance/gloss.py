@@ -27,9 +27,10 @@ MIN_COST = 0.02
 """Cost below which the rough dielectric explains a part but for the noise of the photos."""
 MAX_OBSERVATIONS = 2000
 """Of one part. With a quarter of them large matte walls passed for glossy in one draw and not in the next."""
-GAIN_NEEDED = 0.01
-"""Relative fall of the robust residual that a gloss must bring over the rough dielectric."""
+ERRORS_NEEDED = 1.5
+"""Standard errors by which a gloss must fit better than the rough dielectric."""
 METAL_GAIN_NEEDED = 0.15
+"""Relative fall of the robust residual that a metal must bring over the best dielectric."""
 MAX_METAL = 0.95
 """Brightest specular colour."""
 NEAR = 1.0
@@ -38,7 +39,7 @@ LIKE = 0.05
 """Difference in log albedo at which they no longer are."""
 NEIGHBOURS = 24
 FEW = 60
-"""Observations by which the gains needed are doubled: chance explains a few."""
+"""Observations by which the gain needed is doubled: chance explains a few."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +118,7 @@ class _Costs:
 
     Attributes:
         plastic, metal: (k, levels) relative to the rough dielectric.
+        error: (k, levels) standard error of how much ``plastic`` lies below the rough dielectric.
         colour: (k, levels, 3) specular colour of the metal.
         count: (k,) observations.
         centre: (k, 3) metres.
@@ -126,14 +128,15 @@ class _Costs:
     ids: NDArray[np.integer]
     plastic: NDArray[np.float64]
     metal: NDArray[np.float64]
+    error: NDArray[np.float64]
     colour: NDArray[np.float64]
     count: NDArray[np.float64]
     centre: NDArray[np.float64]
     log_albedo: NDArray[np.float64]
 
-    def pooled(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Costs of every part averaged with those of near parts of like albedo (one chair's legs are one wood), and
-        the observations behind each average."""
+    def pooled(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Plastic and metal costs of every part averaged with those of near parts of like albedo (one chair's legs are
+        one wood), the error of such an average, and the observations behind it."""
         _, near = cKDTree(self.centre).query(self.centre, k=min(NEIGHBOURS, len(self.ids)))
         near = np.reshape(near, (len(self.ids), -1))
         own = near == np.arange(len(near))[:, None]
@@ -148,6 +151,7 @@ class _Costs:
         return (
             np.einsum("kn,knl->kl", say, self.plastic[near]),
             np.einsum("kn,knl->kl", say, self.metal[near]),
+            np.sqrt(np.einsum("kn,knl->kl", say**2, self.error[near] ** 2)),
             total,
         )
 
@@ -161,8 +165,13 @@ def fit_gloss(observed: GlossObservations, n_parts: int, forced: bool | None = N
     gloss = rough_everywhere(n_parts)
     costs = None if forced is False else _part_costs(observed)
     if costs is not None:
-        for label, colour, plastic, metal, count in zip(costs.ids, costs.colour, *costs.pooled(), strict=True):
-            _decide(gloss, int(label), plastic, metal, colour, 0.0 if forced else 1.0 + FEW / count)
+        for label, colour, plastic, metal, error, count in zip(costs.ids, costs.colour, *costs.pooled(), strict=True):
+            gain_of_metal = 0.0 if forced else (1.0 + FEW / count) * METAL_GAIN_NEEDED
+            if metal.min() < (1 - gain_of_metal) * plastic.min():
+                _make_metal(gloss, int(label), metal, colour)
+            elif forced or _shows_highlight(plastic, error):
+                gloss.roughness[label] = _interpolate_minimum(plastic)
+            gloss.decided[label] = True
     return gloss
 
 
@@ -178,47 +187,36 @@ def _part_costs(observed: GlossObservations) -> _Costs | None:
     _, one, patch = np.unique(o.patch[rows], return_index=True, return_inverse=True)
     part = np.repeat(np.arange(len(pieces)), count[enough])[one]
     fits = PartFits(patch, part, o.weight[rows], o.radiance[rows], np.maximum(o.irradiance[rows], 1e-5))
-    plastic, metal = np.empty((2, len(pieces), len(LEVELS)))
-    colour = np.empty((len(pieces), len(LEVELS), 3))
-    for level, halves in enumerate(o.lobes):
-        chosen = [(s0[rows], s1[rows]) for s0, s1 in halves]
-        plastic[:, level] = fits.dielectric(o.diffuse[level][rows], chosen)
-        metal[:, level], colour[:, level] = fits.metal(LEVELS[level], chosen)
+    lobes = [[(s0[rows], s1[rows]) for s0, s1 in halves] for halves in o.lobes]
+    dielectric = [fits.dielectric(diffuse[rows], halves) for diffuse, halves in zip(o.diffuse, lobes, strict=True)]
+    metals = [fits.metal(level, halves) for level, halves in zip(LEVELS, lobes, strict=True)]
+    plastic = np.stack([fits.mean(cost) for cost in dielectric], 1)
+    error = np.stack([fits.standard_error(dielectric[-1] - cost) for cost in dielectric], 1)
     null = np.maximum(plastic[:, -1:], MIN_COST)
     log_albedo = np.log(np.maximum(o.radiance, 1e-4) / np.maximum(o.irradiance, 1e-4))
     return _Costs(
         ids[enough],
         plastic / null,
-        metal / null,
-        colour,
+        np.stack([fits.mean(cost) for cost, _ in metals], 1) / null,
+        error / null,
+        np.stack([colour for _, colour in metals], 1),
         count[enough].astype(np.float64),
         np.stack([o.position[rows].mean(0) for rows in pieces]),
         np.stack([np.median(log_albedo[rows], axis=0) for rows in pieces]),
     )
 
 
-def _decide(
-    gloss: Gloss,
-    label: int,
-    plastic: NDArray[np.float64],
-    metal: NDArray[np.float64],
-    colour: NDArray[np.float64],
-    caution: float,
-) -> None:
-    """Write the simplest material that explains the part about as well as any; ``caution`` scales the gains needed."""
-    best_metal, best_plastic = float(metal.min()), float(plastic.min())
-    gloss.decided[label] = True
-    if best_metal < (1 - caution * METAL_GAIN_NEEDED) * best_plastic:
-        gloss.metallic[label] = 1.0
-        gloss.roughness[label] = _interpolate_minimum(metal)
-        gloss.specular[label] = np.clip(colour[int(np.argmin(metal))], DIELECTRIC_F0, MAX_METAL)
-    elif best_plastic < (1 - caution * GAIN_NEEDED) * plastic[-1] and (not caution or _shows_highlight(plastic)):
-        gloss.roughness[label] = _interpolate_minimum(plastic)
+def _make_metal(gloss: Gloss, label: int, cost: NDArray[np.float64], colour: NDArray[np.float64]) -> None:
+    gloss.metallic[label] = 1.0
+    gloss.roughness[label] = _interpolate_minimum(cost)
+    gloss.specular[label] = np.clip(colour[int(np.argmin(cost))], DIELECTRIC_F0, MAX_METAL)
 
 
-def _shows_highlight(plastic: NDArray[np.float64]) -> bool:
-    """Whether a lobe narrow enough to be traced fits better than the rough dielectric: no gloss from sheen alone."""
-    return bool(plastic[: len(FIT_RAYS)].min() < plastic[-1])
+def _shows_highlight(plastic: NDArray[np.float64], error: NDArray[np.float64]) -> bool:
+    """Whether a lobe narrow enough to be traced fits better than the rough dielectric: no gloss from sheen alone, and
+    none from chance."""
+    best = int(np.argmin(plastic[: len(FIT_RAYS)]))
+    return bool(plastic[-1] - plastic[best] > ERRORS_NEEDED * error[best])
 
 
 def _interpolate_minimum(cost: NDArray[np.float64]) -> float:

@@ -31,12 +31,12 @@ class PartFits:
     irradiance: NDArray[np.floating]
 
     def dielectric(self, diffuse: NDArray[np.floating], halves: LobeHalves) -> NDArray[np.float64]:
-        """(k,) robust cost with albedo free per patch and the 4 % lobe taken off; ``diffuse`` (m,) view factor."""
+        """(n,) robust cost with albedo free per patch and the 4 % lobe taken off; ``diffuse`` (m,) view factor."""
         light = self.irradiance * diffuse[:, None]
         return self._cost(*(self._residuals(self.radiance - DIELECTRIC_F0 * s0 - s1, light) for s0, s1 in halves))
 
     def metal(self, roughness: float, halves: LobeHalves) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(k,) robust cost with the specular colour free per patch and no diffuse part, (k, 3) that colour's median.
+        """(n,) robust cost with the specular colour free per patch and no diffuse part, (k, 3) that colour's median.
 
         A wide lobe of few rays meets a lamp or misses it, and a metal has nothing else to send: such a cost keeps the
         noise in it, which speaks against the metal.
@@ -66,21 +66,36 @@ class PartFits:
         """(k, C) median of the patches' values (n, C) per part."""
         return group_medians(values, self.part, int(self.part.max()) + 1)
 
+    def mean(self, cost: NDArray[np.floating]) -> NDArray[np.float64]:
+        """(k,) mean over the observations of each part of what its patches (n,) cost."""
+        say = self._say
+        return np.bincount(self.part, say * cost) / np.bincount(self.part, say)
+
+    def standard_error(self, cost: NDArray[np.floating]) -> NDArray[np.float64]:
+        """(k,) of :meth:`mean`, from how much the patches of a part differ; of a single patch, as large as the mean."""
+        say, mean, n = self._say, self.mean(cost), np.bincount(self.part)
+        off = say * (cost - mean[self.part])
+        spread = np.sqrt(np.bincount(self.part, off**2)) / np.bincount(self.part, say)
+        return np.where(n > 1, spread * np.sqrt(n / np.maximum(n - 1, 1)), np.abs(mean))
+
+    @property
+    def _say(self) -> NDArray[np.float64]:
+        """(n,) observations of each patch, by weight."""
+        return np.asarray(np.bincount(self.patch, self.weight, len(self.part)), np.float64)
+
     def _cost(self, a: tuple[NDArray, NDArray], b: tuple[NDArray, NDArray]) -> NDArray[np.float64]:
-        """Robust mean of the squared residuals, less the noise of few rays.
+        """(n,) robust mean of the squared residuals, less the noise of few rays.
 
         The square of a noisy residual has the noise's variance in it, and the smooth null hypothesis would always
         win. The product of two residuals from independent halves of the rays has not; it is averaged over the views of
         a patch before the robust loss, which would shrink what is noisy.
         """
-        n = len(self.part)
-        say = np.bincount(self.patch, self.weight, n)
+        n, say = len(self.part), self._say
         views, space = (
             _robust(group_sums(self.weight[:, None] * x * y, self.patch, n) / say[:, None])
             for x, y in zip(a, b, strict=True)
         )
-        cost = say * (views + SPATIAL_WEIGHT * space).mean(1)
-        return np.bincount(self.part, cost) / np.bincount(self.part, say)
+        return (views + SPATIAL_WEIGHT * space).mean(1)
 
 
 def _robust(square: NDArray[np.floating]) -> NDArray[np.floating]:
