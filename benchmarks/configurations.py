@@ -18,8 +18,8 @@ from iris_addon.capture.fipt import PhotoSet
 from iris_addon.capture.types import Capture
 from iris_addon.config import FULL, MINIMAL, PRESETS, Refinements, SolveConfig, preset
 from iris_addon.errors import BadInput
+from iris_addon.json_files import write_json
 from iris_addon.response.family import PRIOR_MEAN, to_response
-from iris_addon.result.json_files import write_json
 
 from .perturb_photos import copy_capture, hold_exposure
 

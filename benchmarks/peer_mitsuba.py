@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iris_addon.errors import IrisError
+from iris_addon.json_files import read_json
 from iris_addon.progress import Progress
 from iris_addon.response.curve import Response
-from iris_addon.result.json_files import read_json
 from iris_addon.result.types import Emitter, Result, Textures
 from iris_addon.surface.parts import initial_parts
 

@@ -18,7 +18,7 @@ from iris_addon.capture.types import Mesh, View
 from iris_addon.errors import BadInput
 from iris_addon.evaluate.ground_truth import read_ground_truth, read_rgb
 from iris_addon.imaging import write_exr
-from iris_addon.result.json_files import write_json
+from iris_addon.json_files import write_json
 from iris_addon.surface.parts import initial_parts, weld
 from iris_addon.transport.tracer import Hits, Tracer, points_on_faces
 

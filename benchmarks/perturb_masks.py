@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from iris_addon.capture.fipt import read_fipt
 from iris_addon.capture.meshes import read_mesh
-from iris_addon.result.json_files import to_ranges, write_json
+from iris_addon.json_files import to_ranges, write_json
 
 from .configurations import MASK, true_emitters
 

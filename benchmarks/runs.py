@@ -18,9 +18,9 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any, Literal
 
+from iris_addon.json_files import read_json, write_json
 from iris_addon.parallel import cores
 from iris_addon.progress import Progress
-from iris_addon.result.json_files import read_json, write_json
 
 from .machine import ROOT
 

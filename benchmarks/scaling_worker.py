@@ -26,8 +26,8 @@ from iris_addon.capture.meshes import read_mesh
 from iris_addon.config import PresetName, preset
 from iris_addon.errors import IrisError
 from iris_addon.imaging import read_image, write_png
+from iris_addon.json_files import write_json
 from iris_addon.progress import Progress
-from iris_addon.result.json_files import write_json
 
 from . import machine
 from .meshes import cluster, subdivide_edges

@@ -28,8 +28,8 @@ from typing import Any
 from iris_addon.atomic_files import atomic_write
 from iris_addon.config import PRESETS, SolveConfig, preset
 from iris_addon.errors import BadInput, Cancelled, IrisError
+from iris_addon.json_files import write_json
 from iris_addon.progress import Progress
-from iris_addon.result.json_files import write_json
 from iris_addon.result.types import Result
 
 from .outcome import Outcome, summarise

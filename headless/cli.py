@@ -66,7 +66,7 @@ def main(argv: list[str]) -> int:
         what = f"{type(error).__name__}: {' '.join(str(error).split()) or 'no message'}"
         return _fail(IrisError(what, "run again with --debug and report what it prints"), lines)
     if lines:
-        from iris_addon.result.json_files import plain
+        from iris_addon.json_files import plain
 
         print(json.dumps({"type": "done", "result": plain(outcome.data)}, allow_nan=False), flush=True)
     else:

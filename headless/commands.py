@@ -11,9 +11,9 @@ from pathlib import Path
 
 from iris_addon.capture.types import View
 from iris_addon.config import preset
+from iris_addon.json_files import write_json
 from iris_addon.progress import Progress
 from iris_addon.result.io import load_result
-from iris_addon.result.json_files import write_json
 
 from .outcome import Outcome, summarise
 from .relighting import camera, insert, relight, render

@@ -12,10 +12,10 @@ from iris_addon.capture.types import Capture, View
 from iris_addon.config import preset
 from iris_addon.errors import BadInput
 from iris_addon.imaging import to_codes, write_png
+from iris_addon.json_files import read_json, write_json
 from iris_addon.progress import Progress
 from iris_addon.result.edits import SceneEdit
 from iris_addon.result.edits_json import insertion_edits, relight_edit
-from iris_addon.result.json_files import read_json, write_json
 from iris_addon.result.types import Result
 from iris_addon.transport.tracer import Tracer
 

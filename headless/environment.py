@@ -15,7 +15,7 @@ from pathlib import Path
 from iris_addon.errors import IrisError, SolverEnvironmentMissing
 
 _IMAGES = ("numpy", "OpenEXR", "PIL")
-_SOLVER = (*_IMAGES, "torch", "scipy", "trimesh", "embreex")
+_SOLVER = (*_IMAGES, "torch", "scipy", "trimesh", "embreex", "filelock")
 NEEDS = {
     "demo": (*_SOLVER, "bpy"),
     "solve": _SOLVER,

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from iris_addon.errors import BadInput, IrisError
-from iris_addon.result.json_files import plain, read_json, write_json
+from iris_addon.json_files import plain, read_json, write_json
 
 RECORD = "frames.json"
 

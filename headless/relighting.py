@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from iris_addon.capture.types import View
 from iris_addon.errors import BadInput
+from iris_addon.json_files import read_json
 from iris_addon.progress import Progress
 from iris_addon.result.edits import SceneEdit
 from iris_addon.result.edits_json import insertion_edits, relight_edit
 from iris_addon.result.io import load_result
-from iris_addon.result.json_files import read_json
 from iris_addon.result.types import Result
 
 from .outcome import Outcome

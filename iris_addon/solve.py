@@ -29,6 +29,7 @@ from .emission.hidden import HiddenSources, find_hidden, nothing_hidden
 from .emission.search import choose_outside
 from .emission.types import LightProblem, Lights
 from .errors import BadInput
+from .folder_lock import sole_writer
 from .photo_samples import PhotoSamples, sample_photos
 from .photometry import Photometry, measure_photometry
 from .preview import write_previews
@@ -64,11 +65,15 @@ def solve(
     """Recover response, exposures, lights and materials; write the result folder ``out``.
 
     Raises:
-        BadInput: a photo cannot be read, or the photos say nothing.
+        BadInput: a photo cannot be read, the photos say nothing, or another process is solving into ``out``.
         Cancelled: finished stages stay in ``out`` for ``resume``.
         IrisError: the disk is full.
     """
-    progress = progress or Progress()
+    with sole_writer(out):
+        return _solve(capture, config, out, progress or Progress(), resume)
+
+
+def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress, resume: bool) -> Result:
     progress.expect(WEIGHTS | JOINT_WEIGHT if config.joint else WEIGHTS)
     checkpoints = Checkpoints(out / "checkpoints", fingerprint(capture, config), resume)
     unit = 1.0

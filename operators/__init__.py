@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from . import apply, check, data, export, panel, place, preferences, preview, review, settings, solve, watch
+from . import apply, check, data, export, match, panel, place, preferences, preview, review, settings, solve, watch
 
 CLASSES = (
     preferences.IrisPreferences,
@@ -28,6 +28,7 @@ CLASSES = (
     review.IRIS_OT_confidence,
     apply.IRIS_OT_apply,
     apply.IRIS_OT_restore,
+    match.IRIS_OT_match_photo,
     place.IRIS_OT_place,
     export.IRIS_OT_export,
     panel.IRIS_UL_views,

@@ -8,6 +8,7 @@ import bpy
 
 from ..iris_addon.blender.camera import set_frame
 from ..iris_addon.blender.capture_in import photo_of
+from ..iris_addon.blender.photo_look import follow_photo
 from .data import start_import
 from .polls import NeedsReader
 
@@ -66,6 +67,7 @@ def look_at_photo(context: bpy.types.Context, index: int) -> None:
     scene = context.scene
     if not 0 <= index < len(scene.iris.views):
         return
+    follow_photo(scene, scene.iris.views[index].name)
     camera = scene.iris.views[index].camera
     if camera is None or camera.name not in scene.objects:
         return

@@ -28,6 +28,7 @@ from .watch import run
 
 CAPTURE = "iris_capture"
 """Custom property of a room: the capture it is of."""
+COLMAP_FILES = [f"{part}.{kind}" for part in ("cameras", "images", "points3D") for kind in ("bin", "txt")]
 DEMO = ADDON / "assets" / "demo_room"
 
 
@@ -40,7 +41,7 @@ class IRIS_OT_import_capture(NeedsReader, bpy.types.Operator):  # noqa: N801 - B
 
     filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
     directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
-    filter_glob: bpy.props.StringProperty(default="*.json", options={"HIDDEN"})
+    filter_glob: bpy.props.StringProperty(default="*.json;*.bin;*.txt", options={"HIDDEN"})
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         """Ask for the file or folder, unless one was dropped."""
@@ -57,6 +58,8 @@ class IRIS_OT_import_capture(NeedsReader, bpy.types.Operator):  # noqa: N801 - B
         # A folder is known by its poses; a file elsewhere (dropped, or chosen by name) stands for itself.
         if path.name == "transforms.json":
             path = path.parent.parent if path.parent.name == "train" else path.parent
+        elif path.name in COLMAP_FILES:
+            path = path.parent
         settings = context.scene.iris
         choose_capture(settings, path)
         return start_import(self, context)
@@ -119,6 +122,8 @@ class IRIS_OT_add_capture(bpy.types.Operator):  # noqa: N801 - Blender's naming
             present = {view.name: view.camera for view in settings.views if view.camera is not None}
             present = {name: camera for name, camera in present.items() if camera.name in scene.objects}
             cameras = refresh_capture(inspected, scene, settings.room, present)
+            if APPLIED not in scene:  # a result of another mesh was taken off
+                settings.lamps.clear()
         else:
             if settings.room is not None:
                 _put_away(settings.room)
@@ -212,12 +217,12 @@ def _fill(settings: bpy.types.PropertyGroup, inspected: Inspected, cameras: list
 
 
 class IRIS_FH_capture(bpy.types.FileHandler):  # noqa: N801 - Blender's naming
-    """Drop a transforms.json into the 3D view."""
+    """Drop a transforms.json, or a file of COLMAP's binary model, into the 3D view."""
 
     bl_idname = "IRIS_FH_capture"
     bl_label = "IRIS Capture"
     bl_import_operator = "iris.import_capture"
-    bl_file_extensions = ".json"
+    bl_file_extensions = ".json;.bin"
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:

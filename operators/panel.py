@@ -8,9 +8,10 @@ import bpy
 
 from ..iris_addon.blender import jobs, lamps
 from ..iris_addon.blender.onto_objects import APPLIED
+from ..iris_addon.blender.photo_look import MATCHED
 from ..iris_addon.blender.review import model_lines
 from ..iris_addon.errors import IrisError
-from ..iris_addon.result.json_files import read_json
+from ..iris_addon.json_files import read_json
 from . import project
 from .pieces import job_box, paragraph, preview_box
 from .preferences import ROOT_PACKAGE, solver_python
@@ -222,6 +223,9 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         lights = [thing.name for thing in scene.objects if thing.type == "LIGHT" and not thing.hide_render]
         if lights:
             paragraph(layout, f"Shine as well: {', '.join(lights[:3])}", context, "INFO")
+        matched = MATCHED in scene
+        text = "Renders Match the Photo" if matched else "Match Photo"
+        layout.operator("iris.match_photo", text=text, icon="CAMERA_DATA", depress=matched).on = not matched
         row = layout.row(align=True)
         row.prop(settings, "placed", text="")
         row.operator("iris.place", text="Place", icon="MESH_UVSPHERE").thing = settings.placed

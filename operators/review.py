@@ -7,8 +7,9 @@ from __future__ import annotations
 import bpy
 
 from ..iris_addon.blender.capture_in import show_instead
-from ..iris_addon.blender.review import curve_image, read_curve, review_image, reviewed_views, show_confidence
+from ..iris_addon.blender.review import curve_image, review_image, reviewed_views, show_confidence
 from ..iris_addon.errors import IrisError
+from ..iris_addon.result.io import read_response
 from .polls import NeedsResult
 from .project import folder
 from .watch import show_in_editor
@@ -35,7 +36,7 @@ class IRIS_OT_review(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's
         settings, out = context.scene.iris, folder(context.scene)
         try:
             if self.kind == "curve":
-                image = curve_image(read_curve(out))
+                image = curve_image(read_response(out)[0].samples)
             else:
                 shown = reviewed_views(out)
                 name = settings.views[settings.view_index].name if settings.views else ""

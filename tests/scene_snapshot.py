@@ -6,6 +6,8 @@ from typing import Any
 import bpy
 import numpy as np
 
+from iris_addon.blender.version import composites, compositor_tree
+
 KINDS = ("meshes", "materials", "images", "worlds", "objects", "node_groups", "collections", "textures")
 
 
@@ -21,6 +23,11 @@ def snapshot(scene: bpy.types.Scene) -> dict[str, Any]:
             (scene.render.resolution_x, scene.render.resolution_y),
             (view.view_transform, view.look, view.exposure),
             sorted(key for key in scene.keys() if key.startswith("iris_")),  # noqa: SIM118
+        ),
+        "compositing": (
+            scene.render.use_compositing,
+            scene.render.dither_intensity,
+            _tree(compositor_tree(scene)) if composites(scene) else None,
         ),
         "blocks": {
             kind: sorted((block.name, block.use_fake_user) for block in getattr(bpy.data, kind)) for kind in KINDS
@@ -39,6 +46,11 @@ def _object(thing: bpy.types.Object) -> tuple:
         sorted(thing.keys()),
         sorted(collection.name for collection in thing.users_collection),
     )
+
+
+def _tree(tree: bpy.types.NodeTree) -> tuple:
+    links = [(a.from_node.name, a.from_socket.identifier, a.to_node.name, a.to_socket.identifier) for a in tree.links]
+    return sorted((node.name, node.bl_idname) for node in tree.nodes), sorted(links)
 
 
 def _mesh(mesh: bpy.types.Mesh) -> tuple:

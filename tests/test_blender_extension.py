@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from iris_addon.capture import read_capture
 from iris_addon.result.io import save_result
 from tests.blender_home import ROOT, blender_ext, build_package, fake_solver, in_blender
 from tests.blender_room import box, room
-from tests.box_room import RoomCapture, box_mesh
+from tests.box_room import RoomCapture, box_mesh, write_mesh
+from tests.colmap_model import camera_of, poses, write_binary
 
 pytestmark = [
     pytest.mark.bpy,
@@ -208,7 +210,7 @@ def test_a_capture_comes_in_by_the_menu_and_by_being_dropped(package, tmp_path, 
         handler = bpy.types.FileHandler.bl_rna_get_subclass_py("IRIS_FH_capture")
         over = lambda area: handler.poll_drop(N(area=area))
         assert over(N(type="VIEW_3D")) and not over(N(type="IMAGE_EDITOR")) and not over(None)
-        assert handler.bl_file_extensions == ".json"
+        assert handler.bl_file_extensions == ".json;.bin"
         entries = []
         layout = N(operator=lambda name, text: entries.append(name))
         for draw in bpy.types.TOPBAR_MT_file_import._dyn_ui_initialize():
@@ -220,6 +222,28 @@ def test_a_capture_comes_in_by_the_menu_and_by_being_dropped(package, tmp_path, 
         dropped = {str(nerfstudio_room.root / "transforms.json")!r}
         assert bpy.ops.iris.import_capture("INVOKE_DEFAULT", filepath=dropped) == {{"FINISHED"}}
         assert len(scene.iris.views) == 6 and scene.iris.room is not None
+        """,
+    )
+
+
+def test_a_model_of_colmap_comes_in_by_any_of_its_files(package, tmp_path, worker, nerfstudio_room):
+    capture = read_capture(nerfstudio_room.root)
+    model = nerfstudio_room.root / "sparse" / "0"
+    model.mkdir(parents=True)
+    write_binary(model, camera_of(capture), poses(capture))
+    photos = nerfstudio_room.root / "images"
+    photos.mkdir(exist_ok=True)
+    for photo in nerfstudio_room.photos:
+        photo.rename(photos / photo.name)
+    nerfstudio_room.transforms.unlink()
+    in_blender(
+        package,
+        tmp_path,
+        f"""
+        preferences.python = {str(worker)!r}
+        assert bpy.ops.iris.import_capture(filepath={str(model / "images.bin")!r}) == {{"FINISHED"}}
+        assert sorted(v.name for v in scene.iris.views) == {sorted(view.name for view in capture.views)!r}
+        assert scene.iris.room is not None
         """,
     )
 
@@ -327,6 +351,9 @@ def test_things_are_set_onto_the_surface_they_are_pointed_at(package, tmp_path, 
 
 def test_a_capture_that_has_changed_is_taken_in_by_checking_again(package, tmp_path, worker, nerfstudio_room):
     """Poses, lenses and mesh onto the objects that are there; what is no capture takes nothing away."""
+    higher = tmp_path / "higher.ply"
+    mesh = box_mesh()
+    write_mesh(higher, replace(mesh, vertices=mesh.vertices * [1.0, 1.0, 1.01]))
     body = f"""
     import json
     preferences.python = {str(worker)!r}
@@ -348,12 +375,20 @@ def test_a_capture_that_has_changed_is_taken_in_by_checking_again(package, tmp_p
     before = first.matrix_world.translation.copy()
     (capture / "transforms.json").write_text(json.dumps(poses))
     bpy.data.objects.remove(scene.iris.views[3].camera)
-    mesh = capture / poses.get("mesh", "mesh.obj")
     bpy.ops.iris.check()
     bpy.context.view_layer.update()
     assert len(scene.objects) == count and all(view.camera is not None for view in scene.iris.views)
     assert abs((first.matrix_world.translation - before).length - 0.1) < 1e-5
     assert scene.iris.room == room and "iris_applied" in scene  # its mesh is what it was
+
+    assert len(scene.iris.lamps) > 0
+    os.replace({str(higher)!r}, capture / "mesh.ply")
+    height = max(v.co.z for v in room.data.vertices) - min(v.co.z for v in room.data.vertices)
+    bpy.ops.iris.check()
+    now = max(v.co.z for v in room.data.vertices) - min(v.co.z for v in room.data.vertices)
+    assert scene.iris.room == room and len(scene.objects) == count and abs(now - 1.01 * height) < 1e-4
+    assert "iris_applied" not in scene and len(scene.iris.lamps) == 0  # the result is of another mesh
+    assert not [m for m in bpy.data.meshes if not m.users]
     """
     in_blender(package, tmp_path, body)
 

@@ -149,3 +149,53 @@ def test_a_cycles_render_through_the_camera_is_the_developed_render(scene, tmp_p
     show_through_camera(built.scene, layers.outputs["Image"], result.response, EXPOSURE)
     seen = through_blender(built.scene, "render.png", tmp_path)
     assert np.abs(seen - result.response.apply(expected * EXPOSURE)).max() < BYTE
+
+
+@pytest.mark.bpy
+def test_a_scene_matches_one_photo_then_another_and_is_then_what_it_was(scene, tmp_path):
+    from iris_addon.blender.camera import add_camera, look_through
+    from iris_addon.blender.photo_look import follow_photo, match_photo, stop_matching
+    from iris_addon.blender.render import render_linear, set_cycles
+    from iris_addon.blender.scene_out import build_scene
+    from tests.blender_room import camera, room
+    from tests.scene_snapshot import snapshot
+
+    view = camera(24, 18)
+    built = build_scene(room(emission={4: (9, 6, 3)}))
+    set_cycles(built.scene, samples=16, denoise=False, seed=2, max_bounces=4)
+    look_through(built.scene, view, add_camera(view, "view", built.scene.collection))
+    built.scene.view_settings.exposure = 1.5
+    radiance = render_linear(built.scene)
+    before = snapshot(built.scene)
+    exposures = {"bright": EXPOSURE, "dark": EXPOSURE / 8}
+
+    match_photo(built.scene, film(), exposures, "bright")
+    for photo, exposure in (("bright", EXPOSURE), ("dark", EXPOSURE / 8), ("another", 4.5 * EXPOSURE / 8)):
+        follow_photo(built.scene, photo)
+        seen = through_blender(built.scene, "seen.png", tmp_path)
+        assert np.abs(seen - film().apply(radiance * exposure)).max() < BYTE
+    stop_matching(built.scene)
+    assert snapshot(built.scene) == before
+    stop_matching(built.scene)
+    follow_photo(built.scene, "dark")
+    assert snapshot(built.scene) == before
+
+
+@pytest.mark.bpy
+def test_the_camera_comes_last_in_a_compositing_that_is_there(scene):
+    from iris_addon.blender.camera_match import CAMERA_GROUP
+    from iris_addon.blender.photo_look import match_photo, stop_matching
+    from iris_addon.blender.version import compositor_output, own_compositor_tree
+    from tests.scene_snapshot import snapshot
+
+    tree = own_compositor_tree(scene)
+    layers, blur = tree.nodes.new("CompositorNodeRLayers"), tree.nodes.new("CompositorNodeBlur")
+    tree.links.new(layers.outputs["Image"], blur.inputs["Image"])
+    tree.links.new(blur.outputs["Image"], compositor_output(tree))
+    before = snapshot(scene)
+    for _twice in range(2):
+        match_photo(scene, film(), {"a": EXPOSURE}, "a")
+        assert tree.nodes[CAMERA_GROUP].inputs["Image"].links[0].from_node == blur
+        assert sum(node.bl_idname == blur.bl_idname for node in tree.nodes) == 1
+    stop_matching(scene)
+    assert snapshot(scene) == before

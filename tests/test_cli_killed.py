@@ -138,6 +138,30 @@ def test_stopped_in_a_stage_and_resumed(
     assert visible(out) == visible(reference)
 
 
+def test_a_folder_is_solved_by_one_process_until_that_ends(capture: Path, out: Path) -> None:
+    """Another Blender on the same folder is told so and touches nothing; a killed one leaves the folder free."""
+    holder = (
+        "import sys; from pathlib import Path; from iris_addon.folder_lock import sole_writer\n"
+        "with sole_writer(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
+    )
+    before = files_of(out)
+    process = subprocess.Popen(
+        [sys.executable, "-c", holder, str(out)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=RUN.parents[1],
+    )
+    with process:
+        assert process.stdout is not None and process.stdout.readline() == "held\n"
+        refused = solve(capture, out)
+        process.kill()
+    assert refused.returncode == 3
+    assert refused.stderr.startswith(f"error: {out}: is being solved by another program — wait")
+    assert files_of(out) == before
+    assert solve(capture, out).returncode == 0
+
+
 WRITES = {
     "transport opened": ("open", "/.transport-"),
     "transport written": ("os.rename", "/.transport-"),

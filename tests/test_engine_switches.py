@@ -12,9 +12,9 @@ import pytest
 from iris_addon.config import AUTO, FULL, MINIMAL, Refinements, preset
 from iris_addon.emission.given import read_given_emitters
 from iris_addon.errors import BadInput
+from iris_addon.json_files import to_ranges
 from iris_addon.reflectance.gloss import LEVELS, GlossObservations, fit_gloss
 from iris_addon.response.curve import Response, gamma
-from iris_addon.result.json_files import to_ranges
 from iris_addon.result.types import Result
 from iris_addon.solve import solve
 from iris_addon.transport.tracer import Tracer

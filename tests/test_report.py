@@ -8,7 +8,7 @@ import pytest
 
 from iris_addon.capture import load_photo, read_capture
 from iris_addon.capture.types import Capture
-from iris_addon.imaging import read_image
+from iris_addon.imaging import read_image, write_exr
 from iris_addon.result.report_html import write_report
 from iris_addon.result.report_pictures import heat, srgb
 from iris_addon.result.types import Result
@@ -70,6 +70,19 @@ def test_error_of_a_perfect_render_is_black_and_of_a_wrong_one_is_not(solved, tm
     wrong = read_image(tmp_path / "report" / f"{second.name}-error.png")
     assert right.max() <= 6 and wrong.mean() > 30
     assert np.array_equal(read_image(tmp_path / "report" / f"{first.name}-photo.png"), np.round(photo * 255))
+
+
+def test_radiance_photos_are_shown_with_their_median_at_middle_grey(solved, tmp_path):
+    result, capture = solved
+    view = capture.views[0]
+    values = 40.0 * (0.1 + load_photo(view).values)
+    path = tmp_path / "radiance.exr"
+    write_exr(path, values)
+    capture = replace(capture, views=(replace(view, photo=path), *capture.views[1:]))
+    write_report(result, capture, tmp_path, {view.name: load_photo(capture.views[0]).values})
+    shown = {kind: read_image(tmp_path / "report" / f"{view.name}-{kind}.png") for kind in ("photo", "render", "error")}
+    assert np.array_equal(shown["photo"], shown["render"]) and shown["error"].max() <= 6
+    assert np.median(shown["photo"]) == pytest.approx(255 * srgb(np.array(0.18)), abs=1)
 
 
 def test_names_from_files_cannot_write_the_page(solved, tmp_path):

@@ -13,9 +13,9 @@ import trimesh
 
 from iris_addon import imaging
 from iris_addon.errors import BadInput, IrisError
+from iris_addon.json_files import from_ranges, plain, to_ranges
 from iris_addon.response.curve import Response, gamma
 from iris_addon.result.io import load_result, save_result
-from iris_addon.result.json_files import from_ranges, plain, to_ranges
 from tests.result_room import room
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -18,7 +18,7 @@ from mathutils import Matrix, Vector
 from ..array_files import read_arrays
 from ..capture.types import Camera, Mesh
 from ..errors import BadInput
-from ..result.json_files import json_object, numbers, read_json
+from ..json_files import json_object, numbers, read_json
 from .camera import add_camera, look_through, set_lens
 from .onto_objects import APPLIED, ORIGINAL_MESH, restore
 from .scene_out import plain_mesh

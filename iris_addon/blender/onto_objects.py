@@ -23,6 +23,7 @@ from ..errors import BadInput
 from ..result.edits import SceneEdit
 from ..result.types import Result
 from .materials import UV_MAP, add_confidence
+from .photo_look import stop_matching
 from .scene_out import face_materials, plain_mesh
 from .scene_state import forget_scene, keep_scene, restore_scene, show_like_the_photos
 from .world import make_world
@@ -98,6 +99,7 @@ def restore(scene: bpy.types.Scene) -> int:
     kept = [thing for thing in scene.objects if ORIGINAL in thing]
     for thing in kept:
         _restore_object(thing)
+    stop_matching(scene)
     if APPLIED in scene:
         restore_scene(scene)
         forget_scene(scene)

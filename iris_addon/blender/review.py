@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
-from ..result.json_files import numbers, read_json
 from .images import image_from_array
 from .materials import CONFIDENCE
 
@@ -35,15 +34,6 @@ def review_image(folder: Path, view: str, kind: str) -> bpy.types.Image:
     image = bpy.data.images.load(str(path), check_existing=True)
     image.reload()  # an earlier result may have had this name
     return image
-
-
-def read_curve(folder: Path) -> NDArray[np.float64]:
-    """(3, n) samples of the response of the result in ``folder``; raises BadInput."""
-    path = folder / "response.json"
-    samples = read_json(path).get("samples")
-    if isinstance(samples, list) and len(samples) == 3:
-        return numbers(samples, (3, None), "samples", path)
-    return np.tile(numbers(samples, (None,), "samples", path), (3, 1))
 
 
 def curve_image(samples: NDArray[np.floating], name: str = "IRIS Response") -> bpy.types.Image:

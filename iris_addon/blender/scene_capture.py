@@ -23,7 +23,7 @@ import numpy as np
 
 from ..capture.types import Camera, Mesh
 from ..errors import BadInput, IrisError
-from ..result.json_files import json_object, numbers, read_json
+from ..json_files import json_object, numbers, read_json
 from .camera import read_camera
 from .capture_in import photo_of
 from .onto_objects import FaceRun, triangles_of

@@ -106,8 +106,8 @@ def enable_gpu() -> bool:
 def own_compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree:
     """The compositing tree of ``scene``, made and switched on where there is none; what is in it stays."""
     if bpy.app.version < (5, 0, 0):
-        if not scene.use_nodes:
-            scene.use_nodes = True
+        new, scene.use_nodes = scene.node_tree is None, True
+        if new:
             scene.node_tree.nodes.clear()  # it is born with nodes that render whatever scene is open
         return scene.node_tree
     if scene.compositing_node_group is None:
@@ -115,13 +115,30 @@ def own_compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree:
     return scene.compositing_node_group
 
 
+def composites(scene: bpy.types.Scene) -> bool:
+    """Whether renders of ``scene`` pass through a compositing tree."""
+    return compositor_tree(scene) is not None and (bpy.app.version >= (5, 0, 0) or scene.use_nodes)
+
+
+def leave_compositor_tree(scene: bpy.types.Scene) -> None:
+    """Renders of ``scene`` pass through no tree any more; one without nodes goes."""
+    tree = compositor_tree(scene)
+    if bpy.app.version < (5, 0, 0):  # the tree is a part of the scene
+        scene.use_nodes = False
+        return
+    scene.compositing_node_group = None
+    if tree is not None and not tree.users and not tree.nodes:
+        bpy.data.node_groups.remove(tree)
+
+
 def compositor_output(tree: bpy.types.NodeTree) -> bpy.types.NodeSocket:
-    """The socket of ``tree`` that takes the finished picture."""
-    if bpy.app.version < (5, 0, 0):
-        return tree.nodes.new("CompositorNodeComposite").inputs["Image"]
-    if not any(item.item_type == "SOCKET" and item.in_out == "OUTPUT" for item in tree.interface.items_tree):
+    """The socket of ``tree`` that takes the finished picture, made where there is none."""
+    old = bpy.app.version < (5, 0, 0)
+    kind = "CompositorNodeComposite" if old else "NodeGroupOutput"
+    if not old and not any(i.item_type == "SOCKET" and i.in_out == "OUTPUT" for i in tree.interface.items_tree):
         tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
-    return tree.nodes.new("NodeGroupOutput").inputs[0]
+    node = next((node for node in tree.nodes if node.bl_idname == kind), None) or tree.nodes.new(kind)
+    return node.inputs[0]
 
 
 def compositor_math(tree: bpy.types.NodeTree, operation: str) -> bpy.types.Node:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import BadInput
 from ..imaging import IMAGE_SUFFIXES
+from ..json_files import read_json
 
 MAX_JSON_BYTES = 64 * 1024 * 1024
 MAX_ARRAY_BYTES = 16 * 1024 * 1024
@@ -21,15 +21,7 @@ def read_json_object(path: Path) -> dict[str, Any]:
     """The JSON object in ``path``; raises BadInput when missing, too large or anything else than an object."""
     if not path.is_file():
         raise BadInput("no such file", "check the path of the capture", path)
-    if path.stat().st_size > MAX_JSON_BYTES:
-        raise BadInput(f"is larger than {MAX_JSON_BYTES >> 20} MiB", "split the capture into smaller ones", path)
-    try:
-        value = json.loads(path.read_text(encoding="utf-8-sig"))
-    except (ValueError, RecursionError) as error:
-        raise BadInput(f"is not valid JSON ({error})", "export it again", path) from error
-    if not isinstance(value, dict):
-        raise BadInput("does not hold a JSON object", "export it again", path)
-    return value
+    return read_json(path, MAX_JSON_BYTES, "export it again")
 
 
 def frames_of(meta: Mapping[str, Any], path: Path) -> list[dict[str, Any]]:

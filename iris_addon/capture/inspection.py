@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from ..array_files import write_arrays
 from ..imaging import SATURATED, to_codes, write_png
+from ..json_files import write_json
 from ..progress import Progress
-from ..result.json_files import write_json
 from ..transport.tracer import Tracer
 from .alignment import Alignment, align, shrink, small_camera
 from .photos import load_photo

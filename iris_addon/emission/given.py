@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
-from ..result.json_files import from_ranges, json_object, read_json
+from ..json_files import from_ranges, json_object, read_json
 
 
 def read_given_emitters(path: Path, areas: NDArray[np.floating]) -> list[NDArray[np.int64]]:

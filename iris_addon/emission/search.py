@@ -82,7 +82,7 @@ def choose_outside(
     return best
 
 
-def refine_lights(
+def reconsider_lamps(
     problem: LightProblem,
     observed: GroupRadiance,
     lights: Lights,

@@ -15,8 +15,8 @@ from ..capture.fipt import fipt_root, read_fipt_views
 from ..capture.types import Split, View
 from ..errors import BadInput
 from ..imaging import read_exr, read_image, read_map
+from ..json_files import read_json
 from ..response.curve import N_SAMPLES, Response
-from ..result.json_files import read_json
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..emission.candidates import brightness
-from ..emission.search import refine_lights
+from ..emission.search import reconsider_lamps
 from ..emission.solve import mean_radiance
 from ..emission.types import LightProblem, Lights
 from ..progress import Progress
@@ -103,7 +103,7 @@ def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progr
         light_problem = replace(problem.light, brightness=seen, bounce=bounce)
         say = _say(problem, gloss, diffuse)
         cast = _cast_radiance(problem, gloss, diffuse, view_factor)
-        lights = refine_lights(light_problem, cast, lights, say, diffuse.radiance, progress)
+        lights = reconsider_lamps(light_problem, cast, lights, say, diffuse.radiance, progress)
         shading = problem.shading(lights)
         gloss = fit.gloss(problem, lights, shading)
         progress.update((round_ + 1) / rounds)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import BadInput
-from ..result.json_files import read_json
+from ..json_files import read_json
 from .curve import N_SAMPLES, Response
 
 MAX_BYTES = 16 << 20

@@ -30,10 +30,10 @@ from numpy.typing import NDArray
 
 from ..capture.types import Mesh
 from ..errors import BadInput, IrisError
+from ..json_files import MEND, dump_json, from_ranges, json_object, numbers, read_json, to_ranges
 from ..parallel import cores
 from ..response.curve import N_SAMPLES, Response
 from .glb import encode_glb, read_glb
-from .json_files import MEND, dump_json, from_ranges, json_object, numbers, read_json, to_ranges
 from .types import Emitter, OutsideLight, Result, Textures
 
 SCHEMA_VERSION = 1
@@ -188,7 +188,7 @@ def load_result(folder: Path, read_image: ReadImage | None = None) -> Result:
             folder / "report.json",
         )
     mesh, parts, up = read_glb(folder / "materials" / "mesh.glb")
-    response, exposures = _read_response(folder / "response.json")
+    response, exposures = read_response(folder)
     emitters, outside = _read_emitters(folder / "emitters.json", mesh)
     textures = _read_textures(folder / "materials", read_image or _read_image)
     result = Result(mesh, parts, textures, emitters, outside, response, exposures, report, up)
@@ -199,7 +199,13 @@ def load_result(folder: Path, read_image: ReadImage | None = None) -> Result:
     return result
 
 
-def _read_response(path: Path) -> tuple[Response, dict[str, NDArray[np.float64]]]:
+def read_response(folder: Path) -> tuple[Response, dict[str, NDArray[np.float64]]]:
+    """The recovered camera of the result in ``folder``: its response, and (3,) exposure × white balance by photo.
+
+    Raises:
+        BadInput: it is missing or damaged.
+    """
+    path = folder / "response.json"
     content = read_json(path)
     samples = content.get("samples")
     if isinstance(samples, list) and len(samples) == 3:

@@ -21,6 +21,7 @@ from .report_style import CSS
 from .types import Result
 
 MAX_VIEWS = 6
+MIDDLE_GREY = 0.18
 CHANNELS = ("#d33", "#2a2", "#36d")
 
 
@@ -34,8 +35,8 @@ def write_report(
     """Write ``folder/report.html`` and its pictures.
 
     Args:
-        pictures: re-renders by view name, (H, W, 3) display values in [0, 1], training or held-out views. Without any,
-            maps are shown for a few training views.
+        pictures: re-renders by view name, (H, W, 3), training or held-out views: display values in [0, 1], radiance
+            where the photo is radiance. Without any, maps are shown for a few training views.
         gallery: further pictures by caption (relit, inserted), (H, W, 3) display values.
 
     Returns:
@@ -92,14 +93,17 @@ def _photos(saver: Pictures, shown: Sequence[View], pictures: Mapping[str, Float
     for view in shown:
         if view.photo is None or view.name not in pictures:
             continue
-        photo, ours = load_photo(view), np.clip(pictures[view.name], 0.0, 1.0)
-        if photo.hdr:  # radiance has no display values to compare with
-            continue
-        error = np.abs(ours - photo.values).mean(-1) * photo.valid
+        photo = load_photo(view)
+        theirs, ours = photo.values, pictures[view.name]
+        if photo.hdr:  # radiance is looked at with its median at middle grey
+            scale = MIDDLE_GREY / max(float(np.median(theirs[photo.valid])), 1e-9)
+            theirs, ours = srgb(theirs * scale), srgb(ours * scale)
+        theirs, ours = np.clip(theirs, 0.0, 1.0), np.clip(ours, 0.0, 1.0)
+        error = np.abs(ours - theirs).mean(-1) * photo.valid
         kind = "held out" if view.split == "val" else "used"
         rows.append(
             '<div class="triple">'
-            + saver.figure(f"{view.name}-photo", photo.values, f"{view.name}: photo ({kind})")
+            + saver.figure(f"{view.name}-photo", theirs, f"{view.name}: photo ({kind})")
             + saver.figure(f"{view.name}-render", ours, "re-render")
             + saver.figure(f"{view.name}-error", heat(error * ERROR_GAIN), f"error × {ERROR_GAIN:g}")
             + "</div>"

@@ -28,12 +28,8 @@ MEAN_SCHLICK = 1 / 21
 
 def schlick(cosine: NDArray[np.floating]) -> NDArray[np.floating]:
     """S, (1 − c)^5, of cosines to the normal, any shape."""
-    return fifth_power(1.0 - np.clip(cosine, 0.0, 1.0))
-
-
-def fifth_power(x: NDArray[np.floating]) -> NDArray[np.floating]:
-    """x^5 of an array, three products: numpy takes the logarithm for powers beyond the square."""
-    square = x * x
+    x = 1.0 - np.clip(cosine, 0.0, 1.0)
+    square = x * x  # three products: numpy takes the logarithm for powers beyond the square
     return square * square * x
 
 

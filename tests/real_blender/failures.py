@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from .scenario import IMPORT_SECONDS, SOLVE_SECONDS
+from .scenario import IMPORT_SECONDS, SOLVE_SECONDS, use_scene
 from .session import Session, until
 from .stage import Stage
 
@@ -169,6 +169,7 @@ AFTER_KILL: tuple[Callable[[Stage], str], ...] = (
     reopened,
     disk_full,
     photo_missing,
+    use_scene,
     python_without_torch,
     closed,
 )

@@ -185,6 +185,20 @@ def switch_off(stage: Stage) -> str:
     return f"{lamps[number]}: {sum(bright) / 3:.3f} to {sum(dark) / 3:.3f}"
 
 
+def match_photo(stage: Stage) -> str:
+    """Match Photo: the render through the recovered camera is another one; switched off, nothing is left of it."""
+    session = stage.session
+    before = session.ask("content()")
+    plain = stage.render("12_not_matched")
+    session.press("iris.match_photo")
+    until(lambda: stage.value("get('iris_matched')"), "the camera is in the compositing", 20)
+    matched = stage.render("12_matched")
+    assert max(abs(a - b) for a, b in zip(plain, matched, strict=True)) > 0.01, (plain, matched)
+    session.press("iris.match_photo")
+    assert session.ask("content()") == before, stage.difference(before)
+    return f"{sum(plain) / 3:.3f} to {sum(matched) / 3:.3f}"
+
+
 def add_object(stage: Stage) -> str:
     """Add > Mesh > first entry, then render it in the room's light."""
     session = stage.session
@@ -244,6 +258,21 @@ def enable_again(stage: Stage) -> str:
     return "twice"
 
 
+def use_scene(stage: Stage) -> str:
+    """In a Blender of its own: Restore Originals, then Use This Scene; room and cameras become a capture."""
+    session = stage.session
+    photos = stage.value("iris.views.keys()")
+    session.press("iris.restore")
+    session.press("iris.use_scene")
+    until(lambda: stage.value("iris.source") == "SCENE", "the scene is the source", 20)
+    until(lambda: session.ask("job('inspect')")["state"] != "running", "the scene is checked", IMPORT_SECONDS)
+    assert session.ask("job('inspect')")["state"] == "done", session.ask("job('inspect')")
+    until(lambda: stage.value("iris.views.keys()"), "the photos are listed", 20)
+    assert len(stage.value("iris.views.keys()")) == len(photos)
+    stage.photograph("17_use_scene")
+    return f"{len(photos)} photos, {len(stage.value('iris.warnings').splitlines())} warnings"
+
+
 STEPS: tuple[Callable[[Stage], str], ...] = (
     install,
     choose_solver,
@@ -255,6 +284,7 @@ STEPS: tuple[Callable[[Stage], str], ...] = (
     review,
     apply,
     switch_off,
+    match_photo,
     add_object,
     place_object,
     enable_again,

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..atomic_files import atomic_write
-from ..errors import BadInput
+from .atomic_files import atomic_write
+from .errors import BadInput
 
 MAX_JSON_BYTES = 256 << 20
 MEND = "restore the file or solve again"
@@ -44,18 +44,18 @@ def plain(value: object) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """The JSON object in ``path``; raises BadInput."""
+def read_json(path: Path, largest: int = MAX_JSON_BYTES, mend: str = "correct or restore the file") -> dict[str, Any]:
+    """The JSON object in ``path``; raises BadInput, also for more than ``largest`` bytes, which are not read."""
     try:
-        if path.stat().st_size > MAX_JSON_BYTES:
-            raise BadInput(f"is larger than {MAX_JSON_BYTES >> 20} MiB", MEND, path)
+        if path.stat().st_size > largest:
+            raise BadInput(f"is larger than {largest >> 20} MiB", mend, path)
         content = json.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise BadInput(f"cannot be read ({error.strerror})", "check the path, or restore the file", path) from error
     except (ValueError, RecursionError) as error:
-        raise BadInput(f"is not valid JSON ({error})", "correct or restore the file", path) from error
+        raise BadInput(f"is not valid JSON ({error})", mend, path) from error
     if not isinstance(content, dict):
-        raise BadInput("is not a JSON object", "correct or restore the file", path)
+        raise BadInput("is not a JSON object", mend, path)
     return content
 
 
