@@ -18,6 +18,7 @@ from .root import Root
 START_SECONDS = 180.0
 ANSWER_SECONDS = 180.0
 ROW_PIXELS = 12  # a button is 20 high
+EDGE_PIXELS = 12  # at the lower edge, where buttons are cut off and a press would drag the edge
 MARGIN_PIXELS = 5  # left of every list, which would take the wheel for itself
 PAGE_NOTCHES = 8  # of the mouse wheel
 
@@ -123,13 +124,14 @@ class Session:
         """Middle of the first button whose operator or property contains ``name``, along vertical lines (shares of the
         width) through what is visible of a region; None where there is none."""
         left, top, width, height = self.region(area, region, window)
-        rows = range(top + 4, top + height - 3, ROW_PIXELS)
+        rows = range(top + 4, top + height - EDGE_PIXELS, ROW_PIXELS)
         # What comes next is mostly just below what came last.
         ahead = sorted(rows, key=lambda y: (y < self._last_y - 2 * ROW_PIXELS, y))
         for y in ahead:
             for x in (left + column * width for column in columns):
                 if name in self.hovered(x, y, window):
-                    hits = [near for near in range(y - 12, y + 22, 4) if name in self.hovered(x, near, window)] or [y]
+                    around = range(y - 12, min(y + 22, top + height - EDGE_PIXELS), 4)
+                    hits = [near for near in around if name in self.hovered(x, near, window)] or [y]
                     self._last_y = hits[len(hits) // 2]
                     return x, self._last_y
         return None
