@@ -7,7 +7,7 @@ The model is that of FIPT (Wu et al. 2023, eq. 5) and IRIS: base colour a, rough
     a'(ωo) = kd + ks ∫ F0 D G + ∫ F1 D G        (integrals over ωi with the cosine and 1 / (4 n·ωi n·ωo) inside)
 
 F1 is Schlick's (1 − h·ωi)^5 there. Here it is what makes F that of a dielectric of IOR 1.5 (:func:`grazing_fresnel`):
-renderers reflect that, and Schlick's curve is up to a fifth below it between 50 and 75 degrees.
+renderers reflect that, and Schlick's curve is a fifth below it at 60 degrees.
 
 The two integrals depend on σ and n·ωo alone and are tabulated on first use. Single scattering only: at high roughness
 F0 + F1 integrate to less than 1, the energy of further bounces between microfacets is lost, as in the model itself.
