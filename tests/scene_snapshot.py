@@ -30,10 +30,16 @@ def snapshot(scene: bpy.types.Scene) -> dict[str, Any]:
             _tree(compositor_tree(scene)) if composites(scene) else None,
         ),
         "blocks": {
-            kind: sorted((block.name, block.use_fake_user) for block in getattr(bpy.data, kind)) for kind in KINDS
+            kind: sorted((block.name, block.use_fake_user) for block in getattr(bpy.data, kind) if not _is_shown(block))
+            for kind in KINDS
         },
         "meshes": {mesh.name: _mesh(mesh) for mesh in bpy.data.meshes},
     }
+
+
+def _is_shown(block: bpy.types.ID) -> bool:
+    """Whether it is what Blender keeps a render or a viewer's picture in."""
+    return isinstance(block, bpy.types.Image) and block.source == "VIEWER"
 
 
 def _object(thing: bpy.types.Object) -> tuple:
