@@ -8,8 +8,8 @@ import bpy
 from bpy_extras.view3d_utils import region_2d_to_origin_3d, region_2d_to_vector_3d
 
 from ..iris_addon.blender.carried import Carried
-from ..iris_addon.blender.onto_objects import APPLIED
 from ..iris_addon.errors import BadInput
+from .polls import NeedsApplied
 from .settings import PLACEABLE, SELECTED
 
 NOTCH, NOTCH_DEGREES = 1.1, 15.0
@@ -17,7 +17,7 @@ NOTCH, NOTCH_DEGREES = 1.1, 15.0
 HELP = "Click: leave it there    Wheel: size (× {size:.2f})    Shift Wheel: turn ({turn:.0f}°)    Esc: cancel"
 
 
-class IRIS_OT_place(bpy.types.Operator):  # noqa: N801 - Blender's naming
+class IRIS_OT_place(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
     """Set something onto the surface under the mouse. Wheel: size; Shift and wheel: turn; click: leave it there"""
 
     bl_idname = "iris.place"
@@ -35,14 +35,6 @@ class IRIS_OT_place(bpy.types.Operator):  # noqa: N801 - Blender's naming
     direction: bpy.props.FloatVectorProperty(
         name="Towards", description="Where it goes, to the first surface", options={"HIDDEN", "SKIP_SAVE"}
     )
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """There is light to be placed in."""
-        if APPLIED not in context.scene:
-            cls.poll_message_set("Apply a result first")
-            return False
-        return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Place it where the line of sight meets the room."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..iris_addon.blender import jobs
+from ..iris_addon.blender.onto_objects import APPLIED
 from .preferences import solver_python
 from .project import inspection_folder, result_key
 
@@ -29,5 +30,17 @@ class NeedsResult:
         """There is one."""
         if not result_key(context.scene):
             cls.poll_message_set("Solve first")  # type: ignore[attr-defined]
+            return False
+        return True
+
+
+class NeedsApplied:
+    """Mixin of operators on a room that is lit by the recovered light."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """A result was applied."""
+        if APPLIED not in context.scene:
+            cls.poll_message_set("Apply a result first")  # type: ignore[attr-defined]
             return False
         return True

@@ -75,7 +75,8 @@ def test_error_of_a_perfect_render_is_black_and_of_a_wrong_one_is_not(solved, tm
 def test_radiance_photos_are_shown_with_their_median_at_middle_grey(solved, tmp_path):
     result, capture = solved
     view = capture.views[0]
-    values = 40.0 * (0.1 + load_photo(view).values)
+    grey = load_photo(view).values.mean(-1, keepdims=True)
+    values = np.repeat(40.0 * (0.1 + grey), 3, axis=-1)
     path = tmp_path / "radiance.exr"
     write_exr(path, values)
     capture = replace(capture, views=(replace(view, photo=path), *capture.views[1:]))

@@ -21,7 +21,7 @@ def read_json_object(path: Path) -> dict[str, Any]:
     """The JSON object in ``path``; raises BadInput when missing, too large or anything else than an object."""
     if not path.is_file():
         raise BadInput("no such file", "check the path of the capture", path)
-    return read_json(path, MAX_JSON_BYTES, "export it again")
+    return read_json(path, MAX_JSON_BYTES, "export it again, a very large capture in parts")
 
 
 def frames_of(meta: Mapping[str, Any], path: Path) -> list[dict[str, Any]]:

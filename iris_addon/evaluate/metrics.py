@@ -35,7 +35,7 @@ def to_ldr(radiance: FloatArray, response: Response, exposure: float | FloatArra
 
 
 def grey_exposure(radiance: FloatArray) -> float:
-    """The exposure that puts the median luminance of ``radiance`` (H, W, 3) at middle grey, 0.18."""
+    """The exposure that puts the median luminance of ``radiance`` (..., 3) at middle grey, 0.18."""
     return MIDDLE_GREY / max(float(np.median(radiance @ LUMINANCE)), 1e-12)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,7 +79,7 @@ class PartFits:
         spread = np.sqrt(np.bincount(self.part, off**2)) / np.bincount(self.part, say)
         return np.where(n > 1, spread * np.sqrt(n / np.maximum(n - 1, 1)), np.abs(mean))
 
-    @property
+    @cached_property
     def _say(self) -> NDArray[np.float64]:
         """(n,) observations of each patch, by weight."""
         return np.asarray(np.bincount(self.patch, self.weight, len(self.part)), np.float64)

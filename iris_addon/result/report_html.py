@@ -16,12 +16,12 @@ from ..atomic_files import atomic_write
 from ..capture import load_photo
 from ..capture.types import Capture, View
 from ..evaluate.maps import MapRenderer, ViewMaps
+from ..evaluate.metrics import grey_exposure
 from .report_pictures import ERROR_GAIN, FloatArray, Pictures, heat, srgb
 from .report_style import CSS
 from .types import Result
 
 MAX_VIEWS = 6
-MIDDLE_GREY = 0.18
 CHANNELS = ("#d33", "#2a2", "#36d")
 
 
@@ -96,8 +96,8 @@ def _photos(saver: Pictures, shown: Sequence[View], pictures: Mapping[str, Float
         photo = load_photo(view)
         theirs, ours = photo.values, pictures[view.name]
         if photo.hdr:  # radiance is looked at with its median at middle grey
-            scale = MIDDLE_GREY / max(float(np.median(theirs[photo.valid])), 1e-9)
-            theirs, ours = srgb(theirs * scale), srgb(ours * scale)
+            exposure = grey_exposure(theirs[photo.valid])
+            theirs, ours = srgb(theirs * exposure), srgb(ours * exposure)
         theirs, ours = np.clip(theirs, 0.0, 1.0), np.clip(ours, 0.0, 1.0)
         error = np.abs(ours - theirs).mean(-1) * photo.valid
         kind = "held out" if view.split == "val" else "used"
