@@ -29,9 +29,14 @@ MASK = "mask.json"
 SWEEP = preset("draft", max_patches=8_000, gather_rays=48, shadow_rays=32, specular_rays=4, atlas_size=512, rounds=1)
 """`draft` for captures of half the size: a sweep is hundreds of solves, and looks for decibels, not for tenths."""
 CLOSED_ROOM = Refinements(
-    channel_curves=False, white_balance=False, corrected_exposures=False, exponent=False, hidden_light=False
+    channel_curves=False,
+    white_balance=False,
+    corrected_exposures=False,
+    exponent=False,
+    hidden_light=False,
+    poses=False,
 )
-"""One curve, one exposure per photo as it was recorded, no light but that of surfaces the photos show."""
+"""One curve, exposures and poses as they were recorded, no light but that of surfaces the photos show."""
 Setting = object
 Settings = Callable[[Path, Path], dict[str, Setting]]
 """(capture folder, scratch folder) to fields of SolveConfig; raises BadInput where the capture lacks what is needed."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .calibration import Calibration
+from .cameras.fit import CameraFit
 from .capture.types import Capture
 from .compute import peak_memory_bytes
 from .config import SolveConfig
@@ -178,7 +178,7 @@ def _outside(problem: LightProblem, lights: Lights, backdrop: NDArray[np.float64
 def report_figures(
     config: SolveConfig,
     capture: Capture,
-    calibration: Calibration,
+    cameras: CameraFit,
     tracer: Tracer,
     surface: Surface,
     transport: Transport,
@@ -199,7 +199,7 @@ def report_figures(
         "n_patches": int(transport.n_patches),
         "n_views": len(capture.views),
         "model": {
-            "camera": calibration.report(),
+            "camera": cameras.report(),
             "response": photometry.report(),
             "lamps": len(lights.emitters),
             "unseen_lamps": int(_unseen(problem.light, lights).sum()),
@@ -209,5 +209,5 @@ def report_figures(
             "diffuse": {"lobe": problem.diffuse.lobe, "gain_of_burley": round(problem.diffuse.gain, 4)},
             "pixels_per_patch": round(surface.pixels_per_patch, 2),
         },
-        "warnings": [*capture.warnings, *calibration.warnings, *photometry.warnings],
+        "warnings": [*capture.warnings, *cameras.warnings, *photometry.warnings],
     }

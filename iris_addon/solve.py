@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .assembly import make_result, report_figures
-from .calibration import calibrate
+from .cameras.fit import fit_cameras
 from .capture.exposures import with_unit_mean
 from .capture.types import Capture
 from .checkpoint import Checkpoints, fingerprint
@@ -82,13 +82,13 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         capture = replace(capture, views=views)
     with progress.stage("photos"):
         tracer = Tracer(capture.mesh)
-        capture, calibration = calibrate(capture, tracer, progress)
+        capture, cameras = fit_cameras(capture, tracer, config.refinements.poses, config.rng(8), progress)
         photos = sample_photos(capture, tracer, config.hdr is not None, progress)
     with progress.stage("surface"):
         adjacency = edge_adjacency(capture.mesh)
         parts = split_parts(capture.mesh, adjacency, tracer.normals, photos.samples, photos.z)
-        cameras = [view.camera for view in capture.views]
-        photos = replace(photos, mixed=mixed_pixels(tracer, photos.samples, parts, cameras, photos.stride))
+        taken_by = [view.camera for view in capture.views]
+        photos = replace(photos, mixed=mixed_pixels(tracer, photos.samples, parts, taken_by, photos.stride))
         surface = build_surface(capture.mesh, photos.samples, parts, config.max_patches, config.rng(1))
         field = IrradianceField.build(surface)
     with progress.stage("transport"):
@@ -135,7 +135,7 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         result = result.with_exposures_times(unit)
     result.report.update(
         report_figures(
-            config, capture, calibration, tracer, surface, transport, photometry, problem, lights, gloss, progress
+            config, capture, cameras, tracer, surface, transport, photometry, problem, lights, gloss, progress
         )
     )
     result.report["model"].update(joint)

@@ -1,5 +1,10 @@
 """Cycles renders of a hand-made room: the physics, the pixel grid, and what an edit changes."""
 
+import json
+import subprocess
+import sys
+from pathlib import Path
+
 import bpy
 import numpy as np
 import pytest
@@ -15,6 +20,7 @@ from tests.blender_room import box, camera, room
 
 pytestmark = pytest.mark.bpy
 
+ROOT = Path(__file__).resolve().parents[1]
 QUICK = {"samples": 16, "denoise": False}
 
 
@@ -214,3 +220,43 @@ def test_degenerate_and_double_faces_keep_their_numbers():
     assert len(data.polygons) == len(faces)
     corners = np.array([[data.vertices[v].co[:] for v in polygon.vertices] for polygon in data.polygons])
     np.testing.assert_allclose(corners, mesh.vertices[faces])
+
+
+KEPT = """
+import ctypes, json, sys
+from dataclasses import replace
+import numpy as np
+from iris_addon.blender.render import render_camera, set_cycles
+from iris_addon.blender.scene_out import build_scene
+from iris_addon.capture.types import Mesh
+from tests.blender_room import camera, room
+
+def resident():
+    ctypes.CDLL("libc.so.6").malloc_trim(0)
+    return int(open("/proc/self/statm").read().split()[1]) * 4096 / 2**20
+
+side = 400
+x, y = np.meshgrid(np.linspace(-1, 1, side), np.linspace(-1, 1, side))
+corner = np.arange(side * side).reshape(side, side)
+a, b, c, d = (corner[r, s].ravel() for r in (slice(-1), slice(1, None)) for s in (slice(-1), slice(1, None)))
+faces = np.concatenate([np.stack([a, b, d], -1), np.stack([a, d, c], -1)])
+vertices = np.stack([x.ravel(), y.ravel(), np.full(side**2, -0.9)], -1)
+floor = Mesh(vertices, faces, np.zeros((len(faces), 3, 2), np.float32))
+built = build_scene(replace(room(), mesh=floor, parts=np.zeros(len(faces), np.int32), emitters=()))
+set_cycles(built.scene, samples=1, denoise=False, seed=0, max_bounces=1)
+render_camera(built, camera())
+before = resident()
+built.free()
+print(json.dumps(before - resident()))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is read from /proc")
+def test_a_renderer_keeps_nothing_of_a_scene_that_is_gone():
+    """What it kept pointed to the scene: some builds of the next one ended in a segmentation fault.
+
+    Of a floor of 318 000 triangles nothing was given back as long as the renderer kept its copy and BVH, 70 MiB and
+    more since it does not.
+    """
+    ran = subprocess.run([sys.executable, "-c", KEPT], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert json.loads(ran.stdout.splitlines()[-1]) > 30

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from iris_addon.calibration import calibrate
+from iris_addon.cameras.calibration import calibrate
 from iris_addon.capture.correction import CameraCorrection
 from iris_addon.capture.types import Capture, Mesh, View
 from iris_addon.emission.backdrop import MIN_SHARE, fit_backdrop

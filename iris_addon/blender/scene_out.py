@@ -44,6 +44,9 @@ class BuiltScene:
 
     def free(self) -> None:
         """Remove the scene and every datablock that was made for it."""
+        # What a renderer keeps between renders would outlive the scene it points to, and Blender walks over it when the
+        # next scene is built: now and then onto memory that is no longer there.
+        self.scene.render.use_persistent_data = False
         bpy.data.batch_remove(self.owned)
         self.owned = set()
 

@@ -1,19 +1,28 @@
-"""What is wrong with the cameras of a capture as a whole: a focal length, a principal point, an offset from the poses.
+"""What is wrong with the cameras of a capture: with all a focal length, a principal point, an offset; with each a pose.
 
-RGB-D recorders often give the poses and the focal length of the depth camera to photos of the colour camera beside it.
+RGB-D recorders often give the poses and the focal length of the depth camera to photos of the colour camera beside it,
+and the poses themselves drift.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from .types import Camera, View
+from .rigid import rigid, twist
+from .types import Camera, FloatArray, View
 
 SAME_FIELD = 1e-3
+SAME_POSE = 1e-4
+NEIGHBOURS = 4
+NEAR = (0.3, 0.3)
+"""Radians and metres over which a correction fades away from the photo that it was found for."""
+PREDICTED = 0.7
+"""Neighbours speak for each other where what they leave of their corrections is smaller than that, relative."""
 
 
 @dataclass(frozen=True)
@@ -70,3 +79,78 @@ class CameraCorrection:
             raise ValueError("not a camera correction")
         of, focal, cx, cy, x, y = numbers.tolist()
         return CameraCorrection(of, focal, (cx, cy), (x, y))
+
+
+@dataclass(frozen=True)
+class PoseCorrections:
+    """A correction for each photo, and for cameras near them what their neighbours have.
+
+    Attributes:
+        given: (N, 4, 4) camera to world of the photos before.
+        twists: (N, 6) rotation vector and translation in the frame of each camera.
+        smooth: whether photos near each other are off alike, as those of a tracker that drifts are.
+    """
+
+    given: FloatArray
+    twists: FloatArray
+    smooth: bool
+
+    @staticmethod
+    def between(given: Sequence[Camera], found: Sequence[Camera]) -> PoseCorrections:
+        """The corrections that make the cameras ``found`` of those ``given``."""
+        before = np.array([camera.c2w for camera in given])
+        twists = np.array([twist(np.linalg.inv(a) @ b.c2w) for a, b in zip(before, found, strict=True)])
+        corrections = PoseCorrections(before, twists, True)
+        left = np.array([corrections._predicted(pose, skip=k) for k, pose in enumerate(before)]) - twists
+        size, left = (np.linalg.norm(part.reshape(-1, 2, 3), axis=-1) for part in (twists, left))
+        return replace(corrections, smooth=bool((np.median(left, 0) < PREDICTED * np.median(size, 0)).all()))
+
+    def sizes(self) -> FloatArray:
+        """(N, 2) radians and metres."""
+        return np.linalg.norm(self.twists.reshape(-1, 2, 3), axis=-1)
+
+    def camera(self, camera: Camera) -> Camera:
+        """The camera of a photo as it was found, another one as its neighbours are off if those are off alike."""
+        away = self._away(camera.c2w)
+        nearest = int(away.argmin())
+        if away[nearest] < SAME_POSE:
+            correction = self.twists[nearest]
+        elif self.smooth:
+            correction = self._predicted(camera.c2w)
+        else:
+            return camera
+        return replace(camera, c2w=camera.c2w @ rigid(correction))
+
+    def _away(self, pose: FloatArray) -> NDArray[np.float64]:
+        """(N,) how far the photos were taken from a camera, 1 where their corrections have faded."""
+        cosine = (np.einsum("nij,ij->n", self.given[:, :3, :3], pose[:3, :3]) - 1) / 2
+        turn = np.arccos(np.clip(cosine, -1, 1))
+        return turn / NEAR[0] + np.linalg.norm(self.given[:, :3, 3] - pose[:3, 3], axis=1) / NEAR[1]
+
+    def _predicted(self, pose: FloatArray, skip: int = -1) -> FloatArray:
+        """(6,) mean of the nearest photos' corrections, those further away counting less, and none beside them."""
+        away = self._away(pose)
+        if skip >= 0:
+            away[skip] = np.inf
+        near = np.argsort(away)[:NEIGHBOURS]
+        say = 1 / (away[near] + 0.02) ** 2
+        return say @ self.twists[near] / (say.sum() + 1)
+
+    def content(self) -> dict[str, Any]:
+        """Plain values for report.json."""
+        return {
+            "given": np.round(self.given[:, :3].reshape(-1, 12), 6).tolist(),
+            "twists": np.round(self.twists, 6).tolist(),
+            "smooth": self.smooth,
+        }
+
+    @staticmethod
+    def from_content(content: Mapping[str, Any]) -> PoseCorrections:
+        """Inverse of :meth:`content`; raises KeyError, TypeError or ValueError for anything else."""
+        twists = np.array(content["twists"], float).reshape(-1, 6)
+        given = np.array(content["given"], float).reshape(-1, 3, 4)
+        if len(given) != len(twists) or not len(given) or not (np.isfinite(given).all() and np.isfinite(twists).all()):
+            raise ValueError("not corrections of poses")
+        poses = np.tile(np.eye(4), (len(given), 1, 1))
+        poses[:, :3] = given
+        return PoseCorrections(poses, twists, bool(content["smooth"]))

@@ -17,7 +17,7 @@ from ..config import AUTO, Refinements
 from . import family
 from .curve import Response
 from .observations import Observations
-from .overlap_problem import MIN_EXPOSURE_SPREAD, OverlapProblem
+from .overlap_problem import MIN_EXPOSURE_SPREAD, MIN_UNKNOWN_SPREAD, OverlapProblem
 
 MAX_PATCHES = 1_500
 FLAT = 0.04
@@ -118,8 +118,10 @@ def fit_overlap(
 
 def _of_one_exposure(problem: OverlapProblem) -> bool:
     """Whether photos were taken alike, by their own account and by that of the exposures that are known."""
-    known = 0.0 if problem.log_t is None else float(problem.log_t.std() / np.log(2))
-    return max(known, replace(problem, log_t=None).exposure_spread()) < MIN_EXPOSURE_SPREAD
+    seen = replace(problem, log_t=None).exposure_spread()
+    if problem.log_t is None:
+        return seen < MIN_UNKNOWN_SPREAD
+    return max(float(problem.log_t.std() / np.log(2)), seen) < MIN_EXPOSURE_SPREAD
 
 
 def _fit_curves(

@@ -24,8 +24,8 @@ ROBUST_SCALE = 0.01
 """Display-value residual at which an observation starts to count as an outlier (a highlight, a moved object)."""
 WHITE_BALANCE_GAIN = 0.9
 UNKNOWN_PRIOR_WEIGHT = 30.0
-MIN_EXPOSURE_SPREAD = 0.5
-"""Stops; below, exposures vary too little to tell the curve."""
+MIN_EXPOSURE_SPREAD, MIN_UNKNOWN_SPREAD = 0.5, 0.25
+"""Stops; below, exposures vary too little to tell the curve. Where they are unknown the prior holds it faster."""
 PRIOR_WEIGHT = 1.0
 """The prior over curves counts as much as one observation that is off by ROBUST_SCALE."""
 MONOTONICITY_WEIGHT = 1e4

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..capture.rigid import rotation
 from ..errors import BadInput
 from .edits import Light, Material, ObjectFile, Panorama, PointLight, Primitive, Quad, Sphere, SpotLight, SunLight
 from .edits_objects import read_object
@@ -25,7 +26,6 @@ from .json_values import (
     one_of,
     vector,
 )
-from .motion import rotation_about
 
 FloatArray = NDArray[np.float64]
 
@@ -78,7 +78,7 @@ def read_lights(
         light = json_map(light, here)
         kind = one_of(light.get("type", "area"), KINDS, f"{here}.type")
         turns, center = _turntable(light.get("turntable"), f"{here}.turntable")
-        turn = Turn(center, rotation_about(np.asarray(up, float), 2 * np.pi * turns * time))
+        turn = Turn(center, rotation(np.asarray(up, float) * 2 * np.pi * turns * time))
         if kind == "mesh":
             objects.append(_emissive_mesh(light, here, folder, time))
         elif kind == "hdri":

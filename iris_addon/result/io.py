@@ -193,9 +193,9 @@ def load_result(folder: Path, read_image: ReadImage | None = None) -> Result:
     textures = _read_textures(folder / "materials", read_image or _read_image)
     result = Result(mesh, parts, textures, emitters, outside, response, exposures, report, up)
     try:
-        result.camera_correction  # noqa: B018 - read once, so that a damaged report is told here
+        result.as_taken([])  # so that a damaged report is told here
     except (KeyError, TypeError, ValueError) as error:
-        raise BadInput("'model.camera.correction' is no camera correction", MEND, folder / "report.json") from error
+        raise BadInput("'model.camera' holds no corrections of cameras", MEND, folder / "report.json") from error
     return result
 
 

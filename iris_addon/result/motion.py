@@ -10,8 +10,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..capture.rigid import rotation, rotation_vector
 from ..capture.types import Camera
 from ..errors import BadInput
 from .json_values import Json, array, json_list, json_map, known_keys, whole
@@ -83,18 +83,11 @@ def camera_at(move: Json, cameras: Sequence[Camera], up: Sequence[float], time: 
     known_keys(orbit, {"center", "turns"}, "camera.orbit")
     center = array(orbit.get("center"), (3,), "camera.orbit.center")
     turns = float(array(orbit.get("turns", 1.0), (), "camera.orbit.turns"))
-    turn = rotation_about(np.asarray(up, float), 2 * np.pi * turns * time)
+    turn = rotation(np.asarray(up, float) * 2 * np.pi * turns * time)
     c2w = np.array(camera.c2w, float)
     c2w[:3, :3] = turn @ c2w[:3, :3]
     c2w[:3, 3] = turn @ (c2w[:3, 3] - center) + center
     return replace(camera, c2w=c2w)
-
-
-def rotation_about(axis: NDArray[np.floating], angle: float) -> NDArray[np.float64]:
-    """(3, 3) rotation by ``angle`` radians about the unit vector ``axis`` (Rodrigues' formula)."""
-    x, y, z = axis
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
 
 
 def _pick(cameras: Sequence[Camera], index: Any, where: str) -> Camera:
@@ -118,7 +111,7 @@ def _along(stops: Sequence[Camera], time: float) -> Camera:
     )
     c2w = np.eye(4)
     first, second = stops[k].c2w[:3, :3], stops[k + 1].c2w[:3, :3]
-    c2w[:3, :3], c2w[:3, 3] = _turned(first, second, s), position
+    c2w[:3, :3], c2w[:3, 3] = rotation(s * rotation_vector(second @ first.T)) @ first, position
     lens = {
         name: (1 - s) * getattr(stops[k], name) + s * getattr(stops[k + 1], name) for name in ("fx", "fy", "cx", "cy")
     }
@@ -133,15 +126,3 @@ def _along(stops: Sequence[Camera], time: float) -> Camera:
         lens["cy"] * scale_y,
         c2w,
     )
-
-
-def _turned(first: NDArray[np.floating], second: NDArray[np.floating], share: float) -> NDArray[np.float64]:
-    """The rotation that is ``share`` of the way from ``first`` to ``second``, (3, 3) each."""
-    between = second @ first.T
-    angle = float(np.arccos(np.clip((np.trace(between) - 1) / 2, -1.0, 1.0)))
-    axis = np.array([between[2, 1] - between[1, 2], between[0, 2] - between[2, 0], between[1, 0] - between[0, 1]])
-    if angle < 1e-9:
-        return np.asarray(first, float)
-    if np.linalg.norm(axis) < 1e-9:  # half a turn: every axis of the eigenvalue 1 will do
-        axis = np.linalg.eigh(between + between.T)[1][:, -1]
-    return rotation_about(axis / np.linalg.norm(axis), share * angle) @ first

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..capture.correction import CameraCorrection
+from ..capture.correction import CameraCorrection, PoseCorrections
 from ..capture.types import Mesh, View
 from ..response.curve import Response
 from ..transport.diffuse import DiffuseLobe
@@ -97,6 +97,12 @@ class Result:
         correction = self._model("camera").get("correction")
         return CameraCorrection.from_content(correction) if isinstance(correction, dict) else None
 
+    @property
+    def pose_corrections(self) -> PoseCorrections | None:
+        """What the solve found wrong with the poses of single photos, as report.json has it; None if nothing."""
+        corrections = self._model("camera").get("poses")
+        return PoseCorrections.from_content(corrections) if isinstance(corrections, dict) else None
+
     def with_exposures_times(self, factor: float) -> Result:
         """The same photos explained by exposures times ``factor`` and radiance that is less by it."""
         outside = self.outside
@@ -118,8 +124,9 @@ class Result:
 
     def as_taken(self, views: Iterable[View]) -> list[View]:
         """Views of the capture, which it gives by the same cameras as its photos, as these cameras were found to be."""
-        correction = self.camera_correction
-        return [view if correction is None else correction.view(view) for view in views]
+        together, single = self.camera_correction, self.pose_corrections
+        taken = [view if together is None else together.view(view) for view in views]
+        return taken if single is None else [replace(view, camera=single.camera(view.camera)) for view in taken]
 
     def face_emission(self) -> NDArray[np.float64]:
         """(F, 3) radiance each face emits."""

@@ -1,4 +1,4 @@
-"""Cameras meet mesh: whether one correction of all cameras makes the photos agree better on the surface.
+"""All cameras together: whether one correction of them makes the photos agree better on the surface.
 
 Each photo is painted onto the mesh; where cameras are wrong, photos of the same place disagree. The disagreement is
 measured on small cells of the surface, after a gain per photo, and lowered over five numbers that all photos share. On
@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 from scipy.optimize import minimize
 
-from .capture import load_photo
-from .capture.correction import CameraCorrection
-from .capture.types import Capture, View
-from .progress import Progress
-from .transport.tracer import Tracer
+from ..capture import load_photo
+from ..capture.correction import CameraCorrection
+from ..capture.types import Capture, View
+from ..progress import Progress
+from ..transport.tracer import Tracer
 
 RAYS = 120_000
 """Pixels over all photos that one trial traces."""

@@ -1,0 +1,49 @@
+"""Cameras meet mesh: corrected all together, then one by one, as far as photos agree better for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..capture.types import Capture
+from ..progress import Progress
+from ..transport.tracer import Tracer
+from .calibration import Calibration, calibrate
+from .registration import Registration, register
+
+
+@dataclass(frozen=True)
+class CameraFit:
+    """What was found wrong with the cameras."""
+
+    calibration: Calibration
+    registration: Registration
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should know."""
+        return self.calibration.warnings + self.registration.warnings
+
+    def report(self) -> dict[str, Any]:
+        """For report.json."""
+        return self.calibration.report() | self.registration.report()
+
+
+def fit_cameras(
+    capture: Capture, tracer: Tracer, poses: bool | None, rng: np.random.Generator, progress: Progress
+) -> tuple[Capture, CameraFit]:
+    """The capture with cameras that fit its mesh.
+
+    Args:
+        poses: whether single poses are corrected; None lets photos decide.
+
+    Raises:
+        BadInput: a photo cannot be read.
+    """
+    capture, calibration = calibrate(capture, tracer, progress)
+    if poses is False:
+        return capture, CameraFit(calibration, Registration(None, 0.0))
+    capture, registration = register(capture, tracer, rng, progress, forced=bool(poses))
+    return capture, CameraFit(calibration, registration)

@@ -1,0 +1,262 @@
+"""Cameras one by one: whether correcting each pose makes photos agree better on the surface.
+
+Poses of a scan drift by pixels, and what a photo shows is then painted beside where it is. After Zhou & Koltun 2014
+(Color Map Optimization for 3D Reconstruction with Consumer Depth Cameras): points of the surface take the mean of what
+photos show there, each photo is moved (Gauss-Newton, six numbers) to where it shows that, in turns and from coarse to
+fine. What is compared is local contrast, which exposure and smooth shading leave alone. On sound poses there is nothing
+to gain on points that were not fitted, which the gain needed makes sure is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from ..capture import load_photo
+from ..capture.alignment import shrink
+from ..capture.correction import PoseCorrections
+from ..capture.rigid import rigid, twist
+from ..capture.types import Camera, Capture, View
+from ..parallel import over_blocks
+from ..progress import Progress
+from ..transport.tracer import Tracer
+from .sightings import Floats, SurfacePoints, local_position, pixel_coordinates, seen_points
+
+POINTS = 24_000
+"""Points of the surface that are looked for in all photos; every second one is held out."""
+MAX_SIGHTINGS = 300_000
+"""Of either half; with more, points are left out."""
+WIDTHS = (100, 250, 500)
+"""Pixels in a row of the photos on each level."""
+ROUNDS = (8, 5, 5)
+"""Turns of means and poses on each level."""
+TRIAL_ROUNDS = 3
+PROMISING = 0.96
+"""Disagreement, relative to the given poses', that so many turns have to reach for the rest to be worth its time."""
+GAIN_NEEDED = 0.2
+"""Relative fall of the disagreement on points that were not fitted."""
+BLUR, SURROUNDINGS = 1.0, 5.0
+"""Pixels of a level: local contrast is the difference of two blurs."""
+FLOOR = 0.05
+"""Display value added before the logarithm: shadows are noise."""
+CLIPPED = 0.98
+"""Display value from which a photo is blown."""
+USABLE = 0.9
+"""Share of a pixel's surroundings that must not be."""
+ROBUST = 0.1
+"""Difference of contrast, natural log of brightness, from which a photo is taken to show something else."""
+EXPECTED = np.array([0.01, 0.01, 0.01, 0.02, 0.02, 0.02])
+"""Radians and metres by which poses may well be off."""
+PRIOR = 5.0
+"""Observations, off by ROBUST, that a pose off by as much counts as."""
+
+
+@dataclass(frozen=True)
+class Registration:
+    """Corrections that were found, None where the given poses stay, and what they gained on points not fitted."""
+
+    corrections: PoseCorrections | None
+    gain: float
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should know."""
+        if self.corrections is None:
+            return ()
+        angle, distance = np.median(self.corrections.sizes(), axis=0)
+        return (
+            f"the photos agree on the mesh only with their poses moved by {np.degrees(angle):.1f}° and "
+            f"{1000 * distance:.0f} mm (medians), and so they were",
+        )
+
+    def report(self) -> dict[str, Any]:
+        """For report.json."""
+        poses = None if self.corrections is None else self.corrections.content()
+        return {"poses": poses, "poses_gain": round(self.gain, 4)}
+
+
+def register(
+    capture: Capture, tracer: Tracer, rng: np.random.Generator, progress: Progress, *, forced: bool = False
+) -> tuple[Capture, Registration]:
+    """The capture with its training cameras corrected one by one if that earns its place.
+
+    Args:
+        forced: correct them whatever is gained.
+
+    Raises:
+        BadInput: a photo cannot be read.
+    """
+    given = [view.camera for view in capture.views]
+    photos = _brightness(capture.views, progress)
+    fitted, held_out = SurfacePoints.of(given, tracer, POINTS, rng).halves()
+    seen, test = (_Sightings.of(points, given, tracer, rng) for points in (fitted, held_out))
+    found, before = given, 0.0
+    for level, (width, rounds) in enumerate(zip(WIDTHS, ROUNDS, strict=True)):
+        pictures = _pictures(photos, width)
+        if level:
+            seen = _Sightings.of(fitted, found, tracer, rng)
+        before = test.disagreement(pictures, given)
+        for turn in range(rounds):
+            progress.update((level + turn / rounds) / len(WIDTHS))
+            found = seen.turn(pictures, given, found)
+            tried = level == 0 and turn + 1 == TRIAL_ROUNDS and not forced
+            if tried and not test.disagreement(pictures, found) < PROMISING * before:
+                return capture, Registration(None, 0.0)
+    gain = 1 - test.disagreement(pictures, found) / max(before, 1e-9)
+    if gain < GAIN_NEEDED and not forced:
+        return capture, Registration(None, gain)
+    views = tuple(replace(view, camera=camera) for view, camera in zip(capture.views, found, strict=True))
+    return replace(capture, views=views), Registration(PoseCorrections.between(given, found), gain)
+
+
+def _brightness(views: Sequence[View], progress: Progress) -> list[NDArray[np.floating]]:
+    """Per photo (h, w, 2) log brightness and the share of each pixel that can be compared, at the finest width."""
+    photos: list[NDArray[np.floating]] = [np.empty(0)] * len(views)
+
+    def read(index: int) -> None:
+        photo = load_photo(views[index])
+        brightness = np.maximum(photo.values.mean(-1), 0)
+        if photo.hdr:
+            brightness = brightness / max(3 * float(np.median(brightness)), 1e-9)
+        usable = photo.valid & (photo.hdr | (photo.values.max(-1) < CLIPPED))
+        photos[index] = _shrunk(np.stack([np.log(brightness + FLOOR), usable], -1), WIDTHS[-1])
+
+    over_blocks(len(views), 1, lambda one: read(one.start), lambda _share: progress.update(0.0))
+    return photos
+
+
+def _shrunk(image: NDArray[np.floating], width: int) -> NDArray[np.floating]:
+    """``image`` (h, w, C) with at most ``width`` pixels in a row."""
+    if image.shape[1] <= width:
+        return image
+    return shrink(image, max(2, round(image.shape[0] * width / image.shape[1])), width)
+
+
+def _pictures(photos: Sequence[NDArray[np.floating]], width: int) -> list[NDArray[np.float32]]:
+    """Per photo (h, w, 3) local contrast and its derivatives by image coordinates in widths; NaN where it is blown."""
+    pictures: list[NDArray[np.float32]] = [np.empty(0, np.float32)] * len(photos)
+
+    def draw(index: int) -> None:
+        log, usable = np.moveaxis(_shrunk(photos[index], width), -1, 0)
+        contrast = gaussian_filter(log, BLUR) - gaussian_filter(log, SURROUNDINGS)
+        down, right = np.gradient(contrast)
+        picture = np.stack([contrast, right * log.shape[1], down * log.shape[1]], -1)
+        picture[gaussian_filter(usable, BLUR) < USABLE] = np.nan
+        pictures[index] = picture.astype(np.float32)
+
+    over_blocks(len(photos), 1, lambda one: draw(one.start))
+    return pictures
+
+
+@dataclass(frozen=True)
+class _Sightings:
+    """Points of the surface in photos: m sightings, sorted by photo.
+
+    Attributes:
+        position: (n, 3) of the points.
+        point: (m,) of each sighting.
+        rows: its slice of the sightings, per photo.
+    """
+
+    position: Floats
+    point: NDArray[np.int64]
+    rows: Sequence[slice]
+
+    @staticmethod
+    def of(points: SurfacePoints, cameras: Sequence[Camera], tracer: Tracer, rng: np.random.Generator) -> _Sightings:
+        """What ``cameras`` see of ``points`` that three of them see at least; no more of it than need be."""
+        seen = [seen_points(points, camera, tracer) for camera in cameras]
+        often = np.bincount(np.concatenate(seen), minlength=len(points.position)) >= 3
+        total = sum(int(often[index].sum()) for index in seen)
+        often &= rng.random(len(often)) * total < MAX_SIGHTINGS
+        seen = [index[often[index]] for index in seen]
+        ends = np.cumsum([0, *map(len, seen)])
+        rows = [slice(start, stop) for start, stop in pairwise(ends)]
+        return _Sightings(points.position, np.concatenate(seen), rows)
+
+    def disagreement(self, pictures: Sequence[NDArray[np.float32]], cameras: Sequence[Camera]) -> float:
+        """Cauchy loss of what photos show of a point around what they show in the mean; 0 where they show nothing."""
+        _, off = self._against_means(self._look(pictures, cameras)[0])
+        off = off[np.isfinite(off)]
+        return float(np.mean(np.log1p(off**2))) if len(off) else 0.0
+
+    def turn(
+        self, pictures: Sequence[NDArray[np.float32]], given: Sequence[Camera], cameras: Sequence[Camera]
+    ) -> list[Camera]:
+        """``cameras`` after a step of Gauss-Newton towards each other's means, held by those ``given``.
+
+        All are moved at once and the means with them: moved one by one, photos that agree with each other would hold
+        each other where they are.
+        """
+        value, slope = self._look(pictures, cameras)
+        say, off = np.nan_to_num(self._against_means(value))
+        jacobian = np.where(say[:, None] > 0, slope * (EXPECTED / ROBUST), 0.0)
+        weighted = say[:, None] * jacobian
+        n, size = len(self.position), 6 * len(cameras)
+        of_points = np.zeros((n, len(cameras), 6), np.float32)
+        hessian, gradient = PRIOR * np.eye(size), np.zeros(size)
+        for k, (camera, expected, rows) in enumerate(zip(cameras, given, self.rows, strict=True)):
+            own = slice(6 * k, 6 * k + 6)
+            of_points[self.point[rows], k] = weighted[rows]
+            hessian[own, own] += weighted[rows].T @ jacobian[rows]
+            so_far = twist(np.linalg.inv(expected.c2w) @ camera.c2w) / EXPECTED
+            gradient[own] = off[rows] @ weighted[rows] + PRIOR * so_far
+        total = np.maximum(np.bincount(self.point, say, n), 1e-9).astype(np.float32)
+        by_mean = of_points.reshape(n, size) / np.sqrt(total)[:, None]
+        steps = np.linalg.solve(hessian - by_mean.T @ by_mean, -gradient).reshape(-1, 6) * EXPECTED
+        return [replace(camera, c2w=camera.c2w @ rigid(step)) for camera, step in zip(cameras, steps, strict=True)]
+
+    def _look(
+        self, pictures: Sequence[NDArray[np.float32]], cameras: Sequence[Camera]
+    ) -> tuple[Floats, NDArray[np.float64]]:
+        """Contrast (m,) at the points, and its derivatives (m, 6) by the twist of the camera in its own frame."""
+        value, slope = np.empty(len(self.point)), np.empty((len(self.point), 6))
+
+        def look(index: int) -> None:
+            camera, rows = cameras[index], self.rows[index]
+            local = local_position(camera, self.position[self.point[rows]])
+            seen = _interpolated(pictures[index], pixel_coordinates(camera, local) / camera.width)
+            # u = f x / depth, v = -f y / depth; a camera that moves by t and turns by r carries the point q of its
+            # frame to q - t - r x q.
+            depth = -local[:, 2]
+            du, dv = seen[:, 1] * camera.fx / camera.width, seen[:, 2] * camera.fy / camera.width
+            by_depth = (du * local[:, 0] - dv * local[:, 1]) / depth
+            by_point = np.stack([du, -dv, by_depth], -1) / depth[:, None]
+            value[rows], slope[rows, :3], slope[rows, 3:] = seen[:, 0], -np.cross(local, by_point), -by_point
+
+        over_blocks(len(cameras), 1, lambda one: look(one.start))
+        return value, slope
+
+    def _against_means(self, value: Floats) -> tuple[Floats, Floats]:
+        """Weight (m,) of each sighting and its difference from the robust mean of its point, in units of ROBUST."""
+        known = np.isfinite(value)
+        n, point, shown = len(self.position), self.point[known], value[known]
+        say, off = np.ones(len(shown)), np.zeros(len(shown))
+        for _ in range(3):
+            mean = np.bincount(point, say * shown, n) / np.maximum(np.bincount(point, say, n), 1e-9)
+            off = (shown - mean[point]) / ROBUST
+            say = 1 / (1 + off**2)
+        both = np.full((2, len(value)), np.nan)
+        both[:, known] = say, off
+        return both[0], both[1]
+
+
+def _interpolated(picture: NDArray[np.float32], at: Floats) -> NDArray[np.float32]:
+    """(n, C) bilinear values of ``picture`` (h, w, C) at image coordinates in widths; NaN outside."""
+    height, width, _ = picture.shape
+    x, y = at[:, 0] * width - 0.5, at[:, 1] * width - 0.5
+    inside = (x >= 0) & (y >= 0) & (x < width - 1) & (y < height - 1)
+    x, y = np.where(inside, x, 0.0), np.where(inside, y, 0.0)
+    i, j = x.astype(np.int64), y.astype(np.int64)
+    s, t = (x - i)[:, None], (y - j)[:, None]
+    top = picture[j, i] * (1 - s) + picture[j, i + 1] * s
+    bottom = picture[j + 1, i] * (1 - s) + picture[j + 1, i + 1] * s
+    values = (top * (1 - t) + bottom * t).astype(np.float32)
+    values[~inside] = np.nan
+    return values
