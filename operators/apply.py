@@ -9,6 +9,7 @@ from ..iris_addon.blender.images import read_image
 from ..iris_addon.blender.lamps import lamp_materials
 from ..iris_addon.blender.materials import LAMP_ID
 from ..iris_addon.blender.onto_objects import APPLIED, FaceRun, apply_to_objects, restore
+from ..iris_addon.blender.photo_cameras import stand_where_found
 from ..iris_addon.blender.scene_capture import read_face_runs, whole_object
 from ..iris_addon.errors import IrisError
 from ..iris_addon.result.io import load_result
@@ -40,10 +41,14 @@ class IRIS_OT_apply(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's 
         finally:
             if context.window is not None:
                 context.window.cursor_set("DEFAULT")
-        if changed:
-            list_lamps(scene, result)
-            show_the_room(context)
-        self.report({"INFO"}, f"{len(result.emitters)} lights" if changed else "This result is applied already")
+        if not changed:
+            self.report({"INFO"}, "This result is applied already")
+            return {"FINISHED"}
+        list_lamps(scene, result)
+        show_the_room(context)
+        moved = stand_where_found(result, capture_cameras(scene), scene)
+        corrected = f", {moved} cameras moved to where the photos fit" if moved else ""
+        self.report({"INFO"}, f"{len(result.emitters)} lights{corrected}")
         return {"FINISHED"}
 
 
@@ -72,6 +77,13 @@ def face_runs(scene: bpy.types.Scene) -> list[FaceRun]:
     if scene.iris.source == "SCENE":
         return read_face_runs(folder(scene))
     return whole_object(scene.iris.room)
+
+
+def capture_cameras(scene: bpy.types.Scene) -> dict[str, bpy.types.Object]:
+    """Cameras of an imported capture by photo; those of Use This Scene are the user's and stay where they are."""
+    if scene.iris.source == "SCENE":
+        return {}
+    return {view.name: view.camera for view in scene.iris.views if view.camera is not None}
 
 
 def show_the_room(context: bpy.types.Context) -> None:

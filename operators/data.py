@@ -18,6 +18,7 @@ from ..iris_addon.blender.capture_in import (
 )
 from ..iris_addon.blender.commands import ADDON, inspect_command
 from ..iris_addon.blender.onto_objects import APPLIED
+from ..iris_addon.blender.photo_cameras import forget_given
 from ..iris_addon.blender.review import sparkline
 from ..iris_addon.blender.scene_capture import read_view_cameras, write_scene_capture
 from ..iris_addon.errors import IrisError
@@ -94,6 +95,8 @@ class IRIS_OT_use_scene(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blende
             if settings.views:  # the folder is that of the capture which was imported
                 settings.result = ""
             settings.source, settings.capture, settings.room = "SCENE", "", None
+            for thing in context.scene.objects:  # cameras are solved where they stand now
+                forget_given(thing)
             # Kept by name: saving the file elsewhere, or under another name, must not lose the result.
             settings.result = str(own_folder(context.scene))
         return start_import(self, context)

@@ -95,6 +95,10 @@ def test_the_same_seed_gives_the_same_poses(painted: tuple[Capture, Tracer]) -> 
 def test_photos_that_no_third_one_overlaps_keep_their_poses(painted: tuple[Capture, Tracer], n_views: int) -> None:
     few = replace(painted[0], views=painted[0].views[:n_views])
     assert register(few, painted[1], np.random.default_rng(0), Progress())[0] is few
+    asked, found = register(few, painted[1], np.random.default_rng(0), Progress(), forced=True)
+    assert found.gain == 0 and all(
+        np.allclose(a.camera.c2w, b.camera.c2w) for a, b in zip(asked.views, few.views, strict=True)
+    )
 
 
 def test_registration_can_be_cancelled(painted: tuple[Capture, Tracer]) -> None:

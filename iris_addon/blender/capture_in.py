@@ -21,6 +21,7 @@ from ..errors import BadInput
 from ..json_files import json_object, numbers, read_json
 from .camera import add_camera, look_through, set_lens
 from .onto_objects import APPLIED, ORIGINAL_MESH, restore
+from .photo_cameras import forget_given
 from .scene_out import plain_mesh
 
 MEND = "check the capture again"
@@ -151,6 +152,7 @@ def refresh_capture(
         camera = present.get(view.name)
         if camera is None:
             camera = _add_view(view, room.parent, room.users_collection[0])
+        forget_given(camera)
         set_lens(camera.data, view.camera)
         camera.matrix_basis = Matrix(view.camera.c2w.tolist())
         camera.data.iris_exposure = view.exposure or 0.0

@@ -23,6 +23,7 @@ from ..errors import BadInput
 from ..result.edits import SceneEdit
 from ..result.types import Result
 from .materials import UV_MAP, add_confidence
+from .photo_cameras import go_back
 from .photo_look import stop_matching
 from .scene_out import face_materials, plain_mesh
 from .scene_state import forget_scene, keep_scene, restore_scene, show_like_the_photos
@@ -100,6 +101,7 @@ def restore(scene: bpy.types.Scene) -> int:
     for thing in kept:
         _restore_object(thing)
     stop_matching(scene)
+    go_back(scene)
     if APPLIED in scene:
         restore_scene(scene)
         forget_scene(scene)

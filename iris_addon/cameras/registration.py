@@ -31,7 +31,7 @@ from .sightings import Floats, SurfacePoints, local_position, pixel_coordinates,
 POINTS = 24_000
 """Points of the surface that are looked for in all photos; every second one is held out."""
 MAX_SIGHTINGS = 300_000
-"""Of either half; with more, points are left out."""
+"""Of either half; with more, points are left out, so that hundreds of photos take seconds and not minutes."""
 WIDTHS = (100, 250, 500)
 """Pixels in a row of the photos on each level."""
 ROUNDS = (8, 5, 5)
@@ -108,7 +108,7 @@ def register(
             tried = level == 0 and turn + 1 == TRIAL_ROUNDS and not forced
             if tried and not test.disagreement(pictures, found) < PROMISING * before:
                 return capture, Registration(None, 0.0)
-    gain = 1 - test.disagreement(pictures, found) / max(before, 1e-9)
+    gain = 1 - test.disagreement(pictures, found) / before if before > 0 else 0.0
     if gain < GAIN_NEEDED and not forced:
         return capture, Registration(None, gain)
     views = tuple(replace(view, camera=camera) for view, camera in zip(capture.views, found, strict=True))
@@ -178,7 +178,8 @@ class _Sightings:
         seen = [index[often[index]] for index in seen]
         ends = np.cumsum([0, *map(len, seen)])
         rows = [slice(start, stop) for start, stop in pairwise(ends)]
-        return _Sightings(points.position, np.concatenate(seen), rows)
+        used, point = np.unique(np.concatenate(seen), return_inverse=True)
+        return _Sightings(points.position[used], point, rows)
 
     def disagreement(self, pictures: Sequence[NDArray[np.float32]], cameras: Sequence[Camera]) -> float:
         """Cauchy loss of what photos show of a point around what they show in the mean; 0 where they show nothing."""
