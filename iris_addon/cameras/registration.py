@@ -23,7 +23,7 @@ from ..capture.alignment import shrink
 from ..capture.correction import PoseCorrections
 from ..capture.rigid import rigid, twist
 from ..capture.types import Camera, Capture, View
-from ..parallel import over_blocks
+from ..parallel import over_blocks, over_each
 from ..progress import Progress
 from ..transport.tracer import Tracer
 from .sightings import Floats, SurfacePoints, local_position, pixel_coordinates, seen_points
@@ -117,18 +117,16 @@ def register(
 
 def _brightness(views: Sequence[View], progress: Progress) -> list[NDArray[np.floating]]:
     """Per photo (h, w, 2) log brightness and the share of each pixel that can be compared, at the finest width."""
-    photos: list[NDArray[np.floating]] = [np.empty(0)] * len(views)
 
-    def read(index: int) -> None:
-        photo = load_photo(views[index])
+    def read(view: View) -> NDArray[np.floating]:
+        photo = load_photo(view)
         brightness = np.maximum(photo.values.mean(-1), 0)
         if photo.hdr:
             brightness = brightness / max(3 * float(np.median(brightness)), 1e-9)
         usable = photo.valid & (photo.hdr | (photo.values.max(-1) < CLIPPED))
-        photos[index] = _shrunk(np.stack([np.log(brightness + FLOOR), usable], -1), WIDTHS[-1])
+        return _shrunk(np.stack([np.log(brightness + FLOOR), usable], -1), WIDTHS[-1])
 
-    over_blocks(len(views), 1, lambda one: read(one.start), lambda _share: progress.update(0.0))
-    return photos
+    return over_each(views, read, lambda _share: progress.update(0.0))
 
 
 def _shrunk(image: NDArray[np.floating], width: int) -> NDArray[np.floating]:
@@ -140,18 +138,16 @@ def _shrunk(image: NDArray[np.floating], width: int) -> NDArray[np.floating]:
 
 def _pictures(photos: Sequence[NDArray[np.floating]], width: int) -> list[NDArray[np.float32]]:
     """Per photo (h, w, 3) local contrast and its derivatives by image coordinates in widths; NaN where it is blown."""
-    pictures: list[NDArray[np.float32]] = [np.empty(0, np.float32)] * len(photos)
 
-    def draw(index: int) -> None:
-        log, usable = np.moveaxis(_shrunk(photos[index], width), -1, 0)
+    def draw(photo: NDArray[np.floating]) -> NDArray[np.float32]:
+        log, usable = np.moveaxis(_shrunk(photo, width), -1, 0)
         contrast = gaussian_filter(log, BLUR) - gaussian_filter(log, SURROUNDINGS)
         down, right = np.gradient(contrast)
         picture = np.stack([contrast, right * log.shape[1], down * log.shape[1]], -1)
         picture[gaussian_filter(usable, BLUR) < USABLE] = np.nan
-        pictures[index] = picture.astype(np.float32)
+        return picture.astype(np.float32)
 
-    over_blocks(len(photos), 1, lambda one: draw(one.start))
-    return pictures
+    return over_each(photos, draw)
 
 
 @dataclass(frozen=True)
