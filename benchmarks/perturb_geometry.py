@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from iris_addon.atomic_files import atomic_write
 from iris_addon.capture.fipt import read_fipt, read_fipt_views
@@ -31,6 +32,8 @@ HOLE_EDGE = 0.15
 HOLE_SIZE = 0.8
 """Metres: wavelength of the random field whose peaks become holes."""
 HOLE_RAYS = 20_000
+LOOKED_AT = 0.15
+"""Metres around what a pixel of a scored view hits that count as looked at."""
 
 
 def shake_mesh(root: Path, _truth: Path, millimetres: float, rng: np.random.Generator) -> str:
@@ -54,10 +57,11 @@ def cut_holes(root: Path, _truth: Path, share: float, rng: np.random.Generator) 
     lamp = _lamp_mask(root, len(whole.faces))[old]
     cameras = [view.camera for view in _scored_views(root)]
     seen = [(tracer.closest(*camera.rays()), camera.rays()[1]) for camera in cameras]
-    last = np.zeros(len(mesh.faces), bool)
-    for hits, _ in seen:
-        last[hits.face[hits.face >= 0]] = True
-    field = _smooth_field(mesh.vertices[mesh.faces].mean(1), rng)
+    center = mesh.vertices[mesh.faces].mean(1)
+    looked_at = np.unique(np.concatenate([hits.face[hits.face >= 0] for hits, _ in seen]))
+    # Triangles may be smaller than pixels: what lies between those that were hit is looked at as well.
+    last = cKDTree(center[looked_at]).query(center, distance_upper_bound=LOOKED_AT)[0] < LOOKED_AT
+    field = _smooth_field(center, rng)
     field = np.where(lamp, -np.inf, field - np.ptp(field) * last)
 
     start, direction = _gather_rays(tracer, seen, rng)

@@ -36,6 +36,7 @@ def problem(floor: tuple[float, float, float], clipped: tuple[bool, bool, bool])
         adjacency=(nothing, nothing),
         brightness=Brightness(value, np.where(bound > 0, np.nan, value), bound),
         hidden=HiddenSources((), np.zeros((0, 3)), np.zeros((N_PATCHES, 0, 2), np.float32)),
+        given=None,
     )
 
 
@@ -127,6 +128,31 @@ def test_a_part_that_clips_is_a_lamp_if_the_room_asks_for_its_light(
     observed = SimpleNamespace(weight=np.ones(N_PATCHES), known=np.ones((N_PATCHES, 3), bool))
     result = selection.with_silent(room, observed, bar, Progress())  # type: ignore[arg-type]
     assert [int(faces[0]) for faces in result.emitters] == ([BAR, WINDOW] if taken else [BAR])
+
+
+def test_a_lamp_that_specks_stood_in_for_is_found_when_they_are_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    room = problem(floor=(1.0, 4.0, 0.1), clipped=(True, True, False))
+    speck = np.array([BAR])
+
+    def with_silent(_problem: object, _observed: object, before: Lights, _progress: object) -> Lights:
+        found = [int(faces[0]) for faces in before.emitters]
+        return before if BAR in found else lights([(WINDOW, 4.0)], irradiance=(0.6, 0.6, 0.5))
+
+    def needed_lamps(_problem: object, _observed: object, tried: Lights, _progress: object) -> list:
+        return [faces for faces in tried.emitters if not np.array_equal(faces, speck)]
+
+    def solved(_problem: object, _observed: object, emitters: list, *_: object, **__: object) -> Lights:
+        return lights([(int(faces[0]), 4.0) for faces in emitters], irradiance=(0.6, 0.6, 0.5))
+
+    monkeypatch.setattr(search, "with_silent", with_silent)
+    monkeypatch.setattr(search, "needed_lamps", needed_lamps)
+    monkeypatch.setattr(search, "solved", solved)
+    monkeypatch.setattr(search, "with_all_rays", solved)
+    monkeypatch.setattr(search, "lights_without_lamps", lambda *_: lights([], irradiance=(0.6, 0.6, 0.5)))
+    monkeypatch.setattr(search, "_candidates", lambda *_: [speck])
+    observed = SimpleNamespace(weight=np.ones(N_PATCHES), known=np.ones((N_PATCHES, 3), bool))
+    result = search.find_lights(room, observed, Progress())  # type: ignore[arg-type]
+    assert [int(faces[0]) for faces in result.emitters] == [WINDOW]
 
 
 def test_a_lamp_has_a_side_between_any_two_sharp_edges() -> None:

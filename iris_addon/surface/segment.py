@@ -15,12 +15,15 @@ from numpy.typing import NDArray
 
 from ..capture.types import Mesh
 from ..response.observations import group_means
-from .parts import initial_parts, pieces_between_edges
+from .parts import initial_parts, pieces_between_edges, smooth_edges
 from .samples import PixelSamples
 
 SCAN_FACES = 20_000
 """A component with so many faces and so large a share of the pixels is a scan, not a modelled object."""
 SCAN_SHARE = 0.3
+COPLANAR, SCAN_COPLANAR = 0.9999, 0.5
+"""Cosine between the normals of neighbours in one plane, and the share of such edges from which a component is
+modelled, however many its faces are: a wall cut fine stays flat, a scanned one is rough."""
 GRANULARITY = 0.6
 """Log-colour step times face count up to which a small region joins whatever it touches."""
 MIN_FACES = 60
@@ -45,7 +48,24 @@ def split_parts(
     parts = initial_parts(mesh, adjacency)
     if mesh.parts is not None:
         return parts
-    return split_scan(split_creases(parts, adjacency, normals, samples), adjacency, normals, samples, z)
+    scanned = scanned_faces(parts, adjacency, normals, samples)
+    parts = split_creases(parts, adjacency, normals, samples, scanned)
+    return split_scan(parts, adjacency, normals, samples, z, scanned) if scanned.any() else parts
+
+
+def scanned_faces(
+    parts: NDArray[np.int32],
+    adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
+    normals: NDArray[np.floating],
+    samples: PixelSamples,
+) -> NDArray[np.bool_]:
+    """(F,) faces of components that were scanned: large in faces and in the photos, and nowhere flat."""
+    size = np.bincount(parts)
+    share = np.bincount(parts[samples.face], minlength=len(size)) / len(samples.face)
+    edges_of = parts[adjacency[0]]
+    flat = np.bincount(edges_of, smooth_edges(normals, adjacency, COPLANAR), len(size))
+    rough = flat < SCAN_COPLANAR * np.bincount(edges_of, minlength=len(size))
+    return ((size >= SCAN_FACES) & (share >= SCAN_SHARE) & rough)[parts]
 
 
 def split_creases(
@@ -53,12 +73,13 @@ def split_creases(
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
     normals: NDArray[np.floating],
     samples: PixelSamples,
+    scanned: NDArray[np.bool_],
 ) -> NDArray[np.int32]:
-    """(F,) parts with the large pieces between sharp edges apart; what is left of a part stays one."""
+    """(F,) parts with the large pieces between sharp edges apart; what is left of a part, or ``scanned``, stays one."""
     piece = pieces_between_edges(normals, adjacency, parts)
     pixels = np.bincount(piece[samples.face], minlength=int(piece.max()) + 1)
-    large = (pixels >= PIECE_SHARE * len(samples.face)) & (np.bincount(piece) < SCAN_FACES)
-    label = np.where(large[piece] & (np.bincount(parts) < SCAN_FACES)[parts], len(parts) + piece, parts)
+    large = pixels >= PIECE_SHARE * len(samples.face)
+    label = np.where(large[piece] & ~scanned, len(parts) + piece, parts)
     return np.unique(label, return_inverse=True)[1].astype(np.int32)
 
 
@@ -68,30 +89,26 @@ def split_scan(
     normals: NDArray[np.floating],
     samples: PixelSamples,
     z: NDArray[np.floating],
+    scanned: NDArray[np.bool_],
 ) -> NDArray[np.int32]:
-    """(F,) parts with scanned components split; modelled objects stay as they are.
+    """(F,) parts with those of ``scanned`` (F,) faces split; modelled objects stay as they are.
 
     Args:
-        parts: (F,) component of each face.
+        parts: (F,) part of each face.
         normals: (F, 3) unit.
         z: (n, 3) display values of the pixels.
     """
     n_faces = len(parts)
-    size = np.bincount(parts)
-    share = np.bincount(parts[samples.face], minlength=len(size)) / len(samples.face)
-    scans = np.flatnonzero((size >= SCAN_FACES) & (share >= SCAN_SHARE))
-    if len(scans) == 0:
-        return parts
     seen = samples.seen_faces(n_faces)
     colour = np.log(group_means(z, samples.face, n_faces) + 0.03)
     a, b = adjacency
-    inside = np.isin(parts[a], scans) & np.isin(parts[b], scans)
+    inside = scanned[a] & scanned[b]
     a, b = a[inside], b[inside]
     step = np.abs(colour[a] - colour[b]).max(1) + 0.3 * (1 - np.abs((normals[a] * normals[b]).sum(1)))
     step[~(seen[a] & seen[b])] = UNSEEN_STEP
     label = _merge(n_faces, a, b, step)
     # Labels of scans go behind those of the other parts.
-    label = np.where(np.isin(parts, scans), len(size) + label, parts)
+    label = np.where(scanned, int(parts.max()) + 1 + label, parts)
     return np.unique(label, return_inverse=True)[1].astype(np.int32)
 
 

@@ -1,0 +1,61 @@
+"""Parts of finely cut models and of scans."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from iris_addon.capture.types import Mesh
+from iris_addon.surface.parts import edge_adjacency
+from iris_addon.surface.samples import PixelSamples
+from iris_addon.surface.segment import SCAN_FACES, split_parts
+from iris_addon.transport.tracer import Tracer
+
+SIDE = 110
+assert 2 * (SIDE - 1) ** 2 > SCAN_FACES
+
+
+def _sheet(roughness: float) -> Mesh:
+    """A square metre of many triangles, folded upright at half its length, its vertices off by ``roughness``."""
+    x, y = np.meshgrid(np.linspace(0, 1, SIDE), np.linspace(0, 1, SIDE), indexing="ij")
+    vertices = np.stack([np.minimum(x, 0.5), y, np.maximum(x - 0.5, 0)], -1).reshape(-1, 3)
+    vertices += np.random.default_rng(0).normal(0, roughness, vertices.shape)
+    corner = np.arange(SIDE * SIDE).reshape(SIDE, SIDE)
+    a, b, c, d = corner[:-1, :-1].ravel(), corner[1:, :-1].ravel(), corner[1:, 1:].ravel(), corner[:-1, 1:].ravel()
+    faces = np.concatenate([np.c_[a, b, c], np.c_[a, c, d]])
+    return Mesh(vertices, faces)
+
+
+def _seen(mesh: Mesh) -> tuple[PixelSamples, NDArray[np.float32]]:
+    """Two pixels per face of a photo of stripes: dark for y < 0.5, light beyond, with noise."""
+    tracer = Tracer(mesh)
+    face = np.repeat(np.arange(len(mesh.faces), dtype=np.int32), 2)
+    n = len(face)
+    center = mesh.vertices[mesh.faces].mean(1)[face].astype(np.float32)
+    column = np.zeros(n, np.float32)
+    normal = tracer.normals[face].astype(np.float32)
+    third = np.full((n, 2), 1 / 3, np.float32)
+    samples = PixelSamples(
+        np.zeros(n, np.int16), np.arange(n, dtype=np.int32), face, third, center, normal, normal, column + 0.01
+    )
+    level = np.where(center[:, 1] < 0.5, 0.2, 0.7)[:, None]
+    z = level * np.random.default_rng(1).normal(1, 0.02, (n, 3))
+    return samples, z.astype(np.float32)
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.0015])
+def test_a_model_is_split_at_its_folds_and_a_scan_at_its_colours(roughness: float):
+    mesh = _sheet(roughness)
+    samples, z = _seen(mesh)
+    parts = split_parts(mesh, edge_adjacency(mesh), Tracer(mesh).normals, samples, z)
+    center = mesh.vertices[mesh.faces].mean(1)
+    upright, light = center[:, 2] > 0.005, center[:, 1] > 0.5
+    assert _purity(parts, upright if roughness == 0 else light) > 0.97
+    if roughness == 0:
+        assert _purity(parts, light) < 0.6
+
+
+def _purity(parts: NDArray[np.integer], side: NDArray[np.bool_]) -> float:
+    """Share of the faces that lie on the side on which most of their part does."""
+    return float(np.maximum(np.bincount(parts, side), np.bincount(parts, ~side)).sum() / len(parts))
