@@ -151,6 +151,17 @@ def make_parser() -> _Parser:
         _add_sampling(command)
         command.add_argument("--gpu", action="store_true", help="render on a GPU where Cycles finds one")
 
+    composite = add("composite", "what was put into the solved room of a .blend, onto the photo its camera took")
+    composite.add_argument("blend", type=Path, metavar="SCENE.blend")
+    composite.add_argument("--result", type=Path, required=True, help="folder of the result that was applied")
+    composite.add_argument(
+        "--photo", type=Path, required=True, metavar="FILE", help="undistorted, as the camera saw it"
+    )
+    composite.add_argument("--view", required=True, metavar="NAME", help="of the photo, for its exposure")
+    composite.add_argument("--out", type=Path, required=True, metavar="FILE.png")
+    _add_sampling(composite, default=128)
+    composite.add_argument("--gpu", action="store_true", help="render on a GPU where Cycles finds one")
+
     camera = add("camera", "response, exposures and white balance as .cube tables and an OpenColorIO configuration")
     camera.add_argument("result", type=Path)
     camera.add_argument("--out", type=Path, required=True)

@@ -16,9 +16,22 @@ from iris_addon.progress import Progress
 from iris_addon.result.io import load_result
 
 from .outcome import Outcome, summarise
-from .relighting import camera, insert, relight, render
+from .relighting import camera, composite, insert, relight, render
 
-__all__ = ["apply", "batch", "camera", "demo", "evaluate", "insert", "inspect", "relight", "render", "solve", "synth"]
+__all__ = [
+    "apply",
+    "batch",
+    "camera",
+    "composite",
+    "demo",
+    "evaluate",
+    "insert",
+    "inspect",
+    "relight",
+    "render",
+    "solve",
+    "synth",
+]
 
 
 def solve(args: argparse.Namespace, progress: Progress) -> Outcome:

@@ -25,6 +25,7 @@ NEEDS = {
     "render": (*_IMAGES, "scipy", "trimesh", "bpy"),
     "relight": (*_IMAGES, "scipy", "trimesh", "bpy"),
     "insert": (*_IMAGES, "scipy", "trimesh", "bpy"),
+    "composite": ("numpy", "bpy"),
     "camera": (*_IMAGES, "trimesh"),
     "synth": (*_IMAGES, "bpy"),
     "evaluate": (*_IMAGES, "scipy", "trimesh", "embreex"),

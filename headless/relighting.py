@@ -1,4 +1,4 @@
-"""The commands that render a solved room: render, relight, insert; and its camera for other programs.
+"""The commands that render a solved room: render, relight, insert, composite; and its camera for other programs.
 
 Each is: read, hand views and edits to Cycles, write every picture as soon as it is there.
 """
@@ -9,7 +9,7 @@ import argparse
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,9 @@ from iris_addon.result.io import load_result
 from iris_addon.result.types import Result
 
 from .outcome import Outcome
-from .pictures import Developer
+
+if TYPE_CHECKING:
+    from .pictures import Developer  # needs packages that `composite`, in Blender's own Python, does without
 
 EditAt = Callable[[float], SceneEdit | None]
 
@@ -36,6 +38,30 @@ def camera(args: argparse.Namespace, progress: Progress) -> Outcome:
     result = load_result(args.result)
     progress.check()
     return Outcome.of("Wrote the camera", {"files": write_luts(args.out, result.response, result.exposures)})
+
+
+def composite(args: argparse.Namespace, progress: Progress) -> Outcome:
+    """What an artist put into the room of a .blend, onto the photo."""
+    from iris_addon.blender.camera_match import median_exposure
+    from iris_addon.blender.photo_composite import RENDERS, composite_file
+    from iris_addon.result.io import read_response
+
+    response, exposures = read_response(args.result)
+    if response.family == "identity":
+        what, fix = "was solved from radiance, so the response of photos is not known", "solve the photos"
+        raise BadInput(what, fix, args.result)
+    exposure = exposures[args.view] if args.view in exposures else median_exposure(exposures)
+    with progress.stage("composite"):
+        composite_file(
+            args.blend,
+            args.photo,
+            args.out,
+            response,
+            exposure,
+            **_sampling(args),
+            on_step=lambda done: progress.update(done / RENDERS),
+        )
+    return Outcome.of("Composited", {"files": [args.out]})
 
 
 def render(args: argparse.Namespace, progress: Progress) -> Outcome:
@@ -225,6 +251,8 @@ def _without_frames(args: argparse.Namespace, option: str) -> None:
 
 
 def _developer(args: argparse.Namespace, result: Result) -> Developer:
+    from .pictures import Developer
+
     return Developer(result, args.out, args.exposure, args.linear)
 
 

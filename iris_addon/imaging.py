@@ -28,8 +28,6 @@ DWA_LEVEL = 120.0
 LDR_SUFFIXES = (".png", ".jpg", ".jpeg")
 HDR_SUFFIXES = (".exr",)
 IMAGE_SUFFIXES = LDR_SUFFIXES + HDR_SUFFIXES
-SATURATED = 254.5 / 255
-"""Display values at or above this are clipped: floor(255 z) = 255 only for z = 1."""
 
 # What Pillow's decoders raise on damaged files. UnidentifiedImageError is an OSError.
 _DECODE_ERRORS = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error, Image.DecompressionBombError)

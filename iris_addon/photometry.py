@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from .capture.types import Capture
 from .config import SolveConfig
-from .imaging import SATURATED
 from .parallel import BLOCK, over_blocks
 from .response import curve
-from .response.curve import Response
+from .response.curve import SATURATED, Response
 from .response.family import FITTED
 from .response.files import read_response
 from .response.observations import Observations

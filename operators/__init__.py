@@ -4,7 +4,22 @@ from __future__ import annotations
 
 import bpy
 
-from . import apply, check, data, export, match, panel, place, preferences, preview, review, settings, solve, watch
+from . import (
+    apply,
+    check,
+    data,
+    export,
+    match,
+    onto_photo,
+    panel,
+    place,
+    preferences,
+    preview,
+    review,
+    settings,
+    solve,
+    watch,
+)
 
 CLASSES = (
     preferences.IrisPreferences,
@@ -29,7 +44,9 @@ CLASSES = (
     apply.IRIS_OT_apply,
     apply.IRIS_OT_restore,
     match.IRIS_OT_match_photo,
+    match.IRIS_OT_mix_lights,
     place.IRIS_OT_place,
+    onto_photo.IRIS_OT_onto_photo,
     export.IRIS_OT_export,
     panel.IRIS_UL_views,
     panel.IRIS_UL_lamps,

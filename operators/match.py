@@ -1,4 +1,4 @@
-"""Renders that look like the photo."""
+"""What happens to renders of a solved room: they look like the photo, and their lights are mixed."""
 # Blender declares properties as annotations.
 # pyright: reportInvalidTypeForm=false
 
@@ -6,11 +6,13 @@ from __future__ import annotations
 
 import bpy
 
-from ..iris_addon.blender.photo_look import match_photo, stop_matching
+from ..iris_addon.blender.light_mixing import start_mixing, stop_mixing
+from ..iris_addon.blender.photo_look import MATCHED, match_photo, stop_matching
 from ..iris_addon.errors import IrisError
 from ..iris_addon.result.io import read_response
 from .polls import NeedsApplied
 from .project import folder
+from .watch import show_in_editor
 
 
 class IRIS_OT_match_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -24,15 +26,50 @@ class IRIS_OT_match_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Ble
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Put the camera at the end of the compositing, or take it out."""
-        scene = context.scene
         if not self.on:
-            stop_matching(scene)
+            stop_matching(context.scene)
             return {"FINISHED"}
-        views = scene.iris.views
         try:
-            response, exposures = read_response(folder(scene))
+            match_shown_photo(context.scene)
         except IrisError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        match_photo(scene, response, exposures, views[scene.iris.view_index].name if views else "")
         return {"FINISHED"}
+
+
+class IRIS_OT_mix_lights(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """A slider per light that changes a finished render: each lamp becomes an object with a light group, mixed in
+    compositing. Off again, everything is as it was"""
+
+    bl_idname = "iris.mix_lights"
+    bl_label = "Mix Lights"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
+
+    on: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Take the lamps apart, or put them back; the recovered camera stays last."""
+        scene = context.scene
+        matched = MATCHED in scene
+        stop_matching(scene)
+        try:
+            if self.on:
+                names = start_mixing(scene)
+                self.report({"INFO"}, f"{len(names)} lights: render (F12), then turn them")
+            else:
+                stop_mixing(scene)
+            if matched:
+                match_shown_photo(scene)
+        except IrisError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        if self.on:  # Blender composites again by itself only where that can be seen
+            show_in_editor(context, "NODE_EDITOR", "tree_type", "CompositorNodeTree")
+        return {"FINISHED"}
+
+
+def match_shown_photo(scene: bpy.types.Scene) -> None:
+    """Let renders of ``scene`` look like the photo that is looked at; raises BadInput without a response."""
+    response, exposures = read_response(folder(scene))
+    views = scene.iris.views
+    match_photo(scene, response, exposures, views[scene.iris.view_index].name if views else "")

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import bpy
 
-from ..iris_addon.blender import jobs, lamps
+from ..iris_addon.blender import jobs, lamps, light_mixing
 from ..iris_addon.blender.onto_objects import APPLIED
 from ..iris_addon.blender.photo_look import MATCHED
 from ..iris_addon.blender.review import model_lines
@@ -226,9 +226,30 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         matched = MATCHED in scene
         text = "Renders Match the Photo" if matched else "Match Photo"
         layout.operator("iris.match_photo", text=text, icon="CAMERA_DATA", depress=matched).on = not matched
+        _mixing(layout, scene)
         row = layout.row(align=True)
         row.prop(settings, "placed", text="")
         row.operator("iris.place", text="Place", icon="MESH_UVSPHERE").thing = settings.placed
+        if settings.views:
+            name = settings.views[min(settings.view_index, len(settings.views) - 1)].name
+            layout.operator("iris.onto_photo", text=f"Put Onto Photo {name}", icon="IMAGE_RGB_ALPHA")
+            job_box(layout, "composite", context)
+
+
+def _mixing(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    """Switch, and a slider and a colour per light of the finished render."""
+    node = light_mixing.mixer(scene)
+    text = "Mix Lights" if node is None else "Lights Are Mixed"
+    layout.operator("iris.mix_lights", text=text, icon="NODE_COMPOSITING", depress=node is not None).on = node is None
+    if node is None:
+        return
+    column = layout.column(align=True)
+    for name, strength, color in light_mixing.sliders(node):
+        split = column.split(factor=0.5, align=True)
+        split.label(text=name.removeprefix("IRIS "))
+        row = split.row(align=True)
+        row.prop(color, "default_value", text="")
+        row.prop(strength, "default_value", text="")
 
 
 class IRIS_UL_lamps(bpy.types.UIList):  # noqa: N801 - Blender's naming

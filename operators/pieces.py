@@ -8,6 +8,7 @@ import bpy
 
 from ..iris_addon.blender import jobs
 from . import preview, project
+from .watch import folder_of
 
 
 def paragraph(layout: bpy.types.UILayout, text: str, context: bpy.types.Context, icon: str = "NONE") -> None:
@@ -22,7 +23,7 @@ def paragraph(layout: bpy.types.UILayout, text: str, context: bpy.types.Context,
 
 def job_box(layout: bpy.types.UILayout, name: jobs.JobName, context: bpy.types.Context) -> None:
     """Bars and Cancel while a job runs; reason, mend, Copy and Log when it failed; nothing when there was none."""
-    folder = project.folder(context.scene) if name == "solve" else project.inspection_folder(context.scene)
+    folder = folder_of(name, context)
     job, record = jobs.running(name, folder), jobs.record(name, folder)
     if job is not None:
         worker = job.worker
@@ -42,7 +43,8 @@ def job_box(layout: bpy.types.UILayout, name: jobs.JobName, context: bpy.types.C
         row.operator("iris.copy_error", icon="COPYDOWN").job = name
         row.operator("iris.show_log", icon="TEXT").job = name
     elif record.state == "cancelled":
-        layout.label(text="Cancelled; finished stages are kept", icon="INFO")
+        kept = "; finished stages are kept" if name == "solve" else ""
+        layout.label(text=f"Cancelled{kept}", icon="INFO")
     elif record.state == "done" and name == "solve":
         layout.operator("iris.show_log", icon="TEXT").job = name
 

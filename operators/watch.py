@@ -82,7 +82,7 @@ def unregister() -> None:
 
 KEPT_AREAS = ("VIEW_3D", "OUTLINER", "PREFERENCES")
 """Editors that do not turn into another."""
-JOB_NAMES = tuple((name, name.title(), "") for name in ("solve", "inspect", "environment", "test"))
+JOB_NAMES = tuple((name, name.title(), "") for name in ("solve", "inspect", "composite", "environment", "test"))
 
 
 class IRIS_OT_cancel(bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -143,9 +143,9 @@ class IRIS_OT_show_log(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
 
 def show_in_editor(
-    context: bpy.types.Context, area_type: str, attribute: str, block: bpy.types.ID, *, only_open: bool = False
+    context: bpy.types.Context, area_type: str, attribute: str, shown: bpy.types.ID | str, *, only_open: bool = False
 ) -> None:
-    """Show ``block`` in an editor of ``area_type``: in one that is open, else in the roomiest beside the 3D view.
+    """Give an editor of ``area_type`` what it shows: one that is open, else the roomiest beside the 3D view.
 
     In background nothing is shown.
     """
@@ -158,7 +158,7 @@ def show_in_editor(
         return
     area = max(candidates, key=lambda area: min(area.width, area.height))  # a timeline is wide and too low
     area.type = area_type
-    setattr(area.spaces.active, attribute, block)
+    setattr(area.spaces.active, attribute, shown)
 
 
 def _log(path: Path) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from iris_addon.capture import read_capture
+from iris_addon.response.curve import gamma
 from iris_addon.result.io import save_result
 from tests.blender_home import ROOT, blender_ext, build_package, fake_solver, in_blender
 from tests.blender_room import box, room
@@ -345,6 +346,46 @@ def test_things_are_set_onto_the_surface_they_are_pointed_at(package, tmp_path, 
     scene.unit_settings.scale_length = 0.01
     anchor, ball = place((0, 0, -1), thing="GREY")
     assert abs(extent(ball)[2][1] - extent(ball)[2][0] - 30) < 0.1
+    """
+    in_blender(package, tmp_path, body)
+
+
+def test_what_was_added_goes_onto_the_photo_and_lights_are_mixed(package, tmp_path, solved, worker, nerfstudio_room):
+    save_result(
+        replace(room(mesh=replace(box_mesh(), uv=box().uv), emission={3: (12, 10, 8)}), response=gamma()), solved
+    )
+    body = f"""
+    import numpy as np
+    from mathutils import Vector
+    preferences.python = {str(worker)!r}
+    bpy.ops.iris.import_capture(filepath={str(nerfstudio_room.root)!r})
+    assert not bpy.ops.iris.onto_photo.poll() and not bpy.ops.iris.mix_lights.poll()
+    bpy.ops.iris.solve()
+    bpy.ops.iris.apply()
+    for name in ("Cube", "Light"):
+        bpy.data.objects.remove(scene.objects[name])
+    view = scene.iris.views[scene.iris.view_index]
+    eye = view.camera.matrix_world
+    bpy.ops.iris.place(thing="GREY", origin=eye.translation, direction=eye.to_3x3() @ Vector((0, 0, -1)))
+    assert bpy.ops.iris.onto_photo(samples=4) == {{"FINISHED"}}
+    shown = view.camera.data.background_images
+    assert len(shown) == 2 and shown[1].image.name == f"IRIS Onto {{view.name}}" and shown[1].image.has_data is not None
+    photo = np.empty(4 * shown[0].image.size[0] * shown[0].image.size[1], np.float32)
+    changed = photo.copy()
+    shown[0].image.pixels.foreach_get(photo)
+    shown[1].image.pixels.foreach_get(changed)
+    assert 0.001 < (np.abs(changed - photo) > 0.05).mean() < 0.9
+    assert not (home / "onto-photo.blend").exists()
+
+    bpy.ops.iris.match_photo(on=True)
+    assert bpy.ops.iris.mix_lights(on=True) == {{"FINISHED"}}
+    assert "IRIS Lamp 00" in scene.objects and "iris_matched" in scene and "iris_mixed" in scene
+    tree = scene.node_tree if bpy.app.version < (5, 0, 0) else scene.compositing_node_group
+    assert {{"IRIS Lights", "IRIS Camera"}} <= {{node.name for node in tree.nodes}}
+    bpy.ops.iris.mix_lights(on=False)
+    assert "IRIS Lamp 00" not in scene.objects and "iris_matched" in scene and "iris_mixed" not in scene
+    bpy.ops.iris.match_photo(on=False)
+    assert not scene.get("iris_matched")
     """
     in_blender(package, tmp_path, body)
 

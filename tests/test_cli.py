@@ -100,10 +100,13 @@ def test_missing_packages_exit_4_and_name_the_way_out(tmp_path):
     assert "torch" in done.stderr and "IRIS_PYTHON" in done.stderr and done.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize("command", ["evaluate", pytest.param("render", marks=pytest.mark.bpy)])
+IN_BLENDER = ("render", "apply")
+
+
+@pytest.mark.parametrize("command", ["evaluate", *(pytest.param(name, marks=pytest.mark.bpy) for name in IN_BLENDER)])
 def test_a_command_needs_no_more_packages_than_it_names(solved, command):
     """Else a Python that lacks one of the others would fail where it should hand over to IRIS_PYTHON."""
-    if command == "render":
+    if command in IN_BLENDER:
         pytest.importorskip("bpy")
     every = {name for needed in environment.NEEDS.values() for name in needed} - {"bpy"}  # its presence means Blender
     without = f"import sys, runpy; sys.modules.update(dict.fromkeys({every - {*environment.NEEDS[command]}}));"
@@ -112,6 +115,8 @@ def test_a_command_needs_no_more_packages_than_it_names(solved, command):
     more = ["--gt", room_, "--no-render"]
     if command == "render":
         more = ["--views", room_ + "/val", "--samples", "1", "--out", str(solved / "png")]
+    if command == "apply":
+        more = ["--blend", str(solved / "room.blend")]
     done = run(command, result, *more, python=(sys.executable, "-c", start))
     assert done.returncode == 0, done.stderr
 

@@ -11,14 +11,13 @@ import torch
 
 from iris_addon import solve as solver
 from iris_addon.config import preset
-from iris_addon.imaging import SATURATED
 from iris_addon.photometry import Photometry
 from iris_addon.progress import Progress
 from iris_addon.refine.highlights import Highlights, trace_highlights
 from iris_addon.refine.joint import PhotoLoss, Refinement, develop, refine, refine_lights
 from iris_addon.reflectance.materials import scene_of
 from iris_addon.reflectance.specular import specular_lobes, subtract_specular
-from iris_addon.response.curve import gamma
+from iris_addon.response.curve import SATURATED, gamma
 from iris_addon.response.radiance import linearise
 from iris_addon.transport.tracer import Tracer
 from tests.engine_room import cameras, furnished_room, photograph, render

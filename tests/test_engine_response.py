@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from iris_addon.errors import BadInput
-from iris_addon.imaging import SATURATED
 from iris_addon.photometry import Photometry
 from iris_addon.response import curve, family
-from iris_addon.response.curve import N_SAMPLES, Response
+from iris_addon.response.curve import N_SAMPLES, SATURATED, Response
 from iris_addon.response.files import read_response
 from iris_addon.response.observations import Observations, order_in_groups
 from iris_addon.response.overlap import fit_overlap

@@ -23,6 +23,20 @@ def solve_command(
     return [*_program(python), "solve", str(capture), "--out", str(out), *options, *JSON_LINES]
 
 
+def composite_command(
+    blender: str, blend: Path, result: Path, photo: Path, view: str, out: Path, samples: int
+) -> list[str]:
+    """What stands in the room of ``blend`` onto ``photo``, as the picture ``out``.
+
+    Args:
+        blender: the program; empty where Blender is a module of this Python.
+    """
+    in_blender = [blender, "-b", "--factory-startup", "--python-exit-code", "1", "-P", str(RUN), "--"]
+    program = in_blender if blender else _program(sys.executable)
+    files = ["--result", str(result), "--photo", str(photo), "--view", view, "--out", str(out)]
+    return [*program, "composite", str(blend), *files, "--samples", str(samples), *JSON_LINES]
+
+
 def environment_command(folder: Path, test_only: Path | None = None) -> list[str]:
     """Make the solver's environment in ``folder`` with Blender's own Python, or only test that of ``test_only``."""
     script = [sys.executable, "-B", str(ADDON / "headless" / "make_environment.py")]

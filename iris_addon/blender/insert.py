@@ -7,18 +7,19 @@ agree on is noise, and the difference is shrunk by it (:func:`shrunk_difference`
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
+import bpy
 import numpy as np
 from numpy.typing import NDArray
 
 from ..capture.types import Camera
-from ..imaging import SATURATED
-from ..response.curve import Response
+from ..response.curve import SATURATED, Response
 from ..result.edits import SceneEdit
 from ..result.types import Result
-from .render import render_camera, render_coverage, render_views, set_cycles
-from .scene_out import BuiltScene, build_scene
+from .render import aim, render_coverage, render_linear, set_cycles
+from .scene_out import build_scene
 
 COVERAGE_SAMPLES = 32
 NOISE_RADIUS = 3  # pixels around one over which noise is estimated
@@ -79,19 +80,12 @@ def render_pair(
     gpu: bool = False,
 ) -> Pair:
     """The view twice, (H, W, 3) linear radiance each, with half of ``samples`` and random numbers of its own each."""
-    first, second = (
-        render_views(
-            result,
-            [camera],
-            edit=edit,
-            samples=max(samples // 2, 1),
-            seed=2 * seed + half,
-            max_bounces=max_bounces,
-            gpu=gpu,
-        )[0]
-        for half in (0, 1)
-    )
-    return first, second
+    built = build_scene(result, edit)
+    try:
+        aim(built, camera)
+        return render_halves(built.scene, samples=samples, seed=seed, max_bounces=max_bounces, gpu=gpu)
+    finally:
+        built.free()
 
 
 def render_change(
@@ -108,22 +102,28 @@ def render_change(
     """How ``edit`` changes the view that ``without`` (:func:`render_pair` of the room alone, same settings) shows."""
     built = build_scene(result, edit)
     try:
-        halves = []
-        for half in (0, 1):
-            set_cycles(
-                built.scene,
-                samples=max(samples // 2, 1),
-                denoise=True,
-                seed=2 * seed + half,
-                max_bounces=max_bounces,
-                gpu=gpu,
-            )
-            halves.append(render_camera(built, camera))
-        covered = _coverage(built)
+        aim(built, camera)
+        halves = render_halves(built.scene, samples=samples, seed=seed, max_bounces=max_bounces, gpu=gpu)
+        covered = coverage(built.scene, (built.room, *built.lamps, *built.lights))
     finally:
         built.free()
-    change = shrunk_difference((halves[0] - without[0], halves[1] - without[1]))
-    return Differential(np.mean(without, axis=0), np.mean(halves, axis=0), change, covered)
+    return differential(without, halves, covered)
+
+
+def render_halves(scene: bpy.types.Scene, *, samples: int, seed: int, max_bounces: int = 24, gpu: bool = False) -> Pair:
+    """As :func:`render_pair`, of a scene as it stands from its active camera; changes how ``scene`` renders."""
+    images = []
+    for half in (0, 1):
+        count = max(samples // 2, 1)
+        set_cycles(scene, samples=count, denoise=True, seed=2 * seed + half, max_bounces=max_bounces, gpu=gpu)
+        images.append(render_linear(scene))
+    return images[0], images[1]
+
+
+def differential(without: Pair, with_edit: Pair, covered: NDArray[np.floating]) -> Differential:
+    """What two pairs of renders under the same random numbers say of the edit; ``covered`` is its :func:`coverage`."""
+    change = shrunk_difference((with_edit[0] - without[0], with_edit[1] - without[1]))
+    return Differential(np.mean(without, axis=0), np.mean(with_edit, axis=0), change, covered)
 
 
 def shrunk_difference(differences: Pair) -> NDArray[np.float64]:
@@ -178,12 +178,14 @@ def change_light(
     return np.where(covered > 0, shown, beside)
 
 
-def _coverage(built: BuiltScene) -> NDArray[np.float32]:
-    """(H, W) share of each pixel in which something inserted is seen, the room in front of it taken into account."""
-    scene = built.scene
+def coverage(scene: bpy.types.Scene, room: Iterable[bpy.types.Object]) -> NDArray[np.float32]:
+    """(H, W) share of each pixel in which something else than ``room`` is seen, which may stand in front of it.
+
+    Makes the room a holdout for good: render what it looks like before.
+    """
     scene.render.film_transparent = True
-    for hidden in (built.room, *built.lamps, *built.lights):
-        hidden.is_holdout = True
+    for thing in room:
+        thing.is_holdout = True
     set_cycles(scene, samples=COVERAGE_SAMPLES, denoise=False, seed=0, max_bounces=0)
     return render_coverage(scene)
 

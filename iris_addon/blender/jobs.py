@@ -20,7 +20,7 @@ from typing import Literal
 from ..errors import Cancelled, IrisError
 from .worker import Worker
 
-JobName = Literal["inspect", "solve", "environment", "test"]
+JobName = Literal["inspect", "solve", "composite", "environment", "test"]
 State = Literal["missing", "running", "done", "failed", "cancelled", "interrupted"]
 
 

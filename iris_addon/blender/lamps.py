@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 
 import bpy
 
-from .materials import LAMP_ID
+from .materials import LAMP_ID, RECOVERED
 
 OFF_STRENGTH = "iris_strength"
 """Custom property: the strength of a lamp that is switched off."""
@@ -76,6 +77,26 @@ def set_color(material: bpy.types.Material | None, value: Sequence[float]) -> No
     shader = _shader(material)
     if shader is not None:
         shader.inputs["Emission Color"].default_value = (*value, 1.0)
+
+
+@contextmanager
+def as_recovered(materials: Iterable[bpy.types.Material]) -> Iterator[None]:
+    """Lamps shine inside as they did when they were made; those that the artist has built anew stay as they are."""
+    before = []
+    for material in materials:
+        shader = _shader(material)
+        if shader is None or RECOVERED not in material:
+            continue
+        tint, level = shader.inputs["Emission Color"], shader.inputs["Emission Strength"]
+        before.append((tint, tuple(tint.default_value), level, level.default_value))
+        radiance = [float(value) for value in material[RECOVERED]]
+        level.default_value = max(radiance)
+        tint.default_value = (*(value / max(radiance) for value in radiance), 1.0)
+    try:
+        yield
+    finally:
+        for tint, color_before, level, strength_before in before:
+            tint.default_value, level.default_value = color_before, strength_before
 
 
 def _shader(material: bpy.types.Material | None) -> bpy.types.Node | None:

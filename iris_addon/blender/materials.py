@@ -29,6 +29,9 @@ CONFIDENCE = "IRIS Confidence"
 LAMP_ID = "iris_lamp"
 """Custom property of a lamp's material: the id of its emitter in the result."""
 
+RECOVERED = "iris_recovered"
+"""Custom property of a lamp's material: the radiance (3,) it was made with."""
+
 LAYER_ROUGHNESS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 LAYER_TRANSMITTANCE = {
     "GGX": (0.9077, 0.9083, 0.9109, 0.9164, 0.9235, 0.9305, 0.9366, 0.9417, 0.9459, 0.9487, 0.9513),

@@ -22,6 +22,7 @@ from ..capture.types import Mesh
 from ..errors import BadInput
 from ..result.edits import SceneEdit
 from ..result.types import Result
+from .light_mixing import stop_mixing
 from .materials import UV_MAP, add_confidence
 from .photo_cameras import go_back
 from .photo_look import stop_matching
@@ -97,10 +98,11 @@ def is_applied(scene: bpy.types.Scene, runs: Sequence[FaceRun], key: str) -> boo
 
 def restore(scene: bpy.types.Scene) -> int:
     """Give the objects of ``scene`` back what they had and remove what was made; returns the number of objects."""
+    stop_matching(scene)
+    stop_mixing(scene)
     kept = [thing for thing in scene.objects if ORIGINAL in thing]
     for thing in kept:
         _restore_object(thing)
-    stop_matching(scene)
     go_back(scene)
     if APPLIED in scene:
         restore_scene(scene)

@@ -89,10 +89,15 @@ def set_cycles(
 
 def render_camera(built: BuiltScene, camera: Camera) -> NDArray[np.float32]:
     """(H, W, 3) linear radiance of the built scene from ``camera`` with the settings the scene has."""
+    aim(built, camera)
+    return render_linear(built.scene)
+
+
+def aim(built: BuiltScene, camera: Camera) -> None:
+    """Make ``camera`` the one that the built scene is rendered from."""
     camera_object = add_camera(camera, "IRIS View", built.scene.collection)
     built.owned |= {camera_object, camera_object.data}
     look_through(built.scene, camera, camera_object)
-    return render_linear(built.scene)
 
 
 def render_linear(scene: bpy.types.Scene) -> NDArray[np.float32]:

@@ -19,7 +19,7 @@ from ..capture.types import Mesh
 from ..result.edits import SceneEdit, Sphere, lamp_name
 from ..result.types import Result
 from .lights import add_light
-from .materials import LAMP_ID, UV_MAP, black_material, lamp_material, sphere_material, surface_material
+from .materials import LAMP_ID, RECOVERED, UV_MAP, black_material, lamp_material, sphere_material, surface_material
 from .placing import Room, add_object
 from .world import make_world
 
@@ -170,7 +170,7 @@ def face_materials(
     for emitter_id, *radiance in lamps:
         name = lamp_name(int(emitter_id)) if emitter_id >= 0 else "IRIS Lamp"
         slots.append(lamp_material(name, radiance))
-        slots[-1][LAMP_ID] = int(emitter_id)
+        slots[-1][LAMP_ID], slots[-1][RECOVERED] = int(emitter_id), [float(value) for value in radiance]
 
     if edit.black_faces is not None:
         black = edit.black_faces & (slot_of_face == 0)  # a lamp is black already

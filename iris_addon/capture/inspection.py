@@ -20,9 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..array_files import write_arrays
-from ..imaging import SATURATED, to_codes, write_png
+from ..imaging import to_codes, write_png
 from ..json_files import write_json
 from ..progress import Progress
+from ..response.curve import SATURATED
 from ..transport.tracer import Tracer
 from .alignment import Alignment, align, shrink, small_camera
 from .photos import load_photo

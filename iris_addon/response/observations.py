@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..imaging import SATURATED
+from .curve import SATURATED
 
 MIXED_SAY = 1e-3
 """Say of a pixel on an edge: any other that shows the place outweighs it."""

@@ -241,6 +241,34 @@ def place_object(stage: Stage) -> str:
     return f"{placed[0]}, {size:.2f} m wide"
 
 
+def onto_photo(stage: Stage) -> str:
+    """What was placed, onto the photo that is looked at: another Blender renders it, the picture lies over the view."""
+    session = stage.session
+    session.press("iris.onto_photo")
+    stage.photograph_at_once("17_onto_photo_runs")
+    until(lambda: session.ask("job('composite')")["state"] not in ("missing", "running"), "the picture", SOLVE_SECONDS)
+    found = session.ask("job('composite')")
+    assert found["state"] == "done", found
+    stage.photograph("17_onto_photo")
+    (name,) = session.ask("[i.name for i in bpy.data.images if i.name.startswith('IRIS Onto')]")
+    return name
+
+
+def mix_lights(stage: Stage) -> str:
+    """Mix Lights: a slider per light; the render is what it was, and switched off nothing is left of it."""
+    session = stage.session
+    before = session.ask("content()")
+    plain = stage.render("18_not_mixed")
+    session.press("iris.mix_lights")
+    until(lambda: stage.value("get('iris_mixed')"), "the lights are mixed", 20)
+    mixed = stage.render("18_mixed")
+    stage.photograph("18_sliders")
+    assert max(abs(a - b) for a, b in zip(plain, mixed, strict=True)) < 0.02, (plain, mixed)
+    session.press("iris.mix_lights")
+    assert session.ask("content()") == before, stage.difference(before)
+    return f"{sum(plain) / 3:.3f} and {sum(mixed) / 3:.3f}"
+
+
 def enable_again(stage: Stage) -> str:
     """Disable and enable by the box in the preferences: nothing is left, then everything is back."""
     session = stage.session
@@ -269,7 +297,7 @@ def use_scene(stage: Stage) -> str:
     assert session.ask("job('inspect')")["state"] == "done", session.ask("job('inspect')")
     until(lambda: stage.value("iris.views.keys()"), "the photos are listed", 20)
     assert len(stage.value("iris.views.keys()")) == len(photos)
-    stage.photograph("17_use_scene")
+    stage.photograph("19_use_scene")
     return f"{len(photos)} photos, {len(stage.value('iris.warnings').splitlines())} warnings"
 
 
@@ -287,5 +315,7 @@ STEPS: tuple[Callable[[Stage], str], ...] = (
     match_photo,
     add_object,
     place_object,
+    onto_photo,
+    mix_lights,
     enable_again,
 )

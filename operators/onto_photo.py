@@ -1,0 +1,79 @@
+"""What stands in the room onto the photo that is looked at, rendered by another Blender."""
+# Blender declares properties as annotations.
+# pyright: reportInvalidTypeForm=false
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from ..iris_addon.blender import jobs
+from ..iris_addon.blender.capture_in import photo_of, show_instead
+from ..iris_addon.blender.commands import composite_command
+from ..iris_addon.blender.photo_composite import write_copy
+from ..iris_addon.errors import IrisError
+from .check import look_at_photo
+from .polls import NeedsApplied
+from .project import folder
+from .watch import run, show_in_editor
+
+
+class IRIS_OT_onto_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Put what was added to the room, and what was changed of its lamps, into the photo that is looked at. Another
+    Blender renders it, so that this one stays free"""
+
+    bl_idname = "iris.onto_photo"
+    bl_label = "Onto Photo"
+
+    samples: bpy.props.IntProperty(name="Samples", description="Paths per pixel", default=128, min=2, soft_max=1024)
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """A room is lit, a photo is looked at, and none is being made."""
+        if not super().poll(context):
+            return False
+        if not context.scene.iris.views:
+            cls.poll_message_set("There are no photos in this scene")
+            return False
+        return jobs.running("composite", folder(context.scene)) is None
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Write a copy of the scene and start; in background wait for it, with a window a timer watches it."""
+        scene, out = context.scene, folder(context.scene)
+        view = scene.iris.views[scene.iris.view_index]
+        image = None if view.camera is None else photo_of(view.camera)
+        if image is None:
+            self.report({"ERROR"}, f"{view.name} has no camera with a photo in this scene — check the capture again")
+            return {"CANCELLED"}
+        look_at_photo(context, scene.iris.view_index)
+        copy, picture = out / "onto-photo.blend", out / "onto-photos" / f"{view.name}.png"
+        photo = Path(bpy.path.abspath(image.filepath, library=image.library))
+        try:
+            write_copy(scene, copy)
+        except IrisError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        name, view_name = scene.name, view.name
+
+        def ended(record: jobs.Record) -> None:
+            copy.unlink(missing_ok=True)
+            shown = bpy.data.scenes.get(name)  # the file that was open may be another one by now
+            if record.state == "done" and shown is not None and folder(shown) == out:
+                _show(shown, view_name, picture)
+
+        blender = "" if bpy.app.module else bpy.app.binary_path
+        command = composite_command(blender, copy, out, photo, view_name, picture, self.samples)
+        return run(self, "composite", out, command, ended)
+
+
+def _show(scene: bpy.types.Scene, view: str, picture: Path) -> None:
+    """The finished picture over the camera's view, and in the Image Editor where one is open."""
+    image = bpy.data.images.load(str(picture), check_existing=True)
+    image.name = f"IRIS Onto {view}"
+    image.reload()
+    index = scene.iris.views.find(view)
+    if index >= 0 and scene.iris.views[index].camera is not None:
+        show_instead(scene.iris.views[index].camera, image)
+        scene.iris.overlay = 1.0
+    show_in_editor(bpy.context, "IMAGE_EDITOR", "image", image, only_open=True)
