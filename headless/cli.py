@@ -159,7 +159,7 @@ def make_parser() -> _Parser:
     )
     composite.add_argument("--view", required=True, metavar="NAME", help="of the photo, for its exposure")
     composite.add_argument("--out", type=Path, required=True, metavar="FILE.png")
-    _add_sampling(composite, default=128)
+    _add_sampling(composite)
     composite.add_argument("--gpu", action="store_true", help="render on a GPU where Cycles finds one")
 
     camera = add("camera", "response, exposures and white balance as .cube tables and an OpenColorIO configuration")

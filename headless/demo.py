@@ -114,10 +114,10 @@ def best_seen(edits: Sequence[SceneEdit], views: Sequence[View], tracer: Tracer)
     def seen(edit: SceneEdit, view: View) -> float:
         camera, area = view.camera, 0.0
         for ball in edit.spheres:
-            x, y, z = camera.c2w[:3, :3].T @ (ball.center - camera.position)
-            if -z < ball.radius:
+            local = camera.local(ball.center)
+            if -local[2] < ball.radius:
                 continue
-            i, j, radius = camera.cx - camera.fx * x / z, camera.cy + camera.fy * y / z, -camera.fx * ball.radius / z
+            (i, j), radius = camera.project(local), camera.fx * ball.radius / -local[2]
             inside = radius < i < camera.width - radius and radius < j < camera.height - radius
             if inside and tracer.visible(camera.position[None], ball.center[None])[0]:
                 area += np.pi * radius**2

@@ -14,6 +14,8 @@ from pathlib import Path
 
 from iris_addon.errors import IrisError, SolverEnvironmentMissing
 
+from .signals import put_back
+
 _IMAGES = ("numpy", "OpenEXR", "PIL")
 _SOLVER = (*_IMAGES, "torch", "scipy", "trimesh", "embreex", "filelock")
 NEEDS = {
@@ -78,8 +80,7 @@ def delegate(argv: list[str], missing: list[str]) -> int:
     try:
         code = process.wait()
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        put_back(before)
     if code < 0:
         raise IrisError(f"the solver was killed by signal {-code}", "run again with --resume")
     return code

@@ -12,8 +12,9 @@ import os
 import signal
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from types import FrameType
 
 from iris_addon.progress import Progress
 
@@ -23,6 +24,18 @@ SIGNALS = [
     for name in ("SIGINT", "SIGTERM", "SIGBREAK")  # the last is how a process is asked to stop on Windows
     if hasattr(signal, name)
 ]
+
+
+Handler = Callable[[int, FrameType | None], object] | int | None
+
+
+def put_back(handlers: Mapping[signal.Signals, Handler]) -> None:
+    """Set signal handlers as :func:`signal.signal` returned them.
+
+    One that was not set by Python, as Blender's for Ctrl-C, is called None and cannot be had back: the default it is.
+    """
+    for number, handler in handlers.items():
+        signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
 
 @contextmanager
@@ -52,8 +65,7 @@ def cancelled_by_signals(progress: Progress, last_words: Callable[[], int]) -> I
         yield
     finally:
         ended.set()
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        put_back(before)
         signal.set_wakeup_fd(told)
         telling.close()
         thread.join()

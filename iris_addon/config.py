@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -36,8 +36,7 @@ class Refinements:
 
 
 AUTO = Refinements()
-FULL = Refinements(*[True] * 7)
-MINIMAL = Refinements(*[False] * 7)
+FULL, MINIMAL = (Refinements(*[forced] * len(fields(Refinements))) for forced in (True, False))
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from ..iris_addon.blender import jobs
 from ..iris_addon.blender.capture_in import photo_of, show_instead
 from ..iris_addon.blender.commands import composite_command
 from ..iris_addon.blender.photo_composite import write_copy
+from ..iris_addon.blender.version import blender_program
 from ..iris_addon.errors import IrisError
 from .check import look_at_photo
 from .polls import NeedsApplied
@@ -26,7 +27,7 @@ class IRIS_OT_onto_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
     bl_idname = "iris.onto_photo"
     bl_label = "Onto Photo"
 
-    samples: bpy.props.IntProperty(name="Samples", description="Paths per pixel", default=128, min=2, soft_max=1024)
+    samples: bpy.props.IntProperty(name="Samples", description="Paths per pixel", default=64, min=2, soft_max=1024)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -62,8 +63,7 @@ class IRIS_OT_onto_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
             if record.state == "done" and shown is not None and folder(shown) == out:
                 _show(shown, view_name, picture)
 
-        blender = "" if bpy.app.module else bpy.app.binary_path
-        command = composite_command(blender, copy, out, photo, view_name, picture, self.samples)
+        command = composite_command(blender_program(), copy, out, photo, view_name, picture, self.samples)
         return run(self, "composite", out, command, ended)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,14 @@ def test_rays_see_what_the_photos_show(layout: str, request: pytest.FixtureReque
         photo = load_photo(view)
         assert not photo.hdr and photo.valid.all()
         np.testing.assert_array_equal(np.rint(photo.values * 255), render_walls(view.camera, capture.mesh))
+
+
+def test_points_along_a_ray_lie_in_its_pixel(fipt_room: RoomCapture) -> None:
+    camera = replace(read_capture(fipt_room.root).views[0].camera, fx=31.0, fy=29.0, cx=9.0, cy=11.0)
+    origin, direction = camera.rays()
+    at = camera.project(camera.local(origin + 2.5 * direction))
+    row, column = np.divmod(np.arange(len(at)), camera.width)
+    np.testing.assert_allclose(at, np.stack([column, row], -1) + 0.5, atol=1e-9)
 
 
 def test_fipt_exposures_splits_and_up(fipt_room: RoomCapture) -> None:

@@ -16,6 +16,7 @@ import pytest
 from headless import cli, environment
 from headless.batch import read_jobs
 from headless.run import arguments
+from headless.signals import put_back
 from iris_addon.errors import BadInput
 from iris_addon.imaging import read_exr, read_image
 from iris_addon.result.io import load_result, save_result
@@ -129,6 +130,17 @@ def test_iris_python_takes_over(tmp_path):
 def test_iris_python_that_does_not_start_exits_4(tmp_path):
     done = run("solve", tmp_path, "--out", tmp_path / "out", python=BARE, IRIS_PYTHON=str(tmp_path / "python"))
     assert done.returncode == 4 and "cannot be started" in done.stderr
+
+
+def test_a_handler_that_is_not_pythons_becomes_the_default():
+    """Blender sets its own for Ctrl-C, of which Python knows no more than that it is there."""
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        put_back({signal.SIGTERM: None})
+        assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+    finally:
+        put_back({signal.SIGTERM: before})
+    assert signal.getsignal(signal.SIGTERM) == before
 
 
 def test_arguments_inside_blender_stand_after_two_dashes(monkeypatch):

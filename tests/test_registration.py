@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from iris_addon.cameras import registration
 from iris_addon.cameras.registration import _Sightings, register
-from iris_addon.cameras.sightings import SurfacePoints, local_position, pixel_coordinates, seen_points
+from iris_addon.cameras.sightings import SurfacePoints, seen_points
 from iris_addon.capture.correction import PoseCorrections
 from iris_addon.capture.rigid import rigid, rotation, rotation_vector, twist
 from iris_addon.capture.types import Camera, Capture, View
@@ -61,7 +61,7 @@ def pixels_off(capture: Capture, true: Capture, tracer: Tracer) -> float:
     off = []
     for got, want in zip(capture.views, true.views, strict=True):
         seen = points.position[seen_points(points, want.camera, tracer)]
-        at = [pixel_coordinates(c, local_position(c, seen)) for c in (got.camera, want.camera)]
+        at = [c.project(c.local(seen)) for c in (got.camera, want.camera)]
         off.append(np.linalg.norm(at[0] - at[1], axis=1))
     return float(np.median(np.concatenate(off)))
 

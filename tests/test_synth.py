@@ -259,8 +259,7 @@ def test_balls_rest_on_surfaces_and_show_in_their_masks(capture: Path, read: Cap
             centre, radius = np.array(o["center"]), o["radius"]
             distance = Tracer(read.mesh).closest(centre[None], np.array([[0.0, 0.0, -1.0]])).distance[0]
             assert 0 < distance - radius < 0.001
-            local = (centre - camera.position) @ camera.c2w[:3, :3]
-            i, j = camera.cx - camera.fx * local[0] / local[2], camera.cy + camera.fy * local[1] / local[2]
+            i, j = camera.project(camera.local(centre))
             assert mask[int(j), int(i)] == o["id"]
 
 

@@ -188,11 +188,11 @@ def choose_spheres(seen: SeenPoints, camera: Camera, radius: float = SPHERE_RADI
 
 def _fits(seen: SeenPoints, camera: Camera, centre: FloatArray, radius: float) -> bool:
     """Whether a ball touches nothing but its support and is seen whole, neither tiny nor filling the view."""
-    local = (centre - camera.position) @ camera.c2w[:3, :3]
+    local = camera.local(centre)
     if -local[2] < 2 * radius:
         return False
     pixels = camera.fx * radius / -local[2]
-    i, j = camera.cx - camera.fx * local[0] / local[2], camera.cy + camera.fy * local[1] / local[2]
+    i, j = camera.project(local)
     inside = 1.5 * pixels < i < camera.width - 1.5 * pixels and 1.5 * pixels < j < camera.height - 1.5 * pixels
     if not inside or not camera.width / 40 < pixels < camera.width / 8:
         return False

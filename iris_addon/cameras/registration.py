@@ -26,7 +26,7 @@ from ..capture.types import Camera, Capture, View
 from ..parallel import over_blocks, over_each
 from ..progress import Progress
 from ..transport.tracer import Tracer
-from .sightings import Floats, SurfacePoints, local_position, pixel_coordinates, seen_points
+from .sightings import Floats, SurfacePoints, seen_points
 
 POINTS = 24_000
 """Points of the surface that are looked for in all photos; every second one is held out."""
@@ -217,8 +217,8 @@ class _Sightings:
 
         def look(index: int) -> None:
             camera, rows = cameras[index], self.rows[index]
-            local = local_position(camera, self.position[self.point[rows]])
-            seen = _interpolated(pictures[index], pixel_coordinates(camera, local) / camera.width)
+            local = camera.local(self.position[self.point[rows]])
+            seen = _interpolated(pictures[index], camera.project(local) / camera.width)
             # u = f x / depth, v = -f y / depth; a camera that moves by t and turns by r carries the point q of its
             # frame to q - t - r x q.
             depth = -local[:, 2]

@@ -56,24 +56,11 @@ class SurfacePoints:
         return first, second
 
 
-def local_position(camera: Camera, position: Floats) -> Floats:
-    """(n, 3) points in the frame of the camera: x right, y up, z backward."""
-    return (position - camera.position) @ camera.c2w[:3, :3]
-
-
-def pixel_coordinates(camera: Camera, local: Floats) -> Floats:
-    """(n, 2) image coordinates, right and down in pixels, of points in front of the camera in its frame."""
-    depth = -local[:, 2]
-    u = camera.cx + camera.fx * local[:, 0] / depth
-    v = camera.cy - camera.fy * local[:, 1] / depth
-    return np.stack([u, v], -1)
-
-
 def seen_points(points: SurfacePoints, camera: Camera, tracer: Tracer) -> NDArray[np.int64]:
     """Indices of the points that a photo shows well: not aslant, not at the border, and not near an edge of depth."""
-    local = local_position(camera, points.position)
+    local = camera.local(points.position)
     ahead = np.flatnonzero(local[:, 2] < -1e-3)
-    at = pixel_coordinates(camera, local[ahead])
+    at = camera.project(local[ahead])
     margin = MARGIN * camera.width
     size = np.array([camera.width, camera.height])
     inside = ((at > margin) & (at < size - margin)).all(1)

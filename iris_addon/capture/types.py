@@ -55,6 +55,17 @@ class Camera:
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         return np.broadcast_to(self.position, directions.shape), directions
 
+    def local(self, points: NDArray[np.floating]) -> FloatArray:
+        """(..., 3) world-space points in the frame of the camera: x right, y up, z backward."""
+        return (points - self.position) @ self.c2w[:3, :3]
+
+    def project(self, local: NDArray[np.floating]) -> FloatArray:
+        """(..., 2) image coordinates, right and down in pixels, of points (..., 3) ahead in the camera's frame."""
+        depth = -local[..., 2]
+        u = self.cx + self.fx * local[..., 0] / depth
+        v = self.cy - self.fy * local[..., 1] / depth
+        return np.stack([u, v], -1)
+
 
 @dataclass(frozen=True)
 class Distortion:
