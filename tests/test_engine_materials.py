@@ -158,6 +158,30 @@ def test_sheen_alone_is_no_gloss(highlight: bool) -> None:
     assert (fit_gloss(observed, 1).roughness[0] < 1) == highlight
 
 
+def test_a_polished_part_is_not_outvoted_by_matte_neighbours_of_its_colour() -> None:
+    """A frame of the wall's colour on the wall: its own highlight stands, and the wall stays matte."""
+    rng = np.random.default_rng(7)
+    patches, views = 60, 5
+    n = patches * views
+    zero = np.zeros((3 * n, 3))
+    highlight = 0.1 * (rng.random((3 * n, 1)) < 0.3) * np.ones(3)
+    part = np.repeat(np.arange(3), n)
+    polished = (part == 0)[:, None]
+    lobes = [(zero, highlight) for _ in LEVELS[:-2]]
+    observed = GlossObservations(
+        part,
+        np.repeat(np.arange(3 * patches), views),
+        np.where(part == 0, 1.0, 5.0),
+        zero,  # all in one place
+        0.5 * (1 + 0.01 * rng.normal(size=(3 * n, 1))) + highlight * polished,
+        np.ones((3 * n, 3)),
+        np.ones((len(LEVELS), 3 * n)),
+        [[lobe] * 2 for lobe in (*lobes, (zero, zero), (zero, zero))],
+    )
+    roughness = fit_gloss(observed, 3).roughness
+    assert roughness[0] < 0.6 and (roughness[1:] == 1).all()
+
+
 def test_gloss_by_chance_alone_is_rare() -> None:
     """Lobes that have nothing to do with what was seen are found in about the share of parts that 1.5 standard errors
     of a normal distribution leave (7 %), for each of the four levels that are traced; not in a third of them."""

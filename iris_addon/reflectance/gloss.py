@@ -29,6 +29,8 @@ MAX_OBSERVATIONS = 2000
 """Of one part. With a quarter of them large matte walls passed for glossy in one draw and not in the next."""
 ERRORS_NEEDED = 1.5
 """Standard errors by which a gloss must fit better than the rough dielectric."""
+ERRORS_NEEDED_ALONE = 2.0
+"""The same for a part whose neighbours of like albedo show none: a white frame is polished on a white wall."""
 METAL_GAIN_NEEDED = 0.15
 """Relative fall of the robust residual that a metal must bring over the best dielectric."""
 MAX_METAL = 0.95
@@ -165,12 +167,17 @@ def fit_gloss(observed: GlossObservations, n_parts: int, forced: bool | None = N
     gloss = rough_everywhere(n_parts)
     costs = None if forced is False else _part_costs(observed)
     if costs is not None:
-        for label, colour, plastic, metal, error, count in zip(costs.ids, costs.colour, *costs.pooled(), strict=True):
+        alone = zip(costs.ids, costs.colour, costs.plastic, costs.error, strict=True)
+        for (label, colour, own, own_error), (plastic, metal, error, count) in zip(
+            alone, zip(*costs.pooled(), strict=True), strict=True
+        ):
             gain_of_metal = 0.0 if forced else (1.0 + FEW / count) * METAL_GAIN_NEEDED
             if metal.min() < (1 - gain_of_metal) * plastic.min():
                 _make_metal(gloss, int(label), metal, colour)
-            elif forced or _shows_highlight(plastic, error):
+            elif forced or _shows_highlight(plastic, error, ERRORS_NEEDED):
                 gloss.roughness[label] = _interpolate_minimum(plastic)
+            elif _shows_highlight(own, own_error, ERRORS_NEEDED_ALONE):
+                gloss.roughness[label] = _interpolate_minimum(own)
             gloss.decided[label] = True
     return gloss
 
@@ -212,11 +219,11 @@ def _make_metal(gloss: Gloss, label: int, cost: NDArray[np.float64], colour: NDA
     gloss.specular[label] = np.clip(colour[int(np.argmin(cost))], DIELECTRIC_F0, MAX_METAL)
 
 
-def _shows_highlight(plastic: NDArray[np.float64], error: NDArray[np.float64]) -> bool:
+def _shows_highlight(plastic: NDArray[np.float64], error: NDArray[np.float64], errors_needed: float) -> bool:
     """Whether a lobe narrow enough to be traced fits better than the rough dielectric: no gloss from sheen alone, and
     none from chance."""
     best = int(np.argmin(plastic[: len(FIT_RAYS)]))
-    return bool(plastic[-1] - plastic[best] > ERRORS_NEEDED * error[best])
+    return bool(plastic[-1] - plastic[best] > errors_needed * error[best])
 
 
 def _interpolate_minimum(cost: NDArray[np.float64]) -> float:
