@@ -117,7 +117,7 @@ def test_what_shares_cannot_show_is_refused():
 
 def test_the_sliders_of_the_compositor_mix_the_same(monkeypatch):
     """Through the identity camera and without denoising the composited picture is the mix of the shares."""
-    monkeypatch.setattr("iris_addon.blender.compositing.can_denoise", lambda: False)
+    monkeypatch.setattr("iris_addon.blender.light_groups.can_denoise", lambda: False)
     result = lit_room()
     gains = light_gains(result, JOB)
     light = render_light_shares(result, view(), samples=8, max_bounces=4)

@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 import pytest
 
-from iris_addon.blender import light_mixing
+from iris_addon.blender import light_groups
 from iris_addon.blender.lamps import lamp_materials, set_strength, strength, switch
 from iris_addon.blender.light_mixing import mixer, sliders, start_mixing, stop_mixing
 from iris_addon.blender.onto_objects import apply_to_objects, restore
@@ -46,7 +46,7 @@ def render(scene: bpy.types.Scene, composited: bool) -> np.ndarray:
 
 
 def test_turning_a_slider_is_rendering_with_the_lamp_turned(scene, monkeypatch):
-    monkeypatch.setattr(light_mixing, "can_denoise", lambda: False)
+    monkeypatch.setattr(light_groups, "can_denoise", lambda: False)
     plain = render(scene, composited=False)
     assert set(start_mixing(scene)) == {"IRIS Lamp 07", "bulb", "IRIS Outside"}
     np.testing.assert_allclose(render(scene, composited=True).mean((0, 1)), plain.mean((0, 1)), rtol=0.02)

@@ -24,7 +24,7 @@ from .camera import add_camera, look_through
 from .denoise import denoise_pictures
 from .render import set_cycles
 from .scene_out import build_scene
-from .version import can_denoise, compositor_mix, multilayer_exr
+from .version import can_denoise, compositor_denoise, compositor_mix, multilayer_exr
 
 MIX_GROUP = "IRIS Lights"
 
@@ -120,15 +120,28 @@ def light_mix_group(names: Sequence[str]) -> bpy.types.NodeTree:
     return tree
 
 
-def mix_in_compositor(tree: bpy.types.NodeTree, layers: bpy.types.Node, names: Sequence[str]) -> bpy.types.Node:
-    """Lead the light groups of the render layers ``layers`` through a node "IRIS Lights" in ``tree``; returns it."""
-    node = tree.nodes.new("CompositorNodeGroup")
+def mixed_picture(scene: bpy.types.Scene, tree: bpy.types.NodeTree, names: Sequence[str]) -> bpy.types.NodeSocket:
+    """Socket of the picture of ``scene`` behind new nodes in ``tree``: render layers, "IRIS Lights", denoising if any.
+
+    The light groups are denoised after they are mixed, guided by the render's albedo and normals: before, each dim one
+    would lose detail.
+    """
+    layers, node = tree.nodes.new("CompositorNodeRLayers"), tree.nodes.new("CompositorNodeGroup")
+    layers.scene = scene
     node.node_tree = light_mix_group(names)
     node.name = node.label = MIX_GROUP
     node.width = 260.0
     for name in names:
         tree.links.new(layers.outputs[f"Combined_{name}"], node.inputs[name])
-    return node
+    denoise = can_denoise()
+    scene.view_layers[0].cycles.denoising_store_passes = denoise
+    if not denoise:
+        return node.outputs["Image"]
+    clean = compositor_denoise(tree)
+    tree.links.new(node.outputs["Image"], clean.inputs["Image"])
+    tree.links.new(layers.outputs["Denoising Albedo"], clean.inputs["Albedo"])
+    tree.links.new(layers.outputs["Denoising Normal"], clean.inputs["Normal"])
+    return clean.outputs["Image"]
 
 
 # ---- pixels --------------------------------------------------------------------------------------------------------

@@ -16,17 +16,10 @@ import numpy as np
 
 from ..errors import BadInput
 from ..result.edits import OUTSIDE
-from .light_groups import MIX_GROUP, group_lights, mix_in_compositor
+from .light_groups import MIX_GROUP, group_lights, mixed_picture
 from .materials import LAMP_ID
-from .version import (
-    can_denoise,
-    composites,
-    compositor_denoise,
-    compositor_output,
-    compositor_tree,
-    leave_compositor_tree,
-    own_compositor_tree,
-)
+from .node_groups import remove_nodes
+from .version import composites, compositor_output, compositor_tree, leave_compositor_tree, own_compositor_tree
 
 MIXED = "iris_mixed"
 """Custom property of a scene whose lights are mixed: what it was like before."""
@@ -155,17 +148,7 @@ def _into_compositing(scene: bpy.types.Scene, names: list[str]) -> dict[str, Any
     """Put the mix in the place of the rendered picture, wherever the scene's compositing uses that."""
     tree = own_compositor_tree(scene)
     present = {node.name for node in tree.nodes}
-    layers = tree.nodes.new("CompositorNodeRLayers")
-    layers.scene = scene
-    mixed = mix_in_compositor(tree, layers, names)
-    picture = mixed.outputs["Image"]
-    scene.view_layers[0].cycles.denoising_store_passes = can_denoise()
-    if can_denoise():
-        clean = compositor_denoise(tree)
-        tree.links.new(picture, clean.inputs["Image"])
-        tree.links.new(layers.outputs["Denoising Albedo"], clean.inputs["Albedo"])
-        tree.links.new(layers.outputs["Denoising Normal"], clean.inputs["Normal"])
-        picture = clean.outputs["Image"]
+    picture = mixed_picture(scene, tree, names)
     replaced = []
     for link in list(tree.links):
         source = link.from_node
@@ -183,13 +166,7 @@ def _into_compositing(scene: bpy.types.Scene, names: list[str]) -> dict[str, Any
 
 
 def _out_of_compositing(tree: bpy.types.NodeTree, before: dict[str, Any]) -> None:
-    made = [tree.nodes[name] for name in before["made"] if name in tree.nodes]
-    groups = {node.node_tree for node in made if node.bl_idname == "CompositorNodeGroup"}
-    for node in made:
-        tree.nodes.remove(node)
-    for group in groups:
-        if not group.users:
-            bpy.data.node_groups.remove(group)
+    remove_nodes(tree, before["made"])
     for source, target, identifier in before["replaced"]:
         if source in tree.nodes and target in tree.nodes:
             sockets = {socket.identifier: socket for socket in tree.nodes[target].inputs}

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..response.curve import Response
 from .camera_match import CAMERA_GROUP, median_exposure, set_photo, show_through_camera
+from .node_groups import remove_nodes
 from .version import composites, compositor_output, compositor_tree, leave_compositor_tree, own_compositor_tree
 
 MATCHED = "iris_matched"
@@ -87,13 +88,7 @@ def _exposure_of(photo: str, exposures: Mapping[str, NDArray[np.floating]]) -> N
 
 
 def _take_out(tree: bpy.types.NodeTree, made: Sequence[str], source: tuple[str, str] | None) -> None:
-    nodes = [tree.nodes[name] for name in made if name in tree.nodes]
-    groups = {node.node_tree for node in nodes if node.bl_idname == "CompositorNodeGroup"}
-    for node in nodes:
-        tree.nodes.remove(node)
-    for group in groups:
-        if not group.users:
-            bpy.data.node_groups.remove(group)
+    remove_nodes(tree, made)
     if source is not None and source[0] in tree.nodes:
         sockets = {socket.identifier: socket for socket in tree.nodes[source[0]].outputs}
         tree.links.new(sockets[source[1]], compositor_output(tree))
