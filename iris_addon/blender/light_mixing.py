@@ -13,6 +13,7 @@ from typing import Any
 import bmesh
 import bpy
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import BadInput
 from ..result.edits import OUTSIDE
@@ -106,25 +107,36 @@ def _set_lamps_apart(thing: bpy.types.Object) -> None:
     whole.polygons.foreach_get("material_index", slot_of_face)
     lamps = [k for k, material in enumerate(whole.materials) if material is not None and LAMP_ID in material]
     for slot in lamps:
-        part = _with_faces(whole, slot_of_face == slot, whole.materials[slot].name)
-        apart = bpy.data.objects.new(whole.materials[slot].name, part)
+        material = whole.materials[slot]
+        apart = bpy.data.objects.new(material.name, _only_faces(whole, np.flatnonzero(slot_of_face == slot), material))
         apart[APART] = True
         apart.matrix_world = thing.matrix_world
         for collection in thing.users_collection:
             collection.objects.link(apart)
     thing[WHOLE_MESH] = whole
-    thing.data = _with_faces(whole, ~np.isin(slot_of_face, lamps), whole.name)
+    thing.data = _without_faces(whole, np.flatnonzero(np.isin(slot_of_face, lamps)))
 
 
-def _with_faces(whole: bpy.types.Mesh, kept: np.ndarray, name: str) -> bpy.types.Mesh:
-    """A copy of ``whole`` with some of its faces, their materials and UVs."""
+def _only_faces(whole: bpy.types.Mesh, faces: NDArray[np.integer], material: bpy.types.Material) -> bpy.types.Mesh:
+    """Some ``faces`` of ``whole`` in one ``material``, which needs no UVs."""
+    corners = [list(whole.polygons[int(face)].vertices) for face in faces]
+    used = sorted({vertex for face in corners for vertex in face})
+    place = {vertex: k for k, vertex in enumerate(used)}
+    data = bpy.data.meshes.new(material.name)
+    data.from_pydata(
+        [tuple(whole.vertices[vertex].co) for vertex in used], [], [[place[v] for v in face] for face in corners]
+    )
+    data.materials.append(material)
+    return data
+
+
+def _without_faces(whole: bpy.types.Mesh, faces: NDArray[np.integer]) -> bpy.types.Mesh:
+    """A copy of ``whole`` less ``faces``."""
     data = whole.copy()
-    data.name = name
     mesh = bmesh.new()
     mesh.from_mesh(data)
     mesh.faces.ensure_lookup_table()
-    gone = [mesh.faces[int(k)] for k in np.flatnonzero(~kept)]
-    bmesh.ops.delete(mesh, geom=gone, context="FACES")
+    bmesh.ops.delete(mesh, geom=[mesh.faces[int(face)] for face in faces], context="FACES")
     mesh.to_mesh(data)
     mesh.free()
     return data
