@@ -101,7 +101,8 @@ def register(
         pictures = _pictures(photos, width)
         if level:
             seen = _Sightings.of(fitted, found, tracer, rng)
-        before = test.disagreement(pictures, given)
+        if level in (0, len(WIDTHS) - 1):  # where it is asked whether corrections are promising, and whether they gain
+            before = test.disagreement(pictures, given)
         for turn in range(rounds):
             progress.update((level + turn / rounds) / len(WIDTHS))
             found = seen.turn(pictures, given, found)

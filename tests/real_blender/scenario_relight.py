@@ -1,0 +1,129 @@
+"""The second half of what an artist does: a result onto the objects, other light, other things in the room."""
+
+from __future__ import annotations
+
+from .session import until
+from .stage import ADD_X, Stage
+
+LAMP_DIMMER = 0.98  # of the brightness with all lamps on
+COMPOSITE_SECONDS = 400.0
+
+
+def apply(stage: Stage) -> str:
+    """Apply, undo, redo, apply again: undo restores the scene exactly, applying twice changes nothing."""
+    session = stage.session
+    before = session.ask("content()")
+    session.press("iris.apply")
+    until(lambda: stage.value("iris.lamps.keys()"), "the lamps are listed", 60)
+    applied = session.ask("content()")
+    stage.photograph("09_applied")
+    stage.undo()
+    assert session.ask("content()") == before, stage.difference(before)
+    stage.redo()
+    assert session.ask("content()") == applied, stage.difference(applied)
+    session.press("iris.apply")
+    assert session.ask("content()") == applied, stage.difference(applied)
+    return f"{len(stage.value('iris.lamps.keys()'))} lamps"
+
+
+def switch_off(stage: Stage) -> str:
+    """The brightest lamp off by its switch: the render gets darker."""
+    session = stage.session
+    bright = stage.render("10_all_lamps")
+    lamps = stage.value("iris.lamps.keys()")
+    visible = range(min(4, len(lamps)))  # rows of the list
+    power = [stage.value(f"iris.lamps[{lamp}].strength") * stage.value(f"iris.lamps[{lamp}].area") for lamp in visible]
+    number = max(visible, key=power.__getitem__)
+    place = session.scroll_to(f"iris.lamps[{number}].on", columns=(0.05, 0.08, 0.11))
+    session.display.click(*place)
+    assert stage.value(f"iris.lamps[{number}].on") is False
+    stage.photograph("11_lamp_off")
+    dark = stage.render("12_lamp_off_render")
+    assert sum(dark) < LAMP_DIMMER * sum(bright), (dark, bright)
+    return f"{lamps[number]}: {sum(bright) / 3:.3f} to {sum(dark) / 3:.3f}"
+
+
+def match_photo(stage: Stage) -> str:
+    """Match Photo: the render through the recovered camera is another one; switched off, nothing is left of it."""
+    session = stage.session
+    before = session.ask("content()")
+    plain = stage.render("12_not_matched")
+    session.press("iris.match_photo")
+    until(lambda: stage.value("get('iris_matched')"), "the camera is in the compositing", 20)
+    matched = stage.render("12_matched")
+    assert max(abs(a - b) for a, b in zip(plain, matched, strict=True)) > 0.01, (plain, matched)
+    session.press("iris.match_photo")
+    assert session.ask("content()") == before, stage.difference(before)
+    return f"{sum(plain) / 3:.3f} to {sum(matched) / 3:.3f}"
+
+
+def add_object(stage: Stage) -> str:
+    """Add > Mesh > first entry, then render it in the room's light."""
+    session = stage.session
+    count = len(session.ask("bpy.data.objects.keys()"))
+    left, top, _width, _height = session.region("VIEW_3D", "HEADER")
+    menu_left, menu_top, menu_right, _bottom = session.menu(left + ADD_X, top + 13)
+    session.display.click((menu_left + menu_right) / 2, menu_top + 14)
+    session.display.still()
+    session.display.click(menu_right + 60, menu_top + 14)
+    until(lambda: len(session.ask("bpy.data.objects.keys()")) > count, "an object is added", 20)
+    stage.photograph("13_object")
+    stage.render("14_object_render")
+    return session.ask("bpy.context.window_manager.windows[0].view_layer.objects.active.name")
+
+
+def place_object(stage: Stage) -> str:
+    """Place, over the room, larger by the wheel, a click; then once more, and Esc: nothing is left of that."""
+    session = stage.session
+    left, top, width, height = session.region("VIEW_3D", "WINDOW")
+    middle = (left + 0.35 * width, top + 0.7 * height)
+    before = session.ask("sorted(bpy.data.objects.keys())")
+
+    def carry() -> None:
+        session.press("iris.place", columns=(0.7, 0.8, 0.9))
+        session.display.move(*middle)
+        session.display.scroll(*middle, -3)
+
+    carry()
+    stage.photograph("15_placing")
+    session.display.click(*middle)
+    until(lambda: len(session.ask("bpy.data.objects.keys()")) == len(before) + 2, "an object is placed", 20)
+    stage.photograph("16_placed")
+    placed = sorted(set(session.ask("bpy.data.objects.keys()")) - set(before))
+    size = session.ask(f"max(bpy.data.objects[{placed[-1]!r}].dimensions)")
+    assert abs(size - 0.3 * 1.1**3) < 0.01, size
+    now = session.ask("content()")
+    carry()
+    session.display.keys("Escape")
+    until(lambda: session.ask("content()") == now, "nothing is left of what was taken back", 20)
+    return f"{placed[0]}, {size:.2f} m wide"
+
+
+def onto_photo(stage: Stage) -> str:
+    """What was placed, onto the photo that is looked at: another Blender renders it, the picture lies over the view."""
+    session = stage.session
+    session.press("iris.onto_photo")
+    stage.photograph_at_once("17_onto_photo_runs")
+    until(
+        lambda: session.ask("job('composite')")["state"] not in ("missing", "running"), "the picture", COMPOSITE_SECONDS
+    )
+    found = session.ask("job('composite')")
+    assert found["state"] == "done", found
+    stage.photograph("17_onto_photo")
+    (name,) = session.ask("[i.name for i in bpy.data.images if i.name.startswith('IRIS Onto')]")
+    return name
+
+
+def mix_lights(stage: Stage) -> str:
+    """Mix Lights: a slider per light; the render is what it was, and switched off nothing is left of it."""
+    session = stage.session
+    before = session.ask("content()")
+    plain = stage.render("18_not_mixed")
+    session.press("iris.mix_lights")
+    until(lambda: stage.value("get('iris_mixed')"), "the lights are mixed", 20)
+    mixed = stage.render("18_mixed")
+    stage.photograph("18_sliders")
+    assert max(abs(a - b) for a, b in zip(plain, mixed, strict=True)) < 0.02, (plain, mixed)
+    session.press("iris.mix_lights")
+    assert session.ask("content()") == before, stage.difference(before)
+    return f"{sum(plain) / 3:.3f} and {sum(mixed) / 3:.3f}"
