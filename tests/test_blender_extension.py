@@ -28,6 +28,7 @@ ALLOWED_OPS = (
     "wm.open_mainfile",
     "import_scene.",
     "export_scene.",
+    "scene.view_layer_remove_lightgroup",
     "wm.usd_",
     "wm.obj_",
     "wm.ply_",

@@ -20,7 +20,14 @@ from ..result.edits import OUTSIDE
 from .light_groups import MIX_GROUP, group_lights, mixed_picture
 from .materials import LAMP_ID
 from .node_groups import remove_nodes
-from .version import composites, compositor_output, compositor_tree, leave_compositor_tree, own_compositor_tree
+from .version import (
+    composites,
+    compositor_output,
+    compositor_tree,
+    leave_compositor_tree,
+    own_compositor_tree,
+    remove_lightgroup,
+)
 
 MIXED = "iris_mixed"
 """Custom property of a scene whose lights are mixed: what it was like before."""
@@ -75,8 +82,8 @@ def stop_mixing(scene: bpy.types.Scene) -> None:
         thing.lightgroup = before["lightgroups"].get(thing.name, "")
     if scene.world is not None:
         scene.world.lightgroup = before["world"]
-    for group in [group for group in layer.lightgroups if group.name not in before["groups"]]:
-        layer.lightgroups.remove(group)
+    for name in [group.name for group in layer.lightgroups if group.name not in before["groups"]]:
+        remove_lightgroup(scene, layer, name)
     _put_lamps_back(scene)
     del scene[MIXED]
 

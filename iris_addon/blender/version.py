@@ -40,6 +40,16 @@ def compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
     return getattr(scene, name)
 
 
+def remove_lightgroup(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, name: str) -> None:
+    """Remove the light group ``name`` of a view layer of ``scene``; in 4.3 an operator can, the collection cannot."""
+    if hasattr(layer.lightgroups, "remove"):
+        layer.lightgroups.remove(layer.lightgroups[name])
+        return
+    layer.active_lightgroup_index = layer.lightgroups.find(name)
+    with bpy.context.temp_override(scene=scene, view_layer=layer):
+        bpy.ops.scene.view_layer_remove_lightgroup()
+
+
 EEVEE = ("BLENDER_EEVEE", "BLENDER_EEVEE_NEXT")
 """One engine, called the latter from 4.2 to 4.5."""
 
