@@ -12,7 +12,6 @@ from ..iris_addon.blender import jobs
 from ..iris_addon.blender.capture_in import photo_of, show_instead
 from ..iris_addon.blender.commands import composite_command
 from ..iris_addon.blender.photo_composite import write_copy
-from ..iris_addon.blender.version import blender_program
 from ..iris_addon.errors import IrisError
 from .check import look_at_photo
 from .polls import NeedsApplied
@@ -63,7 +62,7 @@ class IRIS_OT_onto_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
             if record.state == "done" and shown is not None and folder(shown) == out:
                 _show(shown, view_name, picture)
 
-        command = composite_command(blender_program(), copy, out, photo, view_name, picture, self.samples)
+        command = composite_command(bpy.app.binary_path, copy, out, photo, view_name, picture, self.samples)
         return run(self, "composite", out, command, ended)
 
 

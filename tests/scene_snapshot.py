@@ -6,7 +6,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from iris_addon.blender.version import composites, compositor_tree
+from iris_addon.blender.version import composites, compositor_output, compositor_tree, own_compositor_tree
 
 KINDS = ("meshes", "materials", "images", "worlds", "objects", "node_groups", "collections", "textures")
 
@@ -71,3 +71,12 @@ def _mesh(mesh: bpy.types.Mesh) -> tuple:
         layer.uv.foreach_get("vector", uv)
         digest.update(layer.name.encode() + uv.tobytes())
     return digest.hexdigest(), [material.name if material else None for material in mesh.materials]
+
+
+def blurred(scene: bpy.types.Scene) -> bpy.types.Node:
+    """A compositing of somebody's own: the render layers, blurred. The node that blurs them."""
+    tree = own_compositor_tree(scene)
+    layers, blur = tree.nodes.new("CompositorNodeRLayers"), tree.nodes.new("CompositorNodeBlur")
+    tree.links.new(layers.outputs["Image"], blur.inputs["Image"])
+    tree.links.new(blur.outputs["Image"], compositor_output(tree))
+    return blur

@@ -185,13 +185,10 @@ def test_a_scene_matches_one_photo_then_another_and_is_then_what_it_was(scene, t
 def test_the_camera_comes_last_in_a_compositing_that_is_there(scene):
     from iris_addon.blender.camera_match import CAMERA_GROUP
     from iris_addon.blender.photo_look import match_photo, stop_matching
-    from iris_addon.blender.version import compositor_output, own_compositor_tree
-    from tests.scene_snapshot import snapshot
+    from iris_addon.blender.version import own_compositor_tree
+    from tests.scene_snapshot import blurred, snapshot
 
-    tree = own_compositor_tree(scene)
-    layers, blur = tree.nodes.new("CompositorNodeRLayers"), tree.nodes.new("CompositorNodeBlur")
-    tree.links.new(layers.outputs["Image"], blur.inputs["Image"])
-    tree.links.new(blur.outputs["Image"], compositor_output(tree))
+    blur, tree = blurred(scene), own_compositor_tree(scene)
     before = snapshot(scene)
     for _twice in range(2):
         match_photo(scene, film(), {"a": EXPOSURE}, "a")

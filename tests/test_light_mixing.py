@@ -10,10 +10,11 @@ from iris_addon.blender.light_mixing import mixer, sliders, start_mixing, stop_m
 from iris_addon.blender.onto_objects import apply_to_objects, restore
 from iris_addon.blender.photo_look import match_photo, stop_matching
 from iris_addon.blender.render import render_linear, set_cycles
+from iris_addon.blender.version import compositor_output, compositor_tree
 from iris_addon.errors import BadInput
 from iris_addon.response.curve import gamma
 from tests.blender_room import camera
-from tests.scene_snapshot import snapshot
+from tests.scene_snapshot import blurred, snapshot
 from tests.test_blender_onto_objects import cube, solve
 
 pytestmark = pytest.mark.bpy
@@ -90,16 +91,12 @@ def test_restoring_the_originals_ends_mixing(scene):
 
 
 def test_a_compositing_that_is_there_gets_the_mix(scene):
-    from iris_addon.blender.version import compositor_output, own_compositor_tree
-
-    tree = own_compositor_tree(scene)
-    layers, blur = tree.nodes.new("CompositorNodeRLayers"), tree.nodes.new("CompositorNodeBlur")
-    tree.links.new(layers.outputs["Image"], blur.inputs["Image"])
-    tree.links.new(blur.outputs["Image"], compositor_output(tree))
+    blur = blurred(scene)
+    layers = blur.inputs["Image"].links[0].from_node
     before = snapshot(scene)
     start_mixing(scene)
     source = blur.inputs["Image"].links[0].from_node
-    assert source != layers and compositor_output(tree).links[0].from_node == blur
+    assert source != layers and compositor_output(compositor_tree(scene)).links[0].from_node == blur
     stop_mixing(scene)
     assert snapshot(scene) == before
 

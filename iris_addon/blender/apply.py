@@ -6,10 +6,8 @@ axis to Blender's +Z; their own transforms stay those of the capture. The world 
 
 from __future__ import annotations
 
-import os
 import shutil
-import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -30,6 +28,7 @@ from .render import set_cycles
 from .scene_out import add_room, datablocks
 from .scene_state import show_like_the_photos
 from .version import require_build_option, require_gltf
+from .whole_files import write_whole
 from .world import make_world
 
 
@@ -61,14 +60,14 @@ def apply(
         add_compositing(scene, lamps, result.response, median_exposure(result.exposures))
         with _in_window(scene):
             if blend is not None:
-                _write_whole(blend, lambda path: bpy.data.libraries.write(str(path), {scene}, compress=True))
+                write_whole(blend, lambda path: bpy.data.libraries.write(str(path), {scene}, compress=True))
             if glb is not None or usd is not None:
                 _use_srgb_base_color(scene)
                 _leave_out_burley(scene)
             if glb is not None:
-                _write_whole(glb, lambda path: bpy.ops.export_scene.gltf(filepath=str(path), use_active_scene=True))
+                write_whole(glb, lambda path: bpy.ops.export_scene.gltf(filepath=str(path), use_active_scene=True))
             if usd is not None:
-                _write_whole(usd, lambda path: bpy.ops.wm.usd_export(filepath=str(path)))
+                write_whole(usd, lambda path: bpy.ops.wm.usd_export(filepath=str(path)))
     finally:
         bpy.data.batch_remove(set(datablocks()) - before)
 
@@ -147,21 +146,3 @@ def _in_window(scene: bpy.types.Scene) -> Iterator[None]:
         yield
     finally:
         window.scene = before
-
-
-def _write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Let ``write`` make a file (and what lies beside it, textures) in a folder of its own, then move it to
-    ``path``."""
-    path = Path(path).absolute()
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".iris-", dir=path.parent) as folder:
-            write(Path(folder) / path.name)
-            made = sorted(thing for thing in Path(folder).rglob("*") if thing.is_file())
-            for thing in sorted(made, key=lambda thing: thing.name == path.name):  # the file itself last
-                target = path.parent / thing.relative_to(folder)
-                target.parent.mkdir(exist_ok=True)
-                os.replace(thing, target)
-    except (RuntimeError, OSError) as error:
-        what = f"cannot be written ({str(error).strip()})"
-        raise IrisError(what, "free disk space or choose another place", path) from error

@@ -14,13 +14,14 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import BadInput, IrisError
+from ..errors import BadInput
 from ..response.curve import Response
 from .images import image_from_array, read_image
 from .insert import change_photo, coverage, differential, render_halves
 from .lamps import as_recovered, lamp_materials
 from .light_mixing import APART
 from .onto_objects import APPLIED, MADE, ORIGINAL
+from .whole_files import write_whole
 
 RENDERS = 3
 """Steps of the work: the room alone, with what was put in, and what that covers."""
@@ -103,12 +104,7 @@ def _recovered_background(scene: bpy.types.Scene) -> bpy.types.Node | None:
 
 def write_copy(scene: bpy.types.Scene, path: Path) -> None:
     """Write ``scene`` as a .blend for :func:`composite_file`; raises IrisError if that fails."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        bpy.data.libraries.write(str(path), {scene}, path_remap="ABSOLUTE", compress=True)
-    except (RuntimeError, OSError) as error:
-        what = f"cannot be written ({str(error).strip()})"
-        raise IrisError(what, "free disk space or choose another result folder", path) from error
+    write_whole(path, lambda part: bpy.data.libraries.write(str(part), {scene}, path_remap="ABSOLUTE", compress=True))
 
 
 def composite_file(
@@ -142,11 +138,8 @@ def composite_file(
 
 def _write_png(path: Path, display: NDArray[np.floating]) -> None:
     image = image_from_array(path.stem, display)
+    image.file_format = "PNG"
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        image.filepath_raw, image.file_format = str(path.absolute()), "PNG"
-        image.save()
-    except (RuntimeError, OSError) as error:
-        raise IrisError(f"cannot be written ({str(error).strip()})", "free some disk space", path) from error
+        write_whole(path, lambda part: image.save(filepath=str(part)))
     finally:
         bpy.data.images.remove(image)

@@ -64,11 +64,6 @@ def set_engine(scene: bpy.types.Scene, engine: str) -> None:
         return
 
 
-def blender_program() -> str:
-    """Path of this Blender; empty where it is a module of a Python, which ``bpy.app.module`` tells since 4.4."""
-    return "" if getattr(bpy.app, "module", False) or not bpy.app.binary_path else bpy.app.binary_path
-
-
 def can_denoise() -> bool:
     """Whether Cycles of this build has OpenImageDenoise; builds from a distribution often lack it."""
     import _cycles  # the extension module exists only inside Blender

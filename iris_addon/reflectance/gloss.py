@@ -167,16 +167,14 @@ def fit_gloss(observed: GlossObservations, n_parts: int, forced: bool | None = N
     gloss = rough_everywhere(n_parts)
     costs = None if forced is False else _part_costs(observed)
     if costs is not None:
-        alone = zip(costs.ids, costs.colour, costs.plastic, costs.error, strict=True)
-        for (label, colour, own, own_error), (plastic, metal, error, count) in zip(
-            alone, zip(*costs.pooled(), strict=True), strict=True
-        ):
+        for k, (plastic, metal, error, count) in enumerate(zip(*costs.pooled(), strict=True)):
+            label, own = int(costs.ids[k]), costs.plastic[k]
             gain_of_metal = 0.0 if forced else (1.0 + FEW / count) * METAL_GAIN_NEEDED
             if metal.min() < (1 - gain_of_metal) * plastic.min():
-                _make_metal(gloss, int(label), metal, colour)
+                _make_metal(gloss, label, metal, costs.colour[k])
             elif forced or _shows_highlight(plastic, error, ERRORS_NEEDED):
                 gloss.roughness[label] = _interpolate_minimum(plastic)
-            elif _shows_highlight(own, own_error, ERRORS_NEEDED_ALONE):
+            elif _shows_highlight(own, costs.error[k], ERRORS_NEEDED_ALONE):
                 gloss.roughness[label] = _interpolate_minimum(own)
             gloss.decided[label] = True
     return gloss
