@@ -34,9 +34,11 @@ CLOSED_ROOM = Refinements(
     corrected_exposures=False,
     exponent=False,
     hidden_light=False,
+    local_exposure=False,
     poses=False,
 )
-"""One curve, exposures and poses as they were recorded, no light but that of surfaces the photos show."""
+"""One curve for all of a photo, exposures and poses as they were recorded, no light but that of surfaces the photos
+show."""
 Setting = object
 Settings = Callable[[Path, Path], dict[str, Setting]]
 """(capture folder, scratch folder) to fields of SolveConfig; raises BadInput where the capture lacks what is needed."""

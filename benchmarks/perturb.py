@@ -69,6 +69,7 @@ AXES: Mapping[str, Axis] = {
             _p.drift_white_balance,
         ),
         Axis("tone_mapping", "local tone mapping", "strength", (0, 0.15, 0.3, 0.5, 0.7), _p.map_tones),
+        Axis("vignetting", "vignetting", "stops in the corners", (0, 0.25, 0.5, 1, 2), _p.darken_corners),
         Axis("response", "response away from the prior", "standard deviations", (0, 1, 2, 3, 4), _p.odd_response, True),
         Axis(
             "measured_response",

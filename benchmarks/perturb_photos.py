@@ -1,14 +1,15 @@
-"""Perturbations of the photos: exposure, white balance, local tone mapping, other responses.
+"""Perturbations of the photos: exposure, white balance, local tone mapping, vignetting, other responses.
 
 All start from radiance. A capture that keeps its training radiance (``gt/train/Image/*.exr``) is developed anew, which
-is exact. Of others the 8-bit photo is inverted: a value uniform within its quantisation step, the true emission where
-a lamp is clipped, and the clipping level elsewhere. The note in the record says which of the two it was.
+is exact. Of others the 8-bit photo is inverted: a value uniform within its quantisation step; where it is clipped, the
+true emission of lamps, what darker photos show of other surfaces, and the clipping level of what none shows. The note
+in the record says which of the two it was.
 """
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,9 +25,9 @@ from iris_addon.evaluate.ground_truth import read_rgb
 from iris_addon.evaluate.metrics import to_ldr
 from iris_addon.imaging import read_image, write_png
 from iris_addon.response import family
-from iris_addon.response.curve import N_SAMPLES, Response
-from iris_addon.result.edits_json import LUMINANCE
+from iris_addon.response.curve import LUMINANCE, N_SAMPLES, Response
 
+from .clipped_pixels import radiance_beyond_clipping
 from .machine import ROOT
 
 DORF = ROOT.parent / "shared" / "crf" / "dorf_dev.npz"
@@ -40,12 +41,14 @@ class Film:
     Attributes:
         response: the true one.
         exact: whether radiance comes from EXR files.
+        beyond: where it does not: radiance of clipped pixels by view, NaN where it is not known.
     """
 
     root: Path
     views: tuple[View, ...]
     response: Response
     exact: bool
+    beyond: Mapping[str, FloatArray]
 
     @staticmethod
     def of(root: Path) -> Film:
@@ -57,7 +60,8 @@ class Film:
                 "records no response or no exposures", "photos can be taken anew only where both are known", root
             )
         exact = all((root / "gt" / "train" / "Image" / f"{view.name}.exr").is_file() for view in views)
-        return Film(root, views, Response(np.load(path, allow_pickle=False).astype(np.float64), "file"), exact)
+        response = Response(np.load(path, allow_pickle=False).astype(np.float64), "file")
+        return Film(root, views, response, exact, {} if exact else radiance_beyond_clipping(root, views, response))
 
     @property
     def note(self) -> str:
@@ -73,6 +77,7 @@ class Film:
         x = self.response.invert((byte + rng.random(byte.shape)) / 255.0)
         clipped = byte == 255
         radiance = np.where(clipped, 1.0, x) / view.exposure
+        radiance = np.fmax(radiance, self.beyond[view.name])
         emit = self.root / "gt" / "train" / "Emit" / f"{view.name}.exr"
         if emit.is_file():
             radiance = np.where(clipped, np.maximum(radiance, read_rgb(emit)), radiance)
@@ -136,6 +141,20 @@ def map_tones(root: Path, _truth: Path, strength: float, rng: np.random.Generato
         base = gaussian_filter(log_luminance, radiance.shape[1] / 12, mode="nearest")
         gain = np.exp(-strength * (base - np.median(base)))
         return film.shoot(radiance * gain[..., None], view.exposure or 1.0)
+
+    film.take(develop, rng)
+    return film.note
+
+
+def darken_corners(root: Path, _truth: Path, stops: float, rng: np.random.Generator) -> str:
+    """Vignetting: exposure falls with the square of the distance from the middle, by ``stops`` in the corners."""
+    film = Film.of(root)
+
+    def develop(radiance: FloatArray, view: View) -> FloatArray:
+        height, width = radiance.shape[:2]
+        x, y = (np.arange(n) + 0.5 - n / 2 for n in (width, height))
+        r2 = (x**2 + y[:, None] ** 2) / ((width / 2) ** 2 + (height / 2) ** 2)
+        return film.shoot(radiance * 2.0 ** (-stops * r2)[..., None], view.exposure or 1.0)
 
     film.take(develop, rng)
     return film.note

@@ -14,7 +14,7 @@ from iris_addon.errors import BadInput
 from iris_addon.result.edits import SceneEdit
 from iris_addon.result.types import Result
 
-from .pictures import FloatArray, known_exposure, write_picture
+from .pictures import FloatArray, known_exposure, places_of_photo, write_picture
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,8 @@ class PhotoInsertion:
 
         values, response = self.photo.values.astype(np.float64), self.result.response
         known = known_exposure(self.result, self.view)
+        if known is not None and not self.photo.hdr:
+            known = places_of_photo(self.result, values, known)
         if edit.changes_nothing:
             linear = values if self.photo.hdr else response.invert(values) / (1.0 if known is None else known)
             return ChangedPhoto(None if self.photo.hdr else values, linear)

@@ -44,9 +44,9 @@ def composite(args: argparse.Namespace, progress: Progress) -> Outcome:
     """What an artist put into the room of a .blend, onto the photo."""
     from iris_addon.blender.camera_match import median_exposure
     from iris_addon.blender.photo_composite import RENDERS, composite_file
-    from iris_addon.result.io import read_response
+    from iris_addon.result.response_json import read_response
 
-    response, exposures = read_response(args.result)
+    response, exposures, local = read_response(args.result)
     if response.family == "identity":
         what, fix = "was solved from radiance, so the response of photos is not known", "solve the photos"
         raise BadInput(what, fix, args.result)
@@ -58,6 +58,7 @@ def composite(args: argparse.Namespace, progress: Progress) -> Outcome:
             args.out,
             response,
             exposure,
+            local,
             **_sampling(args),
             on_step=lambda done: progress.update(done / RENDERS),
         )

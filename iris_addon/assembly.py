@@ -25,6 +25,7 @@ from .reflectance.materials import MaterialProblem, scene_of
 from .reflectance.shading import Shading
 from .reflectance.specular import pixel_lobes, subtract_specular
 from .reflectance.textures import make_textures
+from .response.local_exposure import ALIKE
 from .result.types import Emitter, OutsideLight, Result
 from .surface.atlas import build_atlas, texel_density_from_footprint
 from .surface.build import Surface
@@ -70,7 +71,7 @@ def make_result(
     )
     metallic = gloss.metallic[part]
     specular = subtract_specular(ls0, ls1, metallic)
-    linear = photometry.linearise_pixels(photos.z, samples.view)
+    linear = photometry.linearise_pixels(photos.z, samples.view, samples.pixel)
     view_factor = _view_factor(shading, light.surface.sample_patch, gloss.roughness[part], samples)
     diffuse_light = irradiance * view_factor[:, None]
     albedo = pixel_albedo(linear.radiance, specular, ls0, diffuse_light, metallic)
@@ -90,7 +91,7 @@ def make_result(
     def explained(rows: Rows) -> NDArray[np.float64]:
         """Display values of some pixels under the solved model."""
         seen = (column[rows] for column in (base_color, metallic, diffuse_light, ls0, ls1, emission))
-        return photometry.develop(_predict(*seen), samples.view[rows])
+        return photometry.develop(_predict(*seen), samples.view[rows], samples.pixel[rows])
 
     shown = photos.z[held_out]
     error = explained(held_out) - (shown if photos.hdr else np.clip(shown + 0.5 / 255, 0, 1))
@@ -109,6 +110,7 @@ def make_result(
         exposures,
         report,
         capture.up,
+        ALIKE if photometry.local is None else photometry.local.settings,
     )
     return result, _rerenders(capture, samples, explained)
 

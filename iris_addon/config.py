@@ -23,6 +23,7 @@ class Refinements:
         exponent: that of response and radiance as light transport asks for it, where exposures are unknown.
         hidden_light: light from where no photo looks: from beyond the mesh, by direction, and lamps that none shows.
         gloss: roughness and metallic of a part; without it all is rough.
+        local_exposure: local tone mapping and vignetting.
         poses: poses of single photos as those agree on the mesh, in place of the given ones.
     """
 
@@ -32,6 +33,7 @@ class Refinements:
     exponent: bool | None = None
     hidden_light: bool | None = None
     gloss: bool | None = None
+    local_exposure: bool | None = None
     poses: bool | None = None
 
 

@@ -11,6 +11,8 @@ from .capture import load_photo
 from .capture.types import Capture
 from .errors import BadInput
 from .progress import Progress
+from .response.curve import SATURATED
+from .response.local_exposure import COLUMNS, ROWS, SmallPhotos, shrink
 from .surface.samples import PixelSamples, pixel_lattice, stride_for_budget, trace_pixels
 from .transport.tracer import Tracer
 
@@ -27,12 +29,14 @@ class BeyondMesh:
     Attributes:
         share: of all pixels that miss it.
         view: (k,) int16.
+        pixel: (k,) int32 row-major in its photo.
         direction: (k, 3) unit, world space, away from the camera.
         z: (k, 3) float32 display values, or radiance.
     """
 
     share: float
     view: NDArray[np.int16]
+    pixel: NDArray[np.int32]
     direction: NDArray[np.floating]
     z: NDArray[np.float32]
 
@@ -45,6 +49,7 @@ class PhotoSamples:
         z: (n, 3) float32 display values in [0, 1], or radiance for HDR input.
         beyond: some of the pixels that miss the mesh.
         stride: one pixel of every stride x stride was looked at.
+        small: the photos at a small size.
         mixed: (n,) bool pixels on an edge, see :mod:`.surface.mixed`; none before parts are known.
     """
 
@@ -53,6 +58,7 @@ class PhotoSamples:
     hdr: bool
     beyond: BeyondMesh
     stride: int
+    small: SmallPhotos
     mixed: NDArray[np.bool_]
 
 
@@ -68,9 +74,11 @@ def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progres
     z = np.empty((len(samples.view), 3), np.float32)
     valid = np.empty(len(samples.view), bool)
     missing: list[tuple[NDArray, ...]] = []
-    looked = 0
+    looked, small, blown = 0, np.empty((len(cameras), ROWS, COLUMNS, 3), np.float32), []
     for index, view in enumerate(capture.views):
         photo = load_photo(view)
+        small[index] = shrink(photo.values, photo.valid)
+        blown.append(shrink((photo.values >= SATURATED).mean(-1, keepdims=True), photo.valid)[..., 0])
         hdr = hdr or photo.hdr
         rows = slice(*np.searchsorted(samples.view, [index, index + 1]))
         z[rows] = photo.values.reshape(-1, 3)[samples.pixel[rows]]
@@ -81,6 +89,7 @@ def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progres
         missing.append(
             (
                 np.full(len(missed), index, np.int16),
+                missed,
                 view.camera.rays(missed)[1],
                 photo.values.reshape(-1, 3)[missed],
             )
@@ -94,4 +103,7 @@ def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progres
     if not valid.all():
         samples, z = samples.take(np.flatnonzero(valid)), z[valid]
     columns = [np.concatenate(column) for column in zip(*missing, strict=True)]
-    return PhotoSamples(samples, z, hdr, BeyondMesh(len(columns[0]) / looked, *columns), stride, np.zeros(len(z), bool))
+    beyond = BeyondMesh(len(columns[0]) / looked, *columns)
+    sizes = np.array([(camera.height, camera.width) for camera in cameras])
+    at_small_size = SmallPhotos(small, np.stack(blown), sizes)
+    return PhotoSamples(samples, z, hdr, beyond, stride, at_small_size, np.zeros(len(z), bool))

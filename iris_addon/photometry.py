@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from .capture.types import Capture
 from .config import SolveConfig
 from .parallel import BLOCK, over_blocks
+from .photo_samples import PhotoSamples
 from .response import curve
 from .response.curve import SATURATED, Response
 from .response.family import FITTED
 from .response.files import read_response
+from .response.local_exposure import LocalExposure
 from .response.observations import Observations
 from .response.overlap import fit_overlap
 from .response.radiance import MODEL_NOISE, Linearised, quantisation_noise
@@ -32,6 +34,7 @@ class Photometry:
         known_exposures: whether the capture gave the exposures.
         exposure_error: stops RMS by which photos speak against the exposures that were given, 0 where they do not.
         exponent: of response, exposures and radiance over those that the prior chose.
+        local: what the camera adds from place to place, None where all places of a photo are alike.
     """
 
     response: Response
@@ -41,6 +44,7 @@ class Photometry:
     known_exposures: bool
     exposure_error: float = 0.0
     exponent: float = 1.0
+    local: LocalExposure | None = None
 
     @property
     def hdr(self) -> bool:
@@ -52,10 +56,16 @@ class Photometry:
         """What a user should know."""
         if self.hdr:
             return ()
-        if self.known_exposures:
-            wrong = f"the recorded exposures do not fit the photos ({self.exposure_error:.2g} stops) and were corrected"
-            return (wrong,) if self.exposure_error else ()
-        return ("exposures are unknown: the overall brightness of lights is relative",)
+        found = []
+        if self.local is not None and self.local.settings.strength:
+            lost = f"{self.local.settings.strength:.0%} of the contrast between regions"
+            found.append(f"the photos are locally tone mapped ({lost}); it was undone")
+        if not self.known_exposures:
+            found.append("exposures are unknown: the overall brightness of lights is relative")
+        elif self.exposure_error:
+            error = f"{self.exposure_error:.2g} stops"
+            found.append(f"the recorded exposures do not fit the photos ({error}) and were corrected")
+        return tuple(found)
 
     @property
     def exponent_open(self) -> bool:
@@ -69,9 +79,17 @@ class Photometry:
             response=self.response.raised(exponent),
             exposures=self.exposures**exponent,
             exponent=self.exponent * exponent,
+            local=None if self.local is None else self.local.raised(exponent),
         )
 
-    def linearise_pixels(self, z: NDArray[np.floating], view: NDArray[np.integer]) -> Linearised:
+    def exposure_at(self, view: NDArray[np.integer], pixel: NDArray[np.integer]) -> NDArray[np.float64]:
+        """(n, 3) exposure factor of row-major pixels (n,) of views (n,)."""
+        exposure = self.exposures[view]
+        return exposure if self.local is None else exposure * self.local.at(view, pixel)[:, None]
+
+    def linearise_pixels(
+        self, z: NDArray[np.floating], view: NDArray[np.integer], pixel: NDArray[np.integer]
+    ) -> Linearised:
         """Radiance of pixels (n, 3) with their precision; a single pixel is clipped or it is not."""
         if self.hdr:
             return Linearised(z / self.exposures[view], np.ones(z.shape, bool), np.zeros(z.shape), np.ones(z.shape))
@@ -79,7 +97,7 @@ class Photometry:
         radiance, bound, precision = np.empty(z.shape), np.empty(z.shape), np.empty(z.shape)
 
         def work(rows: slice) -> None:
-            t = self.exposures[view[rows]]
+            t = self.exposure_at(view[rows], pixel[rows])
             x = self.response.invert(np.clip(z[rows] + 0.5 / 255, 0, 1))
             radiance[rows] = x / t
             bound[rows] = np.where(clipped[rows], 1 / t, 0.0)
@@ -88,9 +106,11 @@ class Photometry:
         over_blocks(len(z), BLOCK, work)
         return Linearised(radiance, ~clipped, bound, precision)
 
-    def develop(self, radiance: NDArray[np.floating], view: NDArray[np.integer]) -> NDArray[np.float64]:
+    def develop(
+        self, radiance: NDArray[np.floating], view: NDArray[np.integer], pixel: NDArray[np.integer]
+    ) -> NDArray[np.float64]:
         """Display values (n, 3) of radiance; the radiance itself for HDR input."""
-        exposed = radiance * self.exposures[view]
+        exposed = radiance * self.exposure_at(view, pixel)
         return exposed if self.hdr else self.response.apply(exposed)
 
     def report(self) -> dict[str, Any]:
@@ -101,6 +121,7 @@ class Photometry:
             "exposures": ("corrected" if self.exposure_error else "known") if self.known_exposures else "estimated",
             "exposure_error_stops": round(self.exposure_error, 3),
             "exponent": round(self.exponent, 3),
+            "local_exposure": None if self.local is None else asdict(self.local.settings),
             "held_out_residual": None if np.isnan(self.held_out) else self.held_out,
         }
 
@@ -114,6 +135,7 @@ class Photometry:
             "held_out": np.array(self.held_out),
             "flags": np.array([self.per_channel, self.known_exposures]),
             "exposure_error": np.array(self.exposure_error),
+            **({} if self.local is None else self.local.arrays()),
         }
 
     @staticmethod
@@ -122,11 +144,12 @@ class Photometry:
         response = Response(arrays["samples"], str(arrays["family"]), tuple(arrays["coefficients"].tolist()))
         per_channel, known = (bool(flag) for flag in arrays["flags"])
         held_out, error = float(arrays["held_out"]), float(arrays["exposure_error"])
-        return Photometry(response, arrays["exposures"], held_out, per_channel, known, error)
+        local = LocalExposure.from_arrays(arrays)
+        return Photometry(response, arrays["exposures"], held_out, per_channel, known, error, local=local)
 
 
 def measure_photometry(
-    capture: Capture, config: SolveConfig, observations: Observations, hdr: bool, rng: np.random.Generator
+    capture: Capture, config: SolveConfig, observations: Observations, photos: PhotoSamples, rng: np.random.Generator
 ) -> Photometry:
     """Response and exposures as the configuration asks for them.
 
@@ -136,13 +159,14 @@ def measure_photometry(
     known = capture.exposures_known
     given = np.array([view.exposure for view in capture.views], np.float64) if known else None
     n = len(capture.views)
-    if hdr:
+    if photos.hdr:
         factors = np.ones(n) if given is None or config.hdr is not None else given
         return Photometry(curve.identity(), np.repeat(factors[:, None], 3, 1), np.nan, False, True)
     fixed = _fixed_response(config)
-    fit = fit_overlap(observations, given, n, rng, fixed, config.refinements)
+    fit = fit_overlap(observations, given, n, rng, fixed, config.refinements, photos.small)
     error = 0.0 if given is None else float(np.sqrt(np.mean(np.log2(fit.exposures / given[:, None]) ** 2)))
-    return Photometry(fit.response, fit.exposures, fit.residual, fit.per_channel, known, error if error > 1e-6 else 0.0)
+    error = error if error > 1e-6 else 0.0
+    return Photometry(fit.response, fit.exposures, fit.residual, fit.per_channel, known, error, local=fit.local)
 
 
 def _fixed_response(config: SolveConfig) -> Response | None:

@@ -52,14 +52,14 @@ def write_previews(
     ends = np.searchsorted(samples.view, np.arange(len(capture.views) + 1))
     of_views = [slice(begin, end) for begin, end in pairwise(ends)]
     rows = max(of_views, key=lambda rows: len(np.unique(of_sample[rows])))
-    patch, view = of_sample[rows], samples.view[rows]
+    patch, view, pixel = of_sample[rows], samples.view[rows], samples.pixel[rows]
     if not len(patch):
         return
-    radiance = photometry.linearise_pixels(z[rows], view).radiance
+    radiance = photometry.linearise_pixels(z[rows], view, pixel).radiance
     irradiance = smooth_irradiance(problem.light, lights)[patch]
     on_lamp = lights.mask[samples.face[rows]][:, None]
     white = max(float(np.percentile(irradiance, BRIGHT)), 1e-9)
-    difference = photometry.develop(problem.observed.radiance[patch], view) - z[rows]
+    difference = photometry.develop(problem.observed.radiance[patch], view, pixel) - z[rows]
     columns = {
         "albedo": srgb(np.where(on_lamp, 0.0, radiance / np.maximum(irradiance, DARK * white))),
         "light": srgb(np.where(on_lamp, 1.0, irradiance / white)),
@@ -68,5 +68,5 @@ def write_previews(
     camera = capture.views[view[0]].camera
     step = -(-max(camera.width, camera.height) // SIDE)
     for kind in KINDS:
-        picture = as_picture(columns[kind], samples.pixel[rows], camera, step)
+        picture = as_picture(columns[kind], pixel, camera, step)
         write_png(preview_path(folder, kind), to_codes(picture))

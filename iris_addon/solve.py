@@ -100,12 +100,15 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         if config.refinements.hidden_light is not False:
             pieces = pieces_between_edges(tracer.normals, adjacency, parts)
             hidden = find_hidden(transport, parts, pieces, photos.samples.seen_faces(len(parts)))
-    observations = observe(surface.sample_patch, photos.samples.view, photos.z, photos.mixed, photos.hdr, config.rng(3))
+    seen, widths = photos.samples, photos.small.sizes[:, 1]
+    observations = observe(
+        surface.sample_patch, seen.view, seen.pixel, widths, photos.z, photos.mixed, photos.hdr, config.rng(3)
+    )
     with progress.stage("response"):
         photometry = Photometry.from_arrays(
             checkpoints.stage(
                 "response",
-                lambda: measure_photometry(capture, config, observations, photos.hdr, config.rng(4)).arrays(),
+                lambda: measure_photometry(capture, config, observations, photos, config.rng(4)).arrays(),
             )
         )
     pose = partial(_problem, config, tracer, photos, parts, adjacency, surface, transport, hidden, observations, field)
@@ -158,7 +161,8 @@ def _problem(
     field: IrradianceField,
     photometry: Photometry,
 ) -> MaterialProblem:
-    linear = linearise(observations, photometry.response, photometry.exposures)
+    exposure = photometry.exposure_at(observations.view, observations.pixel)
+    linear = linearise(observations, photometry.response, exposure)
     if not linear.open.all(1).any():
         raise BadInput("every pixel of the photos is clipped in one channel or another", "add darker photos")
     n, forced = len(surface.part), config.refinements

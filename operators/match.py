@@ -9,7 +9,7 @@ import bpy
 from ..iris_addon.blender.light_mixing import start_mixing, stop_mixing
 from ..iris_addon.blender.photo_look import MATCHED, match_photo, stop_matching
 from ..iris_addon.errors import IrisError
-from ..iris_addon.result.io import read_response
+from ..iris_addon.result.response_json import read_response
 from .polls import NeedsApplied
 from .project import folder
 from .watch import show_in_editor
@@ -70,6 +70,6 @@ class IRIS_OT_mix_lights(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
 
 def match_shown_photo(scene: bpy.types.Scene) -> None:
     """Let renders of ``scene`` look like the photo that is looked at; raises BadInput without a response."""
-    response, exposures = read_response(folder(scene))
+    response, exposures, _local = read_response(folder(scene))
     views = scene.iris.views
     match_photo(scene, response, exposures, views[scene.iris.view_index].name if views else "")

@@ -9,7 +9,7 @@ import bpy
 from ..iris_addon.blender.capture_in import show_instead
 from ..iris_addon.blender.review import curve_image, review_image, reviewed_views, show_confidence
 from ..iris_addon.errors import IrisError
-from ..iris_addon.result.io import read_response
+from ..iris_addon.result.response_json import read_response
 from .polls import NeedsResult
 from .project import folder
 from .watch import show_in_editor

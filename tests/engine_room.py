@@ -235,7 +235,16 @@ def same_results(a: Path, b: Path) -> bool:
     return reports[0] == reports[1] and files[0] == files[1] and equal and lights and curves
 
 
-def observe_off_edges(patch: np.ndarray, view: np.ndarray, z: np.ndarray, rng: np.random.Generator) -> Observations:
-    """Observations of display values ``z`` (n, 3), none of them on an edge."""
-    mixed = np.zeros(len(z), bool)
-    return observe(patch.astype(np.int32), view.astype(np.int16), z.astype(np.float32), mixed, False, rng)
+def observe_off_edges(
+    patch: np.ndarray,
+    view: np.ndarray,
+    z: np.ndarray,
+    rng: np.random.Generator,
+    pixel: np.ndarray | None = None,
+    width: int = 1,
+) -> Observations:
+    """Observations of display values ``z`` (n, 3) at row-major pixels of photos of one width, none on an edge."""
+    mixed, widths = np.zeros(len(z), bool), np.full(view.max() + 1, width)
+    pixel = (np.zeros(len(z)) if pixel is None else pixel).astype(np.int32)
+    shown = patch.astype(np.int32), view.astype(np.int16), pixel, widths, z.astype(np.float32)
+    return observe(*shown, mixed, False, rng)

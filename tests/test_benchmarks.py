@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 
 from benchmarks import meshes, perturb_geometry, perturb_photos, perturb_scene
+from benchmarks.clipped_pixels import radiance_beyond_clipping
 from benchmarks.perturb import AXES, perturb
 from benchmarks.perturb_masks import true_lamp_faces
 from iris_addon.capture import read_capture
 from iris_addon.capture.fipt import read_fipt, read_fipt_views
 from iris_addon.capture.meshes import read_mesh
 from iris_addon.evaluate import evaluate
-from iris_addon.imaging import read_image, write_exr
+from iris_addon.imaging import read_image, write_exr, write_png
+from iris_addon.response.curve import gamma
 from iris_addon.surface.parts import initial_parts
 from tests.box_room import ROOM_MAX, ROOM_MIN, box_mesh
 from tests.truth_room import LAMP_FACES, SIDE, true_result, write_references, write_truth_room
@@ -105,6 +107,33 @@ def test_tone_mapping_lowers_large_scale_contrast(room, tmp_path):
         for root in (room, made.capture)
     ]
     assert spread[1] < 0.8 * spread[0]
+
+
+def test_vignetting_darkens_corners_by_so_many_stops(room, tmp_path):
+    made = perturb(room, "vignetting", 4, 0, tmp_path / "out")
+    old, new = (perturb_photos.Film.of(root) for root in (room, made.capture))
+    photos = [read_image(film.views[0].photo).astype(float) for film in (old, new)]
+    exposed = [old.response.invert((photo + 0.5) / 255) for photo in photos]
+    # The last row is the brightest; its first pixel is the corner, half a pixel off, and few bytes bright at the end.
+    assert np.log2(exposed[0][-1, 0] / exposed[1][-1, 0]) == pytest.approx(np.full(3, 2.0), abs=0.4)
+    assert np.log2(exposed[0][12, 16] / exposed[1][12, 16]) == pytest.approx(np.zeros(3), abs=0.05)
+
+
+def test_what_a_photo_clips_is_taken_from_a_darker_one(room, tmp_path):
+    """Of a room that shines alike everywhere: two photos that show the same place, and one that shows another."""
+    bright, camera = 1.5, gamma()
+    here, elsewhere = perturb_photos.Film.of(room).views[:2]
+    views = [
+        replace(view, photo=tmp_path / f"{k}.png", exposure=exposure, name=str(k))
+        for k, (view, exposure) in enumerate([(here, 1.0), (here, 0.5), (elsewhere, 1.0)])
+    ]
+    for view in views:
+        shown = camera.apply(np.full((24, 32, 3), np.clip(bright * view.exposure, 0, 1)))
+        write_png(view.photo, np.floor(255 * shown).astype(np.uint8))
+    found = radiance_beyond_clipping(room, views, camera)
+    assert found["0"] == pytest.approx(np.full((24, 32, 3), bright), rel=0.02)
+    assert np.isnan(found["1"]).all(), "nothing of it is clipped"
+    assert np.isnan(found["2"]).any(), "no darker photo shows all that it shows"
 
 
 def test_odd_responses_rise_and_lie_as_far_from_the_prior_as_asked(room, tmp_path):

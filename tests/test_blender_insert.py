@@ -54,6 +54,15 @@ def test_no_change_of_light_is_no_change_of_the_photo():
     np.testing.assert_array_equal(same, photo)
 
 
+def test_light_that_is_gained_is_exposed_as_its_place_in_the_photo():
+    """Of a photo whose corners a lens darkened to half, what a lamp adds is darkened there too."""
+    photo = gamma().apply(blank(value=0.1))
+    at_places = EXPOSURE * np.linspace(1.0, 0.5, 30)[:, None]
+    display, radiance = change_photo(photo, changed(1.0), gamma(), at_places)
+    np.testing.assert_allclose(gamma().invert(display)[0, [0, -1], 0], [0.1 + 0.2, 0.1 + 0.1], rtol=1e-3)
+    np.testing.assert_allclose(radiance[0, [0, -1], 0], [0.1 / 0.2 + 1, 0.1 / 0.1 + 1], rtol=1e-3)
+
+
 def test_a_shadow_scales_what_the_photo_shows_and_never_goes_below_black():
     photo = gamma().apply(np.random.default_rng(1).uniform(0, 0.5, (20, 30, 3)))
     _, radiance = change_photo(photo, changed(-0.25), gamma(), EXPOSURE)

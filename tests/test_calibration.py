@@ -107,7 +107,7 @@ def test_a_damaged_correction_is_refused(damage: dict) -> None:
 
 def beyond(radiance: np.ndarray, direction: np.ndarray, share: float) -> BeyondMesh:
     z = gamma().apply(radiance).astype(np.float32)
-    return BeyondMesh(share, np.zeros(len(z), np.int16), direction, z)
+    return BeyondMesh(share, np.zeros(len(z), np.int16), np.zeros(len(z), np.int32), direction, z)
 
 
 def test_the_backdrop_is_the_radiance_that_photos_show_beyond_the_mesh() -> None:
@@ -133,7 +133,7 @@ def test_a_backdrop_that_is_mostly_black_is_dark_and_finite(lit: float) -> None:
     direction = rng.normal(size=(2000, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     radiance = np.where(rng.random((2000, 1)) < lit, 0.5, 0.0) * np.ones(3)
-    pixels = BeyondMesh(0.1, np.zeros(2000, np.int16), direction, radiance)
+    pixels = BeyondMesh(0.1, np.zeros(2000, np.int16), np.zeros(2000, np.int32), direction, radiance)
     found = fit_backdrop(pixels, Photometry(identity(), np.ones((1, 3)), np.nan, False, True))
     assert found is not None and np.isfinite(found).all()
     assert np.abs(sh_radiance(found, direction)).max() <= lit

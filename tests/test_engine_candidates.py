@@ -34,7 +34,7 @@ def brightness_of(
     exposed = np.clip(radiance[patch, view] * exposures[view], 0, 1)[:, None]
     z = np.floor(255 * gamma().apply(np.repeat(exposed, 3, 1))) / 255
     o = observe_off_edges(patch, view, z, np.random.default_rng(0))
-    linear = linearise(o, gamma(), np.repeat(exposures[:, None], 3, 1))
+    linear = linearise(o, gamma(), np.repeat(exposures[o.view, None], 3, 1))
     return brightness(o, linear, n, None if specular is None else specular[patch, view][:, None].repeat(3, 1))
 
 

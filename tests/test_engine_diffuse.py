@@ -169,7 +169,7 @@ def test_the_lobe_is_chosen_from_the_views(lobe: str) -> None:
     zeros = np.zeros((m, 3), np.float32)
     observations = Observations(
         patch, np.tile(np.arange(views), patches).astype(np.int16), np.full(m, 9, np.float32),
-        rgb.astype(np.float32), zeros, zeros, np.arange(m), np.arange(m, dtype=np.int32),
+        rgb.astype(np.float32), zeros, zeros, np.arange(m), np.zeros(m, np.int32), np.arange(m, dtype=np.int32),
     )  # fmt: skip
     linear = Linearised(rgb, np.ones((m, 3), bool), np.zeros((m, 3)), np.ones((m, 3)))
     chosen = choose_diffuse(observations, linear, s)

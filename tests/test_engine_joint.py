@@ -42,7 +42,8 @@ def highlights(share: float = 0.02, n: int = 96) -> Highlights:
     z = np.floor(z * 255) / 255 + 0.5 / 255
     everything = np.ones(4 * n)
     guess = np.tile(diffuse.mean(0), (n, 1))
-    return Highlights(patch, everything, view, z, x >= 1, everything, shares, np.full((4 * n, 3), 0.01), guess)
+    pixel, rest = np.zeros(4 * n, np.int32), np.full((4 * n, 3), 0.01)
+    return Highlights(patch, everything, view, pixel, z, x >= 1, everything, shares, rest, guess)
 
 
 def refined(h: Highlights, start: np.ndarray, log_std: float = 1.0, tie: tuple[int, ...] = (0, 1)) -> Refinement:
@@ -165,7 +166,7 @@ def test_perturbed_lamps_come_back_in_a_room_with_a_polished_floor(stage: tuple[
     radiance[on_lamp] = lights.face_emission(len(light.parts))[light.samples.face[o.sample[on_lamp]]]
     z = measured.response.apply(np.minimum(radiance * measured.exposures[o.view], 1)).astype(np.float32)
     o = replace(o, z=np.floor(255 * z) / np.float32(255), saturated=(z >= SATURATED).astype(np.float32))
-    problem = replace(problem, observations=o, linear=linearise(o, measured.response, measured.exposures))
+    problem = replace(problem, observations=o, linear=linearise(o, measured.response, measured.exposures[o.view]))
 
     wrong = replace(lights, radiance=lights.radiance * np.array([[1.35], [0.75]]), log_std=np.full(2, 0.3))
     traced = trace_highlights(problem, wrong, gloss, np.random.default_rng(1))

@@ -89,8 +89,9 @@ def test_what_a_view_shows_of_a_patch_is_what_its_pixels_off_the_edge_show() -> 
     patch, view = np.repeat([0, 1], 4).astype(np.int32), np.zeros(8, np.int16)
     z = np.repeat(np.array([0.2, 0.2, 1.0, 1.0, 0.4, 0.6, 0.4, 0.6], np.float32)[:, None], 3, 1)
     mixed = np.arange(8) >= 2
-    o = observe(patch, view, z, mixed, False, np.random.default_rng(0))
-    assert o.count.tolist() == [4, 4] and o.sample[0] < 2
+    pixel = np.array([0, 2, 30, 32, 5, 6, 7, 8], np.int32)  # four corners of a square in a photo 15 wide, and a row
+    o = observe(patch, view, pixel, np.array([15]), z, mixed, False, np.random.default_rng(0))
+    assert o.count.tolist() == [4, 4] and o.sample[0] < 2 and o.pixel[0] == 16 and o.pixel[1] in (6, 7)
     assert o.z[0] == pytest.approx(0.2, abs=1e-3) and o.z[1] == pytest.approx(0.5)
     assert o.saturated[0] == pytest.approx(0, abs=2e-3)
     assert o.spread[1] == pytest.approx(0.1, abs=1e-3)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from iris_addon.evaluate import metrics
-from iris_addon.response.curve import gamma, identity
-from iris_addon.result.edits_json import LUMINANCE
+from iris_addon.response.curve import LUMINANCE, gamma, identity
 
 
 def test_psnr_is_minus_ten_log_of_the_mean_square():

@@ -15,6 +15,7 @@ from iris_addon import imaging
 from iris_addon.errors import BadInput, IrisError
 from iris_addon.json_files import from_ranges, plain, to_ranges
 from iris_addon.response.curve import Response, gamma
+from iris_addon.response.local_exposure import LocalSettings
 from iris_addon.result.io import load_result, save_result
 from tests.result_room import room
 
@@ -55,8 +56,10 @@ def test_channels_of_the_response_and_parts_of_the_file_survive(tmp_path):
     curve = np.stack([gamma(g).samples[0] for g in (0.4, 0.5, 0.6)])
     result = room(outside=False, response=Response(curve, "power-spline", (0.1, 0.2)))
     result = replace(result, mesh=replace(result.mesh, parts=np.arange(12, dtype=np.int32)))
+    result = replace(result, local=LocalSettings(strength=0.3, scale=0.05, headroom=2.0, falloff=0.1))
     save_result(result, tmp_path)
     loaded = load_result(tmp_path)
+    assert loaded.local == result.local
     assert np.array_equal(loaded.response.samples, curve)
     assert loaded.outside is None
     assert np.array_equal(loaded.mesh.parts, result.mesh.parts)
@@ -128,6 +131,9 @@ DAMAGE = {
         lambda p: _edit(p, lambda c: c["samples"].__setitem__(5, float("nan"))),
         lambda p: _edit(p, lambda c: c["exposures"]["000_0001"].update(factor=["a", 1, 2])),
         lambda p: _edit(p, lambda c: c.pop("exposures")),
+        lambda p: _edit(p, lambda c: c["local_exposure"].update(strength=1.5)),
+        lambda p: _edit(p, lambda c: c["local_exposure"].update(scale=float("nan"))),
+        lambda p: _edit(p, lambda c: c["local_exposure"].update(falloff="much")),
     ],
     "emitters.json": [
         lambda p: _edit(p, lambda c: c["emitters"][0].update(faces=[[10, 13]])),

@@ -60,7 +60,7 @@ def insert_onto_photo(
 
     Args:
         photo: (H, W, 3) display values in [0, 1] of the undistorted photo.
-        exposure: (3,) factor from radiance to the argument of the response.
+        exposure: factor from radiance to the argument of the response, to be broadcast with the photo.
     """
     if edit.changes_nothing:
         return np.array(photo, dtype=np.float64)

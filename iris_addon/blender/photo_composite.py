@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ..errors import BadInput
 from ..response.curve import Response
+from ..response.local_exposure import LocalSettings
 from .images import image_from_array, read_image
 from .insert import change_photo, coverage, differential, render_halves
 from .lamps import as_recovered, lamp_materials
@@ -44,7 +45,7 @@ def composite(
 
     Args:
         photo: (H, W, 3) display values in [0, 1].
-        exposure: (3,) factor from radiance to the argument of the response.
+        exposure: factor from radiance to the argument of the response, to be broadcast with the photo.
         on_step: told how many of RENDERS are done; may raise to stop.
 
     Raises:
@@ -113,6 +114,7 @@ def composite_file(
     out: Path,
     response: Response,
     exposure: NDArray[np.floating],
+    local: LocalSettings,
     *,
     samples: int,
     seed: int = 0,
@@ -120,6 +122,9 @@ def composite_file(
     on_step: Callable[[int], None] = lambda done: None,
 ) -> None:
     """:func:`composite` of the scene in ``blend`` onto the file ``photo``, as the PNG ``out``. Opens ``blend``.
+
+    Args:
+        exposure: (3,) of the photo, which ``local`` says how the camera changed from place to place.
 
     Raises:
         BadInput: a file cannot be read, or as :func:`composite`.
@@ -133,7 +138,9 @@ def composite_file(
     if not scenes:
         raise BadInput("has no scene with a result on its objects", "apply a result and save", blend)
     sampling = {"samples": samples, "seed": seed, "gpu": gpu}
-    _write_png(out, composite(scenes[0], read_image(photo), response, exposure, **sampling, on_step=on_step))
+    pixels = read_image(photo)
+    at_places = exposure * local.gain(pixels, response)
+    _write_png(out, composite(scenes[0], pixels, response, at_places, **sampling, on_step=on_step))
 
 
 def _write_png(path: Path, display: NDArray[np.floating]) -> None:

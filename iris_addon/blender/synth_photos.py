@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
-from ..response.curve import N_SAMPLES, Response, gamma, identity
+from ..response.curve import LUMINANCE, N_SAMPLES, Response, gamma, identity
 
 FloatArray = NDArray[np.floating]
 
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 GREY = 0.14  # exposure of the median pixel of the median view
 FILM_CONTRAST, FILM_SHOULDER = 1.05, 2.4
 

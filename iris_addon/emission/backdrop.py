@@ -27,7 +27,7 @@ def fit_backdrop(beyond: BeyondMesh, photometry: Photometry) -> NDArray[np.float
     """(9, 3) spherical harmonics of the radiance of the pixels that miss the mesh, None where hardly any do."""
     if beyond.share < MIN_SHARE:
         return None
-    linear = photometry.linearise_pixels(beyond.z, beyond.view)
+    linear = photometry.linearise_pixels(beyond.z, beyond.view, beyond.pixel)
     radiance = np.where(linear.open, linear.radiance, linear.bound).astype(np.float64)
     mean = radiance.mean(1)
     if not mean.any():

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from ..response.curve import Response
-from ..result.edits_json import LUMINANCE
+from ..response.curve import LUMINANCE, Response
 
 FloatArray = NDArray[np.floating]
 Mask = NDArray[np.bool_]

@@ -38,6 +38,7 @@ class Highlights:
         patch: (m,) int64, 0 … n-1; 0 as well for observations of a lamp, whose ``lobe`` is 0.
         lobe: (m,) factor by which the diffuse lobe differs from Lambert towards the camera.
         view: (m,) int64.
+        pixel: (m,) int32 where in its photo, row-major.
         z: (m, 3) mean display value, the half step of the byte added.
         clipped: (m, 3) bool, nearly all its pixels are clipped: z is a lower bound.
         weight: (m,).
@@ -49,6 +50,7 @@ class Highlights:
     patch: NDArray[np.int64]
     lobe: NDArray[np.floating]
     view: NDArray[np.int64]
+    pixel: NDArray[np.int32]
     z: NDArray[np.float64]
     clipped: NDArray[np.bool_]
     weight: NDArray[np.float64]
@@ -85,6 +87,7 @@ def trace_highlights(problem: MaterialProblem, lights: Lights, gloss: Gloss, rng
         np.concatenate([patch, np.zeros(len(lamp), np.int64)]),
         np.concatenate([lobe, none[:, 0]]),
         o.view[rows].astype(np.int64),
+        o.pixel[rows],
         np.minimum(o.z[rows].astype(np.float64) + 0.5 / 255, 1.0),
         o.saturated[rows] > CLIPPED_SHARE,
         np.sqrt(np.minimum(o.count[rows], 25.0)).astype(np.float64) * ~mixed,

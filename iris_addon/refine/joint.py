@@ -138,7 +138,8 @@ class PhotoLoss:
             light[:, group] += h.share[rows, k, None] * radiance[k]
         weight = h.weight[rows] / h.weight[rows].sum()
         shown = (h.patch[rows], h.lobe[rows], h.z[rows], h.clipped[rows], weight, light, h.rest[rows])
-        given = (photometry.exposures[h.view[rows]], np.log(h.diffuse), photometry.response.samples)
+        exposure = photometry.exposure_at(h.view[rows], h.pixel[rows])
+        given = (exposure, np.log(h.diffuse), photometry.response.samples)
         return PhotoLoss(*(_tensor(column, device) for column in (*shown, *given)))
 
     def value(self, change: torch.Tensor, log_diffuse: torch.Tensor) -> torch.Tensor:

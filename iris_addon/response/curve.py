@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 N_SAMPLES = 1024
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""Of scene-linear Rec.709."""
 SATURATED = 254.5 / 255
 """Display values at or above this are clipped: floor(255 z) = 255 only for z = 1."""
 

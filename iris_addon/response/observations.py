@@ -29,6 +29,7 @@ class Observations:
         spread: (M, 3) float32 standard deviation of the display value over the pixels.
         saturated: (M, 3) float32 share of pixels clipped.
         sample: (M,) int64 one pixel of the observation, not on an edge if it has such; index into the pixel samples.
+        pixel: (M,) int32 the middle of its pixels in the photo, row-major.
         sample_to_observation: (n,) int32 observation of every pixel sample.
     """
 
@@ -39,6 +40,7 @@ class Observations:
     spread: NDArray[np.float32]
     saturated: NDArray[np.float32]
     sample: NDArray[np.int64]
+    pixel: NDArray[np.int32]
     sample_to_observation: NDArray[np.int32]
 
 
@@ -80,6 +82,8 @@ def group_medians(values: NDArray[np.floating], group: NDArray[np.integer], n_gr
 def observe(
     patch: NDArray[np.int32],
     view: NDArray[np.int16],
+    pixel: NDArray[np.int32],
+    widths: NDArray[np.integer],
     z: NDArray[np.float32],
     mixed: NDArray[np.bool_],
     hdr: bool,
@@ -92,6 +96,8 @@ def observe(
     Args:
         patch: (n,) patch of each pixel.
         view: (n,) view of each pixel.
+        pixel: (n,) where it is in its photo, row-major.
+        widths: (V,) of the photos in pixels.
         z: (n, 3) display values of the pixels; radiance for HDR input, which never saturates.
         mixed: (n,) pixels on an edge.
     """
@@ -116,5 +122,18 @@ def observe(
         np.sqrt(np.maximum(square - mean**2, 0.0)).astype(np.float32),
         clipped.astype(np.float32),
         order[first],
+        _middle(pixel, widths[view], group, widths[unique % n_views], count),
         group,
     )
+
+
+def _middle(
+    pixel: NDArray[np.int32],
+    width: NDArray[np.integer],
+    group: NDArray[np.int32],
+    width_of_group: NDArray[np.integer],
+    count: NDArray[np.integer],
+) -> NDArray[np.int32]:
+    """(M,) row-major pixel nearest to the mean position of the pixels (n,) of each group."""
+    row, column = (np.rint(np.bincount(group, axis) / count) for axis in np.divmod(pixel, width))
+    return (row * width_of_group + column).astype(np.int32)

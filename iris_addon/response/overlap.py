@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from ..config import AUTO, Refinements
 from . import family
 from .curve import Response
+from .local_exposure import LocalExposure, SmallPhotos
+from .local_search import exposed, find_local_exposure
 from .observations import Observations
 from .overlap_problem import MIN_EXPOSURE_SPREAD, MIN_UNKNOWN_SPREAD, OverlapProblem
 
@@ -39,12 +41,14 @@ class OverlapFit:
         exposures: (V, 3) factor per view and channel; the channels differ where white balance was found to drift.
         residual: median absolute residual of display values on held-out patches, each as the robust loss takes it.
         per_channel: whether three curves earned their place over one.
+        local: exposure by place where that earned its place, else None.
     """
 
     response: Response
     exposures: NDArray[np.float64]
     residual: float
     per_channel: bool
+    local: LocalExposure | None = None
 
 
 def _select(observations: Observations, rng: np.random.Generator) -> NDArray[np.int64]:
@@ -87,13 +91,16 @@ def fit_overlap(
     rng: np.random.Generator,
     fixed: Response | None = None,
     refinements: Refinements = AUTO,
+    small: SmallPhotos | None = None,
 ) -> OverlapFit:
     """Recover the response, and the exposures where ``exposures`` is None.
 
     Args:
         exposures: (V,) known factors, or None.
         fixed: a response that is given; only exposures are then looked for.
-        refinements: whether curves and exposures per channel are forced, forbidden or have to earn their place.
+        refinements: whether curves and exposures per channel and exposure by place are forced, forbidden or have to
+            earn their place.
+        small: the photos, for exposure by place; None leaves that out.
     """
     index = _select(observations, rng)
     problem = OverlapProblem.build(observations, index, exposures, n_views, refinements.white_balance)
@@ -106,6 +113,13 @@ def fit_overlap(
     held_out = rng.random(problem.n_patches) < 0.2
     training, testing = problem.restrict(~held_out), problem.restrict(held_out)
     knots, error = _fit_curves(training, testing, refinements)
+    # Before exposures: three parameters for all photos ask for less belief than one for each of them.
+    local = None
+    if small is not None and refinements.local_exposure is not False:
+        local = find_local_exposure(training, testing, small, knots, refinements.local_exposure is True)
+    if local is not None:
+        problem, training, testing = (exposed(part, local) for part in (problem, training, testing))
+        knots, error = _fit_curves(training, testing, refinements)
     if exposures is not None and refinements.corrected_exposures is not False:
         gain = np.inf if refinements.corrected_exposures else EXPOSURE_GAIN
         log_t = _right_exposures(training, testing, knots, gain)
@@ -113,7 +127,7 @@ def fit_overlap(
             problem, training, testing = (replace(part, log_t=log_t) for part in (problem, training, testing))
             knots, error = _fit_curves(training, testing, refinements)
     response = family.to_response(knots)
-    return OverlapFit(response, problem.exposures(response), error, len(knots) == 3)
+    return OverlapFit(response, problem.exposures(response), error, len(knots) == 3, local)
 
 
 def _of_one_exposure(problem: OverlapProblem) -> bool:

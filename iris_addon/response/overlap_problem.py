@@ -29,15 +29,21 @@ MIN_EXPOSURE_SPREAD, MIN_UNKNOWN_SPREAD = 0.5, 0.25
 PRIOR_WEIGHT = 1.0
 """The prior over curves counts as much as one observation that is off by ROBUST_SCALE."""
 MONOTONICITY_WEIGHT = 1e4
+LEAST = 1e-5
+"""Relative exposure that black is taken for."""
 DIFFERENCE = 1e-7
 """Step of the differences for derivatives by knots."""
+
+_COLUMNS = ("z", "share", "clipped", "weight", "view", "pixel", "log_gain")
+"""What there is of each observation, but for its patch."""
 
 
 @dataclass(frozen=True)
 class OverlapProblem:
     """m observations of n patches. ``log_t`` is (V, 3), or None where exposures are unknown.
 
-    ``white_balance`` forces or forbids unknown exposures per channel; None lets them earn their place.
+    ``white_balance`` forces or forbids unknown exposures per channel; None lets them earn their place. ``log_gain`` is
+    what the camera adds to the log exposure of each observation by its place in the photo.
     """
 
     z: NDArray[np.float64]  # (m, 3)
@@ -46,6 +52,8 @@ class OverlapProblem:
     weight: NDArray[np.float64]  # (m,)
     patch: NDArray[np.int64]  # (m,)
     view: NDArray[np.int64]  # (m,)
+    pixel: NDArray[np.int32]  # (m,)
+    log_gain: NDArray[np.float64]  # (m,)
     n_patches: int
     n_views: int
     log_t: NDArray[np.float64] | None
@@ -68,6 +76,8 @@ class OverlapProblem:
             np.minimum(o.count[index], 25.0).astype(np.float64) ** 0.25,
             patch,
             o.view[index].astype(np.int64),
+            o.pixel[index],
+            np.zeros(len(index)),
             len(patches),
             n_views,
             None if exposures is None else np.repeat(np.log(np.asarray(exposures, np.float64))[:, None], 3, 1),
@@ -78,17 +88,17 @@ class OverlapProblem:
         """The same problem over some of the patches."""
         rows = keep[self.patch]
         patches, patch = np.unique(self.patch[rows], return_inverse=True)
-        columns = {name: getattr(self, name)[rows] for name in ("z", "share", "clipped", "weight", "view")}
+        columns = {name: getattr(self, name)[rows] for name in _COLUMNS}
         return replace(self, patch=patch, n_patches=len(patches), **columns)
 
     def solve_radiance(self, response: Response) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Log exposures (V, 3) and radiance (n, 3) that fit best under a given curve."""
-        x = np.maximum(response.invert(self.z), 1e-5)
+        x = np.maximum(response.invert(self.z), LEAST)
         slope = response.slope(x)
         log_t = self.log_t
         if log_t is None:
-            log_t = np.repeat(self._chained(np.log(x).mean(1, keepdims=True)), 3, 1)
-        t = np.exp(log_t)[self.view]
+            log_t = np.repeat(self._chained(self._log_exposed(response).mean(1, keepdims=True)), 3, 1)
+        t = self._exposure(log_t)
         # Quantisation noise is uniform in z, so the precision of x / t is (f'(x) t)^2.
         weight = np.where(self.clipped, 0.0, self.weight)[:, None] * (slope * t) ** 2 + 1e-12
         radiance = self._mean(weight, x / t)
@@ -97,6 +107,14 @@ class OverlapProblem:
             off = (response.apply(radiance[self.patch] * t) - self.z) / ROBUST_SCALE
             radiance = self._mean(weight / (1 + off**2), x / t)
         return log_t, radiance
+
+    def _exposure(self, log_t: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(m, 3) exposure of the observations under log exposures (V, 3) of the photos."""
+        return np.exp(log_t[self.view] + self.log_gain[:, None])
+
+    def _log_exposed(self, response: Response) -> NDArray[np.float64]:
+        """(m, 3) log of what each observation would have been exposed to if all places of a photo were alike."""
+        return np.subtract(np.log(np.maximum(response.invert(self.z), LEAST)), self.log_gain[:, None])
 
     def _mean(self, weight: NDArray[np.float64], radiance: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n, 3) weighted mean per patch."""
@@ -116,7 +134,7 @@ class OverlapProblem:
         shared = self.solve_radiance(response)[0]
         if self.log_t is not None or self.white_balance is False:
             return np.exp(shared)
-        log_x = np.log(np.maximum(response.invert(self.z), 1e-5))
+        log_x = self._log_exposed(response)
         per_channel = self._chained(log_x)
         better = self._spread(log_x, per_channel) < WHITE_BALANCE_GAIN * self._spread(log_x, shared)
         return np.exp(per_channel if self.white_balance or better else shared)
@@ -128,7 +146,7 @@ class OverlapProblem:
         of the known ones on them, because the known ones are what has errors. Photos without overlap keep theirs.
         """
         assert self.log_t is not None
-        log_x = np.log(np.maximum(response.invert(self.z), 1e-5))
+        log_x = self._log_exposed(response)
         free = self._chained(log_x if per_channel else log_x.mean(1, keepdims=True))
         seen = np.bincount(self.view[~self.clipped], minlength=self.n_views) > 0
         known, free = self.log_t[seen], free[seen] - free[seen].mean(0)
@@ -179,7 +197,7 @@ class OverlapProblem:
         knots = list(parameters.reshape(n_curves, -1))
         response = family.to_response(knots)
         log_t, radiance = self.solve_radiance(response)
-        x = radiance[self.patch] * np.exp(log_t)[self.view]
+        x = radiance[self.patch] * self._exposure(log_t)
         mismatch = np.where(self.clipped[:, None], 0.0, response.apply(x) - self.z)
         data = _robust(self.weight[:, None] * mismatch / ROBUST_SCALE)
         # A byte of 255 means x >= 1 and any other means x < 1: the share of clipped pixels pins the scale.

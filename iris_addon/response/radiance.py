@@ -54,14 +54,13 @@ class GroupRadiance:
     weight: NDArray[np.float64]
 
 
-def linearise(observations: Observations, response: Response, exposures: NDArray[np.floating]) -> Linearised:
+def linearise(observations: Observations, response: Response, t: NDArray[np.floating]) -> Linearised:
     """Radiance of every observation.
 
     Args:
-        exposures: (V, 3) factor per view and channel.
+        t: (M, 3) exposure factor of each.
     """
     o = observations
-    t = exposures[o.view]
     hdr = response.family == "identity"
     z = o.z.astype(np.float64)
     if hdr:

@@ -33,14 +33,13 @@ from numpy.typing import NDArray
 
 from ..capture.types import Camera
 from ..errors import BadInput
+from ..response.curve import LUMINANCE
 from .edits import SceneEdit, Sphere
 from .edits_lights import read_lights
 from .edits_objects import read_object
 from .json_values import Json, array, color, flag, json_list, json_map, known_keys, number, whole
 from .motion import at_time
 from .types import Result
-
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 RELIGHT_KEYS = {"recovered", "lights", "outside", "camera", "length"}
 # Keys of the reference files that carry no instruction beyond their presence.

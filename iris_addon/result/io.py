@@ -32,8 +32,8 @@ from ..capture.types import Mesh
 from ..errors import BadInput, IrisError
 from ..json_files import MEND, dump_json, from_ranges, json_object, numbers, read_json, to_ranges
 from ..parallel import cores
-from ..response.curve import N_SAMPLES, Response
 from .glb import encode_glb, read_glb
+from .response_json import read_response, response_json
 from .types import Emitter, OutsideLight, Result, Textures
 
 SCHEMA_VERSION = 1
@@ -110,7 +110,7 @@ def _write_all(result: Result, folder: Path) -> None:
     for job in jobs:
         job.result()
     (materials / "mesh.glb").write_bytes(encode_glb(result.mesh, result.parts, result.up))
-    dump_json(folder / "response.json", _response_json(result))
+    dump_json(folder / "response.json", response_json(result))
     dump_json(folder / "emitters.json", _emitters_json(result))
     dump_json(folder / "report.json", {"schema_version": SCHEMA_VERSION, **result.report})
 
@@ -131,20 +131,6 @@ def emission_texture(result: Result) -> NDArray[np.float32]:
             draw.polygon([(u * side - 0.5, (1 - v) * side - 0.5) for u, v in corners.tolist()], fill=1, outline=1)
         emission[np.asarray(mask)] = emitter.radiance
     return emission
-
-
-def _response_json(result: Result) -> dict[str, Any]:
-    samples = result.response.samples
-    same = bool((samples == samples[0]).all())
-    return {
-        "family": result.response.family,
-        "coefficients": list(result.response.coefficients),
-        "samples": samples[0] if same else samples,
-        "exposures": {
-            name: {"factor": value, "exposure": value[1], "white_balance": value / value[1] if value[1] else value}
-            for name, value in ((name, np.asarray(value, float)) for name, value in result.exposures.items())
-        },
-    }
 
 
 def _emitters_json(result: Result) -> dict[str, Any]:
@@ -188,36 +174,15 @@ def load_result(folder: Path, read_image: ReadImage | None = None) -> Result:
             folder / "report.json",
         )
     mesh, parts, up = read_glb(folder / "materials" / "mesh.glb")
-    response, exposures = read_response(folder)
+    response, exposures, local = read_response(folder)
     emitters, outside = _read_emitters(folder / "emitters.json", mesh)
     textures = _read_textures(folder / "materials", read_image or _read_image)
-    result = Result(mesh, parts, textures, emitters, outside, response, exposures, report, up)
+    result = Result(mesh, parts, textures, emitters, outside, response, exposures, report, up, local)
     try:
         result.as_taken([])  # so that a damaged report is told here
     except (KeyError, TypeError, ValueError) as error:
         raise BadInput("'model.camera' holds no corrections of cameras", MEND, folder / "report.json") from error
     return result
-
-
-def read_response(folder: Path) -> tuple[Response, dict[str, NDArray[np.float64]]]:
-    """The recovered camera of the result in ``folder``: its response, and (3,) exposure × white balance by photo.
-
-    Raises:
-        BadInput: it is missing or damaged.
-    """
-    path = folder / "response.json"
-    content = read_json(path)
-    samples = content.get("samples")
-    if isinstance(samples, list) and len(samples) == 3:
-        table = numbers(samples, (3, N_SAMPLES), "samples", path)
-    else:
-        table = np.tile(numbers(samples, (N_SAMPLES,), "samples", path), (3, 1))
-    coefficients = numbers(content.get("coefficients", []), (None,), "coefficients", path)
-    exposures = {
-        name: numbers(json_object(value, name, path).get("factor"), (3,), f"exposures of {name}", path)
-        for name, value in json_object(content.get("exposures"), "exposures", path).items()
-    }
-    return Response(table, str(content.get("family", "")), tuple(coefficients.tolist())), exposures
 
 
 def _read_emitters(path: Path, mesh: Mesh) -> tuple[tuple[Emitter, ...], OutsideLight | None]:

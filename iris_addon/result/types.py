@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..capture.correction import CameraCorrection, PoseCorrections
 from ..capture.types import Mesh, View
 from ..response.curve import Response
+from ..response.local_exposure import ALIKE, LocalSettings
 from ..transport.diffuse import DiffuseLobe
 
 
@@ -73,6 +74,7 @@ class Result:
         parts: (F,) int32 part label per face.
         exposures: per training photo, keyed by view name, (3,) factor with white balance.
         report: the content of report.json.
+        local: what the camera did to exposure from place to place; exposures are those of the middle.
         up: unit up vector of the capture.
     """
 
@@ -85,6 +87,7 @@ class Result:
     exposures: dict[str, NDArray[np.float64]]
     report: dict[str, Any] = field(default_factory=dict)
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    local: LocalSettings = ALIKE
 
     @property
     def diffuse_lobe(self) -> DiffuseLobe:
