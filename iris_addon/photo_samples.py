@@ -11,8 +11,7 @@ from .capture import load_photo
 from .capture.types import Capture
 from .errors import BadInput
 from .progress import Progress
-from .response.curve import SATURATED
-from .response.local_exposure import COLUMNS, ROWS, SmallPhotos, shrink
+from .response.local_exposure import SmallPhotos, small_photo
 from .surface.samples import PixelSamples, pixel_lattice, stride_for_budget, trace_pixels
 from .transport.tracer import Tracer
 
@@ -74,11 +73,10 @@ def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progres
     z = np.empty((len(samples.view), 3), np.float32)
     valid = np.empty(len(samples.view), bool)
     missing: list[tuple[NDArray, ...]] = []
-    looked, small, blown = 0, np.empty((len(cameras), ROWS, COLUMNS, 3), np.float32), []
+    looked, small = 0, []
     for index, view in enumerate(capture.views):
         photo = load_photo(view)
-        small[index] = shrink(photo.values, photo.valid)
-        blown.append(shrink((photo.values >= SATURATED).mean(-1, keepdims=True), photo.valid)[..., 0])
+        small.append(small_photo(photo.values, photo.valid))
         hdr = hdr or photo.hdr
         rows = slice(*np.searchsorted(samples.view, [index, index + 1]))
         z[rows] = photo.values.reshape(-1, 3)[samples.pixel[rows]]
@@ -105,5 +103,5 @@ def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progres
     columns = [np.concatenate(column) for column in zip(*missing, strict=True)]
     beyond = BeyondMesh(len(columns[0]) / looked, *columns)
     sizes = np.array([(camera.height, camera.width) for camera in cameras])
-    at_small_size = SmallPhotos(small, np.stack(blown), sizes)
-    return PhotoSamples(samples, z, hdr, beyond, stride, at_small_size, np.zeros(len(z), bool))
+    shown, clipped = (np.stack(part) for part in zip(*small, strict=True))
+    return PhotoSamples(samples, z, hdr, beyond, stride, SmallPhotos(shown, clipped, sizes), np.zeros(len(z), bool))

@@ -21,6 +21,7 @@ from iris_addon.response.local_exposure import (
     SmallPhotos,
     gaussian,
     shrink,
+    small_photo,
 )
 from iris_addon.response.observations import Observations
 from iris_addon.response.overlap import OverlapFit, fit_overlap
@@ -86,8 +87,8 @@ class Wall:
 
 def small(photos: np.ndarray) -> SmallPhotos:
     valid = np.ones((HEIGHT, WIDTH), bool)
-    clipped = np.stack([shrink((photo >= curve.SATURATED).mean(-1, keepdims=True), valid)[..., 0] for photo in photos])
-    return SmallPhotos(np.stack([shrink(photo, valid) for photo in photos]), clipped, SIZES)
+    z, clipped = (np.stack(part) for part in zip(*(small_photo(photo, valid) for photo in photos), strict=True))
+    return SmallPhotos(z, clipped, SIZES)
 
 
 @cache
@@ -172,6 +173,10 @@ def test_small_pictures_are_means_of_the_pixels_that_are_valid() -> None:
     assert made[1, 1] == pytest.approx(cell.mean(0), abs=1e-6)
     others = made.reshape(-1, 3)[1:]
     assert made[0, 0] == pytest.approx(np.median(others, axis=0), abs=1e-6)
+    large = np.random.default_rng(1).random((24 * 40, 32 * 40, 3)).astype(np.float32)
+    z, clipped = small_photo(large, np.ones(large.shape[:2], bool))
+    assert np.abs(z - 0.5).max() < 0.2 and z.mean() == pytest.approx(0.5, abs=0.005)
+    assert clipped.max() < 0.06 and clipped.mean() == pytest.approx(0.5 / 255, abs=0.001)
     tiny = shrink(np.full((5, 7, 3), 0.25, np.float32), np.ones((5, 7), bool))
     assert tiny.shape == (ROWS, COLUMNS, 3) and tiny == pytest.approx(0.25)
 

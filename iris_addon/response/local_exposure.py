@@ -23,6 +23,8 @@ from .curve import LUMINANCE, SATURATED, Response
 
 ROWS, COLUMNS = 24, 32
 """Of small photos, whatever the shape of the large ones."""
+CELL = 8
+"""Rows and columns of pixels that are looked at in each cell, if there are more."""
 DARKEST = 1e-4
 """Relative exposure below which all is black."""
 SETTLED, MOST_TURNS = 1e-3, 40
@@ -50,9 +52,8 @@ class LocalSettings:
         if not self.strength and not self.falloff:
             return np.ones((1, 1, 1))
         height, width = photo.shape[:2]
-        valid = np.ones((height, width), bool)
-        clipped = shrink((photo >= SATURATED).mean(-1, keepdims=True), valid)[None, ..., 0]
-        small = SmallPhotos(shrink(photo, valid)[None], clipped, np.array([[height, width]]))
+        z, clipped = small_photo(photo, np.ones((height, width), bool))
+        small = SmallPhotos(z[None], clipped[None], np.array([[height, width]]))
         every = np.arange(height * width)
         return small.local_exposure(self, response).at(np.zeros_like(every), every).reshape(height, width, 1)
 
@@ -176,6 +177,16 @@ def _between(position: NDArray[np.floating], n: int) -> tuple[NDArray[np.int64],
     position = np.clip(position, 0.0, n - 1.0)
     before = np.minimum(position.astype(np.int64), n - 2)
     return before, position - before
+
+
+def small_photo(
+    values: NDArray[np.floating], valid: NDArray[np.bool_]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(24, 32, 3) display values and (24, 32) share that is clipped, of a photo (H, W, 3) where it is valid (H, W)."""
+    height, width = valid.shape
+    step = max(1, min(height // (ROWS * CELL), width // (COLUMNS * CELL)))
+    values, valid = values[::step, ::step], valid[::step, ::step]
+    return shrink(values, valid), shrink((values >= SATURATED).mean(-1, keepdims=True), valid)[..., 0]
 
 
 def shrink(values: NDArray[np.floating], valid: NDArray[np.bool_]) -> NDArray[np.float32]:
