@@ -70,5 +70,5 @@ def _pixel_of(camera: Camera, points: NDArray[np.floating]) -> NDArray[np.int64]
 
 def _near(camera: Camera, points: NDArray[np.floating]) -> FloatArray:
     """(n,) metres within which two pixels show one place: a few of their footprints."""
-    distance = np.linalg.norm(points - camera.c2w[:3, 3], axis=1)
+    distance = np.linalg.norm(points - camera.position, axis=1)
     return np.maximum(SAME_PLACE, 3 * distance / camera.fx)
