@@ -20,7 +20,7 @@ from iris_addon.result.types import Result
 from iris_addon.transport.tracer import Tracer
 
 from .outcome import Outcome, summarise
-from .pictures import Developer, FloatArray, photo_exposure, places_of_photo
+from .pictures import Developer, FloatArray, photo_exposure
 
 CAPTURE = Path(__file__).resolve().parents[1] / "assets" / "demo_room"
 SAMPLES = 48
@@ -79,7 +79,7 @@ def make_pictures(
     edits = [edit for _, edit in insertion_edits(result, read_json(CAPTURE / "insert" / "objects.json"))]
     edit, host = best_seen(edits, capture.views, Tracer(result.mesh))
     onto = load_photo(host).values
-    exposure = places_of_photo(result, onto, photo_exposure(result, host))
+    exposure = photo_exposure(result, host) * result.local.gain(onto, result.response)
     inserted = insert_onto_photo(result, host.camera, onto, exposure, edit, samples=SAMPLES)
     renderer = MapRenderer(result)
     maps = renderer.maps(view.camera)

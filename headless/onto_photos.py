@@ -14,7 +14,7 @@ from iris_addon.errors import BadInput
 from iris_addon.result.edits import SceneEdit
 from iris_addon.result.types import Result
 
-from .pictures import FloatArray, known_exposure, places_of_photo, write_picture
+from .pictures import FloatArray, known_exposure, write_picture
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,7 @@ class PhotoInsertion:
                 "solve the photos, or give --views whose photos are the EXR files",
                 view.photo,
             )
+        self.places = np.ones(1) if self.photo.hdr else result.local.gain(self.photo.values, result.response)
         self.sampling: dict[str, Any] = {"samples": samples, "seed": seed, "gpu": gpu}
         self._without: tuple[FloatArray, FloatArray] | None = None
 
@@ -58,8 +59,8 @@ class PhotoInsertion:
 
         values, response = self.photo.values.astype(np.float64), self.result.response
         known = known_exposure(self.result, self.view)
-        if known is not None and not self.photo.hdr:
-            known = places_of_photo(self.result, values, known)
+        if known is not None:
+            known = known * self.places
         if edit.changes_nothing:
             linear = values if self.photo.hdr else response.invert(values) / (1.0 if known is None else known)
             return ChangedPhoto(None if self.photo.hdr else values, linear)
@@ -72,7 +73,7 @@ class PhotoInsertion:
         return ChangedPhoto(*change_photo(values, changed, response, exposure))
 
     def _fitted_exposure(self, without: FloatArray) -> FloatArray:
-        """(3,) the exposure that makes the render look like the photo."""
+        """(H, W, 3), or what broadcasts to it: the exposure that makes the render look like the photo."""
         from iris_addon.evaluate.held_out import fit_gains
 
-        return fit_gains(without, self.photo, self.result.response)
+        return self.places * fit_gains(without * self.places, self.photo, self.result.response)

@@ -31,11 +31,6 @@ def photo_exposure(result: Result, view: View) -> FloatArray:
     return np.ones(3) if known is None else known
 
 
-def places_of_photo(result: Result, photo: FloatArray, exposure: FloatArray) -> FloatArray:
-    """``exposure`` (3,) of a photo (H, W, 3) at each of its places, to be broadcast with it."""
-    return exposure * result.local.gain(photo, result.response)
-
-
 @dataclass(frozen=True)
 class Developer:
     """Turns radiance into files in ``folder``.

@@ -113,7 +113,7 @@ def fit_overlap(
     held_out = rng.random(problem.n_patches) < 0.2
     training, testing = problem.restrict(~held_out), problem.restrict(held_out)
     knots, error = _fit_curves(training, testing, refinements)
-    # Before exposures: three parameters for all photos ask for less belief than one for each of them.
+    # Before exposures: four numbers for all photos ask for less belief than one for each of them.
     local = None
     if small is not None and refinements.local_exposure is not False:
         local = find_local_exposure(training, testing, small, knots, refinements.local_exposure is True)
