@@ -97,7 +97,8 @@ def make_result(
     error = explained(held_out) - (shown if photos.hdr else np.clip(shown + 0.5 / 255, 0, 1))
     report = {"holdout_psnr": float(-10 * np.log10(np.mean(error**2)))}
     closed = config.refinements.hidden_light is False
-    backdrop = None if closed else fit_backdrop(photos.beyond, photometry)
+    positions = np.stack([view.camera.position for view in capture.views])
+    backdrop = None if closed else fit_backdrop(photos.beyond, photometry, capture.mesh.vertices, positions)
     mesh = capture.mesh.with_uv(uv)
     exposures = {view.name: photometry.exposures[k] for k, view in enumerate(capture.views)}
     result = Result(
@@ -105,12 +106,13 @@ def make_result(
         light.parts,
         textures,
         tuple(_emitters(light, lights)),
-        _outside(light, lights, backdrop),
+        _outside(light, lights),
         photometry.response,
         exposures,
         report,
         capture.up,
         ALIKE if photometry.local is None else photometry.local.settings,
+        backdrop,
     )
     return result, _rerenders(capture, samples, explained)
 
@@ -170,11 +172,9 @@ def _unseen(problem: LightProblem, lights: Lights) -> NDArray[np.bool_]:
     return np.array([not seen[faces].any() for faces in lights.emitters], bool)
 
 
-def _outside(problem: LightProblem, lights: Lights, backdrop: NDArray[np.float64] | None) -> OutsideLight | None:
+def _outside(problem: LightProblem, lights: Lights) -> OutsideLight | None:
     sh = problem.hidden.outside_sh(lights.hidden_radiance)
-    if sh is None and backdrop is None:
-        return None
-    return OutsideLight(np.zeros((1, 3)) if sh is None else sh, backdrop)
+    return None if sh is None else OutsideLight(sh)
 
 
 def report_figures(

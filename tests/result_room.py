@@ -6,6 +6,7 @@ import numpy as np
 
 from iris_addon.capture.types import Mesh
 from iris_addon.response.curve import Response, gamma
+from iris_addon.result.io import SCHEMA_VERSION
 from iris_addon.result.types import Emitter, OutsideLight, Result, Textures
 
 SIDE = 16
@@ -42,6 +43,11 @@ def room(seed: int = 0, outside: bool = True, response: Response | None = None) 
         OutsideLight(rng.normal(size=(4, 3))) if outside else None,
         response or gamma(),
         {"000_0001": np.array([0.5, 0.25, 0.125]), "001_0001": np.array([1 / 3, 1 / 7, 1 / 9])},
-        {"schema_version": 1, "preset": "draft", "seconds": {"trace": 1.5}, "warnings": ["a lamp is guessed"]},
+        {
+            "schema_version": SCHEMA_VERSION,
+            "preset": "draft",
+            "seconds": {"trace": 1.5},
+            "warnings": ["a lamp is guessed"],
+        },
         (0.0, 1.0, 0.0),
     )

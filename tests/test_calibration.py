@@ -1,4 +1,4 @@
-"""One correction of all cameras: found where photos and mesh disagree, refused where they do not; files; background."""
+"""One correction of all cameras: found where photos and mesh disagree, refused where they do not; files."""
 
 from __future__ import annotations
 
@@ -11,13 +11,9 @@ import pytest
 from iris_addon.cameras.calibration import calibrate
 from iris_addon.capture.correction import CameraCorrection
 from iris_addon.capture.types import Capture, Mesh, View
-from iris_addon.emission.backdrop import MIN_SHARE, fit_backdrop
 from iris_addon.imaging import write_png
-from iris_addon.photo_samples import BeyondMesh
-from iris_addon.photometry import Photometry
 from iris_addon.progress import Cancelled, Progress
-from iris_addon.response.curve import gamma, identity
-from iris_addon.result.sh import sh_radiance
+from iris_addon.response.curve import gamma
 from iris_addon.transport.tracer import Tracer
 from tests.engine_room import cameras, furnished_room, photograph, render
 
@@ -103,40 +99,6 @@ def test_a_damaged_correction_is_refused(damage: dict) -> None:
     content = CameraCorrection(0.9).content() | damage
     with pytest.raises((TypeError, ValueError)):
         CameraCorrection.from_content(content)
-
-
-def beyond(radiance: np.ndarray, direction: np.ndarray, share: float) -> BeyondMesh:
-    z = gamma().apply(radiance).astype(np.float32)
-    return BeyondMesh(share, np.zeros(len(z), np.int16), np.zeros(len(z), np.int32), direction, z)
-
-
-def test_the_backdrop_is_the_radiance_that_photos_show_beyond_the_mesh() -> None:
-    rng = np.random.default_rng(0)
-    direction = rng.normal(size=(4000, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    sh = np.zeros((9, 3))
-    sh[0], sh[2] = [1.0, 0.8, 0.6], [0.2, 0.1, 0.1]
-    radiance = sh_radiance(sh, direction)
-    radiance[:200] = 0.01  # a dark chair in front of it
-    photometry = Photometry(gamma(), np.ones((1, 3)), 0.0, False, True)
-    assert fit_backdrop(beyond(radiance, direction, MIN_SHARE / 2), photometry) is None
-    found = fit_backdrop(beyond(radiance, direction, 0.1), photometry)
-    assert found is not None
-    error = sh_radiance(found, direction[200:]) / radiance[200:] - 1
-    assert np.abs(error).mean() < 0.05
-
-
-@pytest.mark.parametrize("lit", [0.0, 0.3])
-def test_a_backdrop_that_is_mostly_black_is_dark_and_finite(lit: float) -> None:
-    """Renders before an empty world: half of the pixels and more are exactly zero."""
-    rng = np.random.default_rng(1)
-    direction = rng.normal(size=(2000, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    radiance = np.where(rng.random((2000, 1)) < lit, 0.5, 0.0) * np.ones(3)
-    pixels = BeyondMesh(0.1, np.zeros(2000, np.int16), np.zeros(2000, np.int32), direction, radiance)
-    found = fit_backdrop(pixels, Photometry(identity(), np.ones((1, 3)), np.nan, False, True))
-    assert found is not None and np.isfinite(found).all()
-    assert np.abs(sh_radiance(found, direction)).max() <= lit
 
 
 def test_the_mesh_is_not_touched(painted: tuple[Capture, Tracer], tmp_path: Path) -> None:

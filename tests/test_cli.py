@@ -19,7 +19,7 @@ from headless.run import arguments
 from headless.signals import put_back
 from iris_addon.errors import BadInput
 from iris_addon.imaging import read_exr, read_image
-from iris_addon.result.io import load_result, save_result
+from iris_addon.result.io import SCHEMA_VERSION, load_result, save_result
 from tests.result_room import room
 from tests.truth_room import true_result, write_truth_room
 
@@ -45,7 +45,9 @@ def stub_solve(monkeypatch):
             progress.update(0.5)
         uv = room().mesh.uv
         report = {"preset": config.preset, "seed": config.seed, "seconds": {"stub": 0.5}, "resume": resume}
-        result = replace(true_result(), mesh=replace(capture.mesh, uv=uv), report={"schema_version": 1, **report})
+        result = replace(
+            true_result(), mesh=replace(capture.mesh, uv=uv), report={"schema_version": SCHEMA_VERSION, **report}
+        )
         save_result(result, out)
         return result
 

@@ -17,6 +17,7 @@ from iris_addon.json_files import from_ranges, plain, to_ranges
 from iris_addon.response.curve import Response, gamma
 from iris_addon.response.local_exposure import LocalSettings
 from iris_addon.result.io import load_result, save_result
+from iris_addon.result.types import Backdrop, Result
 from tests.result_room import room
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -50,6 +51,43 @@ def test_round_trip_reproduces_the_result(tmp_path):
     assert np.abs(loaded.textures.base_color - result.textures.base_color).max() <= 2**-11  # half precision in [0, 1]
     for name in ("roughness", "metallic", "confidence"):
         assert np.abs(getattr(loaded.textures, name) - getattr(result.textures, name)).max() <= 0.51 / 65535
+
+
+def with_backdrop() -> Result:
+    """A room before a tetrahedron."""
+    corners = np.array([[-3.0, -3, -3], [5, 0, 0], [0, 5, 0], [0, 0, 5 + 1 / 3]])
+    picture = np.random.default_rng(5).random((8, 16, 3)).astype(np.float32)
+    return replace(room(), backdrop=Backdrop(corners, np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]]), picture))
+
+
+def test_a_backdrop_survives_and_goes_with_its_result(tmp_path):
+    result = with_backdrop()
+    save_result(result, tmp_path)
+    loaded = load_result(tmp_path).backdrop
+    assert np.array_equal(loaded.vertices, result.backdrop.vertices)
+    assert np.array_equal(loaded.faces, result.backdrop.faces)
+    assert np.abs(loaded.picture - result.backdrop.picture).max() <= 2**-11
+    save_result(room(), tmp_path)
+    assert load_result(tmp_path).backdrop is None and not (tmp_path / "backdrop.exr").exists()
+
+
+BACKDROP_DAMAGE = [
+    ("emitters.json", lambda p: _edit(p, lambda c: c["backdrop"]["faces"][0].__setitem__(0, 4))),
+    ("emitters.json", lambda p: _edit(p, lambda c: c["backdrop"]["faces"][0].__setitem__(0, 0.5))),
+    ("emitters.json", lambda p: _edit(p, lambda c: c["backdrop"].update(vertices=[[0, 0, 0]]))),
+    ("backdrop.exr", lambda p: p.unlink()),
+    ("backdrop.exr", lambda p: imaging.write_exr(p, np.zeros((8, 8, 3)))),
+    ("backdrop.exr", lambda p: imaging.write_exr(p, np.full((8, 16, 3), -1.0))),
+]
+
+
+@pytest.mark.parametrize(("name", "damage"), BACKDROP_DAMAGE)
+def test_a_damaged_backdrop_is_bad_input_that_names_the_file(tmp_path, name, damage):
+    save_result(with_backdrop(), tmp_path)
+    damage(tmp_path / name)
+    with pytest.raises(BadInput) as caught:
+        load_result(tmp_path)
+    assert str(tmp_path / name) in str(caught.value)
 
 
 def test_channels_of_the_response_and_parts_of_the_file_survive(tmp_path):

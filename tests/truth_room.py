@@ -12,6 +12,7 @@ from iris_addon.capture import read_views
 from iris_addon.imaging import write_exr, write_png
 from iris_addon.reflectance.ggx import directional_albedo
 from iris_addon.response.curve import Response, gamma
+from iris_addon.result.io import SCHEMA_VERSION
 from iris_addon.result.types import Emitter, Result, Textures
 from iris_addon.transport.tracer import Tracer
 from tests.box_room import ROOM_MAX, WALL_COLORS, box_mesh, write_fipt_room
@@ -42,7 +43,7 @@ def true_result(response: Response | None = None) -> Result:
     exposures = {f"{k:03d}_0001": np.full(3, t) for k, t in enumerate([0.25, 0.5, 1, 2, 4, 1.0])}
     return Result(
         replace(mesh, uv=uv), wall.astype(np.int32), textures, (lamp,), None, response or gamma(), exposures,
-        {"schema_version": 1},
+        {"schema_version": SCHEMA_VERSION},
     )  # fmt: skip
 
 

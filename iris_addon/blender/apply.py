@@ -19,6 +19,7 @@ from ..capture.types import View
 from ..errors import IrisError
 from ..result.edits import SceneEdit
 from ..result.types import Result
+from .backdrop import add_backdrop, is_backdrop
 from .camera import add_camera, look_through
 from .camera_match import median_exposure
 from .compositing import add_compositing
@@ -62,6 +63,7 @@ def apply(
             if blend is not None:
                 write_whole(blend, lambda path: bpy.data.libraries.write(str(path), {scene}, compress=True))
             if glb is not None or usd is not None:
+                bpy.data.batch_remove([thing for thing in scene.objects if is_backdrop(thing)])
                 _use_srgb_base_color(scene)
                 _leave_out_burley(scene)
             if glb is not None:
@@ -100,6 +102,8 @@ def apply_to_scene(
     if cameras:
         look_through(scene, views[0].camera, cameras[0])
     scene.world = make_world(result.outside, 1.0, np.array(upright))
+    if result.backdrop is not None:
+        add_backdrop(result.backdrop, 1.0, collection).parent = anchor
     for image in bpy.data.images:
         if image.name.startswith("IRIS ") and image.source == "GENERATED":
             image.pack()

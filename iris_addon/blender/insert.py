@@ -104,7 +104,8 @@ def render_change(
     try:
         aim(built, camera)
         halves = render_halves(built.scene, samples=samples, seed=seed, max_bounces=max_bounces, gpu=gpu)
-        covered = coverage(built.scene, (built.room, *built.lamps, *built.lights))
+        backdrop = () if built.backdrop is None else (built.backdrop,)
+        covered = coverage(built.scene, (built.room, *built.lamps, *built.lights, *backdrop))
     finally:
         built.free()
     return differential(without, halves, covered)

@@ -20,6 +20,7 @@ from ..errors import IrisError
 from ..result.edits import OUTSIDE, SceneEdit
 from ..result.light_shares import LightShares
 from ..result.types import Result
+from .backdrop import is_backdrop
 from .camera import add_camera, look_through
 from .denoise import denoise_pictures
 from .render import set_cycles
@@ -58,10 +59,15 @@ def render_light_shares(
 
 
 def group_lights(scene: bpy.types.Scene, things: Sequence[bpy.types.Object]) -> list[str]:
-    """Give each light and emissive object among ``things``, and the world, a light group; returns their names."""
+    """Give each light and emissive object among ``things``, and the world, a light group; returns their names.
+
+    What cameras see through holes goes with the world.
+    """
     layer = scene.view_layers[0]
     names = []
     for thing in filter(_emits, things):
+        if is_backdrop(thing):
+            continue
         name = _group_name(thing)
         if name not in names:
             layer.lightgroups.add(name=name)
@@ -71,6 +77,8 @@ def group_lights(scene: bpy.types.Scene, things: Sequence[bpy.types.Object]) -> 
         layer.lightgroups.add(name=OUTSIDE)
         scene.world.lightgroup = OUTSIDE
         names.append(OUTSIDE)
+        for thing in filter(is_backdrop, scene.objects):
+            thing.lightgroup = OUTSIDE
     return names
 
 

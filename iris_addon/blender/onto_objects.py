@@ -22,6 +22,7 @@ from ..capture.types import Mesh
 from ..errors import BadInput
 from ..result.edits import SceneEdit
 from ..result.types import Result
+from .backdrop import add_backdrop
 from .light_mixing import stop_mixing
 from .materials import UV_MAP, add_confidence
 from .photo_cameras import go_back
@@ -79,8 +80,12 @@ def apply_to_objects(result: Result, runs: Sequence[FaceRun], scene: bpy.types.S
     for run, thing in sorted(zip(runs, objects, strict=True), key=lambda pair: pair[0].instance):
         _apply_run(result, run, thing, materials, slot_of_face, own_uv)
     keep_scene(scene)
-    to_blender = np.array(objects[0].matrix_world)[:3, :3] @ np.linalg.inv(runs[0].to_capture[:3, :3])
-    scene.world = make_world(result.outside, 1.0, to_blender / np.cbrt(np.linalg.det(to_blender)))
+    to_blender = np.array(objects[0].matrix_world) @ np.linalg.inv(runs[0].to_capture)
+    scene.world = make_world(result.outside, 1.0, to_blender[:3, :3] / np.cbrt(np.linalg.det(to_blender[:3, :3])))
+    if result.backdrop is not None:
+        shell = add_backdrop(result.backdrop, 1.0, scene.collection)
+        shell.matrix_world = Matrix(to_blender.tolist()) @ Matrix.Translation(shell.location)
+        shell[MADE] = shell.data[MADE] = True
     show_like_the_photos(result, scene)
     for made in (*(set(bpy.data.images) - before), *(set(bpy.data.materials) - before), scene.world):
         made[MADE] = key

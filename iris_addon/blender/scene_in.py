@@ -10,6 +10,7 @@ import numpy as np
 
 from ..capture.types import Camera, Mesh
 from ..errors import BadInput
+from .backdrop import is_backdrop
 from .camera import read_camera
 from .onto_objects import FaceRun
 
@@ -55,6 +56,8 @@ def read_scene_mesh(depsgraph: bpy.types.Depsgraph, objects: Iterable[bpy.types.
     for instance in depsgraph.object_instances:
         source = instance.parent if instance.is_instance else instance.object
         if not instance.show_self or (wanted is not None and source.original not in wanted):
+            continue
+        if is_backdrop(source.original):
             continue
         if instance.object.type not in {"MESH", "CURVE", "SURFACE", "META", "FONT"} or source.original.hide_render:
             continue

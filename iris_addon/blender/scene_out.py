@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..capture.types import Mesh
 from ..result.edits import SceneEdit, Sphere, lamp_name
 from ..result.types import Result
+from .backdrop import add_backdrop
 from .lights import add_light
 from .materials import LAMP_ID, RECOVERED, UV_MAP, black_material, lamp_material, sphere_material, surface_material
 from .placing import Room, add_object
@@ -31,6 +32,7 @@ class BuiltScene:
     Attributes:
         room: the room's mesh, faces in the order of the result; without the lamps if those were kept apart.
         lamps: the recovered lamps as objects of their own, in the order of the result; empty if they are in ``room``.
+        backdrop: what cameras see through holes of the mesh; None where the result has none.
         lights: lights added by the edit.
         inserted: balls and objects added by the edit.
     """
@@ -38,6 +40,7 @@ class BuiltScene:
     scene: bpy.types.Scene
     room: bpy.types.Object
     lamps: list[bpy.types.Object] = field(default_factory=list)
+    backdrop: bpy.types.Object | None = None
     lights: list[bpy.types.Object] = field(default_factory=list)
     inserted: list[bpy.types.Object] = field(default_factory=list)
     owned: set[bpy.types.ID] = field(default_factory=set)
@@ -66,6 +69,8 @@ def build_scene(result: Result, edit: SceneEdit | None = None, *, lamps_apart: b
         room, *lamps = add_room(result, edit, scene.collection, lamps_apart=lamps_apart)
         built = BuiltScene(scene, room, lamps)
         scene.world = make_world(result.outside, edit.outside_scale, np.eye(3), edit.panoramas, result.up)
+        if result.backdrop is not None:
+            built.backdrop = add_backdrop(result.backdrop, edit.outside_scale, scene.collection)
         for number, light in enumerate(edit.lights):
             built.lights.append(add_light(light, f"IRIS Light {number:02d}", scene.collection))
         for number, sphere in enumerate(edit.spheres):

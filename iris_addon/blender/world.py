@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import BadInput
 from ..result.edits import OUTSIDE, Panorama
+from ..result.panorama import equirect_directions
 from ..result.sh import sh_radiance
 from ..result.types import OutsideLight
 from .images import LINEAR, image_from_array
@@ -43,8 +44,6 @@ def make_world(
     output = tree.nodes.new("ShaderNodeOutputWorld")
     output.location = (250, 0)
     shader = _sky(tree, None if outside is None else outside.sh, scale, to_blender)
-    if outside is not None and outside.backdrop is not None:
-        shader = _behind_holes(tree, shader, _sky(tree, outside.backdrop, scale, to_blender))
     for panorama in panoramas:
         added = tree.nodes.new("ShaderNodeAddShader")
         tree.links.new(shader.outputs[0], added.inputs[0])
@@ -52,16 +51,6 @@ def make_world(
         shader = added
     tree.links.new(shader.outputs[0], output.inputs["Surface"])
     return world
-
-
-def _behind_holes(tree: bpy.types.NodeTree, light: bpy.types.Node, backdrop: bpy.types.Node) -> bpy.types.Node:
-    """Cameras see ``backdrop``, everything else is lit by ``light``."""
-    path, mix = tree.nodes.new("ShaderNodeLightPath"), tree.nodes.new("ShaderNodeMixShader")
-    path.location, mix.location = (-100, 300), (120, 100)
-    tree.links.new(path.outputs["Is Camera Ray"], mix.inputs["Fac"])
-    tree.links.new(light.outputs[0], mix.inputs[1])
-    tree.links.new(backdrop.outputs[0], mix.inputs[2])
-    return mix
 
 
 def _sky(
@@ -106,11 +95,3 @@ def _panorama_background(tree: bpy.types.NodeTree, panorama: Panorama, up: NDArr
     tree.links.new(mapping.outputs["Vector"], texture.inputs["Vector"])
     tree.links.new(texture.outputs["Color"], background.inputs["Color"])
     return background
-
-
-def equirect_directions(width: int, height: int) -> NDArray[np.float64]:
-    """(height, width, 3) unit directions in Blender's axes of the texels of a panorama in Cycles, +Z on top."""
-    u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
-    azimuth, polar = -2 * np.pi * (u - 0.5), np.pi * v
-    x, y = np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar)
-    return np.stack([x, y, np.cos(polar)], -1).astype(np.float64)

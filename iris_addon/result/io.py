@@ -4,7 +4,8 @@
 
     report.json      schema_version and Result.report
     response.json    family, coefficients, samples, exposures and white balance per photo
-    emitters.json    id, faces, radiance, area, confidence; light from outside as spherical harmonics
+    emitters.json    id, faces, radiance, area, confidence; light from outside, spherical harmonics; backdrop, its shell
+    backdrop.exr     what cameras see through holes of the mesh, if it has any
     materials/       base_color.exr, roughness.png, metallic.png, confidence.png, emission.exr, mesh.glb
 
 Saving writes everything into a folder of its own, gives it the name WHOLE, and only then moves the files to where they
@@ -23,23 +24,24 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..capture.types import Mesh
 from ..errors import BadInput, IrisError
-from ..json_files import MEND, dump_json, from_ranges, json_object, numbers, read_json, to_ranges
+from ..json_files import MEND, dump_json, read_json
 from ..parallel import cores
+from .emitters_json import EMITTERS, emitters_json, read_emitters
 from .glb import encode_glb, read_glb
 from .response_json import read_response, response_json
-from .types import Emitter, OutsideLight, Result, Textures
+from .types import Backdrop, Result, Textures
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 WHOLE = ".whole"
 """Folder of a result that is written and not yet moved in place."""
 MAX_TEXTURE_SIDE = 16384
+MAX_BACKDROP_HEIGHT = 4096
+BACKDROP = "backdrop.exr"
 EMISSION_SIDE = 1024
 """Side of the emission picture in texels; what emits is said exactly by emitters.json."""
 
@@ -86,6 +88,8 @@ def _complete_save(folder: Path) -> None:
         return
     (folder / "materials").mkdir(exist_ok=True)
     names = sorted(str(path.relative_to(whole)) for path in whole.rglob("*") if path.is_file())
+    if EMITTERS in names and BACKDROP not in names:
+        (folder / BACKDROP).unlink(missing_ok=True)  # of the result before
     for name in sorted(names, key=lambda name: name == "report.json"):
         os.replace(whole / name, folder / name)
     shutil.rmtree(whole)
@@ -111,7 +115,9 @@ def _write_all(result: Result, folder: Path) -> None:
         job.result()
     (materials / "mesh.glb").write_bytes(encode_glb(result.mesh, result.parts, result.up))
     dump_json(folder / "response.json", response_json(result))
-    dump_json(folder / "emitters.json", _emitters_json(result))
+    if result.backdrop is not None:
+        write_exr(folder / BACKDROP, result.backdrop.picture, half=True)
+    dump_json(folder / EMITTERS, emitters_json(result))
     dump_json(folder / "report.json", {"schema_version": SCHEMA_VERSION, **result.report})
 
 
@@ -131,22 +137,6 @@ def emission_texture(result: Result) -> NDArray[np.float32]:
             draw.polygon([(u * side - 0.5, (1 - v) * side - 0.5) for u, v in corners.tolist()], fill=1, outline=1)
         emission[np.asarray(mask)] = emitter.radiance
     return emission
-
-
-def _emitters_json(result: Result) -> dict[str, Any]:
-    return {
-        "emitters": [
-            {
-                "id": emitter.id,
-                "faces": to_ranges(emitter.faces),
-                "radiance": emitter.radiance,
-                "area": emitter.area,
-                "confidence": emitter.confidence,
-            }
-            for emitter in result.emitters
-        ],
-        "outside": None if result.outside is None else _outside_content(result.outside),
-    }
 
 
 # ---- loading -------------------------------------------------------------------------------------------------------
@@ -175,56 +165,16 @@ def load_result(folder: Path, read_image: ReadImage | None = None) -> Result:
         )
     mesh, parts, up = read_glb(folder / "materials" / "mesh.glb")
     response, exposures, local = read_response(folder)
-    emitters, outside = _read_emitters(folder / "emitters.json", mesh)
-    textures = _read_textures(folder / "materials", read_image or _read_image)
-    result = Result(mesh, parts, textures, emitters, outside, response, exposures, report, up, local)
+    emitters, outside, shell = read_emitters(folder, mesh)
+    read = read_image or _read_image
+    textures = _read_textures(folder / "materials", read)
+    backdrop = None if shell is None else Backdrop(*shell, _read_backdrop(folder / BACKDROP, read))
+    result = Result(mesh, parts, textures, emitters, outside, response, exposures, report, up, local, backdrop)
     try:
         result.as_taken([])  # so that a damaged report is told here
     except (KeyError, TypeError, ValueError) as error:
         raise BadInput("'model.camera' holds no corrections of cameras", MEND, folder / "report.json") from error
     return result
-
-
-def _read_emitters(path: Path, mesh: Mesh) -> tuple[tuple[Emitter, ...], OutsideLight | None]:
-    content = read_json(path)
-    listed = content.get("emitters")
-    if not isinstance(listed, list):
-        raise BadInput("'emitters' is missing or not a list", MEND, path)
-    emitters = []
-    for number, entry in enumerate(listed):
-        entry = json_object(entry, f"emitters[{number}]", path)
-        where = f"emitters[{number}]"
-        radiance = numbers(entry.get("radiance"), (3,), f"{where}.radiance", path)
-        if radiance.min() < 0:
-            raise BadInput(f"'{where}.radiance' is negative", MEND, path)
-        emitters.append(
-            Emitter(
-                int(numbers(entry.get("id"), (), f"{where}.id", path)),
-                from_ranges(entry.get("faces"), len(mesh.faces), f"{where}.faces", path),
-                radiance,
-                float(numbers(entry.get("area"), (), f"{where}.area", path)),
-                float(numbers(entry.get("confidence"), (), f"{where}.confidence", path)),
-            )
-        )
-    outside = content.get("outside")
-    if outside is None:
-        return tuple(emitters), None
-    outside = json_object(outside, "outside", path)
-    expansions = {name: outside.get(name) for name in ("sh", "backdrop")}
-    read = {
-        name: numbers(value, (None, 3), f"outside.{name}", path)
-        for name, value in expansions.items()
-        if name == "sh" or value is not None
-    }
-    for name, sh in read.items():
-        if len(sh) not in (1, 4, 9):
-            raise BadInput(f"'outside.{name}' has {len(sh)} coefficients, not 1, 4 or 9", MEND, path)
-    return tuple(emitters), OutsideLight(read["sh"], read.get("backdrop"))
-
-
-def _outside_content(outside: OutsideLight) -> dict[str, NDArray[np.float64]]:
-    content = {"sh": outside.sh}
-    return content if outside.backdrop is None else {**content, "backdrop": outside.backdrop}
 
 
 def _read_textures(folder: Path, read_image: ReadImage) -> Textures:
@@ -244,8 +194,22 @@ def _read_texture(path: Path, read_image: ReadImage) -> NDArray[np.float32]:
     width, height = _image_size(path)
     if width != height or not 0 < width <= MAX_TEXTURE_SIDE:
         raise BadInput(f"is {width}x{height} pixels, not square or too large", MEND, path)
+    return _read_finite(path, (height, width), read_image)
+
+
+def _read_backdrop(path: Path, read_image: ReadImage) -> NDArray[np.float32]:
+    width, height = _image_size(path)
+    if width != 2 * height or not 0 < height <= MAX_BACKDROP_HEIGHT:
+        raise BadInput(f"is {width}x{height} pixels, no panorama twice as wide as high, or too large", MEND, path)
+    values = _read_finite(path, (height, width), read_image)
+    if values.ndim != 3 or values.shape[2] < 3 or values.min() < 0:
+        raise BadInput("has no RGB or negative radiance", MEND, path)
+    return np.ascontiguousarray(values[..., :3])
+
+
+def _read_finite(path: Path, size: tuple[int, int], read_image: ReadImage) -> NDArray[np.float32]:
     values = np.asarray(read_image(path), dtype=np.float32)
-    if values.shape[:2] != (height, width) or not np.isfinite(values).all():
+    if values.shape[:2] != size or not np.isfinite(values).all():
         raise BadInput("does not have the size of its header, or is not finite", MEND, path)
     return values
 

@@ -41,11 +41,31 @@ class OutsideLight:
     Attributes:
         sh: (n, 3) float64 coefficients, n in {1, 4, 9}, basis order (l, m) = (0,0), (1,-1), (1,0), (1,1), (2,-2) ...
             in the capture's world axes; evaluated radiance is clamped at zero.
-        backdrop: (n, 3) likewise, what cameras see there instead; None where they see the light.
     """
 
     sh: NDArray[np.float64]
-    backdrop: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
+class Backdrop:
+    """What cameras see through holes of the mesh: a convex shell around the room with a picture on its inner side.
+
+    It stands for surfaces that a scan missed. To everything but cameras it is not there.
+
+    Attributes:
+        vertices: (V, 3) float64 of the shell, metres, in the capture's world space.
+        faces: (F, 3) int64, counter-clockwise from within.
+        picture: (H, 2 H, 3) float32 radiance, equirectangular around :attr:`centre` with +z on top.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    picture: NDArray[np.float32]
+
+    @property
+    def centre(self) -> NDArray[np.float64]:
+        """(3,) from where the picture was painted."""
+        return self.vertices.mean(0)
 
 
 @dataclass(frozen=True)
@@ -76,6 +96,7 @@ class Result:
         report: the content of report.json.
         local: what the camera did to exposure from place to place; exposures are those of the middle.
         up: unit up vector of the capture.
+        backdrop: what cameras see through holes of the mesh; None where it has hardly any.
     """
 
     mesh: Mesh
@@ -88,6 +109,7 @@ class Result:
     report: dict[str, Any] = field(default_factory=dict)
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     local: LocalSettings = ALIKE
+    backdrop: Backdrop | None = None
 
     @property
     def diffuse_lobe(self) -> DiffuseLobe:
@@ -108,14 +130,12 @@ class Result:
 
     def with_exposures_times(self, factor: float) -> Result:
         """The same photos explained by exposures times ``factor`` and radiance that is less by it."""
-        outside = self.outside
-        if outside is not None:
-            backdrop = None if outside.backdrop is None else outside.backdrop / factor
-            outside = OutsideLight(outside.sh / factor, backdrop)
+        outside, backdrop = self.outside, self.backdrop
         return replace(
             self,
             emitters=tuple(replace(emitter, radiance=emitter.radiance / factor) for emitter in self.emitters),
-            outside=outside,
+            outside=None if outside is None else OutsideLight(outside.sh / factor),
+            backdrop=None if backdrop is None else replace(backdrop, picture=backdrop.picture / np.float32(factor)),
             exposures={name: exposure * factor for name, exposure in self.exposures.items()},
         )
 

@@ -1,0 +1,186 @@
+"""What cameras see through holes of the mesh: painted where it belongs, and no light of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import bpy
+import numpy as np
+import pytest
+
+from iris_addon.blender.backdrop import BACKDROP
+from iris_addon.blender.light_groups import render_light_shares
+from iris_addon.blender.onto_objects import apply_to_objects, restore
+from iris_addon.blender.render import render_views
+from iris_addon.blender.scene_in import read_scene_mesh
+from iris_addon.capture.types import Mesh
+from iris_addon.emission.backdrop import MIN_SHARE, fit_backdrop
+from iris_addon.photo_samples import BeyondMesh
+from iris_addon.photometry import Photometry
+from iris_addon.response.curve import gamma, identity
+from iris_addon.result.edits import SceneEdit
+from iris_addon.result.panorama import equirect_directions, equirect_texels
+from iris_addon.result.types import Backdrop, Result
+from tests.blender_room import box, camera, room
+
+CORNERS = np.array([[x, y, z] for x in (0.0, 5.0) for y in (0.0, 4.0) for z in (0.0, 2.5)])
+CAMERAS = np.array([[1.0, 1.0, 1.5], [4.0, 0.8, 1.2], [2.5, 2.0, 0.9]])
+QUICK = {"samples": 16, "denoise": False}
+
+
+def paint(points: np.ndarray) -> np.ndarray:
+    """(n, 3) radiance of the wall y = 4: stripes half a metre wide, brighter towards the top."""
+    stripe = 0.3 + 0.25 * np.sin(2 * np.pi * points[:, 0] / 1.0)
+    return (stripe * (0.6 + 0.2 * points[:, 2]))[:, None] * [1.0, 0.8, 0.6]
+
+
+def seen(rng: np.random.Generator, n: int, hidden: float = 0.0, share: float = 0.1) -> BeyondMesh:
+    """Pixels of a gamma camera that show the wall y = 4, of which the mesh has nothing; something dark stands before
+    ``hidden`` of them, for the first camera alone."""
+    points = rng.uniform([0.2, 4, 0.2], [4.8, 4, 2.3], (n, 3))
+    view = rng.integers(len(CAMERAS), size=n)
+    direction = points - CAMERAS[view]
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    radiance = paint(points)
+    radiance[(view == 0) & (rng.random(n) < hidden)] = 0.01
+    z = gamma().apply(radiance).astype(np.float32)
+    return BeyondMesh(share, view.astype(np.int16), np.zeros(n, np.int32), direction, z)
+
+
+PHOTOMETRY = Photometry(gamma(), np.ones((3, 1)) * np.ones(3), 0.0, False, True)
+
+
+@pytest.mark.parametrize("hidden", [0.0, 0.5])
+def test_a_missing_wall_is_painted_where_it_stands(hidden: float) -> None:
+    """Stripes seen from three places are one set of stripes: by directions alone they would be blurred to grey."""
+    rng = np.random.default_rng(0)
+    found = fit_backdrop(seen(rng, 60000, hidden), PHOTOMETRY, CORNERS, CAMERAS)
+    assert found is not None
+    points = rng.uniform([0.5, 4, 0.5], [4.5, 4, 2.0], (2000, 3))
+    height, width = found.picture.shape[:2]
+    shown = found.picture.reshape(-1, 3)[equirect_texels(points - found.centre, width, height)]
+    error = np.abs(shown / paint(points) - 1)
+    assert np.median(error) < 0.08 and np.quantile(error, 0.9) < 0.25
+    assert np.isfinite(found.picture).all() and found.picture.min() >= 0
+
+
+def test_the_shell_holds_mesh_and_cameras_and_looks_inwards() -> None:
+    rng = np.random.default_rng(1)
+    outside = np.vstack([CAMERAS, [[2.0, -1.5, 1.0]]])  # a photographer in the door
+    found = fit_backdrop(seen(rng, 500), PHOTOMETRY, CORNERS, outside)
+    assert found is not None
+    a, b, c = np.moveaxis(found.vertices[found.faces], 1, 0)
+    normal = np.cross(b - a, c - a)
+    for point in (*CORNERS, *outside):
+        assert (np.einsum("fc,fc->f", normal, point - a) > 0).all()
+
+
+def test_no_backdrop_without_holes_or_without_a_room() -> None:
+    rng = np.random.default_rng(2)
+    assert fit_backdrop(seen(rng, 500, share=MIN_SHARE / 2), PHOTOMETRY, CORNERS, CAMERAS) is None
+    flat = CORNERS * [1, 1, 0]
+    assert fit_backdrop(seen(rng, 500), PHOTOMETRY, flat, flat[:3]) is None
+
+
+@pytest.mark.parametrize("lit", [0.0, 0.3])
+def test_a_backdrop_that_is_mostly_black_is_dark_and_finite(lit: float) -> None:
+    """Renders before an empty world: half of the pixels and more are exactly zero."""
+    rng = np.random.default_rng(3)
+    pixels = seen(rng, 3000)
+    radiance = np.where(rng.random((3000, 1)) < lit, 0.5, 0.0) * np.ones(3)
+    pixels = replace(pixels, z=radiance.astype(np.float32))
+    found = fit_backdrop(pixels, Photometry(identity(), np.ones((3, 3)), np.nan, False, True), CORNERS, CAMERAS)
+    assert found is not None and np.isfinite(found.picture).all()
+    assert found.picture.min() >= 0 and found.picture.max() <= (0.5 if lit else 0.0)
+
+
+def test_directions_and_texels_are_each_others_inverse() -> None:
+    directions = equirect_directions(32, 16).reshape(-1, 3)
+    assert (equirect_texels(7 * directions, 32, 16) == np.arange(32 * 16)).all()
+    assert (equirect_directions(32, 16)[0, :, 2] > 0.99).all()
+
+
+# ---- in Blender ----------------------------------------------------------------------------------------------------
+
+
+def open_room(albedo: float = 0.8) -> Result:
+    """A dark box of 2 m without its +z and -z sides, before a shell of twice its size whose colours are directions."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    mesh = box()
+    shell = box(4.0)
+    picture = (0.5 + 0.4 * equirect_directions(512, 256)).astype(np.float32)
+    # The faces of the box look outwards.
+    backdrop = Backdrop(shell.vertices, inward(shell), picture)
+    result = room(albedo=albedo, mesh=Mesh(mesh.vertices, mesh.faces[:-4], mesh.uv[:-4]))
+    return replace(result, backdrop=backdrop)
+
+
+def inward(shell: Mesh) -> np.ndarray:
+    a, b, c = np.moveaxis(shell.vertices[shell.faces], 1, 0)
+    outward = np.einsum("fc,fc->f", np.cross(b - a, c - a), a) > 0
+    return np.where(outward[:, None], shell.faces[:, ::-1], shell.faces)
+
+
+@pytest.mark.bpy
+def test_cameras_see_it_through_the_hole_with_parallax_and_it_lights_nothing() -> None:
+    result = open_room()
+    view = camera(position=(0.5, 0.3, 0.6))
+    origin, direction = view.rays()
+    at = origin + direction * ((-2.0 - origin[:, 2]) / direction[:, 2])[:, None]
+    through = (np.abs(origin + direction * ((-1.0 - 0.6) / direction[:, 2])[:, None])[:, :2] < 0.9).all(1)
+    side = (np.abs(at[:, :2]) < 1.95).all(1)
+    (image,) = render_views(result, [view], **QUICK)
+    image = image.reshape(-1, 3)
+    expected = 0.5 + 0.4 * at / np.linalg.norm(at, axis=1, keepdims=True)
+    assert (through & side).sum() > 20
+    np.testing.assert_allclose(image[through & side], expected[through & side], atol=0.01)
+    wall = (np.abs(origin + direction * ((-0.9 - 0.6) / direction[:, 2])[:, None])[:, :2] > 1.1).any(1)
+    assert wall.sum() > 20 and not image[wall].any()
+    (half,) = render_views(result, [view], edit=SceneEdit(outside_scale=0.5), **QUICK)
+    np.testing.assert_allclose(half.reshape(-1, 3)[through & side], 0.5 * expected[through & side], atol=0.01)
+
+
+@pytest.mark.bpy
+def test_from_outside_one_looks_through_it_into_the_room() -> None:
+    result = open_room()
+    view = camera(position=(0, 0, 6), fx=30.0, fy=30.0)
+    lit = replace(result, emitters=room(emission={2: (3, 2, 1)}).emitters)
+    (with_shell,) = render_views(lit, [view], **QUICK)
+    (without,) = render_views(replace(lit, backdrop=None), [view], **QUICK)
+    lamp = (without[..., 0] > 1).reshape(-1)
+    assert lamp.sum() > 3
+    means = [image.reshape(-1, 3)[lamp].mean(0) for image in (with_shell, without)]
+    np.testing.assert_allclose(*means, rtol=0.05)  # the shell's picture is nowhere above 0.9
+
+
+@pytest.mark.bpy
+def test_it_goes_with_the_light_from_outside_in_a_mix() -> None:
+    shares = render_light_shares(open_room(), camera(), samples=4)
+    assert set(shares.shares) == {"IRIS Outside"}
+    np.testing.assert_allclose(shares.shares["IRIS Outside"], shares.combined, atol=1e-5)
+    assert shares.combined.max() > 0.1
+
+
+@pytest.mark.bpy
+def test_it_is_no_part_of_the_room_and_goes_when_the_objects_are_restored() -> None:
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.mesh.primitive_cube_add()
+    scene = bpy.context.scene
+    before = read_scene_mesh(bpy.context.evaluated_depsgraph_get())
+    n = len(before.mesh.faces)
+    result = replace(open_room_result(before.mesh), backdrop=open_shell())
+    assert apply_to_objects(result, before.runs, scene, "key")
+    assert BACKDROP in scene.objects
+    bpy.context.view_layer.update()
+    assert len(read_scene_mesh(bpy.context.evaluated_depsgraph_get()).mesh.faces) == n
+    restore(scene)
+    assert BACKDROP not in scene.objects and BACKDROP not in bpy.data.materials
+
+
+def open_shell() -> Backdrop:
+    shell = box(4.0)
+    return Backdrop(shell.vertices, inward(shell), np.full((4, 8, 3), 0.5, np.float32))
+
+
+def open_room_result(mesh: Mesh) -> Result:
+    return room(mesh=Mesh(mesh.vertices, mesh.faces, np.zeros((len(mesh.faces), 3, 2), np.float32)))
