@@ -144,6 +144,22 @@ def test_three_curves_earn_their_place_where_there_are_three() -> None:
     assert crf_l2(fit.response, truth.samples) < 0.8
 
 
+@pytest.mark.parametrize("name", ["gamma 2.2", "film"])
+def test_highlights_do_not_move_the_radiance_that_clips(name: str) -> None:
+    """A polished room: In two fifths of the views a patch mirrors something, by which it clips up to six times earlier."""
+    rng = np.random.default_rng(9)
+    truth = response_of(CURVES[name])
+    observations, radiance = observations_of(truth, EXPOSURES, rng, n=600)
+    shown = radiance[observations.patch] * EXPOSURES[observations.view][:, None]
+    mirrored = rng.random(len(shown)) < 0.4
+    shown[mirrored] *= 6 ** rng.random((int(mirrored.sum()), 1))
+    z = np.floor(255 * truth.apply(np.clip(shown, 0, 1))) / 255
+    saturated = (z >= 254.5 / 255).astype(np.float32)
+    observations = replace(doubled(observations), z=z.astype(np.float32), saturated=saturated)
+    fit = fit_overlap(observations, EXPOSURES, len(EXPOSURES), rng)
+    assert crf_l2(fit.response, truth.samples) < 0.25
+
+
 @pytest.mark.parametrize("drift", ["exposure", "white balance"])
 def test_wrongly_recorded_exposures_are_put_right(drift: str) -> None:
     """Two thirds of a stop of error; a third in each channel of its own where white balance drifts."""

@@ -146,11 +146,12 @@ def _fit_curves(
     error = testing.disagreement(shared)
     if refinements.channel_curves is False:
         return shared, error
-    separate = training.minimise(shared * 3, SEPARATE_STEPS)
+    leading = replace(training, highlights=False)
+    separate = leading.minimise(shared * 3, SEPARATE_STEPS)
     # One curve is the null hypothesis: cameras apply the same curve to all channels far more often than not.
     separate_error = testing.disagreement(separate)
     if refinements.channel_curves or separate_error < 0.97 * error:
-        separate = training.minimise(separate, MAX_STEPS)
+        separate = training.minimise(leading.minimise(separate, MAX_STEPS), MAX_STEPS)
         return separate, testing.disagreement(separate)
     return shared, error
 
@@ -160,7 +161,7 @@ def _first_guess(problem: OverlapProblem) -> NDArray[np.float64]:
 
     From the median alone a curve that crushes the shadows ends where it fits neither those nor the lights.
     """
-    coarse = problem.restrict(np.arange(problem.n_patches) % START_EVERY == 0)
+    coarse = replace(problem.restrict(np.arange(problem.n_patches) % START_EVERY == 0), highlights=False)
     starts = [family.PRIOR_MEAN, *(np.full(len(family.PRIOR_MEAN), level) for level in START_LEVELS)]
     ends = [coarse.minimise([start], START_STEPS)[0] for start in starts]
     return min(ends, key=lambda knots: float((coarse.residual(knots, 1) ** 2).sum()))

@@ -29,6 +29,8 @@ MIN_EXPOSURE_SPREAD, MIN_UNKNOWN_SPREAD = 0.5, 0.25
 PRIOR_WEIGHT = 1.0
 """The prior over curves counts as much as one observation that is off by ROBUST_SCALE."""
 MONOTONICITY_WEIGHT = 1e4
+CONVERGED = 1e-5
+"""Relative gain of a step at which the curve stands still."""
 LEAST = 1e-5
 """Relative exposure that black is taken for."""
 DIFFERENCE = 1e-7
@@ -43,7 +45,8 @@ class OverlapProblem:
     """m observations of n patches. ``log_t`` is (V, 3), or None where exposures are unknown.
 
     ``white_balance`` forces or forbids unknown exposures per channel; None lets them earn their place. ``log_gain`` is
-    what the camera adds to the log exposure of each observation by its place in the photo.
+    what the camera adds to the log exposure of each observation by its place in the photo. ``highlights`` may clip what
+    other views show below saturation; without them a curve far from the right one is led there.
     """
 
     z: NDArray[np.float64]  # (m, 3)
@@ -58,6 +61,7 @@ class OverlapProblem:
     n_views: int
     log_t: NDArray[np.float64] | None
     white_balance: bool | None
+    highlights: bool = True
 
     @staticmethod
     def build(
@@ -201,9 +205,10 @@ class OverlapProblem:
         mismatch = np.where(self.clipped[:, None], 0.0, response.apply(x) - self.z)
         data = _robust(self.weight[:, None] * mismatch / ROBUST_SCALE)
         # A byte of 255 means x >= 1 and any other means x < 1: the share of clipped pixels pins the scale.
-        log_x = np.log(np.maximum(x, 1e-6))
-        wrong_side = np.clip(np.where(self.share > 0.5, -log_x, log_x), 0.0, None)
-        clip = _robust(self.weight[:, None] * wrong_side / CLIP_SCALE)
+        log_x = self.weight[:, None] * np.log(np.maximum(x, 1e-6)) / CLIP_SCALE
+        # A highlight clips what other views show far below, and by any amount: all such count the same.
+        missed = _redescending if self.highlights else _robust
+        clip = np.where((self.share > 0.5).ravel(), missed(np.maximum(-log_x, 0.0)), _robust(np.maximum(log_x, 0.0)))
         # (f^g, t^g, L^g) fits as well for any g: without exposure times only the prior holds the exponent.
         held = PRIOR_WEIGHT if self.log_t is not None else UNKNOWN_PRIOR_WEIGHT
         prior = [held * family.prior_residual(k) for k in knots]
@@ -216,7 +221,13 @@ class OverlapProblem:
         # Exposures that are looked for too are shared by the channels, and tie the three curves to each other.
         jacobian: Any = self._jacobian if self.log_t is not None else "2-point"
         fit = least_squares(
-            self.residual, np.concatenate(start), jacobian, args=(n_curves,), max_nfev=max_steps, x_scale=0.3
+            self.residual,
+            np.concatenate(start),
+            jacobian,
+            args=(n_curves,),
+            max_nfev=max_steps,
+            x_scale=0.3,
+            ftol=CONVERGED,
         )
         return list(fit.x.reshape(n_curves, -1))
 
@@ -248,6 +259,11 @@ class OverlapProblem:
         """Median absolute residual of unclipped observations, display values, each as the robust loss takes it."""
         mismatch = self.residual(np.concatenate(knots), len(knots))[: self.z.size].reshape(-1, 3) / self.weight[:, None]
         return float(np.median(np.abs(mismatch[~self.clipped])) * ROBUST_SCALE)
+
+
+def _redescending(residual: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Residuals whose squares are the loss of Geman and McClure, which ends at 1, flat."""
+    return (residual / np.sqrt(1 + residual**2)).ravel()
 
 
 def _robust(residual: NDArray[np.float64]) -> NDArray[np.float64]:
