@@ -146,7 +146,7 @@ def test_three_curves_earn_their_place_where_there_are_three() -> None:
 
 @pytest.mark.parametrize("name", ["gamma 2.2", "film"])
 def test_highlights_do_not_move_the_radiance_that_clips(name: str) -> None:
-    """A polished room: In two fifths of the views a patch mirrors something, by which it clips up to six times earlier."""
+    """A polished room: two fifths of all views of patches mirror something, and clip up to six times earlier."""
     rng = np.random.default_rng(9)
     truth = response_of(CURVES[name])
     observations, radiance = observations_of(truth, EXPOSURES, rng, n=600)
