@@ -97,8 +97,7 @@ def make_result(
     error = explained(held_out) - (shown if photos.hdr else np.clip(shown + 0.5 / 255, 0, 1))
     report = {"holdout_psnr": float(-10 * np.log10(np.mean(error**2)))}
     closed = config.refinements.hidden_light is False
-    positions = np.stack([view.camera.position for view in capture.views])
-    backdrop = None if closed else fit_backdrop(photos.beyond, photometry, capture.mesh.vertices, positions)
+    backdrop = None if closed else fit_backdrop(photos.beyond, photometry, capture.mesh, capture.views)
     mesh = capture.mesh.with_uv(uv)
     exposures = {view.name: photometry.exposures[k] for k, view in enumerate(capture.views)}
     result = Result(

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
 
+from iris_addon.blender.apply import apply
 from iris_addon.blender.backdrop import BACKDROP
+from iris_addon.blender.camera import add_camera, look_through
+from iris_addon.blender.insert import coverage
 from iris_addon.blender.light_groups import render_light_shares
 from iris_addon.blender.onto_objects import apply_to_objects, restore
 from iris_addon.blender.render import render_views
 from iris_addon.blender.scene_in import read_scene_mesh
-from iris_addon.capture.types import Mesh
+from iris_addon.blender.scene_out import build_scene
+from iris_addon.capture.types import Mesh, View
 from iris_addon.emission.backdrop import MIN_SHARE, fit_backdrop
 from iris_addon.photo_samples import BeyondMesh
 from iris_addon.photometry import Photometry
@@ -25,6 +30,14 @@ from tests.blender_room import box, camera, room
 
 CORNERS = np.array([[x, y, z] for x in (0.0, 5.0) for y in (0.0, 4.0) for z in (0.0, 2.5)])
 CAMERAS = np.array([[1.0, 1.0, 1.5], [4.0, 0.8, 1.2], [2.5, 2.0, 0.9]])
+ROOM = Mesh(CORNERS, box().faces)
+
+
+def views_at(positions: np.ndarray) -> list[View]:
+    return [View(str(k), camera(position=tuple(position)), None) for k, position in enumerate(positions)]
+
+
+VIEWS = views_at(CAMERAS)
 QUICK = {"samples": 16, "denoise": False}
 
 
@@ -54,7 +67,7 @@ PHOTOMETRY = Photometry(gamma(), np.ones((3, 1)) * np.ones(3), 0.0, False, True)
 def test_a_missing_wall_is_painted_where_it_stands(hidden: float) -> None:
     """Stripes seen from three places are one set of stripes: by directions alone they would be blurred to grey."""
     rng = np.random.default_rng(0)
-    found = fit_backdrop(seen(rng, 60000, hidden), PHOTOMETRY, CORNERS, CAMERAS)
+    found = fit_backdrop(seen(rng, 60000, hidden), PHOTOMETRY, ROOM, VIEWS)
     assert found is not None
     points = rng.uniform([0.5, 4, 0.5], [4.5, 4, 2.0], (2000, 3))
     height, width = found.picture.shape[:2]
@@ -67,7 +80,7 @@ def test_a_missing_wall_is_painted_where_it_stands(hidden: float) -> None:
 def test_the_shell_holds_mesh_and_cameras_and_looks_inwards() -> None:
     rng = np.random.default_rng(1)
     outside = np.vstack([CAMERAS, [[2.0, -1.5, 1.0]]])  # a photographer in the door
-    found = fit_backdrop(seen(rng, 500), PHOTOMETRY, CORNERS, outside)
+    found = fit_backdrop(seen(rng, 500), PHOTOMETRY, ROOM, views_at(outside))
     assert found is not None
     a, b, c = np.moveaxis(found.vertices[found.faces], 1, 0)
     normal = np.cross(b - a, c - a)
@@ -77,9 +90,15 @@ def test_the_shell_holds_mesh_and_cameras_and_looks_inwards() -> None:
 
 def test_no_backdrop_without_holes_or_without_a_room() -> None:
     rng = np.random.default_rng(2)
-    assert fit_backdrop(seen(rng, 500, share=MIN_SHARE / 2), PHOTOMETRY, CORNERS, CAMERAS) is None
-    flat = CORNERS * [1, 1, 0]
-    assert fit_backdrop(seen(rng, 500), PHOTOMETRY, flat, flat[:3]) is None
+    assert fit_backdrop(seen(rng, 500, share=MIN_SHARE / 2), PHOTOMETRY, ROOM, VIEWS) is None
+    flat = replace(ROOM, vertices=CORNERS * [1, 1, 0])
+    assert fit_backdrop(seen(rng, 500), PHOTOMETRY, flat, views_at(CAMERAS * [1, 1, 0])) is None
+
+
+def test_a_stray_vertex_does_not_stretch_the_shell() -> None:
+    stray = replace(ROOM, vertices=np.vstack([CORNERS, [[1e3, 0, 0]]]))
+    found = fit_backdrop(seen(np.random.default_rng(4), 500), PHOTOMETRY, stray, VIEWS)
+    assert found is not None and np.abs(found.vertices).max() < 6
 
 
 @pytest.mark.parametrize("lit", [0.0, 0.3])
@@ -89,7 +108,7 @@ def test_a_backdrop_that_is_mostly_black_is_dark_and_finite(lit: float) -> None:
     pixels = seen(rng, 3000)
     radiance = np.where(rng.random((3000, 1)) < lit, 0.5, 0.0) * np.ones(3)
     pixels = replace(pixels, z=radiance.astype(np.float32))
-    found = fit_backdrop(pixels, Photometry(identity(), np.ones((3, 3)), np.nan, False, True), CORNERS, CAMERAS)
+    found = fit_backdrop(pixels, Photometry(identity(), np.ones((3, 3)), np.nan, False, True), ROOM, VIEWS)
     assert found is not None and np.isfinite(found.picture).all()
     assert found.picture.min() >= 0 and found.picture.max() <= (0.5 if lit else 0.0)
 
@@ -159,6 +178,25 @@ def test_it_goes_with_the_light_from_outside_in_a_mix() -> None:
     assert set(shares.shares) == {"IRIS Outside"}
     np.testing.assert_allclose(shares.shares["IRIS Outside"], shares.combined, atol=1e-5)
     assert shares.combined.max() > 0.1
+
+
+@pytest.mark.bpy
+def test_it_counts_as_the_room_when_something_is_put_in() -> None:
+    built = build_scene(open_room())
+    assert built.backdrop is not None
+    look_through(built.scene, camera(), add_camera(camera(), "view", built.scene.collection))
+    assert not coverage(built.scene, [built.room, built.backdrop]).any()
+    built.free()
+
+
+@pytest.mark.bpy
+def test_the_blend_has_it_and_the_glb_does_not(tmp_path: Path) -> None:
+    apply(open_room(), tmp_path / "room.blend", glb=tmp_path / "room.glb")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "room.blend"))
+    assert BACKDROP in bpy.context.scene.objects and bpy.data.images[BACKDROP].packed_file
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.import_scene.gltf(filepath=str(tmp_path / "room.glb"))
+    assert BACKDROP not in bpy.data.objects and "IRIS Room Mesh" in bpy.data.objects
 
 
 @pytest.mark.bpy

@@ -8,11 +8,14 @@ from wherever one looks, what is missing on a wall is then where it belongs, and
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import ConvexHull
 
+from ..capture.types import Mesh, View
 from ..photo_samples import BeyondMesh
 from ..photometry import Photometry
 from ..result.panorama import equirect_texels
@@ -36,26 +39,19 @@ ROUNDS = 4
 BLOCK = 8192
 
 
-def fit_backdrop(
-    beyond: BeyondMesh, photometry: Photometry, vertices: NDArray[np.floating], positions: NDArray[np.floating]
-) -> Backdrop | None:
-    """The shell around a room and the radiance of the pixels that miss its mesh, None where hardly any do.
-
-    Args:
-        vertices: (V, 3) of the mesh.
-        positions: (n, 3) of the cameras by view; the shell holds them too.
-    """
+def fit_backdrop(beyond: BeyondMesh, photometry: Photometry, mesh: Mesh, views: Sequence[View]) -> Backdrop | None:
+    """A shell around mesh and cameras with the radiance of the pixels that miss the mesh; None if hardly any do."""
     if beyond.share < MIN_SHARE:
         return None
-    hull = _shell(np.concatenate([vertices, positions]))
+    positions = np.stack([view.camera.position for view in views])
+    hull = _shell(np.concatenate([mesh.vertices[np.unique(mesh.faces)], positions]))
     if hull is None:
         return None
     linear = photometry.linearise_pixels(beyond.z, beyond.view, beyond.pixel)
     radiance = np.where(linear.open, linear.radiance, linear.bound).astype(np.float64)
     painted = _exit_points(hull.equations, positions[beyond.view], beyond.direction) - hull.points.mean(0)
     texel = equirect_texels(painted, 2 * HEIGHT, HEIGHT)
-    inward = _inward_faces(hull)
-    return Backdrop(hull.points, inward, _picture(texel, radiance))
+    return Backdrop(hull.points, _inward_faces(hull), _picture(texel, radiance))
 
 
 def _shell(points: NDArray[np.floating]) -> ConvexHull | None:
