@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from iris_addon.capture import load_photo, read_capture, read_views
+from iris_addon.capture.nerfstudio import read_nerfstudio
 from iris_addon.errors import BadInput
 from iris_addon.imaging import read_exr, read_image, write_exr
 from tests.box_room import FOCAL, HEIGHT, WALL_COLORS, WIDTH, RoomCapture, box_mesh, render_walls, write_mesh
@@ -365,3 +367,34 @@ def test_exif_of_a_real_bracket(shared: Path) -> None:
 def test_wall_colours_are_distinct() -> None:
     """The layout tests above tell walls apart by colour."""
     assert len({tuple(color) for color in WALL_COLORS}) == 6
+
+
+@pytest.mark.parametrize(
+    ("turn", "expected"),
+    [
+        ([0.0, 0.0, 0.0], (0.0, 0.0, 1.0)),
+        ([0.4, 0.0, 0.0], (0.0, 0.0, 1.0)),  # all look down a little
+        ([np.pi / 2, 0.0, 0.0], (0.0, -1.0, 0.0)),  # a recorder whose y points down
+        ([np.pi / 2 + 0.2, 0.1, 0.0], (0.0, -1.0, 0.0)),
+        ([0.0, np.pi, 0.0], (0.0, 0.0, -1.0)),
+        ([np.pi / 2 + 0.7, 0.0, 0.0], None),  # no axis is near
+    ],
+)
+def test_up_is_z_unless_the_photos_lie_on_their_side(
+    nerfstudio_room: RoomCapture, turn: list[float], expected: tuple[float, float, float] | None
+) -> None:
+    file = nerfstudio_room.root / "transforms.json"
+    content = json.loads(file.read_text())
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
+    for frame in content["frames"]:
+        frame["transform_matrix"] = (matrix @ np.array(frame["transform_matrix"])).tolist()
+    file.write_text(json.dumps(content))
+    up = read_nerfstudio(file).up
+    if expected is None:
+        cameras = np.mean([np.array(frame["transform_matrix"])[:3, 1] for frame in content["frames"]], axis=0)
+        assert np.dot(up, cameras) / np.linalg.norm(cameras) > 0.999
+    else:
+        assert up == expected
+    (nerfstudio_room.root / "meta.json").write_text('{"up_axis": "+x"}')
+    assert read_nerfstudio(file).up == (1.0, 0.0, 0.0)

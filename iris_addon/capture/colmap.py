@@ -17,7 +17,7 @@ import numpy as np
 from ..errors import BadInput
 from .cameras import read_camera, read_distortion
 from .files import find_image
-from .listing import Listing, check_unique, only_mesh, up_axis, view_names
+from .listing import Listing, check_unique, mean_up, only_mesh, up_axis, view_names
 from .meshes import MESH_SUFFIXES
 from .types import View
 
@@ -60,9 +60,6 @@ def read_colmap(path: Path, model: Path) -> Listing:
     for view in views:
         if view.photo is None:
             raise BadInput(f"{view.name}: its photo is missing", f"put the photos into {root.name}/images", source)
-    up = np.mean([view.camera.c2w[:3, 1] for view in views], axis=0)
-    length = float(np.linalg.norm(up))
-    upward = tuple(float(x) for x in up / length) if length > 0.1 else (0.0, 0.0, 1.0)
     return Listing(
         name=root.resolve().name or "capture",
         root=root,
@@ -70,7 +67,7 @@ def read_colmap(path: Path, model: Path) -> Listing:
         views=views,
         val_views=(),
         mesh_file=_mesh_file(root, source),
-        up=up_axis(root, (upward[0], upward[1], upward[2])),
+        up=up_axis(root, mean_up(views) or (0.0, 0.0, 1.0)),
         warnings=("a COLMAP model has no unit: one unit of it is taken as one metre",),
     )
 

@@ -7,10 +7,15 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
+import numpy as np
+
 from ..errors import BadInput
 from .files import inside, read_json_object
 from .meshes import MESH_SUFFIXES, ply_counts
 from .types import View
+
+LEAST_UP = 0.1
+"""Length of the mean of unit up vectors below which they say nothing."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +72,16 @@ def only_mesh(root: Path, source: Path, mend: str = 'name one with "mesh" in {}'
 def is_point_cloud(path: Path) -> bool:
     """Whether a PLY file announces vertices and no faces."""
     return path.suffix.lower() == ".ply" and path.is_file() and not ply_counts(path).get("face", 0)
+
+
+def mean_up(views: Sequence[View]) -> tuple[float, float, float] | None:
+    """Unit mean of the up directions of photos, which people hold upright; None where those cancel out."""
+    up = np.mean([view.camera.c2w[:3, 1] for view in views], axis=0)
+    length = float(np.linalg.norm(up))
+    if length < LEAST_UP:
+        return None
+    x, y, z = (up / length).tolist()
+    return (x, y, z)
 
 
 def up_axis(root: Path, default: tuple[float, float, float]) -> tuple[float, float, float]:

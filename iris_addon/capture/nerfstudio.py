@@ -17,10 +17,14 @@ from ..imaging import check_image
 from .cameras import read_camera, read_distortion
 from .exposures import from_frame
 from .files import find_image, frames_of, inside, number, read_json_object
-from .listing import Listing, check_unique, is_point_cloud, only_mesh, up_axis, view_names
+from .listing import Listing, check_unique, is_point_cloud, mean_up, only_mesh, up_axis, view_names
 from .types import Split, View
 
 UP = (0.0, 0.0, 1.0)
+UPRIGHT = 0.5
+"""Cosine between +z and the mean up of the photos, or what lies behind them, from which on +z is believed."""
+ALONG_AXIS = 0.9
+"""The same between an axis and that mean, from which on it is taken for the axis."""
 
 
 def read_nerfstudio(transforms: Path) -> Listing:
@@ -42,7 +46,7 @@ def read_nerfstudio(transforms: Path) -> Listing:
         views=tuple(view for view in views if view.split == "train"),
         val_views=tuple(view for view in views if view.split == "val"),
         mesh_file=mesh_file,
-        up=up_axis(root, UP),
+        up=up_axis(root, _up(views)),
         warnings=tuple(warnings),
     )
 
@@ -52,6 +56,23 @@ def read_nerfstudio_views(transforms: Path) -> tuple[View, ...]:
     meta = read_json_object(transforms)
     views = _views(meta, frames_of(meta, transforms), transforms.parent, transforms, photos=False)
     return tuple(view for view in views if view is not None)
+
+
+def _up(views: Sequence[View]) -> tuple[float, float, float]:
+    """+z, as the format has it; the axis that photos are held along where they clearly lie on their side under it.
+
+    RGB-D recorders number their axes as the first photo stood, y down. An axis near the photos' mean is more likely
+    than that mean, which leans where all look down in one direction.
+    """
+    mean = mean_up(views)
+    down = float(np.mean([view.camera.c2w[:3, 2] for view in views], axis=0) @ UP)
+    if mean is None or max(float(np.dot(mean, UP)), down) > UPRIGHT:  # upright, or looking down from above
+        return UP
+    axis = np.rint(mean) + 0.0  # no negative zeros
+    if float(axis @ mean) < ALONG_AXIS or np.abs(axis).sum() != 1:
+        return mean
+    x, y, z = axis.tolist()
+    return (x, y, z)
 
 
 # ---- frames --------------------------------------------------------------------------------------------------------
