@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ import pytest
 from iris_addon.emission.balance import MAX_ALBEDO
 from iris_addon.progress import Progress
 from iris_addon.reflectance.bake import fuse_texels, pixel_albedo, pixel_weight
-from iris_addon.reflectance.ggx import DIELECTRIC_F0, specular_integrals
+from iris_addon.reflectance.ggx import DIELECTRIC_F0, layered_factor, specular_integrals
 from iris_addon.reflectance.gloss import (
     LEVELS,
     MIN_OBSERVATIONS,
@@ -21,13 +21,17 @@ from iris_addon.reflectance.gloss import (
     rough_everywhere,
 )
 from iris_addon.reflectance.gloss_cost import PartFits
-from iris_addon.reflectance.lobes import LobeRays, trace_lobes
+from iris_addon.reflectance.lamp_aim import LampAim
+from iris_addon.reflectance.lobes import Scene as LitScene
+from iris_addon.reflectance.lobes import trace_lobes
 from iris_addon.reflectance.specular import ROUGH, rough_lobes
+from iris_addon.reflectance.specular_weights import visible_normal_density
 from iris_addon.reflectance.textures import complete_channels, make_textures
 from iris_addon.surface.atlas import build_atlas
 from iris_addon.surface.atlas_texels import rasterise_atlas
 from iris_addon.surface.build import Surface, build_surface
 from iris_addon.surface.samples import PixelSamples, trace_pixels
+from iris_addon.transport.gather import emitter_form_factors
 from iris_addon.transport.tracer import Tracer
 from iris_addon.transport.transport import Transport, build_transport
 from tests.engine_room import Room, assemble, cameras, furnished_room, irradiance_at, quad, radiosity
@@ -52,14 +56,26 @@ class Scene:
         return self.room.emission[self.room.parts]
 
     def lobes(self, rows: np.ndarray, roughness: float, n_rays: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-        s, rng = self.samples, np.random.default_rng(seed)
-        rays = trace_lobes(
-            self.tracer, self.transport, self.room.parts, s, rows,
-            np.full(len(rows), roughness), n_rays, rng,
+        lit = self.lit()
+        rng = np.random.default_rng(seed)
+        return lit.lobes(trace_lobes(lit, self.samples, rows, np.full(len(rows), roughness), n_rays, rng))
+
+    def lit(self, aim: LampAim | None = None) -> LitScene:
+        """The room under its lamps."""
+        return LitScene(
+            self.tracer, self.transport, self.room.parts, self.surface.sample_patch, self.patch_radiance,
+            self.face_emission, np.full(3, 0.1), aim,
         )  # fmt: skip
-        return rays.radiance(
-            self.patch_radiance, np.zeros(len(self.patch_radiance)), self.face_emission, np.full(3, 0.1)
-        )
+
+    def aim(self) -> LampAim:
+        """At the room's lamps, by what they send to each patch."""
+        lamps, t = self.room.lamps(), self.transport
+        rng = np.random.default_rng(0)
+        factors = emitter_form_factors(self.tracer, t.origins, t.rays, lamps, 16, rng, Progress())[..., 0]
+        radiance = np.array([self.room.emission[self.room.parts[faces[0]]] for faces in lamps])
+        aim = LampAim.at(self.tracer, lamps, radiance, factors)
+        assert aim is not None
+        return aim
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +94,7 @@ def scene() -> Scene:
 # Gloss ---------------------------------------------------------------------------------------------------------------
 
 
-def fit_floor(scene: Scene, radiance: np.ndarray, rows: np.ndarray) -> Gloss:
+def fit_floor(scene: Scene, radiance: np.ndarray, rows: np.ndarray, layer: np.ndarray | None = None) -> Gloss:
     patch = scene.surface.sample_patch[rows]
     irradiance = scene.irradiance[patch]
     lobes = [[scene.lobes(rows, level, 16, 5 + 2 * k + half) for half in (0, 1)] for k, level in enumerate(LEVELS[:-1])]
@@ -86,7 +102,7 @@ def fit_floor(scene: Scene, radiance: np.ndarray, rows: np.ndarray) -> Gloss:
     part = scene.room.parts[scene.samples.face[rows]]
     observed = GlossObservations(
         part, patch, np.ones(len(rows)), scene.samples.position[rows], radiance, irradiance,
-        np.ones((len(LEVELS), len(rows))), lobes,
+        np.ones((len(LEVELS), len(rows))), lobes, layer,
     )  # fmt: skip
     return fit_gloss(observed, len(scene.room.albedo))
 
@@ -226,20 +242,82 @@ def test_parts_that_hardly_anybody_saw_keep_the_default(scene: Scene) -> None:
     assert (gloss.roughness == rough_everywhere(len(gloss.roughness)).roughness).all()
 
 
-def test_lobes_of_uniform_light_are_the_integrals_of_the_model(scene: Scene) -> None:
+@pytest.mark.parametrize("aimed", [False, True])
+def test_lobes_of_uniform_light_are_the_integrals_of_the_model(scene: Scene, aimed: bool) -> None:
     rows = rows_on(scene, WALL)[:300]
     ones, faces = np.ones_like(scene.patch_radiance), np.zeros((len(scene.room.mesh.faces), 3))
     faces[np.concatenate(scene.room.lamps())] = 1.0
+    lit = replace(scene.lit(scene.aim() if aimed else None), patch_radiance=ones, face_emission=faces, unknown=ones[0])
     for roughness in (0.15, 0.5, 1.0):
         s = scene.samples
-        rays: LobeRays = trace_lobes(
-            scene.tracer, scene.transport, scene.room.parts, s, rows,
-            np.full(len(rows), roughness), 128, np.random.default_rng(1),
-        )  # fmt: skip
-        s0, s1 = rays.radiance(ones, np.zeros(len(ones)), faces, np.ones(3))
+        rays = trace_lobes(lit, s, rows, np.full(len(rows), roughness), 128, np.random.default_rng(1))
+        s0, s1 = lit.lobes(rays)
         f0, f1 = specular_integrals(np.full(len(rows), roughness), s.cosine[rows].astype(np.float64))
         assert s0[:, 0].mean() == pytest.approx(f0.mean(), abs=0.01)
         assert s1[:, 0].mean() == pytest.approx(f1.mean(), abs=0.005)
+
+
+def test_rays_aimed_at_lamps_find_the_same_light_with_less_noise(scene: Scene) -> None:
+    """Of a wide lobe a few rays meet the smaller lamp, or none does."""
+    rows = rows_on(scene, WALL)[:300]
+    lamps_alone = np.zeros_like(scene.patch_radiance)
+    truth, spread = [], []
+    for aim in (None, scene.aim()):
+        lit = replace(scene.lit(aim), patch_radiance=lamps_alone, unknown=np.zeros(3))
+        draws = []
+        for seed in range(24):
+            rays = trace_lobes(lit, scene.samples, rows, np.full(len(rows), 0.5), 15, np.random.default_rng(seed))
+            draws.append(lit.lobes(rays)[0].mean(1))
+        truth.append(np.mean(draws))
+        spread.append(np.std(draws, axis=0).mean())
+    assert truth[1] == pytest.approx(truth[0], rel=0.05)
+    assert spread[1] < 0.2 * spread[0]
+
+
+def test_a_lamp_that_was_aimed_at_and_is_none_any_more_reflects(scene: Scene) -> None:
+    rows = rows_on(scene, WALL)[:300]
+    dark = np.zeros((len(scene.room.mesh.faces), 3))
+    lobes = []
+    for aim in (None, scene.aim()):
+        lit = replace(scene.lit(aim), face_emission=dark, patch_radiance=np.ones_like(scene.patch_radiance))
+        lit = replace(lit, unknown=np.ones(3))
+        rays = trace_lobes(lit, scene.samples, rows, np.full(len(rows), 0.7), 128, np.random.default_rng(1))
+        lobes.append(lit.lobes(rays)[0].mean())
+    assert lobes[1] == pytest.approx(lobes[0], rel=0.01)
+
+
+@pytest.mark.parametrize("roughness", [0.2, 0.5, 1.0])
+def test_the_density_of_reflected_directions_integrates_to_one(roughness: float) -> None:
+    n, rng = 400_000, np.random.default_rng(4)
+    incident = rng.normal(size=(n, 3))
+    incident /= np.linalg.norm(incident, axis=1, keepdims=True)
+    normal, outgoing = np.tile([0.0, 0.0, 1.0], (n, 1)), np.tile([0.6, 0.0, 0.8], (n, 1))
+    density = visible_normal_density(normal, outgoing, incident, np.full(n, roughness**2))
+    assert 4 * np.pi * density.mean() == pytest.approx(1, rel=0.05)
+
+
+def test_a_layer_lets_out_less_at_grazing_angles_and_the_same_on_average() -> None:
+    cosine = np.sqrt((np.arange(2000) + 0.5) / 2000)  # equal steps of the cosine-weighted hemisphere
+    for roughness in (0.1, 0.3, 0.7, 1.0):
+        factor = layered_factor(np.array(roughness), cosine)
+        assert factor.mean() == pytest.approx(1, abs=2e-3)
+        assert (np.diff(factor) > -1e-3).all()
+    assert layered_factor(np.array(0.3), np.array(0.05)) < 0.75
+    assert layered_factor(np.array(1.0), np.array(0.05)) > 0.95
+
+
+@pytest.mark.parametrize("layered", [False, True])
+def test_the_photos_tell_whether_varnish_takes_light_off_the_paint_below(scene: Scene, layered: bool) -> None:
+    rows = rows_on(scene, FLOOR)
+    factor = layered_factor(np.array(LEVELS)[:, None], scene.samples.cosine[rows])
+    irradiance = scene.irradiance[scene.surface.sample_patch[rows]]
+    below = scene.room.albedo[WALL] * irradiance
+    shown = seen(scene, rows, scene.room.albedo[WALL], 0.2, 0.0)
+    shown += (factor[LEVELS.index(0.2)][:, None] - 1) * below * layered
+    gloss = fit_floor(scene, shown, rows, factor)
+    assert gloss.layered == layered
+    assert gloss.roughness[FLOOR] == pytest.approx(0.2, abs=0.08)
+    assert Gloss.from_arrays(gloss.arrays()).layered == layered
 
 
 def test_observations_are_chosen_by_whole_patches() -> None:

@@ -104,6 +104,16 @@ def test_visibility_is_symmetric_and_blocked_by_what_lies_between() -> None:
     assert (forth == (halfway > 0.5))[clear].all()
 
 
+def test_a_shade_that_nearly_touches_its_lamp_hides_it() -> None:
+    """A tenth of a millimetre before a lamp in a room of four metres."""
+    pieces = [quad([0, 0, z], [4, 0, 0], [0, 3, 0]) for z in (0.0, 2.0, 2.0001)]
+    tracer = Tracer(assemble(pieces, [0, 1, 2]))
+    at = np.random.default_rng(0).random((200, 2)) * [4, 3]
+    low = np.column_stack([at, np.full(200, tracer.epsilon)])
+    assert tracer.visible(low, np.column_stack([at[::-1], np.full(200, 2.0)])).all()
+    assert not tracer.visible(low, np.column_stack([at[::-1], np.full(200, 2.0001)])).any()
+
+
 def test_targets_on_their_surface_do_not_hide_themselves() -> None:
     rng = np.random.default_rng(5)
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]

@@ -34,6 +34,8 @@ FIRST_LOG, FIRST_ITERATIONS, FIRST_EVERY, FIRST_LEVELS = 1.0, 20, 4, (1.0, 30.0)
 """The same for the first guess; iterations, one patch in so many, and factors on the start."""
 EFFECTIVE_PATCHES = 500
 """Neighbouring patches err together; the shading counts as at most this many independent observations."""
+NOTICEABLE = 0.1
+"""Share of the light that a lamp nobody saw brings at first: to one that brings nothing no patch objects."""
 TINT_STD = 0.25
 MEASURED_STD = 0.03
 BOUND_STD = 0.02
@@ -124,6 +126,17 @@ def solve_balance(
         np.exp(log_albedo),
         whole.restrict(tested).shading_loss(log_e, log_albedo),
     )
+
+
+def noticeable(light: NDArray[np.floating], form_factors: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(E, 3) radiance to start from for lamps of which photos say nothing: with it each brings NOTICEABLE of ``light``.
+
+    Args:
+        light: (P, 3) about the irradiance / pi there is.
+        form_factors: (P, E).
+    """
+    reach = form_factors.mean(0, dtype=np.float64)[:, None]
+    return NOTICEABLE * light.mean(0, dtype=np.float64) / np.maximum(reach, 1e-9)
 
 
 def _first_guess(problem: _Problem, log_e: NDArray[np.float64], levels: Sequence[float]) -> NDArray[np.float64]:

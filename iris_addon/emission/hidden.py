@@ -17,8 +17,9 @@ from ..transport.sampling import dot
 from ..transport.transport import ESCAPED, Transport
 
 MIN_SHARE = 2e-3
-"""A source that fills less than this share of the mean hemisphere is not looked for."""
-MAX_PIECES = 8
+"""Of the mean hemisphere: light through less of it is not looked for."""
+MIN_PIECE_SHARE, MAX_PIECES = 2e-5, 64
+"""The same for a surface, which a shade may hide from most of the room, and how many are asked for."""
 DIRECTIONAL_SHARE = 0.02
 """From this share of escaping rays on, light from outside may depend on direction."""
 
@@ -102,7 +103,7 @@ def _unseen_pieces(
     met = np.bincount(rays.face[rays.face >= 0], minlength=len(parts))
     share = np.where(np.bincount(label, seen) > 0, 0.0, np.bincount(label, met)) / rays.face.size
     ids = np.argsort(-share, kind="stable")[:MAX_PIECES]
-    return tuple(np.flatnonzero(label == k) for k in ids if share[k] > MIN_SHARE)
+    return tuple(np.flatnonzero(label == k) for k in ids if share[k] > MIN_PIECE_SHARE)
 
 
 def _form_factors(

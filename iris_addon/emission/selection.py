@@ -17,6 +17,7 @@ from ..surface.parts import pieces_between_edges
 from .candidates import CERTAIN, emitting_faces, group_emitters, reflectance_needed, whole_parts
 from .solve import SEARCH_SHADOW_RAYS, form_factors_of, lamp_of_patch, patches_on, say_of, solve_lights
 from .types import LightProblem, Lights
+from .unseen import promising
 
 NEGLIGIBLE_POWER = 2e-4
 IDLE_LOSS = 0.005
@@ -40,8 +41,7 @@ def with_silent(problem: LightProblem, observed: GroupRadiance, lights: Lights, 
     Of a part that clips all over they say too little to need emission, of one that none shows nothing. A part that
     takes the place of a lamp which is a piece of it may cost nothing; one beside it must gain.
     """
-    unseen = [faces for faces in problem.hidden.pieces if not lights.mask[faces].any()]
-    proposed = [*unseen, *_clipped_parts(problem, lights)]
+    proposed = [*promising(problem, observed, lights, say_of(observed)), *_clipped_parts(problem, lights)]
     if not proposed:
         return lights
     mask = lights.mask.copy()

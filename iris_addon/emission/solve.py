@@ -9,7 +9,7 @@ from ..progress import Progress
 from ..response.radiance import GroupRadiance
 from ..transport.diffuse import under_lobe
 from ..transport.gather import emitter_form_factors, emitter_of_face
-from .balance import MAX_ALBEDO, Evidence, fitted_patches, solve_balance
+from .balance import MAX_ALBEDO, Evidence, fitted_patches, noticeable, solve_balance
 from .candidates import tie_fixtures
 from .types import LightProblem, Lights
 
@@ -64,8 +64,8 @@ def solve_lights(
     if problem.bounce is not None:
         direct += problem.bounce.form_factors(emitters, n_faces)
     all_factors = np.concatenate([direct, under_lobe(hidden.form_factors, kappa)], 1)
-    nothing_said = np.full_like(evidence.bound, float(observed.radiance.max()))
-    start = _first_finite(evidence.measured, 2.0 * evidence.bound, evidence.expected, nothing_said)
+    level = noticeable(observed.radiance, all_factors[: problem.transport.n_seen])
+    start = _first_finite(evidence.measured, 2.0 * evidence.bound, evidence.expected, level)
     if near:
         known = _columns(emitters, before)
         start[np.flatnonzero(known >= 0)] = before.radiance[known[known >= 0]]

@@ -63,24 +63,15 @@ def trace_highlights(problem: MaterialProblem, lights: Lights, gloss: Gloss, rng
     """Observations of a sample of glossy dielectric patches, their reflected rays traced, and of the lamps."""
     o = problem.observations
     glossy = _glossy_observations(problem, lights, gloss, rng)
-    rays = lobe_cache(
-        problem.light.tracer,
-        problem.light.transport,
-        problem.light.parts,
-        problem.light.samples,
-        o.sample[glossy],
-        gloss.roughness[problem.part[glossy]],
-        RAYS,
-        rng,
-    )
-    scene = scene_of(problem.light, lights)
+    scene, roughness = scene_of(problem.light, lights), gloss.roughness[problem.part[glossy]]
+    rays = lobe_cache(scene, problem.light.samples, o.sample[glossy], roughness, RAYS, rng)
     s0, s1 = scene.lobes(rays)
     share = _lamp_shares(rays, lights)
     patches, patch = np.unique(o.patch[glossy], return_inverse=True)
     lamp, label = _lamp_observations(problem, lights, rng)
     rows = np.concatenate([glossy, lamp])
     none = np.zeros((len(lamp), 3))
-    lobe = problem.view_factor(problem.shading(lights), gloss.roughness[problem.part[glossy]], glossy)
+    lobe = problem.view_factor(problem.shading(lights), roughness, glossy)
     # Mixed observations, some of whose pixels are clipped, have a mean that no curve maps back: they have no say.
     mixed = (o.saturated[rows] > 0).any(1) & ~(o.saturated[rows] > CLIPPED_SHARE).any(1)
     return Highlights(
@@ -112,12 +103,12 @@ def _glossy_observations(
 
 
 def _lamp_shares(rays: LobeRays, lights: Lights) -> NDArray[np.float64]:
-    """(m, E) specular share of each lamp: its part of the lobe, 0.04 G1 F0 + G1 F1 as in :class:`LobeRays`."""
+    """(m, E) specular share of each lamp: its part of the lobe, 0.04 Ls0 + Ls1."""
     hit = emitter_of_face(lights.emitters, len(lights.mask))[rays.face]
-    (m, n_rays), n_lamps = hit.shape, len(lights.emitters)
+    m, n_lamps = len(hit), len(lights.emitters)
     row, column = np.nonzero(hit >= 0)
     weight = DIELECTRIC_F0 * rays.weight0[row, column].astype(np.float64) + rays.weight1[row, column]
-    total = np.bincount(row * n_lamps + hit[row, column], weight / n_rays, m * n_lamps)
+    total = np.bincount(row * n_lamps + hit[row, column], weight, m * n_lamps)
     return total.reshape(m, n_lamps).astype(np.float64, copy=False)
 
 

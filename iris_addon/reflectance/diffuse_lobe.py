@@ -25,6 +25,11 @@ class DiffuseChoice:
     lobe: DiffuseLobe
     gain: float
 
+    def under(self, layer: bool) -> DiffuseChoice:
+        """The same room with or without a dielectric layer that takes its light off what is below; Burley's lobe is of
+        models that have none."""
+        return self if self.lobe == "burley" else DiffuseChoice("layered" if layer else "lambert", self.gain)
+
 
 def choose_diffuse(observations: Observations, linear: Linearised, schlick: NDArray[np.floating]) -> DiffuseChoice:
     """The lobe under which the views of each patch agree.

@@ -132,6 +132,30 @@ def specular_integrals(roughness: FloatArray, cos_theta: FloatArray) -> tuple[Fl
     return f0, f1
 
 
+@lru_cache(maxsize=1)
+def _mean_left() -> FloatArray:
+    """(N_ROUGHNESS,) of diffuse light that a dielectric layer lets out, mean over the cosine-weighted hemisphere."""
+    cosine = (np.arange(256) + 0.5) / 256
+    roughness = np.linspace(MIN_ROUGHNESS, 1, N_ROUGHNESS)
+    f0, f1 = specular_integrals(*np.broadcast_arrays(roughness[:, None], cosine))
+    return (2 * cosine * (1 - DIELECTRIC_F0 * f0 - f1)).mean(1)
+
+
+def layered_factor(roughness: FloatArray, cos_theta: FloatArray) -> FloatArray:
+    """What a dielectric layer lets out of the diffuse light below it towards a viewer, over its mean.
+
+    The layer takes off what it reflects itself, 0.04 ∫ F0 D G + ∫ F1 D G, as Blender's Principled BSDF has it. Albedo
+    is that of what gets out on average.
+
+    Args:
+        roughness, cos_theta: as in :func:`specular_integrals`; of shapes that broadcast.
+    """
+    roughness, cos_theta = np.broadcast_arrays(roughness, cos_theta)
+    f0, f1 = specular_integrals(roughness, cos_theta)
+    mean = np.interp(roughness, np.linspace(MIN_ROUGHNESS, 1, N_ROUGHNESS), _mean_left())
+    return (1 - DIELECTRIC_F0 * f0 - f1) / mean
+
+
 def directional_albedo(
     base_color: FloatArray, roughness: FloatArray, metallic: FloatArray, cos_theta: FloatArray
 ) -> FloatArray:

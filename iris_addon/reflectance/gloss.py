@@ -8,7 +8,7 @@ the rough dielectric it started as: gloss has to earn its place.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,12 +52,14 @@ class Gloss:
         roughness, metallic: (n_parts,).
         specular: (n_parts, 3) reflectance at normal incidence: 4 %, or a metal's colour.
         decided: (n_parts,) bool, the photos decided; elsewhere the default stands.
+        layered: whether dielectrics take their light off the diffuse light below them.
     """
 
     roughness: NDArray[np.float64]
     metallic: NDArray[np.float64]
     specular: NDArray[np.float64]
     decided: NDArray[np.bool_]
+    layered: bool = False
 
     def arrays(self) -> dict[str, NDArray]:
         """Plain arrays for a checkpoint."""
@@ -66,12 +68,14 @@ class Gloss:
             "metallic": self.metallic,
             "specular": self.specular,
             "decided": self.decided,
+            "layered": np.array(self.layered),
         }
 
     @staticmethod
     def from_arrays(arrays: dict[str, NDArray]) -> Gloss:
         """Inverse of :meth:`arrays`."""
-        return Gloss(arrays["roughness"], arrays["metallic"], arrays["specular"], arrays["decided"])
+        a = arrays
+        return Gloss(a["roughness"], a["metallic"], a["specular"], a["decided"], bool(a["layered"]))
 
 
 def rough_everywhere(n_parts: int) -> Gloss:
@@ -102,6 +106,8 @@ class GlossObservations:
         irradiance: (m, 3) irradiance / pi.
         diffuse: (levels, m) factor of the diffuse lobe towards the camera.
         lobes: per level of LEVELS, (Ls0, Ls1), (m, 3) each, from either half of the rays.
+        layer: (levels, m) further factor if dielectrics take their light off the diffuse light below; None where the
+            diffuse lobe is of a model in which they do not.
     """
 
     part: NDArray[np.integer]
@@ -112,6 +118,7 @@ class GlossObservations:
     irradiance: NDArray[np.floating]
     diffuse: NDArray[np.floating]
     lobes: Sequence[LobeHalves]
+    layer: NDArray[np.floating] | None = None
 
 
 @dataclass(frozen=True)
@@ -119,7 +126,8 @@ class _Costs:
     """Costs of k parts at every level, and what tells which of them are one material.
 
     Attributes:
-        plastic, metal: (k, levels) relative to the rough dielectric.
+        rough: (k,) cost of the rough dielectric.
+        plastic, metal: (k, levels) relative to that.
         error: (k, levels) standard error of how much ``plastic`` lies below the rough dielectric.
         colour: (k, levels, 3) specular colour of the metal.
         count: (k,) observations.
@@ -128,6 +136,7 @@ class _Costs:
     """
 
     ids: NDArray[np.integer]
+    rough: NDArray[np.float64]
     plastic: NDArray[np.float64]
     metal: NDArray[np.float64]
     error: NDArray[np.float64]
@@ -165,7 +174,7 @@ def fit_gloss(observed: GlossObservations, n_parts: int, forced: bool | None = N
         forced: True takes the best material however little it gains, False none but the rough dielectric.
     """
     gloss = rough_everywhere(n_parts)
-    costs = None if forced is False else _part_costs(observed)
+    costs, layered = (None, False) if forced is False else _layered_or_not(observed)
     if costs is not None:
         for k, (plastic, metal, error, count) in enumerate(zip(*costs.pooled(), strict=True)):
             label, own = int(costs.ids[k]), costs.plastic[k]
@@ -177,7 +186,21 @@ def fit_gloss(observed: GlossObservations, n_parts: int, forced: bool | None = N
             elif _shows_highlight(own, costs.error[k], ERRORS_NEEDED_ALONE):
                 gloss.roughness[label] = _interpolate_minimum(own)
             gloss.decided[label] = True
-    return gloss
+    return replace(gloss, layered=layered)
+
+
+def _layered_or_not(observed: GlossObservations) -> tuple[_Costs | None, bool]:
+    """Costs with or without a layer over the diffuse light, whichever explains the room better, and whether with."""
+    plain = _part_costs(observed)
+    if plain is None or observed.layer is None:
+        return plain, False
+    layered = _part_costs(replace(observed, diffuse=observed.diffuse * observed.layer))
+    assert layered is not None
+    best = [
+        np.average(costs.pooled()[0].min(1) * costs.rough / plain.rough, weights=plain.count)
+        for costs in (plain, layered)
+    ]
+    return (layered, True) if best[1] < best[0] else (plain, False)
 
 
 def _part_costs(observed: GlossObservations) -> _Costs | None:
@@ -201,6 +224,7 @@ def _part_costs(observed: GlossObservations) -> _Costs | None:
     log_albedo = np.log(np.maximum(o.radiance, 1e-4) / np.maximum(o.irradiance, 1e-4))
     return _Costs(
         ids[enough],
+        null[:, 0],
         plastic / null,
         np.stack([fits.mean(cost) for cost, _ in metals], 1) / null,
         error / null,

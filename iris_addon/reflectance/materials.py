@@ -20,11 +20,13 @@ from ..response.observations import Observations
 from ..response.radiance import GroupRadiance, Linearised, group_radiance, raised_by_clipped
 from ..transport.diffuse import grazing_gain
 from .diffuse_lobe import DiffuseChoice
+from .ggx import layered_factor
 from .gloss import FIT_RAYS, LEVELS, Gloss, GlossObservations, choose_observations, fit_gloss
 from .glossy_bounce import GlossyBounce, trace_glossy_bounce
-from .lobes import LobeRays, lobe_cache
+from .lamp_aim import LampAim
+from .lobes import LobeRays, Scene, lobe_cache
 from .shading import Shading
-from .specular import Scene, rough_lobes, specular_lobes, subtract_specular
+from .specular import rough_lobes, specular_lobes, subtract_specular
 
 PASSED_ON = 0.6
 GLOSSY = 0.5
@@ -73,7 +75,8 @@ class MaterialProblem:
         """The same problem between patches whose diffuse lobes have the roughness of ``gloss``."""
         transport = self.light.transport
         kappa = grazing_gain(self.diffuse.lobe, gloss.roughness)[transport.part]
-        return replace(self, light=replace(self.light, transport=replace(transport, kappa=kappa)))
+        light = replace(self.light, transport=replace(transport, kappa=kappa))
+        return replace(self, light=light, diffuse=self.diffuse.under(gloss.layered))
 
     def with_outside(self, directions: int) -> MaterialProblem:
         """The same problem with so many directions of outside light."""
@@ -84,7 +87,17 @@ def scene_of(problem: LightProblem, lights: Lights) -> Scene:
     """What reflected rays meet under ``lights``."""
     emission = lights.face_emission(len(problem.parts))
     unknown = mean_radiance(lights.patch_radiance, problem)
-    return Scene(problem.tracer, problem.transport, problem.parts, lights.patch_radiance, emission, unknown)
+    seen = problem.transport.n_seen
+    return Scene(
+        problem.tracer,
+        problem.transport,
+        problem.parts,
+        problem.surface.sample_patch,
+        lights.patch_radiance,
+        emission,
+        unknown,
+        LampAim.at(problem.tracer, lights.emitters, lights.radiance, lights.form_factors[:seen, :, 0]),
+    )
 
 
 def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progress: Progress) -> tuple[Lights, Gloss]:
@@ -93,12 +106,13 @@ def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progr
     shading = problem.shading(lights)
     gloss = fit.gloss(problem, lights, shading)
     for round_ in range(rounds):
+        problem = problem.with_gloss(gloss)
+        shading = replace(shading, layered=gloss.layered)
         specular = _observed_specular(problem, lights, shading, gloss, round_, progress)
         o, n_patches = problem.observations, len(problem.observed.weight)
         view_factor = problem.view_factor(shading, gloss.roughness[problem.part])
         diffuse = group_radiance(problem.linear, o.patch, o.count, n_patches, specular, view_factor)
         seen = brightness(o, problem.linear, n_patches, specular)
-        problem = problem.with_gloss(gloss)
         bounce = continued_paths(problem, gloss, round_)
         light_problem = replace(problem.light, brightness=seen, bounce=bounce)
         say = _say(problem, gloss, diffuse)
@@ -178,20 +192,9 @@ class _GlossFit:
         rng = np.random.default_rng([problem.seed, 29])
         usable = problem.linear.open.all(1) & ~lights.mask[light.samples.face[o.sample]]
         rows = choose_observations(problem.part, o.patch, np.where(usable, o.count, 0), rng)
+        scene, at = scene_of(light, lights), o.sample[rows]
         rays = [
-            [
-                lobe_cache(
-                    light.tracer,
-                    light.transport,
-                    light.parts,
-                    light.samples,
-                    o.sample[rows],
-                    np.full(len(rows), level),
-                    n_rays // 2,
-                    rng,
-                )
-                for _ in range(2)
-            ]
+            [lobe_cache(scene, light.samples, at, np.full(len(at), level), n_rays // 2, rng) for _ in range(2)]
             for level, n_rays in zip(LEVELS, FIT_RAYS, strict=False)
         ]
         return _GlossFit(rows, rays)
@@ -206,7 +209,7 @@ class _GlossFit:
         # The widest lobes come from irradiance, as everywhere.
         rough = LEVELS[len(FIT_RAYS) :]
         lobes += [[rough_lobes(np.full(len(at), level), samples.cosine[at], local)] * 2 for level in rough]
-        diffuse = problem.view_factor(shading, np.array(LEVELS)[:, None], self.rows)
+        lobe, levels = problem.diffuse.lobe, np.array(LEVELS)[:, None]
         observed = GlossObservations(
             problem.part[self.rows],
             o.patch[self.rows],
@@ -214,7 +217,8 @@ class _GlossFit:
             samples.position[at],
             problem.linear.radiance[self.rows],
             local,
-            diffuse,
+            problem.view_factor(shading, levels, self.rows) if lobe == "burley" else np.ones((len(levels), len(at))),
             lobes,
+            None if lobe == "burley" else layered_factor(levels, samples.cosine[at]),
         )
         return fit_gloss(observed, int(problem.light.parts.max()) + 1, problem.gloss)

@@ -21,6 +21,7 @@ from ..parallel import BLOCK, over_blocks
 from ..transport.diffuse import DiffuseLobe, grazing_gain
 from ..transport.sampling import dot
 from ..transport.transport import radiance_table, table_rows
+from .ggx import layered_factor
 
 
 @dataclass(frozen=True)
@@ -58,17 +59,19 @@ class Shading:
 
     Attributes:
         irradiance: (P, 3) irradiance / pi without the noise of its rays.
-        moments: where it comes from; None for Lambert's lobe, which does not ask.
+        moments: where it comes from, which only Burley's lobe asks.
+        layered: whether surfaces lie under a dielectric that takes its light off them.
     """
 
     irradiance: NDArray[np.float32]
     moments: LightMoments | None
+    layered: bool = False
 
     @staticmethod
     def under(lights: Lights, problem: LightProblem, lobe: DiffuseLobe) -> Shading:
         """The light that ``lights`` cast on surfaces of a diffuse ``lobe``."""
         moments = light_moments(problem, lights) if lobe == "burley" else None
-        return Shading(smooth_irradiance(problem, lights), moments)
+        return Shading(smooth_irradiance(problem, lights), moments, lobe == "layered")
 
     def view_factor(
         self,
@@ -87,9 +90,11 @@ class Shading:
             schlick: (n,) S of the direction to the camera.
             toward: (n, 3) unit vectors to the camera.
         """
-        if self.moments is None:
-            return np.ones((*roughness.shape[:-1], len(patch)), np.float32)
-        return self.moments.view_factor(patch, roughness, schlick, toward)
+        if self.moments is not None:
+            return self.moments.view_factor(patch, roughness, schlick, toward)
+        if self.layered:
+            return layered_factor(roughness, 1 - schlick.astype(np.float64) ** 0.2).astype(np.float32)
+        return np.ones((*roughness.shape[:-1], len(patch)), np.float32)
 
 
 def smooth_irradiance(problem: LightProblem, lights: Lights) -> NDArray[np.float32]:

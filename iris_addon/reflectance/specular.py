@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,38 +11,13 @@ from ..capture.types import Camera
 from ..parallel import BLOCK, over_random_blocks
 from ..progress import Progress
 from ..surface.samples import PixelSamples
-from ..transport.tracer import Tracer
-from ..transport.transport import Transport
 from .ggx import DIELECTRIC_F0, specular_integrals
 from .gloss import Gloss
 from .lobe_filter import denoise_lobes
-from .lobes import LobeRays, trace_lobes
+from .lobes import Scene, trace_lobes
 
 ROUGH = 0.75
 """From this roughness on the lobe is so wide that it sees about what the whole hemisphere sees."""
-
-
-@dataclass(frozen=True)
-class Scene:
-    """Light and materials that reflected rays meet.
-
-    Attributes:
-        parts: (F,) part per face.
-        patch_radiance: (N, 3) reflected radiance.
-        face_emission: (F, 3).
-        unknown: (3,) radiance of surfaces without a patch.
-    """
-
-    tracer: Tracer
-    transport: Transport
-    parts: NDArray[np.int32]
-    patch_radiance: NDArray[np.floating]
-    face_emission: NDArray[np.floating]
-    unknown: NDArray[np.floating]
-
-    def lobes(self, rays: LobeRays) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """``Ls0`` and ``Ls1`` (n, 3) of the points whose reflected rays these are."""
-        return rays.radiance(self.patch_radiance, self.transport.kappa, self.face_emission, self.unknown)
 
 
 def rough_lobes(
@@ -83,8 +57,7 @@ def specular_lobes(
 
     def work(block: slice, rng: np.random.Generator) -> None:
         at = traced[block]
-        rays = trace_lobes(scene.tracer, scene.transport, scene.parts, samples, rows[at], roughness[at], n_rays, rng)
-        ls0[at], ls1[at] = scene.lobes(rays)
+        ls0[at], ls1[at] = scene.lobes(trace_lobes(scene, samples, rows[at], roughness[at], n_rays, rng))
 
     over_random_blocks(len(traced), BLOCK // n_rays, work, rng, progress.update)
     return ls0, ls1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,7 +114,8 @@ class Result:
     @property
     def diffuse_lobe(self) -> DiffuseLobe:
         """Lobe of the diffuse surfaces, as report.json names it."""
-        return "burley" if self._model("diffuse").get("lobe") == "burley" else "lambert"
+        named = self._model("diffuse").get("lobe")
+        return next((lobe for lobe in get_args(DiffuseLobe) if lobe == named), "lambert")
 
     @property
     def camera_correction(self) -> CameraCorrection | None:

@@ -1,4 +1,4 @@
-"""How a diffuse surface spreads light over angles: evenly (Lambert), or with more at grazing ones (Burley).
+"""How a diffuse surface spreads light over angles: evenly (Lambert), or with more at grazing ones (Burley), or less.
 
 Burley's lobe ("Physically Based Shading at Disney", 2012, section 5.3) is that of many renderers, and rough paint or
 plaster comes nearer to it than to Lambert:
@@ -9,6 +9,11 @@ with θd the angle between light and half vector. Here cos²θd is replaced by i
 of the light and one of the view; against the exact lobe in uniform light that is off by less than 2 %. A surface whose
 albedo is divided by the wrong lobe comes out up to 25 % too bright where it was seen at a grazing angle, and a closed
 room of such surfaces has the wrong balance of direct and indirect light.
+
+Under varnish it sends less there: what the dielectric layer reflects towards a viewer it takes off the light from
+below (:func:`iris_addon.reflectance.ggx.layered_factor`). Real varnish does, and so does Blender's Principled BSDF;
+models that add their lobes do not. Only cameras see it: over all directions the factor has the mean 1, and between
+patches it is left out.
 """
 
 from __future__ import annotations
@@ -18,7 +23,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-DiffuseLobe = Literal["lambert", "burley"]
+DiffuseLobe = Literal["lambert", "layered", "burley"]
+"""Layered is Lambert's under a dielectric."""
 
 MEAN_COS2 = 0.57
 """Mean of cos²θd over the hemisphere."""
@@ -34,7 +40,7 @@ def schlick(cosine: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 def grazing_gain(lobe: DiffuseLobe, roughness: NDArray[np.floating]) -> NDArray[np.float64]:
-    """κ of each Principled roughness: light and view factors are 1 + κ S. Lambert's is 0."""
+    """κ of each Principled roughness: light and view factors are 1 + κ S. Only Burley's is not 0."""
     roughness = np.asarray(roughness, np.float64)
     return 2.0 * MEAN_COS2 * roughness - 0.5 if lobe == "burley" else np.zeros_like(roughness)
 

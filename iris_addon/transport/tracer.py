@@ -17,6 +17,8 @@ from ..capture.types import DEGENERATE_AREA, Mesh
 from ..parallel import over_blocks
 
 CHUNK = 1 << 18
+END_MARGIN = 0.25
+"""Of epsilon: so far before its end a ray may meet that end itself, by rounding. A shade may be close to its bulb."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,7 @@ class Tracer:
         self, origins: NDArray[np.floating], directions: NDArray[np.floating], lengths: NDArray[np.floating]
     ) -> NDArray[np.bool_]:
         """(n,) whether each ray is clear up to the surface point that it is to end on, ``lengths`` metres away."""
-        reach = np.maximum(lengths - 4 * self.epsilon, 0.0).astype(np.float32)
+        reach = np.maximum(lengths - END_MARGIN * self.epsilon, 0.0).astype(np.float32)
         clear = np.empty(len(origins), bool)
 
         def trace(part: slice, o: NDArray[np.float32], d: NDArray[np.float32]) -> None:
