@@ -23,9 +23,10 @@ from iris_addon.emission.backdrop import MIN_SHARE, fit_backdrop
 from iris_addon.photo_samples import BeyondMesh
 from iris_addon.photometry import Photometry
 from iris_addon.response.curve import gamma, identity
-from iris_addon.result.edits import SceneEdit
+from iris_addon.result.edits import SceneEdit, Sphere
 from iris_addon.result.panorama import equirect_directions, equirect_texels
-from iris_addon.result.types import Backdrop, Result
+from iris_addon.result.sh import sh_basis
+from iris_addon.result.types import Backdrop, OutsideLight, Result
 from tests.blender_room import box, camera, room
 
 CORNERS = np.array([[x, y, z] for x in (0.0, 5.0) for y in (0.0, 4.0) for z in (0.0, 2.5)])
@@ -157,6 +158,18 @@ def test_cameras_see_it_through_the_hole_with_parallax_and_it_lights_nothing() -
     assert wall.sum() > 20 and not image[wall].any()
     (half,) = render_views(result, [view], edit=SceneEdit(outside_scale=0.5), **QUICK)
     np.testing.assert_allclose(half.reshape(-1, 3)[through & side], 0.5 * expected[through & side], atol=0.01)
+
+
+@pytest.mark.bpy
+@pytest.mark.parametrize("roughness", [0.0, 0.5])
+def test_a_mirror_shows_it_and_a_dull_metal_the_light_from_outside(roughness: float) -> None:
+    """A ball before the camera reflects what is behind it, through the open side the camera looks in by."""
+    ball = Sphere(np.zeros(3), 0.5, np.ones(3), roughness, 1.0)
+    view = camera(position=(0, 0, 3), fx=60.0, fy=60.0)
+    result = replace(open_room(), outside=OutsideLight(np.array([[0.2, 0.2, 0.2]]) / sh_basis(np.eye(3)[2:], 1)))
+    (image,) = render_views(result, [view], edit=SceneEdit(spheres=(ball,)), **QUICK)
+    middle = image[view.height // 2, view.width // 2]
+    np.testing.assert_allclose(middle, [0.5, 0.5, 0.9] if roughness == 0 else [0.2] * 3, atol=0.05)
 
 
 @pytest.mark.bpy

@@ -12,11 +12,10 @@ from iris_addon.emission.balance import (
     ROBUST_LOG,
     ROOM_ALBEDO,
     Balance,
-    Evidence,
-    _DirectEvidence,
     _Problem,
     solve_balance,
 )
+from iris_addon.emission.evidence import DirectEvidence, Evidence
 from iris_addon.progress import Progress
 from iris_addon.transport.gather import emitter_form_factors, gather
 from iris_addon.transport.tracer import Tracer
@@ -139,7 +138,7 @@ def test_gradient_is_that_of_the_loss(shading: Shading) -> None:
         np.full(len(rows), 1 / len(rows)),
         label,
         len(ids),
-        _DirectEvidence.of(evidence, 2),
+        DirectEvidence.of(evidence, 2),
         ROBUST_LOG,
     )
     log_e = np.log(shading.truth) + rng.normal(0, 0.4, (2, 3))

@@ -1,4 +1,4 @@
-"""What cameras see through holes of the mesh: an object that only cameras see, and these from within."""
+"""What cameras see through holes of the mesh: an object that only they and mirrors see, and these from within."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ KEY = "iris_backdrop"
 def add_backdrop(backdrop: Backdrop, scale: float, collection: bpy.types.Collection) -> bpy.types.Object:
     """The shell with its picture times ``scale``, in the capture's axes; wire in the viewport, not selectable.
 
-    No light comes from it, and it casts no shadow. From outside one looks through it into the room.
+    Cameras and the sharp mirror images of mirrors and glass show it. Other light comes from the world behind it, and it
+    casts no shadow. From outside one looks through it into the room.
     """
     data = bpy.data.meshes.new(BACKDROP)
     data.from_pydata((backdrop.vertices - backdrop.centre).tolist(), [], backdrop.faces.tolist())
@@ -23,7 +24,7 @@ def add_backdrop(backdrop: Backdrop, scale: float, collection: bpy.types.Collect
     data.materials.append(_material(backdrop, scale))
     shell = bpy.data.objects.new(BACKDROP, data)
     shell.location = backdrop.centre
-    for kind in ("diffuse", "glossy", "transmission", "volume_scatter", "shadow"):
+    for kind in ("diffuse", "volume_scatter", "shadow"):
         setattr(shell, f"visible_{kind}", False)
     shell.display_type = "WIRE"
     shell.hide_select = True
@@ -42,19 +43,33 @@ def _material(backdrop: Backdrop, scale: float) -> bpy.types.Material:
     tree = node_tree(material)
     nodes = {
         name: tree.nodes.new(f"ShaderNode{name}")
-        for name in ("TexCoord", "TexEnvironment", "Emission", "NewGeometry", "BsdfTransparent", "MixShader")
+        for name in (
+            "TexCoord",
+            "TexEnvironment",
+            "Emission",
+            "LightPath",
+            "NewGeometry",
+            "BsdfTransparent",
+            "MixShader",
+        )
     }
+    looks, shown = (tree.nodes.new("ShaderNodeMath") for _ in range(2))
+    looks.operation, shown.operation = "MAXIMUM", "SUBTRACT"
     output = tree.nodes.new("ShaderNodeOutputMaterial")
-    for column, node in enumerate((*nodes.values(), output)):
+    for column, node in enumerate((*nodes.values(), looks, shown, output)):
         node.location = (220 * column, 0)
     nodes["TexEnvironment"].image = image_from_array(BACKDROP, backdrop.picture, colorspace=LINEAR, float_buffer=True)
     nodes["Emission"].inputs["Strength"].default_value = scale
     # The shell's origin is where the picture was painted from, so a place on it is the direction to look up.
     tree.links.new(nodes["TexCoord"].outputs["Object"], nodes["TexEnvironment"].inputs["Vector"])
     tree.links.new(nodes["TexEnvironment"].outputs["Color"], nodes["Emission"].inputs["Color"])
-    tree.links.new(nodes["NewGeometry"].outputs["Backfacing"], nodes["MixShader"].inputs["Fac"])
-    tree.links.new(nodes["Emission"].outputs[0], nodes["MixShader"].inputs[1])
-    tree.links.new(nodes["BsdfTransparent"].outputs[0], nodes["MixShader"].inputs[2])
+    tree.links.new(nodes["LightPath"].outputs["Is Camera Ray"], looks.inputs[0])
+    tree.links.new(nodes["LightPath"].outputs["Is Singular Ray"], looks.inputs[1])
+    tree.links.new(looks.outputs[0], shown.inputs[0])
+    tree.links.new(nodes["NewGeometry"].outputs["Backfacing"], shown.inputs[1])
+    tree.links.new(shown.outputs[0], nodes["MixShader"].inputs["Fac"])
+    tree.links.new(nodes["BsdfTransparent"].outputs[0], nodes["MixShader"].inputs[1])
+    tree.links.new(nodes["Emission"].outputs[0], nodes["MixShader"].inputs[2])
     tree.links.new(nodes["MixShader"].outputs[0], output.inputs["Surface"])
     material.cycles.emission_sampling = "NONE"
     return material

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from ..response.observations import group_sums
+from .evidence import DirectEvidence, Evidence
 
 MIN_PATCHES_PER_PART = 12
 MAX_PATCHES = 15_000
@@ -36,27 +37,6 @@ EFFECTIVE_PATCHES = 500
 """Neighbouring patches err together; the shading counts as at most this many independent observations."""
 NOTICEABLE = 0.1
 """Share of the light that a lamp nobody saw brings at first: to one that brings nothing no patch objects."""
-TINT_STD = 0.25
-MEASURED_STD = 0.03
-BOUND_STD = 0.02
-EXPECTED_STD = 1.5
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """What photos say about the emitters themselves.
-
-    Attributes:
-        bound: (E, 3) lower bound on radiance from saturated pixels, 0 where there is none.
-        measured: (E, 3) radiance from unsaturated pixels, NaN where there are none.
-        tie: (E,) fixtures with the same label share one radiance.
-        expected: (E, 3) radiance expected before the shading is looked at, NaN where nothing is.
-    """
-
-    bound: NDArray[np.float64]
-    measured: NDArray[np.float64]
-    tie: NDArray[np.int64]
-    expected: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -110,7 +90,7 @@ def solve_balance(
         weight[rows],
         label,
         len(part_ids),
-        _DirectEvidence.of(evidence, n_tied),
+        DirectEvidence.of(evidence, n_tied),
         robust_log,
     )
     tested = np.arange(len(rows)) % HELD_OUT_EVERY == 0
@@ -172,7 +152,7 @@ class _Problem:
     weight: NDArray[np.float64]  # (P,) sums to 1
     part: NDArray[np.int64]  # (P,)
     n_parts: int
-    direct: _DirectEvidence
+    direct: DirectEvidence
     scale: float
 
     def restrict(self, keep: NDArray[np.bool_]) -> _Problem:
@@ -279,34 +259,3 @@ def _usable(
     rows, label = rows[big[label]], label[big[label]]
     kept, label = np.unique(label, return_inverse=True)
     return rows, label, ids[kept].astype(np.int64)
-
-
-@dataclass(frozen=True)
-class _DirectEvidence:
-    """Bounds, measurements and a weak prior on colour, for tied emitters (E', 3)."""
-
-    log_bound: NDArray[np.float64]
-    log_measured: NDArray[np.float64]  # NaN where nothing was measured
-    log_expected: NDArray[np.float64]  # NaN where nothing is expected
-
-    @staticmethod
-    def of(evidence: Evidence, n_tied: int) -> _DirectEvidence:
-        bound = np.full((n_tied, 3), 1e-6)
-        np.maximum.at(bound, evidence.tie, evidence.bound)
-        measured = np.full((n_tied, 3), np.nan)
-        for k in range(n_tied):
-            values = evidence.measured[evidence.tie == k]
-            have = np.isfinite(values).any(0)
-            measured[k, have] = np.nanmedian(values[:, have], axis=0)
-        first = np.array([np.flatnonzero(evidence.tie == k)[0] for k in range(n_tied)])
-        expected = np.log(np.maximum(evidence.expected[first], 1e-6))
-        return _DirectEvidence(np.log(bound), np.log(np.maximum(measured, 1e-6)), expected)
-
-    def penalty(self, log_e: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-        """Sum of squared deviations in standard deviations, and its gradient."""
-        below = np.clip((self.log_bound - log_e) / BOUND_STD, 0.0, None)
-        off = np.nan_to_num((log_e - self.log_measured) / MEASURED_STD)
-        tint = (log_e - log_e.mean(1, keepdims=True)) / TINT_STD
-        surprise = np.nan_to_num((log_e - self.log_expected) / EXPECTED_STD)
-        value = float((below**2).sum() + (off**2).sum() + (tint**2).sum() + (surprise**2).sum())
-        return value, 2 * (off / MEASURED_STD - below / BOUND_STD + tint / TINT_STD + surprise / EXPECTED_STD)

@@ -9,8 +9,9 @@ from ..progress import Progress
 from ..response.radiance import GroupRadiance
 from ..transport.diffuse import under_lobe
 from ..transport.gather import emitter_form_factors, emitter_of_face
-from .balance import MAX_ALBEDO, Evidence, fitted_patches, noticeable, solve_balance
+from .balance import MAX_ALBEDO, fitted_patches, noticeable, solve_balance
 from .candidates import tie_fixtures
+from .evidence import Evidence
 from .types import LightProblem, Lights
 
 SEARCH_SHADOW_RAYS, SHADOW_RAYS = (6, 13), (13, 64)

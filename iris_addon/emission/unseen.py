@@ -3,7 +3,8 @@
 A bulb under its shade fills a ten-thousandth of what the room sees, and there are dozens of surfaces like it: hinges,
 undersides, the backs of drawers. Rays enough to solve for each would cost more than the rest of the search. But a lamp
 that is missing is missed where it shines, by many times what noise does; so all are solved for at once, roughly, and
-the few that would bring the most light are then tried with care (:mod:`iris_addon.emission.selection`).
+the few without whose light the balance would be worse are then tried with care
+(:mod:`iris_addon.emission.selection`). How much light they bring says less: a hinge may take any radiance.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from ..progress import Progress
 from ..response.radiance import GroupRadiance
 from ..transport.diffuse import under_lobe
 from ..transport.gather import GatherRays, Origins, emitter_form_factors
-from .balance import Balance, Evidence, noticeable, solve_balance
+from .balance import noticeable, solve_balance
+from .evidence import Evidence
 from .types import LightProblem, Lights
 
 ASKED = 4000
@@ -25,15 +27,14 @@ SHADOW_RAYS = 12
 PROMISING = 8
 """Surfaces at most that are tried with care."""
 GAIN = 0.01
-"""Fall of the held-out loss that all together must bring, as each has to later."""
-MIN_SHARE = 2e-3
-"""Of the light of the patches asked; what brings less is not worth a try."""
+"""Rise of the loss without it from which on a surface is missed, as later with care."""
+DARK = 1e-9
 
 
 def promising(
     problem: LightProblem, observed: GroupRadiance, lights: Lights, say: NDArray[np.float64]
 ) -> list[NDArray[np.int64]]:
-    """Surfaces that no photo shows and that would bring the most light beside ``lights``, the brightest first.
+    """Surfaces that no photo shows and whose light would be missed beside that of ``lights``, the most missed first.
 
     Args:
         say: (P,) say of each seen patch.
@@ -52,19 +53,26 @@ def promising(
     own = under_lobe(lights.form_factors[rows], t.kappa[rows])
     rest = lights.irradiance[rows] - own @ lights.radiance
 
-    def balanced(reach: NDArray[np.floating], start: NDArray[np.floating]) -> Balance:
-        silent = np.full(start.shape, np.nan)
-        evidence = Evidence(np.zeros(start.shape), silent, np.arange(len(start)), silent)
-        radiance, part, weight = observed.radiance[rows], t.part[rows], say[rows]
-        return solve_balance(radiance, rest, reach, part, weight, evidence, start, problem.robust_log)
-
+    reach = np.concatenate([own, theirs], 1)
     start = np.concatenate([lights.radiance, noticeable(lights.irradiance[rows], theirs)])
-    with_them = balanced(np.concatenate([own, theirs], 1), start)
-    if len(lights.emitters) and with_them.held_out > (1 - GAIN) * balanced(own, lights.radiance).held_out:
-        return []
-    brought = theirs.mean(0) * with_them.radiance[len(lights.emitters) :].mean(1)
-    enough = brought > MIN_SHARE * lights.irradiance[rows].mean()
-    return [pieces[k] for k in np.argsort(-brought, kind="stable")[:PROMISING] if enough[k]]
+    silent = np.full(start.shape, np.nan)
+    evidence = Evidence(np.zeros(start.shape), silent, np.arange(len(start)), silent)
+    shown, part = observed.radiance[rows], t.part[rows]
+    balance = solve_balance(shown, rest, reach, part, say[rows], evidence, start, problem.robust_log)
+
+    known = np.flatnonzero(np.isin(part, balance.part_ids))
+    albedo = balance.part_albedo[np.searchsorted(balance.part_ids, part[known])]
+    light = (rest + reach @ balance.radiance)[known]
+
+    def loss(light: NDArray[np.floating]) -> float:
+        """Of the same balance under other light, its albedo kept."""
+        r = np.log(np.maximum(shown[known], DARK) / (np.maximum(light, DARK) * albedo)) / problem.robust_log
+        return float(np.log1p(r**2).sum(1) @ say[rows[known]])
+
+    lamps, all_light = len(lights.emitters), loss(light)
+    without = [loss(light - np.outer(theirs[known, k], e)) for k, e in enumerate(balance.radiance[lamps:])]
+    missed = np.array(without) / max(all_light, 1e-12) - 1
+    return [pieces[k] for k in np.argsort(-missed, kind="stable")[:PROMISING] if missed[k] > GAIN]
 
 
 def _origins(origins: Origins, rows: NDArray[np.integer]) -> Origins:

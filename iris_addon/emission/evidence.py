@@ -1,0 +1,62 @@
+"""What photos say of lamps themselves, before the light they cast is looked at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+TINT_STD = 0.25
+MEASURED_STD = 0.03
+BOUND_STD = 0.02
+EXPECTED_STD = 1.5
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What photos say about the emitters themselves.
+
+    Attributes:
+        bound: (E, 3) lower bound on radiance from saturated pixels, 0 where there is none.
+        measured: (E, 3) radiance from unsaturated pixels, NaN where there are none.
+        tie: (E,) fixtures with the same label share one radiance.
+        expected: (E, 3) radiance expected before the shading is looked at, NaN where nothing is.
+    """
+
+    bound: NDArray[np.float64]
+    measured: NDArray[np.float64]
+    tie: NDArray[np.int64]
+    expected: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DirectEvidence:
+    """Bounds, measurements and a weak prior on colour, for tied emitters (E', 3)."""
+
+    log_bound: NDArray[np.float64]
+    log_measured: NDArray[np.float64]  # NaN where nothing was measured
+    log_expected: NDArray[np.float64]  # NaN where nothing is expected
+
+    @staticmethod
+    def of(evidence: Evidence, n_tied: int) -> DirectEvidence:
+        """What lamps that share one radiance have been seen to be, together."""
+        bound = np.full((n_tied, 3), 1e-6)
+        np.maximum.at(bound, evidence.tie, evidence.bound)
+        measured = np.full((n_tied, 3), np.nan)
+        for k in range(n_tied):
+            values = evidence.measured[evidence.tie == k]
+            have = np.isfinite(values).any(0)
+            measured[k, have] = np.nanmedian(values[:, have], axis=0)
+        first = np.array([np.flatnonzero(evidence.tie == k)[0] for k in range(n_tied)])
+        expected = np.log(np.maximum(evidence.expected[first], 1e-6))
+        return DirectEvidence(np.log(bound), np.log(np.maximum(measured, 1e-6)), expected)
+
+    def penalty(self, log_e: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        """Sum of squared deviations in standard deviations, and its gradient."""
+        below = np.clip((self.log_bound - log_e) / BOUND_STD, 0.0, None)
+        off = np.nan_to_num((log_e - self.log_measured) / MEASURED_STD)
+        tint = (log_e - log_e.mean(1, keepdims=True)) / TINT_STD
+        surprise = np.nan_to_num((log_e - self.log_expected) / EXPECTED_STD)
+        value = float((below**2).sum() + (off**2).sum() + (tint**2).sum() + (surprise**2).sum())
+        return value, 2 * (off / MEASURED_STD - below / BOUND_STD + tint / TINT_STD + surprise / EXPECTED_STD)
