@@ -6,15 +6,18 @@ import bpy
 import numpy as np
 import pytest
 
+from iris_addon.blender import render as blender_render
 from iris_addon.blender.insert import (
     Differential,
     change_photo,
     insert_onto_photo,
     render_change,
+    render_differential,
     render_pair,
     shrunk_difference,
 )
-from iris_addon.blender.render import render_views
+from iris_addon.blender.render import aim, render_views
+from iris_addon.blender.scene_out import build_scene
 from iris_addon.response.curve import gamma
 from iris_addon.result.edits import Material, Placement, Primitive, SceneEdit, Sphere
 from tests.blender_room import camera, room
@@ -143,6 +146,34 @@ def test_a_polished_wall_shows_the_object_and_far_pixels_keep_their_bytes():
     photo = photo_of(matte, view)
     seen = insert_onto_photo(matte, view, photo, EXPOSURE, SceneEdit(spheres=(ball,)), **SETTINGS)
     assert np.abs(seen - photo)[:, :8].mean() * 255 < 1.5
+
+
+@pytest.mark.bpy
+@pytest.mark.usefixtures("empty_blender")
+def test_what_is_inserted_has_less_noise_than_the_room_and_the_scene_stays_as_it_was(monkeypatch):
+    """A small ball has some six times the samples of the wall beside it, undenoised."""
+    monkeypatch.setattr(blender_render, "can_denoise", lambda: False)
+    result, view = lit_room(), camera(96, 72, fx=80.0, fy=80.0)
+    ball = Sphere(np.array([0.0, 0.0, -0.8]), 0.1, np.array([0.5, 0.45, 0.4]), 1.0, 0.0)
+    built = build_scene(result, SceneEdit(spheres=(ball,)))
+    try:
+        aim(built, view)
+        room = (built.room, *built.lamps)
+        black = (np.zeros((72, 96, 3)),) * 2
+        seen = [
+            render_differential(built.scene, room, black, samples=16, seed=seed, max_bounces=2) for seed in range(8)
+        ]
+        assert not built.scene.render.film_transparent and not built.scene.render.use_border
+        assert not any(thing.is_holdout for thing in room)
+    finally:
+        built.free()
+    inside = seen[0].covered >= 1.0
+    assert 80 < inside.sum() < 72 * 96 / 16
+    pixels = np.stack([change.with_edit for change in seen])
+    relative = (pixels.std(axis=0) / pixels.mean(axis=0)).mean(axis=-1)
+    beside = np.zeros_like(inside)
+    beside[28:44, 66:80] = True
+    assert np.median(relative[inside]) < 0.55 * np.median(relative[beside])
 
 
 @pytest.mark.bpy

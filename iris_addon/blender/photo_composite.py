@@ -18,14 +18,14 @@ from ..errors import BadInput
 from ..response.curve import Response
 from ..response.local_exposure import LocalSettings
 from .images import image_from_array, read_image
-from .insert import change_photo, coverage, differential, render_halves
+from .insert import change_photo, render_differential, render_halves
 from .lamps import as_recovered, lamp_materials
 from .light_mixing import APART
 from .onto_objects import APPLIED, MADE, ORIGINAL
 from .whole_files import write_whole
 
-RENDERS = 3
-"""Steps of the work: the room alone, with what was put in, and what that covers."""
+RENDERS = 2
+"""Steps of the work: the room alone, and with what was put in."""
 
 
 def composite(
@@ -61,11 +61,10 @@ def composite(
     with as_photographed(scene):
         without = render_halves(scene, samples=samples, seed=seed, gpu=gpu)
     on_step(1)
-    with_edit = render_halves(scene, samples=samples, seed=seed, gpu=gpu)
+    room = [thing for thing in scene.objects if _of_the_room(thing)]
+    changed = render_differential(scene, room, without, samples=samples, seed=seed, gpu=gpu)
     on_step(2)
-    covered = coverage(scene, [thing for thing in scene.objects if _of_the_room(thing)])
-    on_step(3)
-    return change_photo(photo, differential(without, with_edit, covered), response, exposure)[0]
+    return change_photo(photo, changed, response, exposure)[0]
 
 
 @contextmanager
