@@ -21,7 +21,7 @@ BALL = SceneEdit(spheres=(Sphere(np.zeros(3), 0.1, np.full(3, 0.5), 1.0, 0.0),))
 @pytest.mark.bpy
 @pytest.mark.parametrize("falloff", [0.0, FALLOFF])
 def test_an_exposure_that_nobody_recorded_is_found_at_every_place(tmp_path, monkeypatch, falloff):
-    """Corners of the photo at a third of the exposure of its middle: light added to the room is darkened as the room is."""
+    """Corners at a third of the exposure of the middle: light added to the room is darkened as the room is."""
     from iris_addon.blender import insert
 
     rng = np.random.default_rng(0)
