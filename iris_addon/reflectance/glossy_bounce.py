@@ -2,7 +2,8 @@
 
 A floor that mirrors a window sends the window's light to the opposite wall; the mean radiance that cameras saw on that
 floor does not tell it. Each gather ray that ends on a glossy dielectric or metal is continued by one reflected ray,
-traced once the materials are known.
+traced once the materials are known. The few that meet a lamp each stand for all of its light; what they carry is spread
+over the patches around, else single patches would be too bright by half and their albedo dotted.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from ..parallel import BLOCK, over_random_blocks
 from ..response.observations import group_sums
+from ..surface.field import IrradianceField
 from ..transport.gather import GatherRays, Origins, emitter_of_face
 from ..transport.sampling import ggx_directions
 from ..transport.tracer import Tracer
@@ -22,12 +24,17 @@ from ..transport.transport import Transport, facing_normals, find_patches, lobe_
 from .ggx import ray_alpha
 from .specular_weights import visible_normal_weights
 
+SPREAD, PASSES = 2.0, 4
+"""Width of the kernel, in patch sizes, that spreads bounced light over the neighbours of a patch, and how often it is
+used: three to four patch sizes in all."""
+
 
 @dataclass(frozen=True)
 class GlossyBounce:
     """Reflected continuations of gather rays, k of them.
 
     Attributes:
+        field: neighbourhoods of the seen patches.
         n_rows: patches, seen and unseen.
         row: (k,) int32 patch that gathers.
         weight: (k, 3) float32 specular reflectance of the bounce over the number of the row's rays.
@@ -35,6 +42,7 @@ class GlossyBounce:
         face: (k,) int32 face hit, -1 where escaped.
     """
 
+    field: IrradianceField
     n_rows: int
     row: NDArray[np.int32]
     weight: NDArray[np.float32]
@@ -47,20 +55,29 @@ class GlossyBounce:
         """(N, 3) irradiance / pi that the bounces carry from other patches; emitters are counted elsewhere."""
         rows = table_rows(self.target, self.face, emitter_faces)
         carried = self.weight * radiance_table(radiance, unknown)[rows]
-        return group_sums(carried, self.row, self.n_rows).astype(np.float32)
+        return self._spread(group_sums(carried, self.row, self.n_rows))
 
     def form_factors(self, emitters: Sequence[NDArray[np.integer]], n_faces: int) -> NDArray[np.float32]:
         """(N, E) share of each emitter's radiance that the bounces carry, mean over channels."""
         hit = emitter_of_face(emitters, n_faces)[self.face]
         on = hit >= 0
         flat = self.row[on].astype(np.int64) * len(emitters) + hit[on]
-        total = np.bincount(flat, self.weight[on].mean(1), self.n_rows * len(emitters))
-        return total.reshape(self.n_rows, len(emitters)).astype(np.float32)
+        total = np.bincount(flat, self.weight[on].mean(1), self.n_rows * len(emitters)).astype(np.float32)
+        return self._spread(total.reshape(self.n_rows, len(emitters)))
+
+    def _spread(self, carried: NDArray[np.floating]) -> NDArray[np.float32]:
+        """What arrives at patches (N, C) averaged over the neighbours of the seen ones."""
+        n_seen = len(self.field.position)
+        spread = carried.astype(np.float32, copy=True)
+        for _ in range(PASSES):
+            spread[:n_seen] = self.field.smooth(spread[:n_seen], SPREAD)
+        return spread
 
 
 def trace_glossy_bounce(
     tracer: Tracer,
     transport: Transport,
+    field: IrradianceField,
     parts: NDArray[np.int32],
     roughness: NDArray[np.floating],
     specular_color: NDArray[np.floating],
@@ -70,6 +87,7 @@ def trace_glossy_bounce(
     """Continue every gather ray that ends on a glossy part.
 
     Args:
+        field: neighbourhoods of the seen patches.
         parts: (F,) part per face.
         roughness: (n_parts,) Principled roughness.
         specular_color: (n_parts, 3) reflectance at normal incidence: 0.04, or a metal's colour.
@@ -98,6 +116,7 @@ def trace_glossy_bounce(
     seen = continued(0, transport.origins, transport.rays)
     unseen = continued(transport.n_seen, transport.unseen_origins, transport.unseen_rays)
     return GlossyBounce(
+        field,
         transport.n_patches,
         np.concatenate([seen[0], unseen[0]]),
         np.concatenate([seen[1], unseen[1]]),

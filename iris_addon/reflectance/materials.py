@@ -146,8 +146,9 @@ def continued_paths(problem: MaterialProblem, gloss: Gloss, round_: int) -> Glos
     """Continued paths under the materials of this round."""
     rng = np.random.default_rng([problem.seed, 37, round_])
     light = problem.light
+    passes = _glossy_parts(gloss)
     return trace_glossy_bounce(
-        light.tracer, light.transport, light.parts, gloss.roughness, gloss.specular, _glossy_parts(gloss), rng
+        light.tracer, light.transport, light.field, light.parts, gloss.roughness, gloss.specular, passes, rng
     )
 
 
