@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from iris_addon.reflectance.glossy_bounce import GlossyBounce
+from iris_addon.reflectance.glossy_bounce import SPREAD, GlossyBounce
 from iris_addon.surface.field import IrradianceField
 
 SIDE, SPACING = 40, 0.05
@@ -22,7 +22,9 @@ def bounce(rows: np.ndarray, n_rows: int = N) -> GlossyBounce:
     """Paths from patches ``rows`` that end on the lamp, each for 1/64 of what its patch gathers."""
     k = len(rows)
     weight = np.full((k, 3), 1 / 64, np.float32)
-    return GlossyBounce(floor(), n_rows, rows.astype(np.int32), weight, np.full(k, -1, np.int32), np.zeros(k, np.int32))
+    return GlossyBounce(
+        floor().kernel(SPREAD), n_rows, rows.astype(np.int32), weight, np.full(k, -1, np.int32), np.zeros(k, np.int32)
+    )
 
 
 def test_what_every_patch_gets_alike_stays_as_it_is():
@@ -41,7 +43,7 @@ def test_single_bright_paths_are_spread_and_their_light_is_kept():
 
 def test_light_from_other_patches_is_spread_too_and_unseen_ones_keep_theirs():
     one = bounce(np.array([N // 2 + SIDE // 2, N]), n_rows=N + 1)
-    paths = GlossyBounce(one.field, one.n_rows, one.row, one.weight, np.zeros(2, np.int32), np.full(2, 2, np.int32))
+    paths = GlossyBounce(one.kernel, one.n_rows, one.row, one.weight, np.zeros(2, np.int32), np.full(2, 2, np.int32))
     radiance = np.full((N + 1, 3), 6.4)
     arrived = paths.gather_radiance(radiance, np.zeros(3), np.zeros(FACES, bool))
     np.testing.assert_allclose(arrived[N], 0.1, rtol=1e-4)

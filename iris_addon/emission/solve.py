@@ -88,8 +88,9 @@ def solve_lights(
     for known_about in (True,) if near else (False, True):
         unknown = mean_radiance(radiance, problem)
         indirect = problem.transport.gather_radiance(radiance, unknown, mask)
-        if problem.bounce is not None:
-            indirect = indirect + problem.bounce.gather_radiance(radiance, unknown, mask)
+        for more in (problem.bounce, problem.aimed):
+            if more is not None:
+                indirect = indirect + more.gather_radiance(radiance, unknown, mask)
         balance = solve_balance(
             smooth_shaded,
             smooth(indirect),

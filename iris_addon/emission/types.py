@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..surface.build import Surface
 from ..surface.field import IrradianceField
 from ..surface.samples import PixelSamples
+from ..transport.bright import AimedRays
 from ..transport.tracer import Tracer
 from ..transport.transport import Transport
 from .balance import ROBUST_LOG
@@ -88,6 +89,7 @@ class LightProblem:
         hidden: unknowns beside the lamps.
         field: neighbourhoods of the seen patches.
         bounce: once materials are known, what glossy surfaces pass on; patches then cast only their diffuse light.
+        aimed: rays to bright patches, where there are any, once the light is about known.
         given: faces of the lamps where they are known beforehand, None to search for them.
         robust_log: deviation of log albedo at which a patch starts to count as an outlier.
     """
@@ -104,6 +106,7 @@ class LightProblem:
     shadow_rays: int
     seed: int
     bounce: Bounce | None = None
+    aimed: AimedRays | None = None
     given: list[NDArray[np.int64]] | None = None
     robust_log: float = ROBUST_LOG
 

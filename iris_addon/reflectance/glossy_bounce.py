@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 
 from ..parallel import BLOCK, over_random_blocks
 from ..response.observations import group_sums
@@ -24,9 +25,10 @@ from ..transport.transport import Transport, facing_normals, find_patches, lobe_
 from .ggx import ray_alpha
 from .specular_weights import visible_normal_weights
 
-SPREAD, PASSES = 2.0, 4
-"""Width of the kernel, in patch sizes, that spreads bounced light over the neighbours of a patch, and how often it is
-used: three to four patch sizes in all."""
+SPREAD = 2.0
+"""Width of the kernel, in patch sizes, that spreads bounced light over the neighbours of a patch."""
+PASSES, MOST_PASSES = 4, 64
+"""How often it is used: on as many patches as one of the paths to a lamp is to stand for."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class GlossyBounce:
     """Reflected continuations of gather rays, k of them.
 
     Attributes:
-        field: neighbourhoods of the seen patches.
+        kernel: (P, P) averages over the neighbours of every seen patch.
         n_rows: patches, seen and unseen.
         row: (k,) int32 patch that gathers.
         weight: (k, 3) float32 specular reflectance of the bounce over the number of the row's rays.
@@ -42,7 +44,7 @@ class GlossyBounce:
         face: (k,) int32 face hit, -1 where escaped.
     """
 
-    field: IrradianceField
+    kernel: csr_matrix
     n_rows: int
     row: NDArray[np.int32]
     weight: NDArray[np.float32]
@@ -55,22 +57,26 @@ class GlossyBounce:
         """(N, 3) irradiance / pi that the bounces carry from other patches; emitters are counted elsewhere."""
         rows = table_rows(self.target, self.face, emitter_faces)
         carried = self.weight * radiance_table(radiance, unknown)[rows]
-        return self._spread(group_sums(carried, self.row, self.n_rows))
+        arrived = group_sums(carried, self.row, self.n_rows)
+        return self._spread(arrived, np.full(arrived.shape[1], PASSES))
 
     def form_factors(self, emitters: Sequence[NDArray[np.integer]], n_faces: int) -> NDArray[np.float32]:
         """(N, E) share of each emitter's radiance that the bounces carry, mean over channels."""
         hit = emitter_of_face(emitters, n_faces)[self.face]
         on = hit >= 0
         flat = self.row[on].astype(np.int64) * len(emitters) + hit[on]
-        total = np.bincount(flat, self.weight[on].mean(1), self.n_rows * len(emitters)).astype(np.float32)
-        return self._spread(total.reshape(self.n_rows, len(emitters)))
+        total = np.bincount(flat, self.weight[on].mean(1), self.n_rows * len(emitters))
+        paths = np.bincount(hit[on], minlength=len(emitters))
+        passes = np.clip(self.n_rows / np.maximum(paths, 1), PASSES, MOST_PASSES).astype(np.int64)
+        return self._spread(total.reshape(self.n_rows, len(emitters)), np.where(paths > 0, passes, 0))
 
-    def _spread(self, carried: NDArray[np.floating]) -> NDArray[np.float32]:
-        """What arrives at patches (N, C) averaged over the neighbours of the seen ones."""
-        n_seen = len(self.field.position)
-        spread = carried.astype(np.float32, copy=True)
-        for _ in range(PASSES):
-            spread[:n_seen] = self.field.smooth(spread[:n_seen], SPREAD)
+    def _spread(self, arrived: NDArray[np.number], passes: NDArray[np.integer]) -> NDArray[np.float32]:
+        """What arrives at patches (N, C) averaged over the neighbours of the seen ones, ``passes`` (C,) times."""
+        n_seen = len(self.kernel.indptr) - 1
+        spread = arrived.astype(np.float32)
+        for done in range(int(passes.max(initial=0))):
+            open_ = passes > done
+            spread[:n_seen, open_] = self.kernel @ spread[:n_seen, open_]
         return spread
 
 
@@ -116,7 +122,7 @@ def trace_glossy_bounce(
     seen = continued(0, transport.origins, transport.rays)
     unseen = continued(transport.n_seen, transport.unseen_origins, transport.unseen_rays)
     return GlossyBounce(
-        field,
+        field.kernel(SPREAD),
         transport.n_patches,
         np.concatenate([seen[0], unseen[0]]),
         np.concatenate([seen[1], unseen[1]]),

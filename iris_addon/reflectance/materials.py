@@ -18,6 +18,7 @@ from ..emission.types import LightProblem, Lights
 from ..progress import Progress
 from ..response.observations import Observations
 from ..response.radiance import GroupRadiance, Linearised, group_radiance, raised_by_clipped
+from ..transport.bright import AimedRays, aim_at_bright
 from ..transport.diffuse import grazing_gain
 from .diffuse_lobe import DiffuseChoice
 from .ggx import layered_factor
@@ -114,7 +115,8 @@ def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progr
         diffuse = group_radiance(problem.linear, o.patch, o.count, n_patches, specular, view_factor)
         seen = brightness(o, problem.linear, n_patches, specular)
         bounce = continued_paths(problem, gloss, round_)
-        light_problem = replace(problem.light, brightness=seen, bounce=bounce)
+        aimed = _aimed_rays(problem, lights, round_)
+        light_problem = replace(problem.light, brightness=seen, bounce=bounce, aimed=aimed)
         say = _say(problem, gloss, diffuse)
         cast = _cast_radiance(problem, gloss, diffuse, view_factor)
         lights = reconsider_lamps(light_problem, cast, lights, say, diffuse.radiance, progress)
@@ -150,6 +152,13 @@ def continued_paths(problem: MaterialProblem, gloss: Gloss, round_: int) -> Glos
     return trace_glossy_bounce(
         light.tracer, light.transport, light.field, light.parts, gloss.roughness, gloss.specular, passes, rng
     )
+
+
+def _aimed_rays(problem: MaterialProblem, lights: Lights, round_: int) -> AimedRays | None:
+    """Rays to what is bright under ``lights``."""
+    rng = np.random.default_rng([problem.seed, 41, round_])
+    light, cast = problem.light, lights.patch_radiance
+    return aim_at_bright(light.tracer, light.transport, light.parts, cast, lights.irradiance, lights.mask, rng)
 
 
 def _say(problem: MaterialProblem, gloss: Gloss, diffuse: GroupRadiance) -> NDArray[np.float64]:

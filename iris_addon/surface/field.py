@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
 from ..parallel import BLOCK, over_blocks
@@ -80,6 +81,12 @@ class IrradianceField:
             weight = weight * (group[near] == group[rows][:, None])
             weight /= weight.sum(1, keepdims=True)
         return np.einsum("pk,pkc->pc", weight, values.astype(np.float32)[near])
+
+    def kernel(self, width: float) -> csr_matrix:
+        """(P, P) matrix of the averages of :meth:`smooth`, for those that are taken many times."""
+        n, k = self.neighbours.shape
+        weight = self._weights(self.position, self.normal, np.arange(n), width)
+        return csr_matrix((weight.ravel(), self.neighbours.ravel(), np.arange(0, n * k + 1, k)), (n, n))
 
     def denoise(
         self, values: NDArray[np.floating], irradiance: NDArray[np.floating] | None = None

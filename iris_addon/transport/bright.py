@@ -1,0 +1,200 @@
+"""Rays aimed at what is far brighter than the rest of the room: a wall beside a lamp, the inside of its shade.
+
+A small patch that shines like a lamp is met by one gather ray in hundreds, which then stands for all of its light. So
+points on such patches are taken for lights (Keller 1997, "Instant Radiosity"), sampled with shadow rays as lamps are
+and weighted against the gather rays that they compete with by the balance heuristic (Veach 1997, eq. 9.8).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..parallel import BLOCK, over_random_blocks
+from ..response.curve import LUMINANCE
+from ..response.observations import group_sums
+from .diffuse import schlick
+from .gather import ray_origins
+from .sampling import dot
+from .tracer import Tracer
+from .transport import Transport, find_patches, radiance_table, table_rows
+
+BRIGHT = 10.0
+"""Radiance, in medians of what photos show, from which a patch is aimed at."""
+NOTICED = 0.02
+"""Share of all light that bright patches must send to be worth rays of their own."""
+POINTS_PER_FACE, MAX_POINTS = 8, 200_000
+SAMPLES = 32
+"""Shadow rays from every patch to bright ones, all together."""
+
+
+@dataclass(frozen=True)
+class BrightPoints:
+    """Points on one side each of bright patches, as many per area everywhere.
+
+    Attributes:
+        position, normal: (n, 3) float32 metres, and unit on the side that shines.
+        face, patch: (n,) int32.
+        chance: (n,) probability that a ray is aimed at each, its share of the light.
+        per_area: (N,) the same per square metre of every patch, 0 for those that are not aimed at.
+    """
+
+    position: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    face: NDArray[np.int32]
+    patch: NDArray[np.int32]
+    chance: NDArray[np.float64]
+    per_area: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class AimedRays:
+    """What aimed rays add to the gather rays, and, negative, the say that gather rays lose to them; k of both.
+
+    Attributes:
+        n_rows: patches, seen and unseen.
+        row: (k,) patch that gathers.
+        weight: (k,) float32 share of the row's hemisphere that the ray stands for.
+        target, face: (k,) int32 patch and face met.
+    """
+
+    n_rows: int
+    row: NDArray[np.int64]
+    weight: NDArray[np.float32]
+    target: NDArray[np.int32]
+    face: NDArray[np.int32]
+
+    def gather_radiance(
+        self, radiance: NDArray[np.floating], unknown: NDArray[np.floating], emitter_faces: NDArray[np.bool_]
+    ) -> NDArray[np.float32]:
+        """(N, 3) irradiance / pi to be added to :meth:`Transport.gather_radiance`."""
+        rows = table_rows(self.target, self.face, emitter_faces)
+        carried = self.weight[:, None] * radiance_table(radiance, unknown)[rows]
+        return group_sums(carried, self.row, self.n_rows).astype(np.float32)
+
+
+def aim_at_bright(
+    tracer: Tracer,
+    transport: Transport,
+    parts: NDArray[np.int32],
+    radiance: NDArray[np.floating],
+    irradiance: NDArray[np.floating],
+    dark_faces: NDArray[np.bool_],
+    rng: np.random.Generator,
+) -> AimedRays | None:
+    """Rays from the seen patches to bright ones; None where the room has none that matter.
+
+    Args:
+        parts: (F,) part per face.
+        radiance, irradiance: (N, 3) about what patches send, and what arrives at them over pi.
+        dark_faces: (F,) faces of lamps, which are aimed at already.
+    """
+    light = np.maximum(radiance @ LUMINANCE, 0.0)
+    bright = light > BRIGHT * np.median(light[: transport.n_seen])
+    row, column = np.nonzero(np.append(bright, [False, False])[transport.target])  # UNKNOWN and ESCAPED are last
+    on = ~dark_faces[transport.rays.face[row, column]]
+    row, column = row[on], column[on]
+    sent = light[transport.target[row, column]].sum() / transport.target.shape[1]
+    if sent <= NOTICED * (irradiance[: transport.n_seen] @ LUMINANCE).sum():
+        return None
+    faces = np.unique(transport.rays.face[row, column])
+    points = _bright_points(tracer, transport, parts, faces, np.where(bright, light, 0.0), rng)
+    if points is None:
+        return None
+    return _joined(_displaced(tracer, transport, points, row, column), _aimed(tracer, transport, points, rng))
+
+
+def _bright_points(
+    tracer: Tracer,
+    transport: Transport,
+    parts: NDArray[np.int32],
+    faces: NDArray[np.int32],
+    light: NDArray[np.floating],
+    rng: np.random.Generator,
+) -> BrightPoints | None:
+    """Points on the bright patches (``light`` (N,) > 0) of ``faces``; None where none falls on one."""
+    areas = tracer.areas[faces].astype(np.float64)
+    total = MAX_POINTS - POINTS_PER_FACE * len(faces)
+    count = POINTS_PER_FACE + (max(total, 0) * areas / areas.sum()).astype(np.int64)
+    face = np.repeat(faces, count)
+    u = rng.random((len(face), 2))
+    u = np.where(u.sum(1, keepdims=True) > 1, 1 - u, u)
+    first, second, third = tracer.corners[face].transpose(1, 0, 2)
+    position = (first + u[:, :1] * (second - first) + u[:, 1:] * (third - first)).astype(np.float32)
+    area = np.repeat(areas / count, count)
+    sides = []
+    for normal in (tracer.normals[face], -tracer.normals[face]):
+        patch = find_patches(tracer, transport.grids, parts, face, position, -normal)
+        on = np.flatnonzero((patch >= 0) & (light[patch] > 0))
+        sides.append((position[on], normal[on], face[on], patch[on], area[on]))
+    position, normal, face, patch, area = map(np.concatenate, zip(*sides, strict=True))
+    if not len(patch):
+        return None
+    power = area * light[patch]
+    per_area = np.zeros(len(light))
+    per_area[patch] = light[patch] / power.sum()
+    return BrightPoints(position, normal, face, patch, power / power.sum(), per_area)
+
+
+def _displaced(
+    tracer: Tracer, transport: Transport, points: BrightPoints, row: NDArray[np.integer], column: NDArray[np.integer]
+) -> AimedRays:
+    """What gather rays (``row``, ``column``) that met bright patches lose: they compete with aimed ones."""
+    rays, origins = transport.rays, transport.origins
+    n_rays = rays.face.shape[1]
+    face, target = rays.face[row, column], transport.target[row, column]
+    direction = rays.direction[row, column].astype(np.float32)
+    cos_light = np.abs(dot(direction, tracer.normals[face]))
+    cos_surface = np.abs(dot(direction, origins.normal[row, column % origins.normal.shape[1]]))
+    gathered = n_rays * cos_surface * cos_light / np.maximum(np.pi * rays.distance[row, column] ** 2, 1e-9)
+    loses = -SAMPLES * points.per_area[target] / (gathered + SAMPLES * points.per_area[target])
+    weight = loses / n_rays * _lobes(transport, row, target, cos_surface, cos_light)
+    return AimedRays(transport.n_patches, row.astype(np.int64), weight.astype(np.float32), target, face)
+
+
+def _aimed(tracer: Tracer, transport: Transport, points: BrightPoints, rng: np.random.Generator) -> AimedRays:
+    """SAMPLES shadow rays from every seen patch; those that arrive."""
+    origins, n_rays = transport.origins, transport.rays.face.shape[1]
+    cumulative = np.cumsum(points.chance)
+    arrived: dict[int, tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]] = {}
+
+    def work(rows: slice, rng: np.random.Generator) -> None:
+        n = rows.stop - rows.start
+        position, normal = ray_origins(origins, rows, SAMPLES, tracer.epsilon)
+        strata = (np.arange(SAMPLES) + rng.random((n, SAMPLES))) * (cumulative[-1] / SAMPLES)
+        pick = np.minimum(np.searchsorted(cumulative, strata.ravel(), side="right"), len(cumulative) - 1)
+        offset = points.position[pick] - position
+        length = np.sqrt(np.maximum(dot(offset, offset), 1e-9))
+        direction = offset / length[:, None]
+        cos_surface, cos_light = dot(direction, normal), -dot(direction, points.normal[pick])
+        live = np.flatnonzero((cos_surface > 1e-4) & (cos_light > 1e-4))
+        live = live[tracer.unoccluded(position[live], direction[live], length[live])]
+        row, pick = rows.start + live // SAMPLES, pick[live]
+        target = points.patch[pick]
+        filled = cos_surface[live] * cos_light[live] / (np.pi * length[live] ** 2)
+        weight = filled / (n_rays * filled + SAMPLES * points.per_area[target])
+        weight = weight * _lobes(transport, row, target, cos_surface[live], cos_light[live])
+        arrived[rows.start] = row, pick, weight.astype(np.float32)
+
+    over_random_blocks(len(origins.position), BLOCK // SAMPLES, work, rng)
+    row, pick, weight = map(np.concatenate, zip(*(arrived[start] for start in sorted(arrived)), strict=True))
+    return AimedRays(transport.n_patches, row, weight, points.patch[pick], points.face[pick])
+
+
+def _lobes(
+    transport: Transport,
+    row: NDArray[np.integer],
+    target: NDArray[np.integer],
+    cos_start: NDArray[np.floating],
+    cos_end: NDArray[np.floating],
+) -> NDArray[np.floating]:
+    """The diffuse lobes at both ends of each ray over Lambert's."""
+    kappa = transport.kappa
+    return (1 + kappa[row] * schlick(cos_start)) * (1 + kappa[target] * schlick(cos_end))
+
+
+def _joined(one: AimedRays, other: AimedRays) -> AimedRays:
+    pairs = [(one.row, other.row), (one.weight, other.weight), (one.target, other.target), (one.face, other.face)]
+    return AimedRays(one.n_rows, *map(np.concatenate, pairs))
