@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from iris_addon.capture.types import Mesh
-from iris_addon.emission import search, selection
+from iris_addon.emission import search, selection, solve
 from iris_addon.emission.candidates import CERTAIN, Brightness
 from iris_addon.emission.hidden import HiddenSources
 from iris_addon.emission.types import LightProblem, Lights
@@ -167,3 +167,14 @@ def test_a_lamp_has_a_side_between_any_two_sharp_edges() -> None:
         sides = selection._sides(room, np.arange(len(faces)))  # type: ignore[arg-type]
         assert len(sides) == n_sides
         assert np.array_equal(np.sort(np.concatenate(sides)), np.arange(len(faces)))
+
+
+def test_without_a_lamp_surfaces_keep_the_light_that_is_not_its_own() -> None:
+    """A lamp behind a ledge that was left out must not go on shining by way of the ledge."""
+    room = problem((1.0, 1.0, 1.0), (False, False, False))
+    # Window and bar send each other a fifth of their light: 0.2 * 3 of 2.0 at the bar, 0.2 * 1 of 1.0 at the window.
+    both = lights([(WINDOW, 3.0), (BAR, 1.0)], (1.0, 2.0, 5.0), between=0.2)
+    expected = {(WINDOW,): (0.8, 1, 1), (): (0.8, 0.7, 1), (BAR, WINDOW): (1, 1, 1), (WALL, WINDOW, BAR): (1, 1, 1)}
+    for faces, shares in expected.items():
+        kept = solve._light_kept(room, both, [np.array([face]) for face in faces])
+        np.testing.assert_allclose(kept, np.array(shares)[PATCH_FACE][:, None].repeat(3, 1), rtol=1e-5)

@@ -47,20 +47,23 @@ def with_silent(problem: LightProblem, observed: GroupRadiance, lights: Lights, 
     mask = lights.mask.copy()
     mask[np.concatenate(proposed)] = True
     n = problem.transport.n_seen
-    asked = ~patches_on(problem, mask)[:n] & (np.arange(n) % SILENT_EVERY == 0)
-    say = np.where(asked, say_of(observed), 0.0)
-    if np.count_nonzero(say[observed.known.all(1)]) < LEAST_ASKED:
+    say, asked = np.where(patches_on(problem, mask)[:n], 0.0, say_of(observed)), np.arange(n) % SILENT_EVERY == 0
+    if np.count_nonzero(say * asked * observed.known.all(1)) < LEAST_ASKED:
         return lights
+
+    def with_lamps(emitters: list[NDArray[np.int64]], before: Lights, near: bool = True) -> Lights:
+        return solved(problem, observed, emitters, before, progress, say, near, asked)
+
     apart = [lamp for lamp in lights.emitters if not any(np.isin(lamp, faces).any() for faces in proposed)]
-    together = solved(problem, observed, [*apart, *proposed], lights, progress, say, near=True)
+    together = with_lamps([*apart, *proposed], lights)
     bright = [faces for faces in proposed if _glows(problem, together, faces)]
     if not bright:
         return lights
-    base = solved(problem, observed, lights.emitters, lights, progress, say)
+    base = with_lamps(lights.emitters, lights, near=False)
     for faces in bright:
         apart = [lamp for lamp in base.emitters if not np.isin(lamp, faces).any()]
         limit = 1 - SILENT_GAIN if len(apart) == len(base.emitters) else 1 + SILENT_GAIN
-        tried = solved(problem, observed, [*apart, faces], base, progress, say, near=True)
+        tried = with_lamps([*apart, faces], base, near=False)
         if _glows(problem, tried, faces) and tried.held_out < limit * base.held_out:
             base = tried
     return base
@@ -186,10 +189,11 @@ def solved(
     progress: Progress,
     say: NDArray[np.float64] | None = None,
     near: bool = False,
+    asked: NDArray[np.bool_] | None = None,
 ) -> Lights:
     """Lights with other lamps; what of their form factors ``before`` does not have is traced as the search does."""
     factors = form_factors_of(problem, emitters, progress, SEARCH_SHADOW_RAYS, before)
-    return solve_lights(problem, observed, emitters, before, progress, factors, say, near=near)
+    return solve_lights(problem, observed, emitters, before, progress, factors, say, near=near, asked=asked)
 
 
 def certainty(problem: LightProblem, lights: Lights, lamp: NDArray[np.int64]) -> NDArray[np.float64]:

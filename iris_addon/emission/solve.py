@@ -34,6 +34,7 @@ def solve_lights(
     weight: NDArray[np.float64] | None = None,
     diffuse: NDArray[np.float64] | None = None,
     near: bool = False,
+    asked: NDArray[np.bool_] | None = None,
 ) -> Lights:
     """Radiance of given emitters.
 
@@ -44,6 +45,7 @@ def solve_lights(
         weight: (P,) say of each seen patch, by default :func:`say_of`.
         diffuse: (P, 3) radiance without its specular part, once materials are known.
         near: whether the light is about that of ``before``; one pass from there then does.
+        asked: (P,) patches to fit, by default all; the others only help to average noise away.
 
     Returns:
         The lights; ``before`` where there is nothing to solve for, or no patch to tell it from.
@@ -59,6 +61,7 @@ def solve_lights(
     hidden = problem.hidden
     on_lamp = patches_on(problem, mask)
     radiance = _start_radiance(observed, before, on_lamp, patches_on(problem, before.mask) if near else None)
+    radiance[problem.transport.n_seen :] *= _light_kept(problem, before, emitters)[problem.transport.n_seen :]
     evidence = _with_hidden(_lamp_evidence(problem, emitters), before.hidden_radiance)
     kappa = problem.transport.kappa
     direct = under_lobe(form_factors, kappa)
@@ -68,14 +71,14 @@ def solve_lights(
     level = noticeable(observed.radiance, all_factors[: problem.transport.n_seen])
     start = _first_finite(evidence.measured, 2.0 * evidence.bound, evidence.expected, level)
     if near:
-        known = _columns(emitters, before)
+        known = _columns(emitters, before.emitters)
         start[np.flatnonzero(known >= 0)] = before.radiance[known[known >= 0]]
     usable = observed.known.all(1) & ~on_lamp[: problem.transport.n_seen]
     say = usable * (say_of(observed) if weight is None else weight)
     n = problem.transport.n_seen
     shaded = observed.radiance if diffuse is None else diffuse
     part = problem.transport.part
-    rows = fitted_patches(shaded, say)
+    rows = fitted_patches(shaded, say if asked is None else say * asked)
     if not len(rows):
         return before
     group = np.where(say > 0, part[:n], -1)
@@ -175,7 +178,7 @@ def form_factors_of(
         limits: fewest and most shadow rays from a patch to a lamp; between them the budget is shared out evenly.
         known: lights whose lamps, where they are among ``emitters``, need not be traced again.
     """
-    columns = _columns(emitters, known) if known else np.full(len(emitters), -1)
+    columns = _columns(emitters, known.emitters) if known else np.full(len(emitters), -1)
     fresh = [faces for faces, k in zip(emitters, columns, strict=True) if k < 0]
     rng = np.random.default_rng([problem.seed, 17])
     t = problem.transport
@@ -193,9 +196,9 @@ def form_factors_of(
     return factors
 
 
-def _columns(emitters: list[NDArray[np.int64]], known: Lights) -> NDArray[np.int64]:
-    """(E,) index of each emitter among the lamps of ``known``, -1 where it is none of them."""
-    column = {faces.tobytes(): k for k, faces in enumerate(known.emitters)}
+def _columns(emitters: list[NDArray[np.int64]], known: list[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """(E,) index of each emitter among those ``known``, -1 where it is none of them."""
+    column = {faces.tobytes(): k for k, faces in enumerate(known)}
     return np.array([column.get(faces.tobytes(), -1) for faces in emitters], np.int64)
 
 
@@ -252,6 +255,13 @@ def _start_radiance(
     radiance[:n][known] = observed.radiance[known]
     radiance[on_lamp] = 0.0
     return radiance
+
+
+def _light_kept(problem: LightProblem, before: Lights, emitters: list[NDArray[np.int64]]) -> NDArray[np.float64]:
+    """(N, 3) share of the light of ``before`` at each patch that is not that of lamps which are none any more."""
+    lost = np.flatnonzero(_columns(before.emitters, emitters) < 0)
+    direct = under_lobe(before.form_factors[:, lost], problem.transport.kappa) @ before.radiance[lost]
+    return np.clip(1 - direct / np.maximum(before.irradiance, 1e-9), 0.0, 1.0)
 
 
 def mean_radiance(radiance: NDArray[np.float64], problem: LightProblem) -> NDArray[np.float64]:
