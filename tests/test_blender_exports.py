@@ -9,6 +9,7 @@ import pytest
 from iris_addon.blender.apply import apply
 from iris_addon.blender.images import read_image
 from iris_addon.blender.object_files import import_objects
+from iris_addon.blender.version import usd_library
 from iris_addon.errors import IrisError
 from iris_addon.result.edits import ObjectFile
 from iris_addon.result.io import load_result, save_result
@@ -85,6 +86,28 @@ def test_every_lamp_shines_as_strongly(exported):
     assert sorted(emitted) == [0, 1]
     np.testing.assert_allclose(emitted[0], LAMPS[3], rtol=1e-3)
     np.testing.assert_allclose(emitted[1], LAMPS[0], rtol=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["usda", "usdz"])
+def test_lamps_in_usd_are_lights_that_shine_as_they_glow(tmp_path, kind):
+    """MeshLightAPI whose light is the emission of the material: a renderer that knows UsdLux samples the lamps."""
+    library = usd_library()
+    if library is None:
+        pytest.skip("this Blender comes without USD's Python modules")
+    from pxr import Usd, UsdLux, UsdShade
+
+    apply(solved(), None, usd=tmp_path / f"room.{kind}")
+    stage = Usd.Stage.Open(str(tmp_path / f"room.{kind}"))
+    lights = [prim for prim in stage.Traverse() if prim.HasAPI(UsdLux.MeshLightAPI)]
+    glow = []
+    for prim in lights:
+        light = UsdLux.LightAPI(prim)
+        assert light.GetMaterialSyncModeAttr().Get() == "materialGlowTintsLight"
+        assert (light.GetIntensityAttr().Get(), light.GetExposureAttr().Get()) == (1.0, 0.0)
+        assert tuple(light.GetColorAttr().Get()) == (1, 1, 1) and not light.GetNormalizeAttr().Get()
+        material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
+        glow.append(tuple(material.ComputeSurfaceSource()[0].GetInput("emissiveColor").Get()))
+    np.testing.assert_allclose(sorted(glow), sorted(LAMPS.values()), rtol=1e-3)
 
 
 def test_colour_and_gloss_are_the_same(exported):

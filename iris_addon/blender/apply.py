@@ -28,6 +28,7 @@ from .images import srgb_image
 from .render import set_cycles
 from .scene_out import add_room, datablocks
 from .scene_state import show_like_the_photos
+from .usd_lights import lamps_as_lights
 from .version import require_build_option, require_gltf
 from .whole_files import write_whole
 from .world import make_world
@@ -69,7 +70,8 @@ def apply(
             if glb is not None:
                 write_whole(glb, lambda path: bpy.ops.export_scene.gltf(filepath=str(path), use_active_scene=True))
             if usd is not None:
-                write_whole(usd, lambda path: bpy.ops.wm.usd_export(filepath=str(path)))
+                with lamps_as_lights():
+                    write_whole(usd, lambda path: bpy.ops.wm.usd_export(filepath=str(path)))
     finally:
         bpy.data.batch_remove(set(datablocks()) - before)
 

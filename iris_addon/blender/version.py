@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
+from types import ModuleType
 
 import bpy
 
@@ -78,6 +80,23 @@ def require_build_option(option: str, what: str) -> None:
             f"{what} needs Blender built with {option}, and this build ({bpy.app.version_string}) has none",
             "use Blender from blender.org, or leave this output out",
         )
+
+
+def usd_library() -> ModuleType | None:
+    """Blender's own USD modules (``pxr``) with UsdGeom and UsdLux loaded; None in a build without them.
+
+    The bpy package keeps them beside Blender's other modules, where Python finds them once it is told to (4.4).
+    """
+    if not bpy.app.build_options.usd:
+        return None
+    if hasattr(bpy.utils, "expose_bundled_modules"):
+        bpy.utils.expose_bundled_modules()
+    try:
+        import_module("pxr.UsdGeom")
+        import_module("pxr.UsdLux")
+        return import_module("pxr")
+    except ModuleNotFoundError:
+        return None
 
 
 def require_gltf() -> None:
