@@ -62,8 +62,8 @@ def _fill_file(path: Path, texts: Mapping[str, str]) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("sections", nargs="*", choices=[*SECTIONS, []], default=list(SECTIONS))
-    write(parser.parse_args(arguments).sections)
+    parser.add_argument("sections", nargs="*", choices=[*SECTIONS, []], default=[])
+    write(parser.parse_args(arguments).sections or list(SECTIONS))
     return 0
 
 

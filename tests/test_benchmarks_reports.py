@@ -322,3 +322,12 @@ def test_mitsuba_asks_of_clipped_pixels_only_that_they_clip():
 
     assert loss(2.0, 1.0) == 0 and loss(0.5, 1.0) > 0.01
     assert loss(2.0, 0.9) > 0.1 and loss(0.5, 0.5 ** (1 / 2.2)) < 1e-4
+
+
+@pytest.mark.parametrize("said", [[], ["scaling"]])
+def test_all_sections_are_written_unless_some_are_named(monkeypatch, said):
+    report = pytest.importorskip("benchmarks.report", reason="matplotlib is not installed")
+    written = []
+    monkeypatch.setattr(report, "write", written.extend)
+    assert report.main(said) == 0
+    assert written == (said or list(report.SECTIONS))

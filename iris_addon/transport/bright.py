@@ -149,7 +149,8 @@ def _displaced(
     cos_light = np.abs(dot(direction, tracer.normals[face]))
     cos_surface = np.abs(dot(direction, origins.normal[row, column % origins.normal.shape[1]]))
     gathered = n_rays * cos_surface * cos_light / np.maximum(np.pi * rays.distance[row, column] ** 2, 1e-9)
-    loses = -SAMPLES * points.per_area[target] / (gathered + SAMPLES * points.per_area[target])
+    aimed = SAMPLES * points.per_area[target]
+    loses = -aimed / np.maximum(gathered + aimed, 1e-30)  # a patch without a point is not aimed at
     weight = loses / n_rays * _lobes(transport, row, target, cos_surface, cos_light)
     return AimedRays(transport.n_patches, row.astype(np.int64), weight.astype(np.float32), target, face)
 
