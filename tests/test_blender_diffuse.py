@@ -13,6 +13,7 @@ from iris_addon.blender.camera import add_camera, look_through
 from iris_addon.blender.render import render_linear, set_cycles
 from iris_addon.blender.scene_out import build_scene
 from iris_addon.capture.types import Mesh
+from iris_addon.reflectance.ggx import layered_factor
 from iris_addon.result.types import OutsideLight
 from iris_addon.transport.diffuse import albedo_gain
 from tests.blender_room import camera, room
@@ -49,13 +50,17 @@ def radiance_along(cosine: float, roughness: float, albedo: float, report: dict)
 
 @pytest.mark.parametrize("roughness", [0.2, 1.0])
 @pytest.mark.parametrize("cosine", [0.25, 0.9])
-def test_burley_over_lambert_is_the_factor_of_the_lobe(roughness: float, cosine: float) -> None:
-    """The specular layer is the same in both renders, so the difference is the diffuse part alone."""
-    lambert, burley = (
-        [radiance_along(cosine, roughness, albedo, report) for albedo in (0.0, 0.5)] for report in ({}, BURLEY)
-    )
+def test_burleys_lobe_is_added_to_the_specular_one(roughness: float, cosine: float) -> None:
+    """What albedo adds under a sky of one is its albedo from there: no more head-on, no less at grazing angles."""
+    black, grey = (radiance_along(cosine, roughness, albedo, BURLEY) for albedo in (0.0, 0.5))
     factor = albedo_gain("burley", np.array(roughness), np.array(cosine))
-    assert (burley[1] - burley[0]) / (lambert[1] - lambert[0]) == pytest.approx(factor, rel=0.01)
+    assert (grey - black) / 0.5 == pytest.approx(factor, rel=0.015)
+
+
+@pytest.mark.parametrize("cosine", [0.25, 0.9])
+def test_without_it_the_dielectric_takes_its_light_off_the_base(cosine: float) -> None:
+    black, grey = (radiance_along(cosine, 0.2, albedo, {}) for albedo in (0.0, 0.5))
+    assert (grey - black) / 0.5 == pytest.approx(layered_factor(np.array(0.2), np.array(cosine)), rel=0.015)
 
 
 def test_exports_keep_the_texture_and_leave_the_lobe_out(tmp_path) -> None:

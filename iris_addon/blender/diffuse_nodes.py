@@ -1,17 +1,25 @@
-"""Burley's diffuse lobe in Cycles, whose Principled surface is Lambertian.
+"""Burley's diffuse lobe in Cycles, whose Principled surface is Lambertian under a dielectric layer.
 
 The solver's lobe is a factor of the light times a factor of the view (:mod:`iris_addon.transport.diffuse`). A base
 colour may depend on the view alone, so it takes the view factor, and the light factor's mean. A path's next vertex is
 "the view" of the surface it leaves, so this holds for bounced light as well.
+
+Renderers with this lobe add the specular one. Principled takes that off, more at grazing angles than head-on about the
+mean that the base colour allows for (:func:`iris_addon.reflectance.ggx.layered_factor`); the group gives it back.
 """
 
 from __future__ import annotations
 
 import bpy
+import numpy as np
 
+from ..reflectance.ggx import layered_factor
 from ..transport.diffuse import MEAN_COS2, MEAN_SCHLICK
+from .images import image_from_array
 
 GROUP = "IRIS Burley Diffuse"
+TABLE, TABLE_SIZE = "IRIS Unlayered", (16, 128)
+"""Image of what the layer's factor is taken back by: over roughness, upwards, and over the cosine to the viewer."""
 
 
 def insert_burley(tree: bpy.types.NodeTree, shader: bpy.types.ShaderNodeBsdfPrincipled) -> None:
@@ -52,7 +60,9 @@ def burley_group() -> bpy.types.NodeTree:
     kappa = _math(group, "MULTIPLY_ADD", source.outputs["Roughness"], 2 * MEAN_COS2, -0.5, at=(-340, -50))
     view = _math(group, "MULTIPLY_ADD", kappa, schlick, 1.0, at=(20, -250))
     light = _math(group, "MULTIPLY_ADD", kappa, MEAN_SCHLICK, 1.0, at=(20, -50))
-    excess = _math(group, "SUBTRACT", _math(group, "MULTIPLY", view, light, at=(200, -150)), 1.0, at=(380, -150))
+    lobe = _math(group, "MULTIPLY", view, light, at=(200, -150))
+    unlayered = _unlayered(group, cosine, source.outputs["Roughness"])
+    excess = _math(group, "MULTIPLY_ADD", lobe, unlayered, -1.0, at=(380, -150))
     # A metal has no diffuse part: its base colour is that of its highlight.
     dielectric = _math(group, "SUBTRACT", 1.0, source.outputs["Metallic"], at=(380, -350))
     gain = _math(group, "MULTIPLY_ADD", excess, dielectric, 1.0, at=(560, -150))
@@ -62,6 +72,25 @@ def burley_group() -> bpy.types.NodeTree:
     group.links.new(gain, scaled.inputs["Scale"])
     group.links.new(scaled.outputs["Vector"], sink.inputs["Color"])
     return group
+
+
+def _unlayered(
+    tree: bpy.types.NodeTree, cosine: bpy.types.NodeSocket, roughness: bpy.types.NodeSocket
+) -> bpy.types.NodeSocket:
+    """One over the factor of the layer, looked up."""
+    rows, columns = TABLE_SIZE
+    factor = layered_factor(np.linspace(0, 1, rows)[:, None], np.linspace(0, 1, columns)[None])
+    node = tree.nodes.new("ShaderNodeTexImage")
+    node.image = image_from_array(TABLE, 1 / factor[::-1], float_buffer=True)
+    node.extension, node.location = "EXTEND", (-160, -500)
+    at = tree.nodes.new("ShaderNodeCombineXYZ")
+    at.location = (-340, -500)
+    # Values lie at the centres of texels.
+    for axis, value, size in (("X", cosine, columns), ("Y", roughness, rows)):
+        placed = _math(tree, "MULTIPLY_ADD", value, (size - 1) / size, 0.5 / size, at=(-520, -500))
+        tree.links.new(placed, at.inputs[axis])
+    tree.links.new(at.outputs["Vector"], node.inputs["Vector"])
+    return node.outputs["Color"]
 
 
 def _math(
