@@ -1,9 +1,12 @@
 """Light by way of glossy surfaces: rare bright paths are spread over the patches around, and none of it is lost."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from iris_addon.reflectance.glossy_bounce import SPREAD, GlossyBounce
 from iris_addon.surface.field import IrradianceField
+from iris_addon.transport.sparse_rays import SparseRays
 
 SIDE, SPACING = 40, 0.05
 N = SIDE * SIDE
@@ -22,9 +25,8 @@ def bounce(rows: np.ndarray, n_rows: int = N) -> GlossyBounce:
     """Paths from patches ``rows`` that end on the lamp, each for 1/64 of what its patch gathers."""
     k = len(rows)
     weight = np.full((k, 3), 1 / 64, np.float32)
-    return GlossyBounce(
-        floor().kernel(SPREAD), n_rows, rows.astype(np.int32), weight, np.full(k, -1, np.int32), np.zeros(k, np.int32)
-    )
+    paths = SparseRays(n_rows, rows.astype(np.int32), weight, np.full(k, -1, np.int32), np.zeros(k, np.int32))
+    return GlossyBounce(paths, floor().kernel(SPREAD))
 
 
 def test_what_every_patch_gets_alike_stays_as_it_is():
@@ -43,8 +45,8 @@ def test_single_bright_paths_are_spread_and_their_light_is_kept():
 
 def test_light_from_other_patches_is_spread_too_and_unseen_ones_keep_theirs():
     one = bounce(np.array([N // 2 + SIDE // 2, N]), n_rows=N + 1)
-    paths = GlossyBounce(one.kernel, one.n_rows, one.row, one.weight, np.zeros(2, np.int32), np.full(2, 2, np.int32))
+    to_first = replace(one.paths, target=np.zeros(2, np.int32), face=np.full(2, 2, np.int32))
     radiance = np.full((N + 1, 3), 6.4)
-    arrived = paths.gather_radiance(radiance, np.zeros(3), np.zeros(FACES, bool))
+    arrived = GlossyBounce(to_first, one.kernel).gather_radiance(radiance, np.zeros(3), np.zeros(FACES, bool))
     np.testing.assert_allclose(arrived[N], 0.1, rtol=1e-4)
     assert 0 < arrived[:N].max() < 0.02 and abs(arrived[:N, 0].sum() / 0.1 - 1) < 0.1

@@ -86,8 +86,8 @@ def _unlayered(
     at = tree.nodes.new("ShaderNodeCombineXYZ")
     at.location = (-340, -500)
     # Values lie at the centres of texels.
-    for axis, value, size in (("X", cosine, columns), ("Y", roughness, rows)):
-        placed = _math(tree, "MULTIPLY_ADD", value, (size - 1) / size, 0.5 / size, at=(-520, -500))
+    for axis, value, size, height in (("X", cosine, columns, -430), ("Y", roughness, rows, -600)):
+        placed = _math(tree, "MULTIPLY_ADD", value, (size - 1) / size, 0.5 / size, at=(-520, height))
         tree.links.new(placed, at.inputs[axis])
     tree.links.new(at.outputs["Vector"], node.inputs["Vector"])
     return node.outputs["Color"]

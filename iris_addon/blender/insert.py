@@ -113,8 +113,9 @@ def render_change(
         aim(built, camera)
         backdrop = () if built.backdrop is None else (built.backdrop,)
         room = (built.room, *built.lamps, *built.lights, *backdrop)
-        settings: dict[str, Any] = {"samples": samples, "seed": seed, "max_bounces": max_bounces, "gpu": gpu}
-        return render_differential(built.scene, room, without, **settings)
+        return render_differential(
+            built.scene, room, without, samples=samples, seed=seed, max_bounces=max_bounces, gpu=gpu
+        )
     finally:
         built.free()
 

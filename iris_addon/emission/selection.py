@@ -51,19 +51,19 @@ def with_silent(problem: LightProblem, observed: GroupRadiance, lights: Lights, 
     if np.count_nonzero(say * asked * observed.known.all(1)) < LEAST_ASKED:
         return lights
 
-    def with_lamps(emitters: list[NDArray[np.int64]], before: Lights, near: bool = True) -> Lights:
+    def with_lamps(emitters: list[NDArray[np.int64]], before: Lights, near: bool = False) -> Lights:
         return solved(problem, observed, emitters, before, progress, say, near, asked)
 
     apart = [lamp for lamp in lights.emitters if not any(np.isin(lamp, faces).any() for faces in proposed)]
-    together = with_lamps([*apart, *proposed], lights)
+    together = with_lamps([*apart, *proposed], lights, near=True)
     bright = [faces for faces in proposed if _glows(problem, together, faces)]
     if not bright:
         return lights
-    base = with_lamps(lights.emitters, lights, near=False)
+    base = with_lamps(lights.emitters, lights)
     for faces in bright:
         apart = [lamp for lamp in base.emitters if not np.isin(lamp, faces).any()]
         limit = 1 - SILENT_GAIN if len(apart) == len(base.emitters) else 1 + SILENT_GAIN
-        tried = with_lamps([*apart, faces], base, near=False)
+        tried = with_lamps([*apart, faces], base)
         if _glows(problem, tried, faces) and tried.held_out < limit * base.held_out:
             base = tried
     return base

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..surface.build import Surface
 from ..surface.field import IrradianceField
 from ..surface.samples import PixelSamples
-from ..transport.bright import AimedRays
+from ..transport.sparse_rays import SparseRays
 from ..transport.tracer import Tracer
 from ..transport.transport import Transport
 from .balance import ROBUST_LOG
@@ -106,7 +106,7 @@ class LightProblem:
     shadow_rays: int
     seed: int
     bounce: Bounce | None = None
-    aimed: AimedRays | None = None
+    aimed: SparseRays | None = None
     given: list[NDArray[np.int64]] | None = None
     robust_log: float = ROBUST_LOG
 

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from ..parallel import BLOCK, over_random_blocks
-from ..response.observations import group_sums
 from ..surface.field import IrradianceField
 from ..transport.gather import GatherRays, Origins, emitter_of_face
 from ..transport.sampling import ggx_directions
+from ..transport.sparse_rays import SparseRays
 from ..transport.tracer import Tracer
-from ..transport.transport import Transport, facing_normals, find_patches, lobe_at, radiance_table, table_rows
+from ..transport.transport import Transport, facing_normals, find_patches, lobe_at
 from .ggx import ray_alpha
 from .specular_weights import visible_normal_weights
 
@@ -33,42 +33,33 @@ PASSES, MOST_PASSES = 4, 64
 
 @dataclass(frozen=True)
 class GlossyBounce:
-    """Reflected continuations of gather rays, k of them.
+    """Reflected continuations of gather rays.
 
     Attributes:
+        paths: from the patch that gathers to what is met after the bounce, weighted by the specular reflectance there
+            over the number of the patch's rays.
         kernel: (P, P) averages over the neighbours of every seen patch.
-        n_rows: patches, seen and unseen.
-        row: (k,) int32 patch that gathers.
-        weight: (k, 3) float32 specular reflectance of the bounce over the number of the row's rays.
-        target: (k,) int32 patch hit, UNKNOWN or ESCAPED.
-        face: (k,) int32 face hit, -1 where escaped.
     """
 
+    paths: SparseRays
     kernel: csr_matrix
-    n_rows: int
-    row: NDArray[np.int32]
-    weight: NDArray[np.float32]
-    target: NDArray[np.int32]
-    face: NDArray[np.int32]
 
     def gather_radiance(
         self, radiance: NDArray[np.floating], unknown: NDArray[np.floating], emitter_faces: NDArray[np.bool_]
     ) -> NDArray[np.float32]:
         """(N, 3) irradiance / pi that the bounces carry from other patches; emitters are counted elsewhere."""
-        rows = table_rows(self.target, self.face, emitter_faces)
-        carried = self.weight * radiance_table(radiance, unknown)[rows]
-        arrived = group_sums(carried, self.row, self.n_rows)
+        arrived = self.paths.gather_radiance(radiance, unknown, emitter_faces)
         return self._spread(arrived, np.full(arrived.shape[1], PASSES))
 
     def form_factors(self, emitters: Sequence[NDArray[np.integer]], n_faces: int) -> NDArray[np.float32]:
         """(N, E) share of each emitter's radiance that the bounces carry, mean over channels."""
-        hit = emitter_of_face(emitters, n_faces)[self.face]
+        hit, n_rows = emitter_of_face(emitters, n_faces)[self.paths.face], self.paths.n_rows
         on = hit >= 0
-        flat = self.row[on].astype(np.int64) * len(emitters) + hit[on]
-        total = np.bincount(flat, self.weight[on].mean(1), self.n_rows * len(emitters))
-        paths = np.bincount(hit[on], minlength=len(emitters))
-        passes = np.clip(self.n_rows / np.maximum(paths, 1), PASSES, MOST_PASSES).astype(np.int64)
-        return self._spread(total.reshape(self.n_rows, len(emitters)), np.where(paths > 0, passes, 0))
+        flat = self.paths.row[on].astype(np.int64) * len(emitters) + hit[on]
+        total = np.bincount(flat, self.paths.weight[on].mean(1), n_rows * len(emitters))
+        met = np.bincount(hit[on], minlength=len(emitters))
+        passes = np.clip(n_rows / np.maximum(met, 1), PASSES, MOST_PASSES).astype(np.int64)
+        return self._spread(total.reshape(n_rows, len(emitters)), np.where(met > 0, passes, 0))
 
     def _spread(self, arrived: NDArray[np.number], passes: NDArray[np.integer]) -> NDArray[np.float32]:
         """What arrives at patches (N, C) averaged over the neighbours of the seen ones, ``passes`` (C,) times."""
@@ -102,9 +93,7 @@ def trace_glossy_bounce(
 
     on_glossy = np.append(glossy[parts], False)  # the last for rays that hit nothing
 
-    def continued(
-        start: int, origins: Origins, rays: GatherRays
-    ) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
+    def continued(start: int, origins: Origins, rays: GatherRays) -> SparseRays:
         row, column = np.nonzero(on_glossy[rays.face])
         kappa = transport.kappa[start : start + len(rays.face)]
         n = len(row)
@@ -117,18 +106,11 @@ def trace_glossy_bounce(
             )
 
         over_random_blocks(n, BLOCK, work, rng)
-        return (row + start).astype(np.int32), weight, target, face
+        return SparseRays(transport.n_patches, (row + start).astype(np.int32), weight, target, face)
 
     seen = continued(0, transport.origins, transport.rays)
     unseen = continued(transport.n_seen, transport.unseen_origins, transport.unseen_rays)
-    return GlossyBounce(
-        field.kernel(SPREAD),
-        transport.n_patches,
-        np.concatenate([seen[0], unseen[0]]),
-        np.concatenate([seen[1], unseen[1]]),
-        np.concatenate([seen[2], unseen[2]]),
-        np.concatenate([seen[3], unseen[3]]),
-    )
+    return GlossyBounce(SparseRays.joined([seen, unseen]), field.kernel(SPREAD))
 
 
 def _continue_rays(

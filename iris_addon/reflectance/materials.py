@@ -18,8 +18,9 @@ from ..emission.types import LightProblem, Lights
 from ..progress import Progress
 from ..response.observations import Observations
 from ..response.radiance import GroupRadiance, Linearised, group_radiance, raised_by_clipped
-from ..transport.bright import AimedRays, aim_at_bright
+from ..transport.bright import aim_at_bright
 from ..transport.diffuse import grazing_gain
+from ..transport.sparse_rays import SparseRays
 from .diffuse_lobe import DiffuseChoice
 from .ggx import layered_factor
 from .gloss import FIT_RAYS, LEVELS, Gloss, GlossObservations, choose_observations, fit_gloss
@@ -154,7 +155,7 @@ def continued_paths(problem: MaterialProblem, gloss: Gloss, round_: int) -> Glos
     )
 
 
-def _aimed_rays(problem: MaterialProblem, lights: Lights, round_: int) -> AimedRays | None:
+def _aimed_rays(problem: MaterialProblem, lights: Lights, round_: int) -> SparseRays | None:
     """Rays to what is bright under ``lights``."""
     rng = np.random.default_rng([problem.seed, 41, round_])
     light, cast = problem.light, lights.patch_radiance

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from ..parallel import BLOCK, over_random_blocks
 from ..response.curve import LUMINANCE
-from ..response.observations import group_sums
 from .diffuse import schlick
 from .gather import ray_origins
 from .sampling import dot
+from .sparse_rays import SparseRays
 from .tracer import Tracer
-from .transport import Transport, find_patches, radiance_table, table_rows
+from .transport import Transport, find_patches
 
 BRIGHT = 10.0
 """Radiance, in medians of what photos show, from which a patch is aimed at."""
@@ -49,32 +49,6 @@ class BrightPoints:
     per_area: NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class AimedRays:
-    """What aimed rays add to the gather rays, and, negative, the say that gather rays lose to them; k of both.
-
-    Attributes:
-        n_rows: patches, seen and unseen.
-        row: (k,) patch that gathers.
-        weight: (k,) float32 share of the row's hemisphere that the ray stands for.
-        target, face: (k,) int32 patch and face met.
-    """
-
-    n_rows: int
-    row: NDArray[np.int64]
-    weight: NDArray[np.float32]
-    target: NDArray[np.int32]
-    face: NDArray[np.int32]
-
-    def gather_radiance(
-        self, radiance: NDArray[np.floating], unknown: NDArray[np.floating], emitter_faces: NDArray[np.bool_]
-    ) -> NDArray[np.float32]:
-        """(N, 3) irradiance / pi to be added to :meth:`Transport.gather_radiance`."""
-        rows = table_rows(self.target, self.face, emitter_faces)
-        carried = self.weight[:, None] * radiance_table(radiance, unknown)[rows]
-        return group_sums(carried, self.row, self.n_rows).astype(np.float32)
-
-
 def aim_at_bright(
     tracer: Tracer,
     transport: Transport,
@@ -83,13 +57,16 @@ def aim_at_bright(
     irradiance: NDArray[np.floating],
     dark_faces: NDArray[np.bool_],
     rng: np.random.Generator,
-) -> AimedRays | None:
-    """Rays from the seen patches to bright ones; None where the room has none that matter.
+) -> SparseRays | None:
+    """Rays from the seen patches to bright ones, and, negative, the say that gather rays lose to them.
 
     Args:
         parts: (F,) part per face.
         radiance, irradiance: (N, 3) about what patches send, and what arrives at them over pi.
         dark_faces: (F,) faces of lamps, which are aimed at already.
+
+    Returns:
+        None where the room has no bright patches that matter.
     """
     light = np.maximum(radiance @ LUMINANCE, 0.0)
     bright = light > BRIGHT * np.median(light[: transport.n_seen])
@@ -103,7 +80,8 @@ def aim_at_bright(
     points = _bright_points(tracer, transport, parts, faces, np.where(bright, light, 0.0), rng)
     if points is None:
         return None
-    return _joined(_displaced(tracer, transport, points, row, column), _aimed(tracer, transport, points, rng))
+    displaced = _displaced(tracer, transport, points, row, column)
+    return SparseRays.joined([displaced, _aimed(tracer, transport, points, rng)])
 
 
 def _bright_points(
@@ -140,7 +118,7 @@ def _bright_points(
 
 def _displaced(
     tracer: Tracer, transport: Transport, points: BrightPoints, row: NDArray[np.integer], column: NDArray[np.integer]
-) -> AimedRays:
+) -> SparseRays:
     """What gather rays (``row``, ``column``) that met bright patches lose: they compete with aimed ones."""
     rays, origins = transport.rays, transport.origins
     n_rays = rays.face.shape[1]
@@ -152,10 +130,10 @@ def _displaced(
     aimed = SAMPLES * points.per_area[target]
     loses = -aimed / np.maximum(gathered + aimed, 1e-30)  # a patch without a point is not aimed at
     weight = loses / n_rays * _lobes(transport, row, target, cos_surface, cos_light)
-    return AimedRays(transport.n_patches, row.astype(np.int64), weight.astype(np.float32), target, face)
+    return SparseRays(transport.n_patches, row, weight[:, None].astype(np.float32), target, face)
 
 
-def _aimed(tracer: Tracer, transport: Transport, points: BrightPoints, rng: np.random.Generator) -> AimedRays:
+def _aimed(tracer: Tracer, transport: Transport, points: BrightPoints, rng: np.random.Generator) -> SparseRays:
     """SAMPLES shadow rays from every seen patch; those that arrive."""
     origins, n_rays = transport.origins, transport.rays.face.shape[1]
     cumulative = np.cumsum(points.chance)
@@ -181,7 +159,7 @@ def _aimed(tracer: Tracer, transport: Transport, points: BrightPoints, rng: np.r
 
     over_random_blocks(len(origins.position), BLOCK // SAMPLES, work, rng)
     row, pick, weight = map(np.concatenate, zip(*(arrived[start] for start in sorted(arrived)), strict=True))
-    return AimedRays(transport.n_patches, row, weight, points.patch[pick], points.face[pick])
+    return SparseRays(transport.n_patches, row, weight[:, None], points.patch[pick], points.face[pick])
 
 
 def _lobes(
@@ -194,8 +172,3 @@ def _lobes(
     """The diffuse lobes at both ends of each ray over Lambert's."""
     kappa = transport.kappa
     return (1 + kappa[row] * schlick(cos_start)) * (1 + kappa[target] * schlick(cos_end))
-
-
-def _joined(one: AimedRays, other: AimedRays) -> AimedRays:
-    pairs = [(one.row, other.row), (one.weight, other.weight), (one.target, other.target), (one.face, other.face)]
-    return AimedRays(one.n_rows, *map(np.concatenate, pairs))
