@@ -129,8 +129,9 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     joint: dict[str, Any] = {}
     if config.joint:
         with progress.stage("joint"):
+            lit = problem.with_gloss(gloss, problem.shading(lights).moments)
             arrays = checkpoints.stage(
-                "joint", lambda: joint_arrays(*refine_lights(problem, photometry, lights, gloss, progress))
+                "joint", lambda: joint_arrays(*refine_lights(lit, photometry, lights, gloss, progress))
             )
             lights, joint = Lights.from_arrays(arrays), {"joint": joint_report(arrays)}
     with progress.stage("textures"):

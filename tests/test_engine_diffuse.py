@@ -13,7 +13,7 @@ from iris_addon.emission.hidden import nothing_hidden
 from iris_addon.emission.types import LightProblem, Lights
 from iris_addon.progress import Progress
 from iris_addon.reflectance.diffuse_lobe import choose_diffuse
-from iris_addon.reflectance.shading import LightMoments, light_moments
+from iris_addon.reflectance.shading import light_moments
 from iris_addon.response.observations import Observations
 from iris_addon.response.radiance import Linearised
 from iris_addon.surface.build import build_surface
@@ -21,8 +21,9 @@ from iris_addon.surface.field import IrradianceField
 from iris_addon.surface.samples import trace_pixels
 from iris_addon.transport.diffuse import MEAN_SCHLICK, albedo_gain, grazing_gain, schlick, under_lobe
 from iris_addon.transport.gather import Origins, emitter_form_factors, gather
+from iris_addon.transport.light_moments import LightMoments
 from iris_addon.transport.tracer import Tracer
-from iris_addon.transport.transport import build_transport
+from iris_addon.transport.transport import ESCAPED, UNKNOWN, build_transport
 from tests.engine_room import assemble, cameras, furnished_room, quad
 
 
@@ -89,6 +90,36 @@ def test_uniform_radiance_arrives_with_the_mean_factor_of_both_lobes() -> None:
     both = (1 + 0.64 * transport.rays.schlick_start) * (1 + 0.64 * transport.rays.schlick_end * (transport.target >= 0))
     np.testing.assert_allclose(lobed[: transport.n_seen, 0], both.mean(1), rtol=2e-3)
     assert 1.02 < lobed.mean() < 1.12
+
+
+def test_patches_lit_from_one_side_send_more_back_there() -> None:
+    """Rays back to the light and across it against Burley's exact lobe; what is no seen patch knows no side."""
+    room = furnished_room()
+    tracer, rng = Tracer(room.mesh), np.random.default_rng(0)
+    samples = trace_pixels(tracer, cameras(6), 2, Progress())
+    surface = build_surface(room.mesh, samples, room.parts, 800, rng)
+    transport = build_transport(tracer, surface, room.parts, 64, rng, Progress())
+    n, seen = transport.n_patches, transport.n_seen
+    # All light 70 degrees off the normal, which is z here.
+    light = unit(np.array([np.sin(1.22), 0, np.cos(1.22)]))
+    grazing = float(schlick(light[2]))
+    moments = LightMoments(
+        np.tile(light, (seen, 1)).astype(np.float32),
+        np.full(seen, grazing, np.float32),
+        np.tile(grazing * light, (seen, 1)).astype(np.float32),
+    )
+    kappa = float(grazing_gain("burley", np.array(1.0)))
+    lit = replace(transport, kappa=np.full(n, kappa), moments=moments)
+    back, across = light, light * [-1, 1, 1]
+    away = np.stack([back, across])
+    k = 2 * (1 + away @ light) / 2 - 0.5
+    exact = (1 + k * grazing) * (1 + k * schlick(away[:, 2])) / (1 + kappa * grazing)
+    sent = lit.sent_back(np.zeros(2, np.int64), schlick(away[:, 2]), -away)
+    np.testing.assert_allclose(sent, exact, rtol=0.02)
+    assert sent[0] > 1.15 * sent[1]
+    mean = 1 + kappa * schlick(away[:, 2])
+    np.testing.assert_allclose(lit.sent_back(np.full(2, n - 1), schlick(away[:, 2]), -away), mean, rtol=1e-6)
+    np.testing.assert_allclose(lit.sent_back(np.array([UNKNOWN, ESCAPED]), np.ones(2), -away), 1.0)
 
 
 def unit(x: np.ndarray) -> np.ndarray:

@@ -103,6 +103,25 @@ def test_a_lamp_without_which_the_room_is_lit_as_well_is_left_out(
     assert sorted(int(faces[0]) for faces in kept) == ([WINDOW, BAR] if stays else [BAR])
 
 
+def test_a_bright_surface_must_do_without_the_lamp_that_no_photo_shows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither is certain, and each is idle beside the other: what photos show is left out first, though it is larger,
+    and the lamp is then the only one. Only its light explains the room."""
+    room = problem(floor=(0.5, 0.1, 0.1), clipped=(False, False, False))
+    room.samples.seen_faces = lambda n: np.arange(n) != BAR  # type: ignore[method-assign]
+    both = lights([(WINDOW, 4.0), (BAR, 4.0)], irradiance=(0.6, 0.6, 0.5))
+
+    def solved(
+        _problem: object, _observed: object, emitters: list, _before: object, *_: object, **__: object
+    ) -> Lights:
+        faces = [int(lamp[0]) for lamp in emitters]
+        return replace(lights([(face, 4.0) for face in faces], irradiance=(0.6, 0.6, 0.5)), held_out=1.0)
+
+    monkeypatch.setattr(selection, "solved", solved)
+    observed = SimpleNamespace(weight=np.ones(N_PATCHES), known=np.ones((N_PATCHES, 3), bool))
+    kept = selection.needed_lamps(room, observed, both, Progress())  # type: ignore[arg-type]
+    assert [faces.tolist() for faces in kept] == [[BAR]]
+
+
 def test_the_only_lamp_of_a_room_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     room = problem(floor=(1.0, 0.1, 0.1), clipped=(True, False, False))
     one = lights([(WINDOW, 4.0)], irradiance=(0.6, 0.6, 0.5))

@@ -251,3 +251,21 @@ def test_a_convex_body_in_uniform_light_sees_nothing_but_it() -> None:
     nothing = np.zeros((transport.n_patches, 3))
     dark = transport.gather_radiance(nothing, np.ones(3), np.zeros(len(tracer.areas), bool))
     assert dark.max() == 0
+
+
+def test_patches_that_no_photo_shows_gather_from_all_over_what_rays_met_of_them() -> None:
+    """One point of a cell of 32 cm says little: half of it may lie in the shade."""
+    room = furnished_room()
+    tracer, rng = Tracer(room.mesh), np.random.default_rng(0)
+    surface = build_surface(room.mesh, trace_pixels(tracer, cameras(3), 2, Progress()), room.parts, 800, rng)
+    transport = build_transport(tracer, surface, room.parts, 64, rng, Progress())
+    met = np.bincount(transport.target[transport.target >= transport.n_seen] - transport.n_seen)
+    often = np.flatnonzero(met >= 16)
+    origins, grid = transport.unseen_origins, transport.grids[1]
+    assert len(often) > 100
+    k = origins.position.shape[1]
+    part = np.repeat(transport.part[transport.n_seen :][often], k)
+    patch = grid.lookup(origins.position[often].reshape(-1, 3), origins.normal[often].reshape(-1, 3), part)
+    np.testing.assert_array_equal(patch, np.repeat(often + transport.n_seen, k))
+    reach = np.ptp(origins.position[often], axis=1).max(1)
+    assert np.median(reach) > 0.15 and all(len(np.unique(points, axis=0)) == k for points in origins.position[often])

@@ -125,7 +125,11 @@ def _without_idle(
     say: NDArray[np.float64],
     progress: Progress,
 ) -> Lights:
-    """The lamps ``sure`` and those of ``open_`` without which the held-out loss rises; the smallest are tried first."""
+    """The lamps ``sure`` and those of ``open_`` without which the held-out loss rises; the smallest are tried first.
+
+    A lamp that no photo shows is tried after all others: it is there because the room missed its light, and must not
+    have to hold its own against a bright surface that feigns some of it.
+    """
     lights, left = solved(problem, observed, [*sure, *open_], lights, progress, say), list(open_)
 
     def without(lamps: list[NDArray[np.int64]]) -> Lights:
@@ -138,7 +142,7 @@ def _without_idle(
     if sure and left and idle(tried := without(left)):
         return tried
     seen = problem.samples.seen_faces(len(problem.parts))
-    for lamp in sorted(left, key=lambda lamp: problem.tracer.areas[lamp].sum()):
+    for lamp in sorted(left, key=lambda lamp: (not seen[lamp].any(), problem.tracer.areas[lamp].sum())):
         if len(sure) + len(left) == 1:
             break
         tried = without([lamp])

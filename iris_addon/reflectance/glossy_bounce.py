@@ -17,11 +17,12 @@ from scipy.sparse import csr_matrix
 
 from ..parallel import BLOCK, over_random_blocks
 from ..surface.field import IrradianceField
+from ..transport.diffuse import schlick
 from ..transport.gather import GatherRays, Origins, emitter_of_face
-from ..transport.sampling import ggx_directions
+from ..transport.sampling import dot, ggx_directions
 from ..transport.sparse_rays import SparseRays
 from ..transport.tracer import Tracer
-from ..transport.transport import Transport, facing_normals, find_patches, lobe_at
+from ..transport.transport import Transport, facing_normals, find_patches
 from .ggx import ray_alpha
 from .specular_weights import visible_normal_weights
 
@@ -143,5 +144,6 @@ def _continue_rays(
     weight = specular_color[part] * weight0[:, None] + weight1[:, None]
     # The diffuse lobes at both ends of the path.
     leaving = 1 + kappa[row] * rays.schlick_start[row, column]
-    weight *= (leaving * lobe_at(tracer, transport.kappa, target, hits.face, reflected))[:, None]
+    arriving = schlick(np.abs(dot(tracer.normals[hits.face], reflected)))
+    weight *= (leaving * transport.sent_back(target, arriving, reflected))[:, None]
     return (weight / rays.face.shape[1]).astype(np.float32), target, hits.face

@@ -20,6 +20,7 @@ from ..response.observations import Observations
 from ..response.radiance import GroupRadiance, Linearised, group_radiance, raised_by_clipped
 from ..transport.bright import aim_at_bright
 from ..transport.diffuse import grazing_gain
+from ..transport.light_moments import LightMoments
 from ..transport.sparse_rays import SparseRays
 from .diffuse_lobe import DiffuseChoice
 from .ggx import layered_factor
@@ -73,11 +74,12 @@ class MaterialProblem:
         toward = self.light.samples.direction[o.sample[rows]]
         return shading.view_factor(o.patch[rows], roughness, self.schlick[rows], toward)
 
-    def with_gloss(self, gloss: Gloss) -> MaterialProblem:
-        """The same problem between patches whose diffuse lobes have the roughness of ``gloss``."""
+    def with_gloss(self, gloss: Gloss, moments: LightMoments | None = None) -> MaterialProblem:
+        """The same problem between patches whose diffuse lobes have the roughness of ``gloss``; ``moments`` say where
+        their light comes from, once that is about known."""
         transport = self.light.transport
         kappa = grazing_gain(self.diffuse.lobe, gloss.roughness)[transport.part]
-        light = replace(self.light, transport=replace(transport, kappa=kappa))
+        light = replace(self.light, transport=replace(transport, kappa=kappa, moments=moments))
         return replace(self, light=light, diffuse=self.diffuse.under(gloss.layered))
 
     def with_outside(self, directions: int) -> MaterialProblem:
@@ -108,7 +110,7 @@ def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progr
     shading = problem.shading(lights)
     gloss = fit.gloss(problem, lights, shading)
     for round_ in range(rounds):
-        problem = problem.with_gloss(gloss)
+        problem = problem.with_gloss(gloss, shading.moments)
         shading = replace(shading, layered=gloss.layered)
         specular = _observed_specular(problem, lights, shading, gloss, round_, progress)
         o, n_patches = problem.observations, len(problem.observed.weight)

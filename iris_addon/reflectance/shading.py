@@ -1,11 +1,9 @@
 """Light at the seen patches, and what a diffuse lobe sends of it towards a camera.
 
-Light transport takes the lobe apart into a factor of the light and one of the view, with a mean for the angle between
-the two (:mod:`iris_addon.transport.diffuse`). Photos are more exact than that: a wall is brighter seen from where its
-light comes from than seen against it, by a few per cent at grazing angles. Rooms are photographed from the middle, so
-that this is a trend between walls near the windows and far from them, which a light balance takes for weaker windows.
-The exact lobe is linear in the direction of light, cos²θd being (1 + l·v) / 2: a few sums over the light of a patch
-serve all its views.
+A rough wall is brighter seen from where its light comes from than seen against it, by a few per cent at grazing angles.
+Rooms are photographed from the middle, so that this is a trend between walls near the windows and far from them, which
+a light balance takes for weaker windows. Where the light of a patch comes from
+(:mod:`iris_addon.transport.light_moments`) tells how bright it is from anywhere.
 """
 
 from __future__ import annotations
@@ -18,39 +16,10 @@ from numpy.typing import NDArray
 from ..emission.solve import mean_radiance
 from ..emission.types import LightProblem, Lights
 from ..parallel import BLOCK, over_blocks
-from ..transport.diffuse import DiffuseLobe, grazing_gain
-from ..transport.sampling import dot
+from ..transport.diffuse import DiffuseLobe
+from ..transport.light_moments import LightMoments
 from ..transport.transport import radiance_table, table_rows
 from .ggx import layered_factor
-
-
-@dataclass(frozen=True)
-class LightMoments:
-    """Means over the light that reaches each seen patch, weighted by what it adds to irradiance.
-
-    Attributes:
-        direction: (P, 3) mean of l, the unit vector towards the light.
-        grazing: (P,) mean of S, Schlick's (1 - cos θi)^5.
-        grazing_direction: (P, 3) mean of S l.
-    """
-
-    direction: NDArray[np.float32]
-    grazing: NDArray[np.float32]
-    grazing_direction: NDArray[np.float32]
-
-    def view_factor(
-        self,
-        patch: NDArray[np.integer],
-        roughness: NDArray[np.floating],
-        schlick: NDArray[np.floating],
-        toward: NDArray[np.floating],
-    ) -> NDArray[np.float32]:
-        """Burley's lobe in :meth:`Shading.view_factor`. The product of both S is small; in it the mean angle stays."""
-        grazing, k = self.grazing[patch], roughness - 0.5
-        kappa = grazing_gain("burley", roughness)
-        light = 1 + k * grazing + roughness * dot(self.grazing_direction[patch], toward)
-        view = k + roughness * dot(self.direction[patch], toward) + kappa**2 * grazing
-        return ((light + schlick * view) / (1 + kappa * grazing)).astype(np.float32)
 
 
 @dataclass(frozen=True)

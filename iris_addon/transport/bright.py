@@ -129,7 +129,7 @@ def _displaced(
     gathered = n_rays * cos_surface * cos_light / np.maximum(np.pi * rays.distance[row, column] ** 2, 1e-9)
     aimed = SAMPLES * points.per_area[target]
     loses = -aimed / np.maximum(gathered + aimed, 1e-30)  # a patch without a point is not aimed at
-    weight = loses / n_rays * _lobes(transport, row, target, cos_surface, cos_light)
+    weight = loses / n_rays * _lobes(transport, row, target, cos_surface, cos_light, direction)
     return SparseRays(transport.n_patches, row, weight[:, None].astype(np.float32), target, face)
 
 
@@ -154,7 +154,7 @@ def _aimed(tracer: Tracer, transport: Transport, points: BrightPoints, rng: np.r
         target = points.patch[pick]
         filled = cos_surface[live] * cos_light[live] / (np.pi * length[live] ** 2)
         weight = filled / (n_rays * filled + SAMPLES * points.per_area[target])
-        weight = weight * _lobes(transport, row, target, cos_surface[live], cos_light[live])
+        weight = weight * _lobes(transport, row, target, cos_surface[live], cos_light[live], direction[live])
         arrived[rows.start] = row, pick, weight.astype(np.float32)
 
     over_random_blocks(len(origins.position), BLOCK // SAMPLES, work, rng)
@@ -168,7 +168,8 @@ def _lobes(
     target: NDArray[np.integer],
     cos_start: NDArray[np.floating],
     cos_end: NDArray[np.floating],
+    direction: NDArray[np.floating],
 ) -> NDArray[np.floating]:
     """The diffuse lobes at both ends of each ray over Lambert's."""
-    kappa = transport.kappa
-    return (1 + kappa[row] * schlick(cos_start)) * (1 + kappa[target] * schlick(cos_end))
+    starting = 1 + transport.kappa[row] * schlick(cos_start)
+    return starting * transport.sent_back(target, schlick(cos_end), direction)

@@ -22,7 +22,7 @@ from .gather import GatherRays, Origins
 from .tracer import Tracer
 from .transport import Transport, build_transport
 
-FORMAT = 2
+FORMAT = 3
 MAX_ENTRIES = 6
 ABANDONED_SECONDS = 3600
 

@@ -45,6 +45,11 @@ def grazing_gain(lobe: DiffuseLobe, roughness: NDArray[np.floating]) -> NDArray[
     return 2.0 * MEAN_COS2 * roughness - 0.5 if lobe == "burley" else np.zeros_like(roughness)
 
 
+def burley_roughness(kappa: NDArray[np.floating]) -> NDArray[np.floating]:
+    """The roughness of which ``kappa`` is Burley's grazing gain."""
+    return (kappa + 0.5) / (2.0 * MEAN_COS2)
+
+
 def under_lobe(factors: NDArray[np.floating], kappa: NDArray[np.floating]) -> NDArray[np.float32]:
     """(N, E) form factors as surfaces with κ (N,) weight them, from (N, E, 2): plain shares, and shares times S."""
     return (factors[..., 0] + kappa[:, None] * factors[..., 1]).astype(np.float32)

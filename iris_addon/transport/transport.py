@@ -17,14 +17,16 @@ from ..parallel import BLOCK, over_blocks
 from ..progress import Progress
 from ..surface.build import Surface
 from ..surface.patches import KeyIndex, PatchGrid, cell_keys
-from .diffuse import schlick
+from .diffuse import burley_roughness
 from .gather import GatherRays, Origins, gather
+from .light_moments import LightMoments
 from .sampling import dot
 from .tracer import Tracer
 
 UNKNOWN, ESCAPED = -1, -2
 UNSEEN_RAYS_SHARE = 4
 """Unseen patches get one in so many of the rays: their radiance is second-hand anyway."""
+ORIGINS_PER_UNSEEN = 8
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,8 @@ class Transport:
         part: (N,) part of each patch.
         device: where torch sums over rays.
         kappa: (N,) grazing gain of the diffuse lobe of each patch, see :mod:`iris_addon.transport.diffuse`.
+        moments: where the light of the seen patches comes from, once that is about known and their lobe is Burley's;
+            without, what they send is that of light from all sides.
     """
 
     n_seen: int
@@ -52,6 +56,7 @@ class Transport:
     grids: tuple[PatchGrid, PatchGrid]
     kappa: NDArray[np.float64]
     device: str = "cpu"
+    moments: LightMoments | None = None
 
     @property
     def n_patches(self) -> int:
@@ -87,12 +92,48 @@ class Transport:
         """Of the rays of seen and of unseen patches; None where all patches are Lambertian. Many lamps are tried."""
         if not self.kappa.any():
             return None, None
-        own = np.split(self.kappa.astype(np.float32), [self.n_seen])
-        kappa = np.append(self.kappa, [0, 0]).astype(np.float32)  # the last two for UNKNOWN and ESCAPED
         return (
-            _lobe_weights(self.rays, self.target, own[0], kappa),
-            _lobe_weights(self.unseen_rays, self.unseen_target, own[1], kappa),
+            self._both_lobes(self.rays, self.target, self.kappa[: self.n_seen]),
+            self._both_lobes(self.unseen_rays, self.unseen_target, self.kappa[self.n_seen :]),
         )
+
+    def _both_lobes(self, rays: GatherRays, target: NDArray[np.int32], own: NDArray[np.float64]) -> NDArray[np.float32]:
+        """(n, R) ``1 + κ S`` where a ray starts, κ being ``own`` (n,), times the factor of the lobe where it ends."""
+        weight = np.empty(target.shape, np.float32)
+
+        def work(rows: slice) -> None:
+            starting = 1 + own[rows, None].astype(np.float32) * rays.schlick_start[rows]
+            weight[rows] = starting * self.sent_back(target[rows], rays.schlick_end[rows], rays.direction[rows])
+
+        over_blocks(len(target), BLOCK // target.shape[1], work)
+        return weight
+
+    def sent_back(
+        self, target: NDArray[np.integer], schlick: NDArray[np.floating], direction: NDArray[np.floating]
+    ) -> NDArray[np.float32]:
+        """What patches send back along the rays that meet them over what their radiance counts as; 1 for no patch.
+
+        Args:
+            target: patch met, any shape.
+            schlick: of the same shape, S of the angles at which the rays arrive.
+            direction: the same shape and 3, unit, of the rays.
+        """
+        if self.moments is None:
+            kappa = np.append(self.kappa, [0, 0]).astype(np.float32)  # the last two for UNKNOWN and ESCAPED
+            return 1 + kappa[target] * schlick
+        lobe = self._lobes[target]
+        lobe = lobe[..., 0, :] + schlick[..., None].astype(np.float32) * lobe[..., 1, :]
+        return lobe[..., 0] - np.einsum("...c,...c->...", lobe[..., 1:], direction.astype(np.float32))
+
+    @cached_property
+    def _lobes(self) -> NDArray[np.float32]:
+        """(N + 2, 2, 4) as of :meth:`LightMoments.lobes`, those of light from all sides where there are no moments."""
+        lobes = np.zeros((self.n_patches + 2, 2, 4), np.float32)
+        lobes[:, 0, 0] = 1
+        lobes[: self.n_patches, 1, 0] = self.kappa
+        if self.moments is not None:
+            lobes[: self.n_seen] = self.moments.lobes(burley_roughness(self.kappa[: self.n_seen]))
+        return lobes
 
 
 def _mean_of_targets(
@@ -115,41 +156,6 @@ def _mean_of_targets(
     # The mode "mean" takes seven times as long on the CPU.
     total = torch.nn.functional.embedding_bag(at, table, mode="sum", per_sample_weights=say)
     return (total / target.shape[1]).cpu().numpy()
-
-
-def _lobe_weights(
-    rays: GatherRays, target: NDArray[np.int32], own: NDArray[np.float32], kappa: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """(n, R) ``1 + κ S`` where a ray starts, κ being ``own`` (n,), times the same where it ends."""
-    weight = np.empty(target.shape, np.float32)
-
-    def work(rows: slice) -> None:
-        starting = 1 + own[rows, None] * rays.schlick_start[rows]
-        weight[rows] = starting * (1 + kappa[target[rows]] * rays.schlick_end[rows])
-
-    over_blocks(len(target), BLOCK // target.shape[1], work)
-    return weight
-
-
-def lobe_at(
-    tracer: Tracer,
-    kappa: NDArray[np.floating],
-    target: NDArray[np.int32],
-    face: NDArray[np.int32],
-    direction: NDArray[np.float32],
-) -> NDArray[np.float32]:
-    """``1 + κ S`` at the hit of each ray: what the patch there sends along the ray over what it sends head-on.
-
-    Args:
-        kappa: (N,) per patch.
-        target, face: of each ray, any shape.
-        direction: the same shape and 3, unit.
-    """
-    if not kappa.any():
-        return np.ones(target.shape, np.float32)
-    cosine = np.abs(np.einsum("...c,...c->...", tracer.normals[face], direction))
-    own = np.where(target >= 0, kappa[target], 0.0)
-    return (1 + own * schlick(cosine)).astype(np.float32)
 
 
 def radiance_table(radiance: NDArray[np.floating], unknown: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -220,12 +226,15 @@ def _unseen_patches(
     normal = facing_normals(tracer, face, rays.direction[row, column].astype(np.float32))
     none = np.zeros(0, np.uint64), np.zeros(0, np.int8)
     keys = cell_keys(point, normal, parts[face], surface.grid.origin, surface.grid.scale, KeyIndex(none[0]), none[1])
-    unique, first, count = np.unique(keys, return_index=True, return_counts=True)
+    unique, inverse, count = np.unique(keys, return_inverse=True, return_counts=True)
+    order, first = np.argsort(inverse, kind="stable"), np.cumsum(count) - count
     kept = np.sort(np.argsort(-count, kind="stable")[:limit])
-    unique, first = unique[kept], first[kept]
-    number = np.arange(len(unique), dtype=np.int32) + np.int32(len(surface.part))
-    grid = PatchGrid(surface.grid.origin, surface.grid.scale, *none, unique, number)
-    return grid, Origins(point[first][:, None], normal[first][:, None]), parts[face[first]]
+    # Such patches are large, and what rays of the others met of them is the part that matters.
+    step = np.arange(ORIGINS_PER_UNSEEN) * count[kept, None] // ORIGINS_PER_UNSEEN
+    at = order[first[kept, None] + step]
+    number = np.arange(len(kept), dtype=np.int32) + np.int32(len(surface.part))
+    grid = PatchGrid(surface.grid.origin, surface.grid.scale, *none, unique[kept], number)
+    return grid, Origins(point[at], normal[at]), parts[face[at[:, 0]]]
 
 
 def build_transport(
