@@ -129,10 +129,7 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     joint: dict[str, Any] = {}
     if config.joint:
         with progress.stage("joint"):
-            lit = problem.with_gloss(gloss, problem.shading(lights).moments)
-            arrays = checkpoints.stage(
-                "joint", lambda: joint_arrays(*refine_lights(lit, photometry, lights, gloss, progress))
-            )
+            arrays = checkpoints.stage("joint", lambda: _joint(problem, photometry, lights, gloss, progress))
             lights, joint = Lights.from_arrays(arrays), {"joint": joint_report(arrays)}
     with progress.stage("textures"):
         result, rerenders = make_result(capture, config, problem, photos, photometry, lights, gloss, progress)
@@ -217,6 +214,13 @@ def _lights(
         problem = pose(photometry.raised(exponent))
         light, lights = choose_outside(problem.light, problem.observed, progress, all_directions)
     return {**lights.arrays(), "directions": np.array(len(light.hidden.directions)), "exponent": np.array(exponent)}
+
+
+def _joint(
+    problem: MaterialProblem, photometry: Photometry, lights: Lights, gloss: Gloss, progress: Progress
+) -> dict[str, NDArray]:
+    lit = problem.with_gloss(gloss, problem.shading(lights).moments)
+    return joint_arrays(*refine_lights(lit, photometry, lights, gloss, progress))
 
 
 def _materials(problem: MaterialProblem, lights: Lights, rounds: int, progress: Progress) -> dict[str, NDArray]:

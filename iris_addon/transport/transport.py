@@ -119,15 +119,15 @@ class Transport:
             direction: the same shape and 3, unit, of the rays.
         """
         if self.moments is None:
-            kappa = np.append(self.kappa, [0, 0]).astype(np.float32)  # the last two for UNKNOWN and ESCAPED
-            return 1 + kappa[target] * schlick
+            return 1 + self._lobes[:, 1, 0][target] * schlick
         lobe = self._lobes[target]
         lobe = lobe[..., 0, :] + schlick[..., None].astype(np.float32) * lobe[..., 1, :]
         return lobe[..., 0] - np.einsum("...c,...c->...", lobe[..., 1:], direction.astype(np.float32))
 
     @cached_property
     def _lobes(self) -> NDArray[np.float32]:
-        """(N + 2, 2, 4) as of :meth:`LightMoments.lobes`, those of light from all sides where there are no moments."""
+        """(N + 2, 2, 4) as of :meth:`LightMoments.lobes`; those of light from all sides where there are no moments, and
+        the last two for UNKNOWN and ESCAPED."""
         lobes = np.zeros((self.n_patches + 2, 2, 4), np.float32)
         lobes[:, 0, 0] = 1
         lobes[: self.n_patches, 1, 0] = self.kappa
