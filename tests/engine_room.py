@@ -14,9 +14,11 @@ from iris_addon.progress import Progress
 from iris_addon.reflectance.ggx import DIELECTRIC_F0, specular_integrals
 from iris_addon.response.curve import Response
 from iris_addon.response.observations import Observations, observe
-from iris_addon.surface.samples import trace_pixels
+from iris_addon.surface.build import Surface, build_surface
+from iris_addon.surface.samples import PixelSamples, trace_pixels
 from iris_addon.transport.gather import Origins, emitter_form_factors, gather
 from iris_addon.transport.tracer import Tracer
+from iris_addon.transport.transport import Transport, build_transport
 from tests.box_room import look_at
 
 SIZE = np.array([4.0, 3.0, 2.5])
@@ -170,6 +172,24 @@ def cameras(count: int = 8, width: int = 40, height: int = 30) -> list[Camera]:
         target = SIZE / 2 - around * [1.5, 1.1, 0] + [0, 0, (-0.9, 0.5, -0.3, 0.9)[k % 4]]
         poses.append(look_at(eye, target))
     return [Camera(width, height, 0.55 * width, 0.55 * width, width / 2, height / 2, pose) for pose in poses]
+
+
+@dataclass(frozen=True)
+class Patched:
+    """A room as the engine sees it: pixels of its cameras, patches under them and the rays between these."""
+
+    tracer: Tracer
+    samples: PixelSamples
+    surface: Surface
+    transport: Transport
+
+
+def patched(room: Room, views: list[Camera], max_patches: int, n_rays: int, stride: int = 1, seed: int = 0) -> Patched:
+    """The room in patches seen by ``views``, with ``n_rays`` gather rays from each."""
+    tracer, rng = Tracer(room.mesh), np.random.default_rng(seed)
+    samples = trace_pixels(tracer, views, stride, Progress())
+    surface = build_surface(room.mesh, samples, room.parts, max_patches, rng)
+    return Patched(tracer, samples, surface, build_transport(tracer, surface, room.parts, n_rays, rng, Progress()))
 
 
 def render(room: Room, tracer: Tracer, views: list[Camera], n_rays: int = 192) -> np.ndarray:

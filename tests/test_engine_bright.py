@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 from iris_addon.progress import Progress
-from iris_addon.surface.build import build_surface
-from iris_addon.surface.samples import trace_pixels
 from iris_addon.transport.bright import aim_at_bright
 from iris_addon.transport.gather import emitter_form_factors
 from iris_addon.transport.tracer import Tracer
-from iris_addon.transport.transport import Transport, build_transport
-from tests.engine_room import LAMP_PARTS, Room, cameras, furnished_room
+from iris_addon.transport.transport import Transport
+from tests.engine_room import LAMP_PARTS, Room, cameras, furnished_room, patched
 
 PLATE = LAMP_PARTS[1]
 BRIGHT = 300.0
@@ -24,10 +22,8 @@ BRIGHT = 300.0
 @pytest.fixture(scope="module")
 def traced() -> tuple[Room, Tracer, Transport]:
     room = furnished_room()
-    tracer, rng = Tracer(room.mesh), np.random.default_rng(9)
-    samples = trace_pixels(tracer, cameras(), 1, Progress())
-    surface = build_surface(room.mesh, samples, room.parts, 3000, rng)
-    return room, tracer, build_transport(tracer, surface, room.parts, 64, rng, Progress())
+    seen = patched(room, cameras(), 3000, 64, seed=9)
+    return room, seen.tracer, seen.transport
 
 
 def gathered_and_aimed(room: Room, tracer: Tracer, transport: Transport) -> tuple[np.ndarray, np.ndarray]:

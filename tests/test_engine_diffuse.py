@@ -16,15 +16,13 @@ from iris_addon.reflectance.diffuse_lobe import choose_diffuse
 from iris_addon.reflectance.shading import light_moments
 from iris_addon.response.observations import Observations
 from iris_addon.response.radiance import Linearised
-from iris_addon.surface.build import build_surface
 from iris_addon.surface.field import IrradianceField
-from iris_addon.surface.samples import trace_pixels
 from iris_addon.transport.diffuse import MEAN_SCHLICK, albedo_gain, grazing_gain, schlick, under_lobe
 from iris_addon.transport.gather import Origins, emitter_form_factors, gather
 from iris_addon.transport.light_moments import LightMoments
 from iris_addon.transport.tracer import Tracer
-from iris_addon.transport.transport import ESCAPED, UNKNOWN, build_transport
-from tests.engine_room import assemble, cameras, furnished_room, quad
+from iris_addon.transport.transport import ESCAPED, UNKNOWN
+from tests.engine_room import assemble, cameras, furnished_room, patched, quad
 
 
 def burley_directional_albedo(roughness: float, cosine: float, n: int = 200_000) -> float:
@@ -74,10 +72,7 @@ def test_a_lamp_on_the_horizon_counts_for_its_schlick_factor() -> None:
 def test_uniform_radiance_arrives_with_the_mean_factor_of_both_lobes() -> None:
     """In a closed room of uniform radiance the rays carry the product of the lobes at both of their ends."""
     room = furnished_room()
-    tracer, rng = Tracer(room.mesh), np.random.default_rng(0)
-    samples = trace_pixels(tracer, cameras(12), 1, Progress())
-    surface = build_surface(room.mesh, samples, room.parts, 2000, rng)
-    transport = build_transport(tracer, surface, room.parts, 64, rng, Progress())
+    transport = patched(room, cameras(12), 2000, 64).transport
     n, none = transport.n_patches, np.zeros(len(room.parts), bool)
     ones, unknown = np.ones((n, 3)), np.ones(3)
     kappa = np.full(n, 0.64)
@@ -94,11 +89,7 @@ def test_uniform_radiance_arrives_with_the_mean_factor_of_both_lobes() -> None:
 
 def test_patches_lit_from_one_side_send_more_back_there() -> None:
     """Rays back to the light and across it against Burley's exact lobe; what is no seen patch knows no side."""
-    room = furnished_room()
-    tracer, rng = Tracer(room.mesh), np.random.default_rng(0)
-    samples = trace_pixels(tracer, cameras(6), 2, Progress())
-    surface = build_surface(room.mesh, samples, room.parts, 800, rng)
-    transport = build_transport(tracer, surface, room.parts, 64, rng, Progress())
+    transport = patched(furnished_room(), cameras(6), 800, 64, stride=2).transport
     n, seen = transport.n_patches, transport.n_seen
     # All light 70 degrees off the normal, which is z here.
     light = unit(np.array([np.sin(1.22), 0, np.cos(1.22)]))
@@ -153,12 +144,10 @@ def test_moments_of_light_give_burleys_lobe_from_every_side(roughness: float, ti
 def test_moments_of_a_room() -> None:
     """In uniform radiance those of the cosine-weighted hemisphere; under a lamp in the dark its direction."""
     room = furnished_room()
-    tracer, rng = Tracer(room.mesh), np.random.default_rng(0)
-    samples = trace_pixels(tracer, cameras(12), 1, Progress())
-    surface = build_surface(room.mesh, samples, room.parts, 2000, rng)
-    transport = build_transport(tracer, surface, room.parts, 256, rng, Progress())
+    seen_by_all = patched(room, cameras(12), 2000, 256)
+    tracer, transport = seen_by_all.tracer, seen_by_all.transport
     n, seen = transport.n_patches, transport.n_seen
-    field = IrradianceField.build(surface)
+    field = IrradianceField.build(seen_by_all.surface)
     problem = cast(
         LightProblem,
         SimpleNamespace(transport=transport, hidden=nothing_hidden(transport), field=field, tracer=tracer),

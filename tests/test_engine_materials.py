@@ -29,12 +29,12 @@ from iris_addon.reflectance.specular_weights import visible_normal_density
 from iris_addon.reflectance.textures import complete_channels, make_textures
 from iris_addon.surface.atlas import build_atlas
 from iris_addon.surface.atlas_texels import rasterise_atlas
-from iris_addon.surface.build import Surface, build_surface
-from iris_addon.surface.samples import PixelSamples, trace_pixels
+from iris_addon.surface.build import Surface
+from iris_addon.surface.samples import PixelSamples
 from iris_addon.transport.gather import emitter_form_factors
 from iris_addon.transport.tracer import Tracer
-from iris_addon.transport.transport import Transport, build_transport
-from tests.engine_room import Room, assemble, cameras, furnished_room, irradiance_at, quad, radiosity
+from iris_addon.transport.transport import Transport
+from tests.engine_room import Room, assemble, cameras, furnished_room, irradiance_at, patched, quad, radiosity
 
 FLOOR, WALL = 4, 2
 
@@ -81,14 +81,12 @@ class Scene:
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     room = furnished_room()
-    tracer, rng = Tracer(room.mesh), np.random.default_rng(0)
-    samples = trace_pixels(tracer, cameras(12), 1, Progress())
-    surface = build_surface(room.mesh, samples, room.parts, 4000, rng)
-    transport = build_transport(tracer, surface, room.parts, 64, rng, Progress())
+    seen = patched(room, cameras(12), 4000, 64)
+    tracer, surface, transport = seen.tracer, seen.surface, seen.transport
     irradiance = irradiance_at(room, tracer, radiosity(room, tracer, 128), surface.origins, 128, 1)
     radiance = np.zeros((transport.n_patches, 3))
     radiance[: transport.n_seen] = room.albedo[surface.part] * irradiance
-    return Scene(room, tracer, samples, surface, transport, radiance, irradiance)
+    return Scene(room, tracer, seen.samples, surface, transport, radiance, irradiance)
 
 
 # Gloss ---------------------------------------------------------------------------------------------------------------

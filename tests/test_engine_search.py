@@ -20,6 +20,7 @@ from iris_addon.surface.parts import edge_adjacency
 N_PATCHES = 60
 WINDOW, BAR, WALL = 0, 1, 2
 PATCH_FACE = np.repeat([WINDOW, BAR, WALL], [20, 20, 20])
+OBSERVED = SimpleNamespace(weight=np.ones(N_PATCHES), known=np.ones((N_PATCHES, 3), bool))
 
 
 def problem(floor: tuple[float, float, float], clipped: tuple[bool, bool, bool]) -> LightProblem:
@@ -98,8 +99,7 @@ def test_a_lamp_without_which_the_room_is_lit_as_well_is_left_out(
         return replace(lamps, held_out=1.0 if WINDOW in faces else loss_without)
 
     monkeypatch.setattr(selection, "solved", solved)
-    observed = SimpleNamespace(weight=np.ones(N_PATCHES), known=np.ones((N_PATCHES, 3), bool))
-    kept = selection.needed_lamps(room, observed, both, Progress())  # type: ignore[arg-type]
+    kept = selection.needed_lamps(room, OBSERVED, both, Progress())  # type: ignore[arg-type]
     assert sorted(int(faces[0]) for faces in kept) == ([WINDOW, BAR] if stays else [BAR])
 
 
@@ -117,8 +117,7 @@ def test_a_bright_surface_must_do_without_the_lamp_that_no_photo_shows(monkeypat
         return replace(lights([(face, 4.0) for face in faces], irradiance=(0.6, 0.6, 0.5)), held_out=1.0)
 
     monkeypatch.setattr(selection, "solved", solved)
-    observed = SimpleNamespace(weight=np.ones(N_PATCHES), known=np.ones((N_PATCHES, 3), bool))
-    kept = selection.needed_lamps(room, observed, both, Progress())  # type: ignore[arg-type]
+    kept = selection.needed_lamps(room, OBSERVED, both, Progress())  # type: ignore[arg-type]
     assert [faces.tolist() for faces in kept] == [[BAR]]
 
 
@@ -126,8 +125,7 @@ def test_the_only_lamp_of_a_room_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     room = problem(floor=(1.0, 0.1, 0.1), clipped=(True, False, False))
     one = lights([(WINDOW, 4.0)], irradiance=(0.6, 0.6, 0.5))
     monkeypatch.setattr(selection, "solved", lambda *_, **__: replace(one, held_out=1.0))
-    observed = SimpleNamespace(weight=np.ones(N_PATCHES), known=np.ones((N_PATCHES, 3), bool))
-    kept = selection.needed_lamps(room, observed, one, Progress())  # type: ignore[arg-type]
+    kept = selection.needed_lamps(room, OBSERVED, one, Progress())  # type: ignore[arg-type]
     assert [faces.tolist() for faces in kept] == [[WINDOW]]
 
 
@@ -144,8 +142,7 @@ def test_a_part_that_clips_is_a_lamp_if_the_room_asks_for_its_light(
         return both if len(emitters) == 2 else bar
 
     monkeypatch.setattr(selection, "solved", solved)
-    observed = SimpleNamespace(weight=np.ones(N_PATCHES), known=np.ones((N_PATCHES, 3), bool))
-    result = selection.with_silent(room, observed, bar, Progress())  # type: ignore[arg-type]
+    result = selection.with_silent(room, OBSERVED, bar, Progress())  # type: ignore[arg-type]
     assert [int(faces[0]) for faces in result.emitters] == ([BAR, WINDOW] if taken else [BAR])
 
 
@@ -169,8 +166,7 @@ def test_a_lamp_that_specks_stood_in_for_is_found_when_they_are_gone(monkeypatch
     monkeypatch.setattr(search, "with_all_rays", solved)
     monkeypatch.setattr(search, "lights_without_lamps", lambda *_: lights([], irradiance=(0.6, 0.6, 0.5)))
     monkeypatch.setattr(search, "_candidates", lambda *_: [speck])
-    observed = SimpleNamespace(weight=np.ones(N_PATCHES), known=np.ones((N_PATCHES, 3), bool))
-    result = search.find_lights(room, observed, Progress())  # type: ignore[arg-type]
+    result = search.find_lights(room, OBSERVED, Progress())  # type: ignore[arg-type]
     assert [int(faces[0]) for faces in result.emitters] == [WINDOW]
 
 

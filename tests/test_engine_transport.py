@@ -9,13 +9,11 @@ from iris_addon.capture.types import Mesh
 from iris_addon.emission.hidden import find_hidden
 from iris_addon.progress import Progress
 from iris_addon.reflectance.ggx import grazing_fresnel, smith_g1, specular_integrals
-from iris_addon.surface.build import build_surface
-from iris_addon.surface.samples import trace_pixels
 from iris_addon.transport.gather import Origins, emitter_form_factors, gather
 from iris_addon.transport.sampling import cosine_directions, ggx_directions, r2_sequence, tangent_frame
 from iris_addon.transport.tracer import Tracer
-from iris_addon.transport.transport import Transport, build_transport
-from tests.engine_room import SIZE, WALLS, Room, assemble, box, cameras, furnished_room, quad
+from iris_addon.transport.transport import Transport
+from tests.engine_room import SIZE, WALLS, Room, assemble, box, cameras, furnished_room, patched, quad
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -182,10 +180,8 @@ def test_a_patch_on_the_lamp_or_in_its_plane_gets_nothing_from_it() -> None:
 
 
 def transport_of(room: Room, n_rays: int = 96) -> tuple[Tracer, Transport]:
-    tracer, rng = Tracer(room.mesh), np.random.default_rng(9)
-    samples = trace_pixels(tracer, cameras(), 1, Progress())
-    surface = build_surface(room.mesh, samples, room.parts, 3000, rng)
-    return tracer, build_transport(tracer, surface, room.parts, n_rays, rng, Progress())
+    seen = patched(room, cameras(), 3000, n_rays, seed=9)
+    return seen.tracer, seen.transport
 
 
 def test_white_furnace() -> None:
@@ -255,10 +251,7 @@ def test_a_convex_body_in_uniform_light_sees_nothing_but_it() -> None:
 
 def test_patches_that_no_photo_shows_gather_from_all_over_what_rays_met_of_them() -> None:
     """One point of a cell of 32 cm says little: half of it may lie in the shade."""
-    room = furnished_room()
-    tracer, rng = Tracer(room.mesh), np.random.default_rng(0)
-    surface = build_surface(room.mesh, trace_pixels(tracer, cameras(3), 2, Progress()), room.parts, 800, rng)
-    transport = build_transport(tracer, surface, room.parts, 64, rng, Progress())
+    transport = patched(furnished_room(), cameras(3), 800, 64, stride=2).transport
     met = np.bincount(transport.target[transport.target >= transport.n_seen] - transport.n_seen)
     often = np.flatnonzero(met >= 16)
     origins, grid = transport.unseen_origins, transport.grids[1]

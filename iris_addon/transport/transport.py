@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..parallel import BLOCK, over_blocks
 from ..progress import Progress
-from ..surface.build import Surface
+from ..surface.build import ORIGINS_PER_PATCH, Surface
 from ..surface.patches import KeyIndex, PatchGrid, cell_keys
 from .diffuse import burley_roughness
 from .gather import GatherRays, Origins, gather
@@ -26,7 +26,6 @@ from .tracer import Tracer
 UNKNOWN, ESCAPED = -1, -2
 UNSEEN_RAYS_SHARE = 4
 """Unseen patches get one in so many of the rays: their radiance is second-hand anyway."""
-ORIGINS_PER_UNSEEN = 8
 
 
 @dataclass(frozen=True)
@@ -230,7 +229,7 @@ def _unseen_patches(
     order, first = np.argsort(inverse, kind="stable"), np.cumsum(count) - count
     kept = np.sort(np.argsort(-count, kind="stable")[:limit])
     # Such patches are large, and what rays of the others met of them is the part that matters.
-    step = np.arange(ORIGINS_PER_UNSEEN) * count[kept, None] // ORIGINS_PER_UNSEEN
+    step = np.arange(ORIGINS_PER_PATCH) * count[kept, None] // ORIGINS_PER_PATCH
     at = order[first[kept, None] + step]
     number = np.arange(len(kept), dtype=np.int32) + np.int32(len(surface.part))
     grid = PatchGrid(surface.grid.origin, surface.grid.scale, *none, unique[kept], number)
