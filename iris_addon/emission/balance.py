@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -185,6 +186,11 @@ class _Problem:
         r = self.deviation(self.incoming(log_e), albedo)
         return float((np.log1p(r**2) @ self.weight).sum())
 
+    @cached_property
+    def share(self) -> NDArray[np.float64]:
+        """(n, 1) weight of each part."""
+        return group_sums(self.weight[:, None], self.part, self.n_parts)
+
     @property
     def n_effective(self) -> int:
         """Independent observations that the patches stand for."""
@@ -220,7 +226,7 @@ class _Problem:
         r /= incoming
         grad_e = -(self.form_factors @ r.T) * np.exp(log_e)
         too_white = np.clip(albedo - np.log(MAX_ALBEDO), 0.0, None)
-        share = np.bincount(self.part, self.weight, self.n_parts)[:, None]
+        share = self.share
         value += 50.0 * float((share * too_white**2).sum())
         grad_a += 100.0 * share * too_white
         level = ((share * albedo).sum(0) - np.log(ROOM_ALBEDO)) / ROOM_ALBEDO_STD

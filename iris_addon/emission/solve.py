@@ -81,13 +81,9 @@ def solve_lights(
     rows = fitted_patches(shaded, say if asked is None else say * asked)
     if not len(rows):
         return before
-    group = np.where(say > 0, part[:n], -1)
-
-    def smooth(values: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Means over neighbours of one albedo: to both sides of L = a (I + B e) alike, so that the balance holds."""
-        return problem.field.smooth(values[:n], NOISE_WIDTH, rows, group)
-
-    smooth_shaded, smooth_factors = smooth(shaded), smooth(all_factors)
+    # Means over neighbours of one albedo, of both sides of L = a (I + B e) alike, so that the balance holds.
+    kernel = problem.field.kernel(NOISE_WIDTH, rows, np.where(say > 0, part[:n], -1))
+    smooth_shaded, smooth_factors = (kernel @ values[:n].astype(np.float32) for values in (shaded, all_factors))
     for known_about in (True,) if near else (False, True):
         unknown = mean_radiance(radiance, problem)
         indirect = problem.transport.gather_radiance(radiance, unknown, mask)
@@ -96,7 +92,7 @@ def solve_lights(
                 indirect = indirect + more.gather_radiance(radiance, unknown, mask)
         balance = solve_balance(
             smooth_shaded,
-            smooth(indirect),
+            kernel @ indirect[:n],
             smooth_factors,
             part[rows],
             say[rows],

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from ..parallel import BLOCK, over_random_blocks
+from ..parallel import BLOCK, over_each, over_random_blocks
 from ..surface.field import IrradianceField
 from ..transport.diffuse import schlick
 from ..transport.gather import GatherRays, Origins, emitter_of_face
@@ -64,11 +64,16 @@ class GlossyBounce:
 
     def _spread(self, arrived: NDArray[np.number], passes: NDArray[np.integer]) -> NDArray[np.float32]:
         """What arrives at patches (N, C) averaged over the neighbours of the seen ones, ``passes`` (C,) times."""
-        n_seen = len(self.kernel.indptr) - 1
         spread = arrived.astype(np.float32)
-        for done in range(int(passes.max(initial=0))):
-            open_ = passes > done
-            spread[:n_seen, open_] = self.kernel @ spread[:n_seen, open_]
+        n_seen = len(self.kernel.indptr) - 1
+
+        def one(column: int) -> None:
+            values = np.ascontiguousarray(spread[:n_seen, column])
+            for _ in range(passes[column]):
+                values = self.kernel @ values
+            spread[:n_seen, column] = values
+
+        over_each(range(len(passes)), one)
         return spread
 
 

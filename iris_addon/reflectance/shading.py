@@ -107,11 +107,17 @@ def _of_lamps(problem: LightProblem, lights: Lights) -> NDArray[np.float32]:
     """(P, 8) the same sums over the lamps."""
     position, tracer = problem.field.position, problem.tracer
     sums = np.zeros((len(position), 8), np.float32)
-    for k, faces in enumerate(lights.emitters):
-        centre = np.average(tracer.corners[faces].mean(1), axis=0, weights=tracer.areas[faces])
-        toward = (centre - position).astype(np.float32)
-        toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-6)
-        cast = lights.form_factors[: len(position), k] * np.float32(lights.radiance[k].mean())
-        sums[:, :2] += cast
-        sums[:, 2:] += (cast[:, :, None] * toward[:, None]).reshape(-1, 6)
+    if not lights.emitters:
+        return sums
+    centre = [np.average(tracer.corners[f].mean(1), axis=0, weights=tracer.areas[f]) for f in lights.emitters]
+    centres, level = np.array(centre, np.float32), lights.radiance.mean(1).astype(np.float32)
+
+    def work(rows: slice) -> None:
+        toward = centres - position[rows, None]
+        toward /= np.maximum(np.linalg.norm(toward, axis=2, keepdims=True), 1e-6)
+        cast = lights.form_factors[rows] * level[:, None]
+        sums[rows, :2] = cast.sum(1)
+        sums[rows, 2:] = np.matmul(cast.transpose(0, 2, 1), toward).reshape(-1, 6)
+
+    over_blocks(len(position), BLOCK // len(centres), work)
     return sums

@@ -56,23 +56,16 @@ class IrradianceField:
         _, index = cKDTree(features).query(features, k=k, workers=-1)
         return IrradianceField(position, normal, np.asarray(index, np.int32).reshape(len(features), k), size)
 
-    def smooth(
-        self,
-        values: NDArray[np.floating],
-        width: float,
-        rows: NDArray[np.int64] | None = None,
-        group: NDArray[np.integer] | None = None,
-    ) -> NDArray[np.float32]:
-        """Values (P, C) averaged over neighbours with a Gaussian of ``width`` patch sizes; takes sampling noise off.
+    def kernel(
+        self, width: float, rows: NDArray[np.int64] | None = None, group: NDArray[np.integer] | None = None
+    ) -> csr_matrix:
+        """(n, P) matrix that averages patch values over neighbours with a Gaussian of ``width`` patch sizes.
 
-        The average is linear in the values; :meth:`denoise` is the one that stops at the edges of light.
+        It takes sampling noise off and is linear in the values; :meth:`denoise` is what stops at the edges of light.
 
         Args:
             rows: (n,) the patches whose averages are asked for, by default all.
             group: (P,) label of every patch; averages are then over neighbours of the same label.
-
-        Returns:
-            (n, C).
         """
         rows = np.arange(len(self.position)) if rows is None else rows
         near = self.neighbours[rows]
@@ -80,13 +73,8 @@ class IrradianceField:
         if group is not None:
             weight = weight * (group[near] == group[rows][:, None])
             weight /= weight.sum(1, keepdims=True)
-        return np.einsum("pk,pkc->pc", weight, values.astype(np.float32)[near])
-
-    def kernel(self, width: float) -> csr_matrix:
-        """(P, P) matrix of the averages of :meth:`smooth`, for those that are taken many times."""
-        n, k = self.neighbours.shape
-        weight = self._weights(self.position, self.normal, np.arange(n), width)
-        return csr_matrix((weight.ravel(), self.neighbours.ravel(), np.arange(0, n * k + 1, k)), (n, n))
+        ends = np.arange(0, near.size + 1, near.shape[1])
+        return csr_matrix((weight.ravel(), near.ravel(), ends), (len(rows), len(self.position)))
 
     def denoise(
         self, values: NDArray[np.floating], irradiance: NDArray[np.floating] | None = None

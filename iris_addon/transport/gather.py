@@ -20,6 +20,10 @@ from .diffuse import schlick
 from .sampling import cosine_directions, dot, r2_sequence
 from .tracer import Tracer
 
+POINT_SETS = 1024
+"""Sets of points on an emitter, of which every patch takes one at random. Drawing points anew for each patch costs as
+much as its rays; of patches near each other, over which noise is averaged, hardly two share a set."""
+
 
 @dataclass(frozen=True)
 class Origins:
@@ -170,35 +174,47 @@ def _add_sampled(
 ) -> None:
     """Add shadow rays to ``n_samples`` points on one emitter; ``column`` (P, 2).
 
-    Faces are chosen in order of area, and a run of the R2 sequence is as even as the whole: so are the points of each.
+    Coordinates run along the first axis: sums over three numbers are then sums of arrays.
     """
-    cumulative = np.cumsum(tracer.areas[faces])
-    corner, second, third = tracer.corners[faces].astype(np.float32).transpose(1, 0, 2)
-    sides = np.stack([second - corner, third - corner], 1)
-    normals = tracer.normals[faces]
+    points, normals = _sets_of_points(tracer, faces, n_samples, rng)
+    which = np.arange(n_samples) % origins.position.shape[1]
 
     def work(rows: slice, rng: np.random.Generator) -> None:
-        n = rows.stop - rows.start
-        position, normal = ray_origins(origins, rows, n_samples, tracer.epsilon)
-        u = r2_sequence(n, n_samples, rng).reshape(-1, 2)
-        strata = (np.arange(n_samples) + rng.random((n, n_samples))) * (cumulative[-1] / n_samples)
-        pick = np.minimum(np.searchsorted(cumulative, strata.ravel(), side="right"), len(faces) - 1)
-        fold = u[:, 0] + u[:, 1] > 1
-        u[fold] = 1 - u[fold]
-        side = sides[pick]
-        target = corner[pick] + u[:, :1] * side[:, 0] + u[:, 1:] * side[:, 1]
-        offset = target - position
-        square = np.maximum(dot(offset, offset), 1e-9)
+        chosen = rng.integers(POINT_SETS, size=rows.stop - rows.start)
+        normal = np.moveaxis(origins.normal[rows], 2, 0)
+        position = np.moveaxis(origins.position[rows], 2, 0) + np.float32(tracer.epsilon) * normal
+        position, normal = (values[..., which].reshape(3, -1) for values in (position, normal))
+        offset = points[:, chosen].reshape(3, -1) - position
+        square = np.maximum(dot(offset.T, offset.T), np.float32(1e-9))
         length = np.sqrt(square)
-        direction = offset / length[:, None]
-        cos_surface = dot(direction, normal)
-        cos_light = np.abs(dot(direction, normals[pick]))
+        direction = offset / length
+        cos_surface = dot(direction.T, normal.T)
+        cos_light = np.abs(dot(direction.T, normals[:, chosen].reshape(3, -1).T))
         live = np.flatnonzero((cos_surface > 1e-4) & (cos_light > 1e-4))
-        live = live[tracer.unoccluded(position[live], direction[live], length[live])]
+        live = live[tracer.unoccluded(position[:, live].T, direction[:, live].T, length[live])]
         per_area = cos_surface[live] * cos_light[live] / (np.pi * square[live])
         weight = (n_samples / area) / (n_samples / area + n_rays * per_area)
         value = weight * per_area * area / n_samples
         for kind, factor in enumerate(with_schlick(cos_surface[live]).T):
-            column[rows, kind] += np.bincount(live // n_samples, value * factor, minlength=n).astype(np.float32)
+            total = np.bincount(live // n_samples, value * factor, minlength=len(chosen))
+            column[rows, kind] += total.astype(np.float32)
 
     over_random_blocks(len(column), BLOCK // n_samples, work, rng)
+
+
+def _sets_of_points(
+    tracer: Tracer, faces: NDArray[np.integer], n_samples: int, rng: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Position and normal, both (3, POINT_SETS, n_samples), of points spread over an emitter, each set on its own.
+
+    Faces are chosen in order of area, and a run of the R2 sequence is as even as the whole: so are the points of each.
+    """
+    cumulative = np.cumsum(tracer.areas[faces])
+    strata = (np.arange(n_samples) + rng.random((POINT_SETS, n_samples))) * (cumulative[-1] / n_samples)
+    pick = faces[np.minimum(np.searchsorted(cumulative, strata, side="right"), len(faces) - 1)]
+    u = r2_sequence(POINT_SETS, n_samples, rng)
+    u = np.where(u.sum(-1, keepdims=True) > 1, 1 - u, u)
+    corner, second, third = np.moveaxis(tracer.corners[pick].astype(np.float32), 2, 0)
+    position = corner + u[..., :1] * (second - corner) + u[..., 1:] * (third - corner)
+    position, normal = (np.ascontiguousarray(np.moveaxis(v, 2, 0)) for v in (position, tracer.normals[pick]))
+    return position, normal

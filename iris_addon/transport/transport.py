@@ -117,21 +117,27 @@ class Transport:
             schlick: of the same shape, S of the angles at which the rays arrive.
             direction: the same shape and 3, unit, of the rays.
         """
-        if self.moments is None:
-            return 1 + self._lobes[:, 1, 0][target] * schlick
-        lobe = self._lobes[target]
-        lobe = lobe[..., 0, :] + schlick[..., None].astype(np.float32) * lobe[..., 1, :]
-        return lobe[..., 0] - np.einsum("...c,...c->...", lobe[..., 1:], direction.astype(np.float32))
+        schlick = schlick.astype(np.float32, copy=False)
+
+        def coefficient(k: int) -> NDArray[np.float32]:
+            head_on, grazing = (table.take(target, mode="wrap") for table in self._lobes[:, k])
+            return head_on + schlick * grazing
+
+        factor = coefficient(0)
+        if self.moments is not None:
+            for axis in range(3):
+                factor -= coefficient(1 + axis) * direction[..., axis]
+        return factor
 
     @cached_property
     def _lobes(self) -> NDArray[np.float32]:
-        """(N + 2, 2, 4) as of :meth:`LightMoments.lobes`; those of light from all sides where there are no moments, and
+        """(2, 4, N + 2) as of :meth:`LightMoments.lobes`; those of light from all sides where there are no moments, and
         the last two for UNKNOWN and ESCAPED."""
-        lobes = np.zeros((self.n_patches + 2, 2, 4), np.float32)
-        lobes[:, 0, 0] = 1
-        lobes[: self.n_patches, 1, 0] = self.kappa
+        lobes = np.zeros((2, 4, self.n_patches + 2), np.float32)
+        lobes[0, 0] = 1
+        lobes[1, 0, : self.n_patches] = self.kappa
         if self.moments is not None:
-            lobes[: self.n_seen] = self.moments.lobes(burley_roughness(self.kappa[: self.n_seen]))
+            lobes[..., : self.n_seen] = self.moments.lobes(burley_roughness(self.kappa[: self.n_seen]))
         return lobes
 
 
