@@ -24,14 +24,15 @@ def r2_sequence(n_rows: int, n_columns: int, rng: np.random.Generator) -> NDArra
 
 
 def tangent_frame(normal: NDArray[np.floating]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Two unit vectors that complete each unit normal (n, 3) to a basis (Duff et al. 2017)."""
-    n = normal.astype(np.float32)
-    sign = np.where(n[:, 2] >= 0, np.float32(1), np.float32(-1))
-    a = -1.0 / (sign + n[:, 2])
-    b = n[:, 0] * n[:, 1] * a
-    tangent = np.stack([1 + sign * n[:, 0] ** 2 * a, sign * b, -sign * n[:, 0]], -1)
-    bitangent = np.stack([b, sign + n[:, 1] ** 2 * a, -n[:, 1]], -1)
-    return tangent, bitangent
+    """Two unit vectors that complete each unit normal (n, 3) to a basis (Duff et al. 2017).
+
+    They lie in memory coordinate by coordinate: to scale them is then one loop over all and not one over three each.
+    """
+    x, y, z = normal.astype(np.float32).T
+    sign = np.where(z >= 0, np.float32(1), np.float32(-1))
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    return np.stack([1 + sign * x**2 * a, sign * b, -sign * x]).T, np.stack([b, sign + y**2 * a, -y]).T
 
 
 def cosine_directions(normal: NDArray[np.floating], u: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -40,7 +41,7 @@ def cosine_directions(normal: NDArray[np.floating], u: NDArray[np.floating]) -> 
     radius, angle = np.sqrt(u[:, 0]), 2 * np.pi * u[:, 1]
     x, y = radius * np.cos(angle), radius * np.sin(angle)
     z = np.sqrt(np.maximum(1 - u[:, 0], 1e-6))
-    return (tangent * x[:, None] + bitangent * y[:, None] + normal * z[:, None]).astype(np.float32)
+    return (tangent * x[:, None] + bitangent * y[:, None] + normal * z[:, None]).astype(np.float32, copy=False)
 
 
 def ggx_directions(
@@ -81,4 +82,4 @@ def ggx_directions(
     twice = 2 * cosine / length
     lx, ly, lz = twice * hx - vx, twice * hy - vy, twice * hz - vz
     world = tangent * lx[:, None] + bitangent * ly[:, None] + normal * lz[:, None]
-    return world.astype(np.float32), np.clip(cosine, 0, 1).astype(np.float32)
+    return world.astype(np.float32, copy=False), np.clip(cosine, 0, 1).astype(np.float32, copy=False)
