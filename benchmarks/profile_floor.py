@@ -2,8 +2,9 @@
 
     python -m benchmarks.profile_floor [CAPTURE] [--preset balanced] [--no-report]
 
-Rays are counted per stage as they are cast, bytes as the gather products move them. The floor of a stage is its rays
-at the measured throughput of incoherent rays in the same room, plus its bytes at the measured bandwidth of memory.
+Rays are counted per stage as they are cast, bytes as the sparse products move them: radiance gathered along rays, and
+averages over neighbours. The floor of a stage is its rays at the measured throughput of incoherent rays in the same
+room, plus its bytes at the measured bandwidth of memory.
 Decoding photos, fitting and writing textures have no floor here: what a ratio above one contains.
 """
 
@@ -19,15 +20,18 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from threading import Lock
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from iris_addon.capture import read_capture
 from iris_addon.capture.types import Mesh
 from iris_addon.config import PRESETS, preset
 from iris_addon.progress import Progress, console
+from iris_addon.transport.sparse_rays import SparseRays
 from iris_addon.transport.tracer import Tracer, points_on_faces
 from iris_addon.transport.transport import Transport
 
@@ -97,13 +101,14 @@ def measure_floors(mesh: Mesh, seed: int = 0) -> Floors:
 @contextmanager
 def counted(progress: Progress) -> Iterator[Counts]:
     """Count rays and bytes by the stage ``progress`` is in, while inside."""
-    counts = Counts()
+    counts, lock = Counts(), Lock()
 
     def wrap(owner: type, name: str, count: Any) -> Any:
         original = getattr(owner, name)
 
         def call(self: Any, *arguments: Any) -> Any:
-            count(self, *arguments)
+            with lock:
+                count(self, *arguments)
             return original(self, *arguments)
 
         return patch.object(owner, name, call)
@@ -114,16 +119,28 @@ def counted(progress: Progress) -> Iterator[Counts]:
 
         return count
 
-    def products(transport: Transport, *_arguments: Any) -> None:
-        entries = transport.target.size + transport.unseen_target.size
-        # Per ray: patch and face index, RGB of the patch; per patch: RGB out. All 4 bytes.
-        counts.moved[progress.current] += 4 * (entries * (2 + 3) + 3 * transport.n_patches)
+    # Words of 4 bytes. Per ray: patch and face index, its weight, RGB of the patch; per patch: RGB out.
+    def moved(rays: int, rows: int) -> None:
+        counts.moved[progress.current] += 4 * (6 * rays + 3 * rows)
+
+    def gathered(transport: Transport, *_arguments: Any) -> None:
+        moved(transport.target.size + transport.unseen_target.size, transport.n_patches)
+
+    def gathered_by_few(rays: SparseRays, *_arguments: Any) -> None:
+        moved(len(rays.row), rays.n_rows)
+
+    def averaged(kernel: csr_matrix, values: Any, *_arguments: Any) -> None:
+        columns = values.size // len(values)
+        # Per entry: column and weight, the values there; per row: values out.
+        counts.moved[progress.current] += 4 * ((2 + columns) * kernel.nnz + columns * kernel.shape[0])
 
     with (
         wrap(Tracer, "closest", rays(counts.closest)),
         wrap(Tracer, "hit_faces", rays(counts.closest)),
         wrap(Tracer, "unoccluded", rays(counts.occluded)),
-        wrap(Transport, "gather_radiance", products),
+        wrap(Transport, "gather_radiance", gathered),
+        wrap(SparseRays, "gather_radiance", gathered_by_few),
+        wrap(csr_matrix, "__matmul__", averaged),
     ):
         yield counts
 

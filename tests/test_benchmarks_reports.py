@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_matrix
 
 from benchmarks import runs, tables
 from benchmarks.configurations import CONFIGURATIONS, Configuration
@@ -16,6 +17,7 @@ from benchmarks.profile_floor import Counts, Floors, StageProgress, counted, des
 from benchmarks.runs import Run, run_all
 from iris_addon.errors import BadInput
 from iris_addon.progress import Progress
+from iris_addon.transport.sparse_rays import SparseRays
 from iris_addon.transport.tracer import Tracer
 from tests.box_room import box_mesh
 from tests.truth_room import write_truth_room
@@ -140,6 +142,18 @@ def test_rays_are_counted_in_the_stage_that_casts_them():
             tracer.closest(*ray)
     tracer.closest(*ray)
     assert counts.closest == {"transport": 5, "lights": 1} and counts.occluded == {"lights": 1}
+
+
+def test_bytes_are_counted_of_every_sparse_product():
+    progress, n = StageProgress(), 3
+    kernel = csr_matrix(np.eye(n, dtype=np.float32))
+    index = np.zeros(5, np.int32)
+    rays = SparseRays(n, index, np.ones((5, 1), np.float32), index, index)
+    with counted(progress) as counts, progress.stage("lights"):
+        assert np.array_equal(kernel @ np.ones(n, np.float32), np.ones(n))
+        assert counts.moved["lights"] == 4 * (n * (2 + 1) + n)
+        rays.gather_radiance(np.ones((n, 3)), np.zeros(3), np.zeros(1, bool))
+        assert counts.moved["lights"] == 4 * (n * (2 + 1) + n) + 4 * (5 * 6 + n * 3)
 
 
 def test_the_floor_is_rays_over_throughput_plus_bytes_over_bandwidth():
