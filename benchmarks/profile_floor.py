@@ -132,7 +132,7 @@ def counted(progress: Progress) -> Iterator[Counts]:
     def averaged(kernel: csr_matrix, values: Any, *_arguments: Any) -> None:
         columns = values.size // len(values)
         # Per entry: column and weight, the values there; per row: values out.
-        counts.moved[progress.current] += 4 * ((2 + columns) * kernel.nnz + columns * kernel.shape[0])
+        counts.moved[progress.current] += 4 * ((2 + columns) * kernel.nnz + columns * (len(kernel.indptr) - 1))
 
     with (
         wrap(Tracer, "closest", rays(counts.closest)),
