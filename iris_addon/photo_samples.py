@@ -50,6 +50,7 @@ class PhotoSamples:
         stride: one pixel of every stride x stride was looked at.
         small: the photos at a small size.
         mixed: (n,) bool pixels on an edge, see :mod:`.surface.mixed`; none before parts are known.
+        outshone_by: (n,) int32 pixel beside each that may have lent it all its light, -1 for none.
     """
 
     samples: PixelSamples
@@ -59,6 +60,7 @@ class PhotoSamples:
     stride: int
     small: SmallPhotos
     mixed: NDArray[np.bool_]
+    outshone_by: NDArray[np.int32]
 
 
 def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progress) -> PhotoSamples:
@@ -104,4 +106,5 @@ def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progres
     beyond = BeyondMesh(len(columns[0]) / looked, *columns)
     sizes = np.array([(camera.height, camera.width) for camera in cameras])
     shown, clipped = (np.stack(part) for part in zip(*small, strict=True))
-    return PhotoSamples(samples, z, hdr, beyond, stride, SmallPhotos(shown, clipped, sizes), np.zeros(len(z), bool))
+    mixed, outshone_by = np.zeros(len(z), bool), np.full(len(z), -1, np.int32)
+    return PhotoSamples(samples, z, hdr, beyond, stride, SmallPhotos(shown, clipped, sizes), mixed, outshone_by)

@@ -46,7 +46,7 @@ from .result.report_html import write_report
 from .result.types import Result
 from .surface.build import Surface, build_surface
 from .surface.field import IrradianceField
-from .surface.mixed import mixed_pixels
+from .surface.mixed import mixed_pixels, outshone_by
 from .surface.parts import edge_adjacency, pieces_between_edges
 from .surface.segment import split_parts
 from .transport.cache import cached_transport
@@ -88,7 +88,9 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         adjacency = edge_adjacency(capture.mesh)
         parts = split_parts(capture.mesh, adjacency, tracer.normals, photos.samples, photos.z)
         taken_by = [view.camera for view in capture.views]
-        photos = replace(photos, mixed=mixed_pixels(tracer, photos.samples, parts, taken_by, photos.stride))
+        mixed = mixed_pixels(tracer, photos.samples, parts, taken_by, photos.stride)
+        brighter = outshone_by(photos.samples, photos.z, mixed, parts, taken_by, photos.stride)
+        photos = replace(photos, mixed=mixed, outshone_by=brighter)
         surface = build_surface(capture.mesh, photos.samples, parts, config.max_patches, config.rng(1))
         field = IrradianceField.build(surface)
     with progress.stage("transport"):
@@ -174,6 +176,7 @@ def _problem(
         parts,
         adjacency,
         brightness(observations, linear, n),
+        photos.outshone_by,
         hidden,
         field,
         config.shadow_rays,

@@ -10,7 +10,7 @@ from iris_addon.progress import Progress
 from iris_addon.reflectance.bake import TexelAlbedo
 from iris_addon.reflectance.textures import with_expected
 from iris_addon.response.observations import observe
-from iris_addon.surface.mixed import mixed_pixels
+from iris_addon.surface.mixed import mixed_pixels, outshone_by
 from iris_addon.surface.samples import trace_pixels
 from iris_addon.transport.tracer import Tracer
 from tests.box_room import look_at
@@ -82,6 +82,25 @@ def test_a_coarse_lattice_asks_the_true_neighbours() -> None:
     fine, _ = mixed_picture(quads, [WALL, TABLE], 1, width=120)
     coarse, _ = mixed_picture(quads, [WALL, TABLE], 3, width=120)
     assert coarse.any() and (coarse == fine[::3, ::3]).all()
+
+
+def test_a_bar_is_outshone_by_the_window_behind_it_and_nothing_by_what_is_darker_or_its_own_plane() -> None:
+    """The bar before the bright half of a wall; the other half is darker than it."""
+    mesh = assemble([WIDE_WALL, quad([-0.06, -3, 0.5], [0.12, 0, 0], [0, 6, 0])], [WALL, TABLE])
+    assert mesh.parts is not None
+    tracer, size = Tracer(mesh), 60
+    camera = Camera(size, size, size, size, size / 2, size / 2, look_at(np.array([0, -1e-3, 3.0]), np.zeros(3)))
+    samples = trace_pixels(tracer, [camera], 1, Progress())
+    bar, upper = mesh.parts[samples.face] == TABLE, samples.position[:, 1] > 0
+    z = np.where(bar, 0.7, np.where(upper, 1.0, 0.2))[:, None].repeat(3, 1)
+    mixed = mixed_pixels(tracer, samples, mesh.parts, [camera], 1)
+    by = outshone_by(samples, z, mixed, mesh.parts, [camera], 1)
+    assert bar.sum() > 100 and mixed[bar].all()
+    apart = np.abs(samples.position[:, 1]) > 0.1
+    assert (by[bar & upper & apart] >= 0).all() and (by[bar & ~upper & apart] < 0).all()
+    assert not bar[by[bar & (by >= 0)]].any()
+    # Of the wall, the bar outshines what is darker beside it.
+    assert bar[by[~bar & (by >= 0)]].all() and not (by[~bar & upper & apart] >= 0).any()
 
 
 def test_what_a_view_shows_of_a_patch_is_what_its_pixels_off_the_edge_show() -> None:

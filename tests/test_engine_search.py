@@ -36,6 +36,7 @@ def problem(floor: tuple[float, float, float], clipped: tuple[bool, bool, bool])
         parts=np.arange(3, dtype=np.int32),
         adjacency=(nothing, nothing),
         brightness=Brightness(value, np.where(bound > 0, np.nan, value), bound),
+        outshone_by=np.full(N_PATCHES, -1),
         hidden=HiddenSources((), np.zeros((0, 3)), np.zeros((N_PATCHES, 0, 2), np.float32)),
         given=None,
     )
@@ -73,7 +74,7 @@ def test_a_lamp_clipped_in_every_photo_is_as_bright_as_the_light_it_casts(clippe
     assert found(room, lights([(WINDOW, 4.0)], irradiance=(0.6, 0.5, 0.3))) == ([WINDOW] if clipped else [])
 
 
-def test_what_was_left_out_comes_back_only_if_it_is_certain() -> None:
+def test_what_is_no_lamp_yet_must_be_certain() -> None:
     under = lights([], irradiance=(0.4, 0.4, 0.4))
     assert found(problem(floor=(1.0, 0.1, 0.1), clipped=(False, False, False)), under) == []
     assert found(problem(floor=(2.0, 0.1, 0.1), clipped=(False, False, False)), under) == [WINDOW]
@@ -101,6 +102,37 @@ def test_a_lamp_without_which_the_room_is_lit_as_well_is_left_out(
     monkeypatch.setattr(selection, "solved", solved)
     kept = selection.needed_lamps(room, OBSERVED, both, Progress())  # type: ignore[arg-type]
     assert sorted(int(faces[0]) for faces in kept) == ([WINDOW, BAR] if stays else [BAR])
+
+
+@pytest.mark.parametrize("lent", [20, 17])
+def test_a_bar_all_of_whose_pixels_show_the_window_beside_them_must_be_needed(
+    lent: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both are too bright to reflect, and the room is lit as well without the bar."""
+    room = problem(floor=(4.0, 4.0, 0.1), clipped=(True, True, False))
+    room.outshone_by[np.flatnonzero(PATCH_FACE == BAR)[:lent]] = np.flatnonzero(PATCH_FACE == WINDOW)[0]
+    both = lights([(WINDOW, 4.0), (BAR, 4.0)], irradiance=(0.6, 0.6, 0.5))
+
+    def solved(
+        _problem: object, _observed: object, emitters: list, _before: object, *_: object, **__: object
+    ) -> Lights:
+        lamps = lights([(int(lamp[0]), 4.0) for lamp in emitters], irradiance=(0.6, 0.6, 0.5))
+        return replace(lamps, held_out=1.0)
+
+    monkeypatch.setattr(selection, "solved", solved)
+    kept = selection.needed_lamps(room, OBSERVED, both, Progress())  # type: ignore[arg-type]
+    assert sorted(int(faces[0]) for faces in kept) == ([WINDOW] if lent == 20 else [WINDOW, BAR])
+
+
+def test_rounds_of_gloss_bring_no_new_lamps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bar seems to need a reflectance of 10, and was no lamp when the whole room was searched."""
+    room = problem(floor=(4.0, 4.0, 0.1), clipped=(True, True, False))
+    one = lights([(WINDOW, 4.0)], irradiance=(0.4, 0.4, 0.5))
+    assert found(room, one) == [WINDOW, BAR]
+    monkeypatch.setattr(search, "form_factors_of", lambda *_, **__: one.form_factors)
+    monkeypatch.setattr(search, "solve_lights", lambda _problem, _observed, emitters, *_: emitters)
+    again = search.reconsider_lamps(room, OBSERVED, one, None, None, Progress())  # type: ignore[arg-type]
+    assert [faces.tolist() for faces in again] == [[WINDOW]]
 
 
 def test_a_bright_surface_must_do_without_the_lamp_that_no_photo_shows(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -153,16 +153,18 @@ def group_emitters(
     areas: NDArray[np.floating],
     parts: NDArray[np.int32],
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
-    rest: NDArray[np.bool_] | None = None,
+    among: NDArray[np.bool_] | None = None,
 ) -> list[NDArray[np.int64]]:
     """Emitting faces joined to lamps: whole parts where nearly all of a part emits, else faces joined by edges.
 
     Args:
         count: (F,) pixels that saw each face.
-        rest: (F,) faces that may be taken for the rest of a whole part, by default all.
+        among: (F,) faces that may be lamps, by default all.
     """
     whole = whole_parts(emitting, count, parts)
-    member = emitting | (whole[parts] if rest is None else whole[parts] & rest)
+    member = emitting | whole[parts]
+    if among is not None:
+        member &= among
     a, b = adjacency
     link = member[a] & member[b]
     label = component_labels(len(parts), a[link], b[link])

@@ -102,7 +102,7 @@ def reconsider_lamps(
         weight: (P,) say of each seen patch.
         diffuse: (P, 3) radiance without its specular part.
     """
-    # What the search has left out must be certain to come back.
+    # What seems to glow once its specular part is taken off, and did not before, was never a lamp.
     emitters = problem.given
     if emitters is None:
         seen = problem.samples.seen_faces(len(problem.parts))
@@ -113,13 +113,13 @@ def reconsider_lamps(
 
 
 def _candidates(
-    problem: LightProblem, lights: Lights, new: float, old: float, rest: NDArray[np.bool_] | None = None
+    problem: LightProblem, lights: Lights, new: float, old: float, among: NDArray[np.bool_] | None = None
 ) -> list[NDArray[np.int64]]:
     """Lamps under the light known so far.
 
     Args:
         new, old: thresholds for faces that count as no lamp yet, and for those that do.
-        rest: (F,) faces that may be lamps because nearly all of their part is, by default all.
+        among: (F,) faces that may be lamps, by default all.
     """
     n = problem.transport.n_seen
     lamp = lamp_of_patch(problem, lights.emitters)
@@ -137,7 +137,7 @@ def _candidates(
     certain = coplanar_with(certain, emitting, problem.tracer.normals, problem.adjacency)
     emitting &= certain | whole_parts(emitting, count, problem.parts)[problem.parts]
     emitting = with_gaps_closed(emitting, count > 0, problem.tracer.normals, problem.adjacency)
-    return group_emitters(emitting, count, problem.tracer.areas, problem.parts, problem.adjacency, rest)
+    return group_emitters(emitting, count, problem.tracer.areas, problem.parts, problem.adjacency, among)
 
 
 def _with_found(problem: LightProblem, lights: Lights, lamp: NDArray[np.int64]) -> Brightness:

@@ -14,6 +14,7 @@ from ..progress import Progress
 from ..response.observations import group_medians
 from ..response.radiance import GroupRadiance
 from ..surface.parts import pieces_between_edges
+from ..transport.gather import emitter_of_face
 from .candidates import CERTAIN, emitting_faces, group_emitters, reflectance_needed, whole_parts
 from .solve import SEARCH_SHADOW_RAYS, form_factors_of, lamp_of_patch, patches_on, say_of, solve_lights
 from .types import LightProblem, Lights
@@ -31,6 +32,8 @@ SILENT_GAIN, MAX_CLIPPED = 0.01, 8
 tried."""
 GLOWING = 1.25
 """Reflectance it would need from which on such a part emits; below, it is of a light colour."""
+OUTSHONE = 0.9
+"""Share of its pixels that lie beside as bright ones of other things, from which on photos are no proof of a lamp."""
 MAX_SIDES = 12
 """A lamp with more sides is round."""
 
@@ -104,8 +107,9 @@ def needed_lamps(
     power = np.array([problem.tracer.areas[f].sum() for f in lights.emitters]) * lights.radiance.mean(1)
     # Mixed pixels at the edge of a real lamp make specks.
     strong = power > NEGLIGIBLE_POWER * power.sum()
-    sure = [lights.emitters[k] for k in np.flatnonzero(strong & (needed >= CERTAIN))]
-    lamps = [lights.emitters[k] for k in np.flatnonzero(strong & (needed < CERTAIN))]
+    certain = (needed >= CERTAIN) & ~_outshone(problem, lights.emitters)
+    sure = [lights.emitters[k] for k in np.flatnonzero(strong & certain)]
+    lamps = [lights.emitters[k] for k in np.flatnonzero(strong & ~certain)]
     if lamps:
         lights = _without_idle(problem, observed, sure, lamps, lights, say, progress)
         lamps = lights.emitters[len(sure) :]
@@ -114,6 +118,15 @@ def needed_lamps(
             lights = _without_idle(problem, observed, sure, sides, lights, say, progress)
             lamps = [lamp[lights.mask[lamp]] for lamp in lamps]
     return [*sure, *(lamp for lamp in lamps if len(lamp))]
+
+
+def _outshone(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> NDArray[np.bool_]:
+    """(E,) lamps beside nearly all of whose pixels something else is as bright: the light they show may be its."""
+    lamp, by = emitter_of_face(emitters, len(problem.parts))[problem.samples.face], problem.outshone_by
+    on = np.flatnonzero(lamp >= 0)
+    lent = (by[on] >= 0) & (lamp[by[on]] != lamp[on])
+    pixels = np.bincount(lamp[on], minlength=len(emitters))
+    return np.bincount(lamp[on], lent, len(emitters)) > OUTSHONE * np.maximum(pixels, 1)
 
 
 def _without_idle(

@@ -86,6 +86,7 @@ class LightProblem:
         parts: (F,) part per face.
         adjacency: pairs of faces that share an edge.
         brightness: how bright each seen patch was.
+        outshone_by: (n,) sample beside each that may have lent it all its light, -1 for none.
         hidden: unknowns beside the lamps.
         field: neighbourhoods of the seen patches.
         bounce: once materials are known, what glossy surfaces pass on; patches then cast only their diffuse light.
@@ -101,6 +102,7 @@ class LightProblem:
     parts: NDArray[np.int32]
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]]
     brightness: Brightness
+    outshone_by: NDArray[np.int32]
     hidden: HiddenSources
     field: IrradianceField
     shadow_rays: int

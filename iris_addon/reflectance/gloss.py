@@ -105,7 +105,7 @@ class GlossObservations:
         radiance: (m, 3) observed.
         irradiance: (m, 3) irradiance / pi.
         diffuse: (levels, m) factor of the diffuse lobe towards the camera.
-        lobes: per level of LEVELS, (Ls0, Ls1), (m, 3) each, from either half of the rays.
+        lobes: per level of LEVELS, (Ls0, Ls1), (m, 3) each, from either half of the rays; once if free of noise.
         layer: (levels, m) further factor if dielectrics take their light off the diffuse light below; None where the
             diffuse lobe is of a model in which they do not.
     """
@@ -191,48 +191,46 @@ def fit_gloss(observed: GlossObservations, n_parts: int, forced: bool | None = N
 
 def _layered_or_not(observed: GlossObservations) -> tuple[_Costs | None, bool]:
     """Costs with or without a layer over the diffuse light, whichever explains the room better, and whether with."""
-    plain = _part_costs(observed)
-    if plain is None or observed.layer is None:
-        return plain, False
-    layered = _part_costs(replace(observed, diffuse=observed.diffuse * observed.layer))
-    assert layered is not None
-    best = [
-        np.average(costs.pooled()[0].min(1) * costs.rough / plain.rough, weights=plain.count)
-        for costs in (plain, layered)
+    either = _part_costs(observed)
+    if not either:
+        return None, False
+    plain = either[0]
+    explains = [
+        np.average(costs.pooled()[0].min(1) * costs.rough / plain.rough, weights=plain.count) for costs in either
     ]
-    return (layered, True) if best[1] < best[0] else (plain, False)
+    best = int(np.argmin(explains))
+    return either[best], best == 1
 
 
-def _part_costs(observed: GlossObservations) -> _Costs | None:
+def _part_costs(observed: GlossObservations) -> list[_Costs]:
+    """Costs without a layer over the diffuse light and, where there may be one, with; nothing without parts to fit."""
     o = observed
     order = np.argsort(o.part, kind="stable")
     ids, first, count = np.unique(o.part[order], return_index=True, return_counts=True)
     enough = count >= MIN_OBSERVATIONS
     if not enough.any():
-        return None
+        return []
     pieces = [order[start : start + n] for start, n in zip(first[enough], count[enough], strict=True)]
     rows = np.concatenate(pieces)
     _, one, patch = np.unique(o.patch[rows], return_index=True, return_inverse=True)
     part = np.repeat(np.arange(len(pieces)), count[enough])[one]
     fits = PartFits(patch, part, o.weight[rows], o.radiance[rows], np.maximum(o.irradiance[rows], 1e-5))
     lobes = [[(s0[rows], s1[rows]) for s0, s1 in halves] for halves in o.lobes]
-    dielectric = [fits.dielectric(diffuse[rows], halves) for diffuse, halves in zip(o.diffuse, lobes, strict=True)]
     metals = [fits.metal(level, halves) for level, halves in zip(LEVELS, lobes, strict=True)]
-    plastic = np.stack([fits.mean(cost) for cost in dielectric], 1)
-    error = np.stack([fits.standard_error(dielectric[-1] - cost) for cost in dielectric], 1)
-    null = np.maximum(plastic[:, -1:], MIN_COST)
+    metal, colour = np.stack([fits.mean(cost) for cost, _ in metals], 1), np.stack([colour for _, colour in metals], 1)
+    centre = np.stack([o.position[rows].mean(0) for rows in pieces])
     log_albedo = np.log(np.maximum(o.radiance, 1e-4) / np.maximum(o.irradiance, 1e-4))
-    return _Costs(
-        ids[enough],
-        null[:, 0],
-        plastic / null,
-        np.stack([fits.mean(cost) for cost, _ in metals], 1) / null,
-        error / null,
-        np.stack([colour for _, colour in metals], 1),
-        count[enough].astype(np.float64),
-        np.stack([o.position[rows].mean(0) for rows in pieces]),
-        np.stack([np.median(log_albedo[rows], axis=0) for rows in pieces]),
-    )
+    log_albedo = np.stack([np.median(log_albedo[rows], axis=0) for rows in pieces])
+
+    def with_diffuse(factor: NDArray[np.floating]) -> _Costs:
+        dielectric = [fits.dielectric(level[rows], halves) for level, halves in zip(factor, lobes, strict=True)]
+        plastic = np.stack([fits.mean(cost) for cost in dielectric], 1)
+        error = np.stack([fits.standard_error(dielectric[-1] - cost) for cost in dielectric], 1)
+        null = np.maximum(plastic[:, -1:], MIN_COST)
+        said = plastic / null, metal / null, error / null
+        return _Costs(ids[enough], null[:, 0], *said, colour, count[enough].astype(np.float64), centre, log_albedo)
+
+    return [with_diffuse(o.diffuse), *([] if o.layer is None else [with_diffuse(o.diffuse * o.layer)])]
 
 
 def _make_metal(gloss: Gloss, label: int, cost: NDArray[np.float64], colour: NDArray[np.float64]) -> None:

@@ -18,7 +18,8 @@ ROBUST = 0.15
 WIDE = 0.4
 """Roughness from which the lobes of few rays are too noisy to tell a metal."""
 LobeHalves = Sequence[tuple[NDArray[np.floating], NDArray[np.floating]]]
-"""(Ls0, Ls1) from two independent sets of rays."""
+"""(Ls0, Ls1) from two independent sets of rays, or once where there is no noise to tell apart."""
+_Residuals = tuple[NDArray[np.floating], NDArray[np.floating]]
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class PartFits:
     def dielectric(self, diffuse: NDArray[np.floating], halves: LobeHalves) -> NDArray[np.float64]:
         """(n,) robust cost with albedo free per patch and the 4 % lobe taken off; ``diffuse`` (m,) view factor."""
         light = self.irradiance * diffuse[:, None]
-        return self._cost(*(self._residuals(self.radiance - DIELECTRIC_F0 * s0 - s1, light) for s0, s1 in halves))
+        return self._cost([self._residuals(self.radiance - DIELECTRIC_F0 * s0 - s1, light) for s0, s1 in halves])
 
     def metal(self, roughness: float, halves: LobeHalves) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(n,) robust cost with the specular colour free per patch and no diffuse part, (k, 3) that colour's median.
@@ -44,13 +45,11 @@ class PartFits:
         """
         mean = np.mean([s0 for s0, _ in halves], axis=0), np.mean([s1 for _, s1 in halves], axis=0)
         if roughness >= WIDE:
-            halves = [mean] * 2
-        cost = self._cost(*(self._residuals(self.radiance - s1, np.maximum(s0, 1e-5)) for s0, s1 in halves))
+            halves = [mean]
+        cost = self._cost([self._residuals(self.radiance - s1, np.maximum(s0, 1e-5)) for s0, s1 in halves])
         return cost, self._medians(self._albedo(self.radiance - mean[1], np.maximum(mean[0], 1e-5)))
 
-    def _residuals(
-        self, explained: NDArray[np.floating], per_albedo: NDArray[np.floating]
-    ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    def _residuals(self, explained: NDArray[np.floating], per_albedo: NDArray[np.floating]) -> _Residuals:
         """Residual of radiance relative to itself (m, 3): between the views of a patch, and between patches."""
         albedo = self._albedo(explained, per_albedo)
         scale = np.maximum(self.radiance, 1e-4)
@@ -84,7 +83,7 @@ class PartFits:
         """(n,) observations of each patch, by weight."""
         return np.asarray(np.bincount(self.patch, self.weight, len(self.part)), np.float64)
 
-    def _cost(self, a: tuple[NDArray, NDArray], b: tuple[NDArray, NDArray]) -> NDArray[np.float64]:
+    def _cost(self, halves: Sequence[_Residuals]) -> NDArray[np.float64]:
         """(n,) robust mean of the squared residuals, less the noise of few rays.
 
         The square of a noisy residual has the noise's variance in it, and the smooth null hypothesis would always
@@ -94,7 +93,7 @@ class PartFits:
         n, say = len(self.part), self._say
         views, space = (
             _robust(group_sums(self.weight[:, None] * x * y, self.patch, n) / say[:, None])
-            for x, y in zip(a, b, strict=True)
+            for x, y in zip(halves[0], halves[-1], strict=True)
         )
         return (views + SPATIAL_WEIGHT * space).mean(1)
 

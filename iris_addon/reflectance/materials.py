@@ -221,7 +221,7 @@ class _GlossFit:
         lobes = [[scene.lobes(half) for half in halves] for halves in self.rays]
         # The widest lobes come from irradiance, as everywhere.
         rough = LEVELS[len(FIT_RAYS) :]
-        lobes += [[rough_lobes(np.full(len(at), level), samples.cosine[at], local)] * 2 for level in rough]
+        lobes += [[rough_lobes(np.full(len(at), level), samples.cosine[at], local)] for level in rough]
         lobe, levels = problem.diffuse.lobe, np.array(LEVELS)[:, None]
         observed = GlossObservations(
             problem.part[self.rows],

@@ -47,6 +47,6 @@ class Lattice:
         occupant[slot] = np.arange(len(slot), dtype=np.int32)
         return Lattice(slot, pitch, occupant)
 
-    def pixel_at(self, block: slice, down: int, across: int) -> NDArray[np.int32]:
-        """The pixel so many rows below and columns beside each of a block, negative where there is none."""
-        return self.occupant[self.slot[block] + down * self.pitch[block] + across]
+    def pixel_at(self, own: slice | NDArray[np.integer], down: int, across: int) -> NDArray[np.int32]:
+        """The pixel so many rows below and columns beside each of ``own``, negative where there is none."""
+        return self.occupant[self.slot[own] + down * self.pitch[own] + across]

@@ -21,6 +21,8 @@ from .samples import PixelSamples, trace_view
 
 SAME_DIRECTION = 0.7
 """Cosine between the normals of neighbouring pixels below which there is a crease between them."""
+AS_BRIGHT = 0.98
+"""Share of its value that the pixel beside it reaches, if a mixed one may have all its light from there."""
 
 
 def mixed_pixels(
@@ -66,15 +68,61 @@ def _beside_others(
     mixed = np.zeros(len(part), bool)
 
     def work(block: slice) -> None:
-        position, normal = samples.position[block], samples.normal[block]
         for down, across in NEIGHBOURS:
             near = lattice.pixel_at(block, down, across)
             at = np.maximum(near, 0)
-            step, other = samples.position[at] - position, samples.normal[at]
-            height = np.maximum(np.abs(dot(step, normal)), np.abs(dot(step, other)))
-            reach = stride * np.minimum(samples.footprint[block], samples.footprint[at])
-            unlike = (part[at] != part[block]) | (dot(normal, other) < SAME_DIRECTION) | (height > reach)
-            mixed[block] |= np.where(near >= 0, unlike, near == NO_PIXEL)
+            crease = dot(samples.normal[block], samples.normal[at]) < SAME_DIRECTION
+            other = crease | _another_surface(samples, part, block, at, stride)
+            mixed[block] |= np.where(near >= 0, other, near == NO_PIXEL)
 
     over_blocks(len(part), BLOCK // 2, work)
     return mixed
+
+
+def _another_surface(
+    samples: PixelSamples,
+    part: NDArray[np.integer],
+    own: slice | NDArray[np.integer],
+    near: NDArray[np.integer],
+    stride: int,
+) -> NDArray[np.bool_]:
+    """Whether pixels ``near`` show another part than ``own`` do, or lie off their plane."""
+    step = samples.position[near] - samples.position[own]
+    height = np.maximum(np.abs(dot(step, samples.normal[own])), np.abs(dot(step, samples.normal[near])))
+    reach = stride * np.minimum(samples.footprint[own], samples.footprint[near])
+    return (part[near] != part[own]) | (height > reach)
+
+
+def outshone_by(
+    samples: PixelSamples,
+    z: NDArray[np.floating],
+    mixed: NDArray[np.bool_],
+    parts: NDArray[np.integer],
+    cameras: Sequence[Camera],
+    stride: int,
+) -> NDArray[np.int32]:
+    """(n,) the brightest pixel of another surface beside each mixed one, -1 where all are darker than it.
+
+    A strip of a frame before a window looks as bright as the window: what its pixels show may be the window's light.
+
+    Args:
+        z: (n, 3) display values or radiance.
+        mixed: (n,) of :func:`mixed_pixels`.
+    """
+    lattice = Lattice.of(samples.view, samples.pixel, cameras, stride, margin=1)
+    part, level, rows = parts[samples.face], z.mean(1), np.flatnonzero(mixed)
+    brightest = np.full(len(part), -1, np.int32)
+
+    def work(block: slice) -> None:
+        own = rows[block]
+        least = AS_BRIGHT * level[own]
+        for down, across in NEIGHBOURS:
+            near = lattice.pixel_at(own, down, across)
+            at = np.maximum(near, 0)
+            apart = part[at] != part[own]  # A thing may lie before itself: among equals, another part.
+            more = (level[at] > least) | (apart & (level[at] >= least))
+            more &= (near >= 0) & _another_surface(samples, part, own, at, stride)
+            brightest[own[more]], least[more] = at[more], level[at[more]]
+
+    over_blocks(len(rows), BLOCK // 2, work)
+    return brightest
