@@ -24,10 +24,12 @@ class ChangedPhoto:
     Attributes:
         display: (H, W, 3) display values, or None where the photo holds radiance.
         radiance: (H, W, 3) linear; in the unit of the photo where that holds radiance.
+        shows_added: whether anything is to be seen of what was put in.
     """
 
     display: FloatArray | None
     radiance: FloatArray
+    shows_added: bool
 
     def write(self, folder: Path, name: str, *, linear: bool) -> Path:
         """Write ``name``.png, or .exr of radiance if that is wanted or all there is."""
@@ -63,14 +65,15 @@ class PhotoInsertion:
             known = known * self.places
         if edit.changes_nothing:
             linear = values if self.photo.hdr else response.invert(values) / (1.0 if known is None else known)
-            return ChangedPhoto(None if self.photo.hdr else values, linear)
+            return ChangedPhoto(None if self.photo.hdr else values, linear, shows_added=False)
         if self._without is None:
             self._without = render_pair(self.result, self.view.camera, None, **self.sampling)
         changed = render_change(self.result, self.view.camera, edit, self._without, **self.sampling)
+        shows_added = bool(changed.covered.any())
         if self.photo.hdr:
-            return ChangedPhoto(None, change_light(values, changed, 1.0 if known is None else known))
+            return ChangedPhoto(None, change_light(values, changed, 1.0 if known is None else known), shows_added)
         exposure = self._fitted_exposure(changed.without) if known is None else known
-        return ChangedPhoto(*change_photo(values, changed, response, exposure))
+        return ChangedPhoto(*change_photo(values, changed, response, exposure), shows_added)
 
     def _fitted_exposure(self, without: FloatArray) -> FloatArray:
         """(H, W, 3), or what broadcasts to it: the exposure that makes the render look like the photo."""

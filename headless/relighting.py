@@ -185,13 +185,15 @@ def _insert_onto_photos(
 
         insertion = PhotoInsertion(result, views[edits[0][0]], **_sampling(args))
         return insert_frames(args, progress, insertion, job, lambda time: edits_at(time)[0][1])
-    written = []
+    written, warnings = [], []
     with progress.stage("insert"):
         for number, (index, edit) in enumerate(edits):
             picture = PhotoInsertion(result, views[index], **_sampling(args)).picture(edit)
             written.append(picture.write(args.out, views[index].name, linear=args.linear))
+            if (edit.objects or edit.spheres) and not picture.shows_added:
+                warnings.append(f"{written[-1].name} shows nothing of its objects: look at where they are placed")
             progress.update((number + 1) / len(edits))
-    return Outcome.of("Rendered", {"files": written})
+    return Outcome.of("Rendered", {"files": written} | ({"warnings": warnings} if warnings else {}))
 
 
 # ---- light shares --------------------------------------------------------------------------------------------------

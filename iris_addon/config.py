@@ -88,7 +88,7 @@ class SolveConfig:
 
 
 PRESETS: dict[PresetName, SolveConfig] = {
-    "draft": SolveConfig("draft", max_patches=30_000, gather_rays=64, shadow_rays=48, specular_rays=8, atlas_size=1024),
+    "draft": SolveConfig("draft", max_patches=50_000, gather_rays=48, specular_rays=8, atlas_size=1024, rounds=1),
     "balanced": SolveConfig(),
     "final": SolveConfig(
         "final",

@@ -15,7 +15,7 @@ from iris_addon.response import curve, family
 from iris_addon.response.curve import N_SAMPLES, SATURATED, Response
 from iris_addon.response.files import read_response
 from iris_addon.response.local_exposure import COLUMNS, ROWS, LocalExposure, LocalSettings
-from iris_addon.response.observations import Observations, order_in_groups
+from iris_addon.response.observations import Observations
 from iris_addon.response.overlap import fit_overlap
 from iris_addon.response.radiance import group_radiance, linearise, raised_by_clipped
 from tests.engine_room import observe_off_edges
@@ -284,15 +284,6 @@ def test_pixels_that_clip_in_the_shortest_exposure_raise_their_patch() -> None:
     raised = raised_by_clipped(found, linear, o.patch, o.count, plain)
     assert found.radiance[:, 0] == pytest.approx([0.6, 0.4], rel=0.01)
     assert raised[:, 0] == pytest.approx([0.8, 0.4], rel=0.01)  # (0.6 + bound 1) / 2 and as it was
-
-
-def test_one_sort_orders_values_within_their_groups() -> None:
-    rng = np.random.default_rng(0)
-    values = np.concatenate([rng.normal(0, 10, 500), [-1e30, 1e30, 0.0]]).astype(np.float32)
-    group = rng.integers(0, 5, len(values))
-    order = order_in_groups(values, group)
-    assert np.array_equal(group[order], np.sort(group))
-    assert np.array_equal(values[order], values[np.lexsort((values, group))])
 
 
 @pytest.mark.parametrize("exponent", [0.6, 1.0, 1.7])

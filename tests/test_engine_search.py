@@ -124,6 +124,15 @@ def test_a_bar_all_of_whose_pixels_show_the_window_beside_them_must_be_needed(
     assert sorted(int(faces[0]) for faces in kept) == ([WINDOW] if lent == 20 else [WINDOW, BAR])
 
 
+@pytest.mark.parametrize("lent", [0, 10, 20])
+def test_photos_show_that_much_less_of_a_lamp_as_pixels_are_outshone(lent: int) -> None:
+    """A radiance of 4 where photos show 1: two stops, one more if half its pixels may be the window's, ten if all."""
+    room = problem(floor=(4.0, 1.0, 0.1), clipped=(True, True, False))
+    room.outshone_by[np.flatnonzero(PATCH_FACE == BAR)[:lent]] = np.flatnonzero(PATCH_FACE == WINDOW)[0]
+    stops = selection._stops_beyond_photos(room, np.array([BAR]), np.full(3, 4.0))
+    assert stops == pytest.approx({0: 2, 10: 3, 20: 10}[lent])
+
+
 def test_rounds_of_gloss_bring_no_new_lamps(monkeypatch: pytest.MonkeyPatch) -> None:
     """The bar seems to need a reflectance of 10, and was no lamp when the whole room was searched."""
     room = problem(floor=(4.0, 4.0, 0.1), clipped=(True, True, False))

@@ -138,6 +138,16 @@ def test_an_empty_list_of_objects_returns_the_photo(solved):
 
 
 @pytest.mark.bpy
+def test_a_photo_that_shows_nothing_of_its_objects_is_named(solved, capsys):
+    """The first ball stands in front of its camera, the second behind it."""
+    balls = [{"shape": "sphere", "radius": 0.1, "location": [0, 0, z]} for z in (0.0, 0.9)]
+    job = write_job(solved, "balls.json", views=[{"view": view, "objects": [balls[view]]} for view in (0, 1)])
+    run(solved, "insert", "--objects", job, "--onto-photos")
+    told = capsys.readouterr().out
+    assert "b.png shows nothing of its objects" in told and "a.png shows" not in told
+
+
+@pytest.mark.bpy
 def test_light_onto_a_photo_is_linear_on_request(solved):
     ball = {"shape": "sphere", "radius": 0.2, "pixel": [12, 17]}
     job = write_job(solved, "ball.json", objects=[ball])

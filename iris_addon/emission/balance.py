@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from ..response.observations import group_sums
+from ..grouping import group_sums
 from .evidence import DirectEvidence, Evidence
 
 MIN_PATCHES_PER_PART = 12

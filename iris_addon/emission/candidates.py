@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..response.observations import Observations, order_in_groups
+from ..grouping import order_in_groups
+from ..response.observations import Observations
 from ..response.radiance import Linearised, group_radiance
 from ..surface.parts import component_labels, smooth_edges
 

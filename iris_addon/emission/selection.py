@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..grouping import group_medians
 from ..progress import Progress
-from ..response.observations import group_medians
 from ..response.radiance import GroupRadiance
 from ..surface.parts import pieces_between_edges
 from ..transport.gather import emitter_of_face
@@ -107,7 +107,7 @@ def needed_lamps(
     power = np.array([problem.tracer.areas[f].sum() for f in lights.emitters]) * lights.radiance.mean(1)
     # Mixed pixels at the edge of a real lamp make specks.
     strong = power > NEGLIGIBLE_POWER * power.sum()
-    certain = (needed >= CERTAIN) & ~_outshone(problem, lights.emitters)
+    certain = (needed >= CERTAIN) & (_outshone(problem, lights.emitters) <= OUTSHONE)
     sure = [lights.emitters[k] for k in np.flatnonzero(strong & certain)]
     lamps = [lights.emitters[k] for k in np.flatnonzero(strong & ~certain)]
     if lamps:
@@ -120,13 +120,13 @@ def needed_lamps(
     return [*sure, *(lamp for lamp in lamps if len(lamp))]
 
 
-def _outshone(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> NDArray[np.bool_]:
-    """(E,) lamps beside nearly all of whose pixels something else is as bright: the light they show may be its."""
+def _outshone(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> NDArray[np.float64]:
+    """(E,) share of each lamp's pixels beside which something else is as bright: the light they show may be its."""
     lamp, by = emitter_of_face(emitters, len(problem.parts))[problem.samples.face], problem.outshone_by
     on = np.flatnonzero(lamp >= 0)
     lent = (by[on] >= 0) & (lamp[by[on]] != lamp[on])
     pixels = np.bincount(lamp[on], minlength=len(emitters))
-    return np.bincount(lamp[on], lent, len(emitters)) > OUTSHONE * np.maximum(pixels, 1)
+    return np.bincount(lamp[on], lent, len(emitters)) / np.maximum(pixels, 1)
 
 
 def _without_idle(
@@ -170,10 +170,11 @@ def _stops_beyond_photos(problem: LightProblem, lamp: NDArray[np.int64], radianc
     """By how many stops a lamp would have to be brighter than photos show, from half a stop to ten.
 
     The further beyond, the more the room has to ask for it: a strip of a frame can stand in for the window behind it at
-    a hundred times the radiance.
+    a hundred times the radiance. Pixels beside which something else is as bright show nothing of it.
     """
     on = lamp_of_patch(problem, [lamp]) == 0
     shown = np.median(problem.brightness.floor[on].mean(1)) if on.any() else 0.0
+    shown *= 1 - _outshone(problem, [lamp])[0]
     return float(np.clip(np.log2(radiance.mean() / max(shown, 1e-9)), 0.5, 10.0))
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..emission.balance import MAX_ALBEDO
-from ..response.observations import MIXED_SAY, group_sums
+from ..grouping import group_sums
+from ..response.observations import MIXED_SAY
 
 DIM = 0.05
 """Share of the median irradiance below which a quotient of radiance and irradiance is not worth much."""

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..response.observations import group_medians, group_sums
+from ..grouping import group_medians, group_sums
 from .ggx import DIELECTRIC_F0
 
 SPATIAL_WEIGHT = 0.35

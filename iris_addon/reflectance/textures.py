@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..emission.balance import MAX_ALBEDO
-from ..response.observations import group_medians, group_sums
+from ..grouping import group_medians, group_sums
 from ..result.types import Textures
 from ..surface.atlas_texels import extend_texels, fill_texels, rasterise_atlas, texel_index
 from ..surface.samples import PixelSamples

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.sparse import coo_matrix
 
+from ..grouping import group_means, group_sums
 from . import family
 from .curve import Response
-from .observations import Observations, group_means, group_sums
+from .observations import Observations
 
 CLIP_SCALE = 0.03
 """Log exposure by which an observation may lie on the wrong side of saturation before it starts to be an outlier."""

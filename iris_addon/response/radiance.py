@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..grouping import group_sums
 from .curve import Response
-from .observations import Observations, group_sums
+from .observations import Observations
 
 MODEL_NOISE = 0.03
 """Relative noise of an observation that no photo byte explains: interpolation, misregistration."""

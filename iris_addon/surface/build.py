@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..capture.types import Mesh
+from ..grouping import group_equal, group_means
 from ..parallel import BLOCK, over_blocks
-from ..response.observations import group_means
 from ..transport.gather import Origins
-from .patches import N_LEVELS, KeyIndex, PatchGrid, cell_keys, choose_levels
+from .patches import N_LEVELS, KeyIndex, PatchGrid, block_keys, cell_keys, choose_levels
 from .samples import PixelSamples
 
 FIRST_PIXELS_PER_PATCH = 3.0
@@ -58,30 +58,31 @@ def build_surface(
     origin = used.min(0) - scale * np.array([0.1234, 0.2345, 0.3456])
     part = parts[samples.face]
     pixels_per_patch = FIRST_PIXELS_PER_PATCH
+    blocks = group_equal(block_keys(samples.position, origin, scale))
     while True:
-        blocks = choose_levels(samples.position, samples.footprint, origin, scale, pixels_per_patch)
-        keys = _keys(samples, part, origin, scale, KeyIndex(blocks[0]), blocks[1])
-        unique, inverse, count = np.unique(keys, return_inverse=True, return_counts=True)
-        if len(unique) <= max_patches or pixels_per_patch > 100:
+        levels = choose_levels(blocks, samples.footprint, scale, pixels_per_patch)
+        keys = _keys(samples, part, origin, scale, KeyIndex(blocks.keys), levels)
+        groups = group_equal(keys)
+        n = len(groups.keys)
+        if n <= max_patches or pixels_per_patch > 100:
             break
-        pixels_per_patch *= max(1.1, min(2.0, (len(unique) / max_patches) ** 0.5))
-        if (blocks[1] == N_LEVELS - 1).mean() > 0.5:
+        pixels_per_patch *= max(1.1, min(2.0, (n / max_patches) ** 0.5))
+        if (levels == N_LEVELS - 1).mean() > 0.5:
             # Where most cells are as coarse as they get, only a coarser grid helps: captures far larger than a room.
             scale *= 2
-    patch = inverse.astype(np.int32)
-    grid = PatchGrid(origin, scale, *blocks, unique, np.arange(len(unique), dtype=np.int32))
-    order = np.argsort(patch, kind="stable")
-    first = np.concatenate([[0], np.cumsum(count)[:-1]])
-    pick = order[first[:, None] + (rng.random((len(unique), ORIGINS_PER_PATCH)) * count[:, None]).astype(np.int64)]
-    normal = group_means(samples.normal, patch, len(unique))
+            blocks = group_equal(block_keys(samples.position, origin, scale))
+    patch, order, start, count = groups.group, groups.order, groups.start, groups.count
+    grid = PatchGrid(origin, scale, blocks.keys, levels, groups.keys, np.arange(n, dtype=np.int32))
+    pick = order[start[:, None] + (rng.random((n, ORIGINS_PER_PATCH)) * count[:, None]).astype(np.int64)]
+    normal = group_means(samples.normal, patch, n)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
     return Surface(
         grid,
         patch,
-        group_means(samples.position, patch, len(unique)).astype(np.float32),
+        group_means(samples.position, patch, n).astype(np.float32),
         normal.astype(np.float32),
-        samples.footprint[order[first + count // 2]],
-        part[order[first]],
+        samples.footprint[order[start + count // 2]],
+        part[order[start]],
         count,
         Origins(samples.position[pick], samples.normal[pick]),
         pixels_per_patch,

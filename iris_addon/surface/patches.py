@@ -14,6 +14,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ..grouping import Groups
+
 N_LEVELS = 6
 FINEST = 0.01
 """Finest cell, metres; a cell spans ``FINEST * 2**level``."""
@@ -126,16 +128,17 @@ def cell_keys(
 
 
 def choose_levels(
-    position: NDArray[np.floating],
-    footprint: NDArray[np.floating],
-    origin: NDArray[np.float64],
-    scale: float,
-    pixels_per_patch: float,
-) -> tuple[NDArray[np.uint64], NDArray[np.int8]]:
-    """Level of every block that photos see, from the lower quartile of its pixels' footprints."""
+    blocks: Groups[np.uint64], footprint: NDArray[np.floating], scale: float, pixels_per_patch: float
+) -> NDArray[np.int8]:
+    """(b,) level of every block that photos see, from the lower quartile of its pixels' footprints.
+
+    Args:
+        blocks: the n pixels by their :func:`block_keys`.
+        footprint: (n,) metres.
+    """
     wanted = np.log2(np.maximum(pixels_per_patch * footprint / (scale * FINEST), 1e-6))
     level = np.clip(np.floor(wanted + 0.5), 0, N_LEVELS - 1).astype(np.int64)
-    unique, block, count = np.unique(block_keys(position, origin, scale), return_inverse=True, return_counts=True)
-    histogram = np.bincount(block * N_LEVELS + level, minlength=len(unique) * N_LEVELS).reshape(-1, N_LEVELS)
-    quartile = (np.cumsum(histogram, axis=1) <= (count // 4)[:, None]).sum(1)
-    return unique, quartile.astype(np.int8)
+    n = len(blocks.keys)
+    histogram = np.bincount(blocks.group * N_LEVELS + level, minlength=n * N_LEVELS).reshape(n, N_LEVELS)
+    quartile = (np.cumsum(histogram, axis=1) <= (blocks.count // 4)[:, None]).sum(1)
+    return quartile.astype(np.int8)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..capture.types import Mesh
-from ..response.observations import group_means
+from ..grouping import group_means
 from .parts import initial_parts, pieces_between_edges, smooth_edges
 from .samples import PixelSamples
 

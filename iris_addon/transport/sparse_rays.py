@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..response.observations import group_sums
+from ..grouping import group_sums
 from .transport import radiance_table, table_rows
 
 

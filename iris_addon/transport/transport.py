@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ..grouping import group_equal
 from ..parallel import BLOCK, over_blocks
 from ..progress import Progress
 from ..surface.build import ORIGINS_PER_PATCH, Surface
@@ -231,14 +232,14 @@ def _unseen_patches(
     normal = facing_normals(tracer, face, rays.direction[row, column].astype(np.float32))
     none = np.zeros(0, np.uint64), np.zeros(0, np.int8)
     keys = cell_keys(point, normal, parts[face], surface.grid.origin, surface.grid.scale, KeyIndex(none[0]), none[1])
-    unique, inverse, count = np.unique(keys, return_inverse=True, return_counts=True)
-    order, first = np.argsort(inverse, kind="stable"), np.cumsum(count) - count
+    groups = group_equal(keys)
+    count = groups.count
     kept = np.sort(np.argsort(-count, kind="stable")[:limit])
     # Such patches are large, and what rays of the others met of them is the part that matters.
     step = np.arange(ORIGINS_PER_PATCH) * count[kept, None] // ORIGINS_PER_PATCH
-    at = order[first[kept, None] + step]
+    at = groups.order[groups.start[kept, None] + step]
     number = np.arange(len(kept), dtype=np.int32) + np.int32(len(surface.part))
-    grid = PatchGrid(surface.grid.origin, surface.grid.scale, *none, unique[kept], number)
+    grid = PatchGrid(surface.grid.origin, surface.grid.scale, *none, groups.keys[kept], number)
     return grid, Origins(point[at], normal[at]), parts[face[at[:, 0]]]
 
 
