@@ -18,7 +18,8 @@ from scipy.optimize import minimize
 
 from ..capture import load_photo
 from ..capture.correction import CameraCorrection
-from ..capture.types import Capture, View
+from ..capture.types import Camera, Capture, View
+from ..grouping import group_equal, group_means
 from ..progress import Progress
 from ..transport.tracer import Tracer
 
@@ -131,24 +132,21 @@ class _Lattice:
 
     def disagreement(self, views: Sequence[View], correction: CameraCorrection, tracer: Tracer) -> float:
         """Robust mean difference between photos of the same cell of the surface."""
-        cells, photo, value = [], [], []
-        for index, view in enumerate(views):
-            camera = correction.camera(view.camera)
-            x = ((self.i * camera.width).astype(int) + 0.5 - camera.cx) / camera.fx
-            y = ((self.j * camera.height).astype(int) + 0.5 - camera.cy) / camera.fy
-            direction = np.stack([x, -y, -np.ones_like(x)], -1) @ camera.c2w[:3, :3].T
-            direction = (direction / np.linalg.norm(direction, axis=1, keepdims=True)).astype(np.float32)
-            origin = np.broadcast_to(camera.position, direction.shape).astype(np.float32)
-            hits = tracer.closest(origin, direction)
-            on = hits.face >= 0
-            cells.append(
-                _cells(
-                    origin[on] + direction[on] * hits.distance[on, None], tracer.normals[hits.face[on]], direction[on]
-                )
-            )
-            photo.append(np.full(int(on.sum()), index))
-            value.append(self.brightness[index][on])
-        return _spread(np.concatenate(cells), np.concatenate(photo), np.concatenate(value), len(views))
+        cameras = [correction.camera(view.camera) for view in views]
+        direction = np.concatenate([self._directions(camera) for camera in cameras])
+        origin = np.repeat(np.array([camera.position for camera in cameras], np.float32), len(self.i), axis=0)
+        hits = tracer.closest(origin, direction)
+        on = np.flatnonzero(hits.face >= 0)
+        point = origin[on] + direction[on] * hits.distance[on, None]
+        cell = _cells(point, tracer.normals[hits.face[on]], direction[on])
+        return _spread(cell, on // len(self.i), self.brightness.ravel()[on], len(views))
+
+    def _directions(self, camera: Camera) -> NDArray[np.float32]:
+        """(n, 3) unit directions through the pixels of one photo."""
+        x = ((self.i * camera.width).astype(int) + 0.5 - camera.cx) / camera.fx
+        y = ((self.j * camera.height).astype(int) + 0.5 - camera.cy) / camera.fy
+        direction = np.stack([x, -y, -np.ones_like(x)], -1) @ camera.c2w[:3, :3].T
+        return (direction / np.linalg.norm(direction, axis=1, keepdims=True)).astype(np.float32)
 
 
 def _cells(
@@ -165,15 +163,14 @@ def _cells(
 def _spread(cell: NDArray[np.int64], photo: NDArray[np.int64], value: NDArray[np.floating], n_photos: int) -> float:
     """Cauchy loss of what photos show of the same cell around one mean per cell, with one gain per photo; relative to
     the loss around one mean of all, or else cameras that see less of the room would seem to agree better."""
-    seen, place = np.unique(cell * n_photos + photo, return_inverse=True)
-    value = np.bincount(place, value) / np.bincount(place)
-    photo = seen % n_photos
-    _, cell, count = np.unique(seen // n_photos, return_inverse=True, return_counts=True)
-    shared = count[cell] >= 2
+    seen = group_equal(cell * n_photos + photo)
+    value = group_means(value[:, None], seen.group, len(seen.keys))[:, 0]
+    photo, cells = seen.keys % n_photos, group_equal(seen.keys // n_photos)
+    shared = cells.count[cells.group] >= 2
     if not shared.any():
         return np.inf
     value, photo = value[shared], photo[shared]
-    _, cell = np.unique(cell[shared], return_inverse=True)
+    cell = np.cumsum(cells.count >= 2)[cells.group[shared]] - 1
     gain, say, off = np.zeros(n_photos), np.ones(len(value)), np.zeros(len(value))
     level = value
     for _ in range(6):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..capture.types import Camera
-from ..parallel import BLOCK, over_blocks
+from ..parallel import BLOCK, over_blocks, over_each
 from ..transport.sampling import dot
 from ..transport.tracer import Tracer
 from .lattice import NEIGHBOURS, NO_PIXEL, Lattice
@@ -40,21 +40,25 @@ def mixed_pixels(
         return mixed
     # The next pixel of the lattice is further than the footprint reaches: ask the true neighbours.
     bounds = np.searchsorted(samples.view, np.arange(len(cameras) + 1))
-    for index, camera in enumerate(cameras):
+
+    def probe(index: int) -> None:
         rows = bounds[index] + np.flatnonzero(mixed[bounds[index] : bounds[index + 1]])
         if len(rows):
-            mixed[rows] = _probe(tracer, samples.pixel[rows], parts, camera)
+            mixed[rows] = _probe(tracer, samples.pixel[rows], parts, cameras[index])
+
+    over_each(range(len(cameras)), probe)
     return mixed
 
 
 def _probe(tracer: Tracer, pixel: NDArray[np.integer], parts: NDArray[np.integer], camera: Camera) -> NDArray[np.bool_]:
     """(k,) which of some pixels of one photo are mixed, by rays through them and those beside them."""
     row, column = np.divmod(pixel.astype(np.int64), camera.width)
-    around = [
-        np.clip(row + down, 0, camera.height - 1) * camera.width + np.clip(column + across, 0, camera.width - 1)
-        for down, across in NEIGHBOURS
-    ]
-    traced = trace_view(tracer, camera, 0, np.unique(np.concatenate([pixel, *around])).astype(np.int32))
+    wanted = np.zeros(camera.height * camera.width, bool)
+    wanted[pixel] = True
+    for down, across in NEIGHBOURS:
+        near = np.clip(row + down, 0, camera.height - 1), np.clip(column + across, 0, camera.width - 1)
+        wanted[near[0] * camera.width + near[1]] = True
+    traced = trace_view(tracer, camera, 0, np.flatnonzero(wanted).astype(np.int32))
     mixed = np.ones(camera.height * camera.width, bool)
     mixed[traced.pixel] = _beside_others(traced, parts, [camera], 1)
     return mixed[pixel]
