@@ -17,7 +17,7 @@ from iris_addon.errors import IrisError, SolverEnvironmentMissing
 from .signals import put_back
 
 _IMAGES = ("numpy", "OpenEXR", "PIL")
-_SOLVER = (*_IMAGES, "torch", "scipy", "trimesh", "embreex", "filelock")
+_SOLVER = (*_IMAGES, "torch", "scipy", "trimesh", "embreex", "filelock", "numba", "threadpoolctl")
 NEEDS = {
     "demo": (*_SOLVER, "bpy"),
     "solve": _SOLVER,

@@ -12,6 +12,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from .kernels import Integer, kernel
+from .parallel import BLOCK, blocks, over_each
+
 Key = TypeVar("Key", bound=np.integer)
 
 
@@ -67,8 +70,16 @@ def order_in_groups(values: NDArray[np.floating], group: NDArray[np.integer]) ->
 
 def group_sums(values: NDArray[np.floating], group: NDArray[np.integer], n_groups: int) -> NDArray[np.float64]:
     """(n_groups, C) sum of ``values`` (n, C) per group."""
-    columns = [np.bincount(group, values[:, c], n_groups) for c in range(values.shape[1])]
-    return np.stack(columns, -1).astype(np.float64, copy=False)
+    sums = np.zeros((n_groups, values.shape[1]))
+    _add_up(values, group, sums)
+    return sums
+
+
+@kernel
+def _add_up(values: NDArray[np.floating], group: NDArray[np.integer], sums: NDArray[np.float64]) -> None:
+    for i in range(len(group)):
+        for c in range(values.shape[1]):
+            sums[group[i], c] += values[i, c]
 
 
 def group_means(values: NDArray[np.floating], group: NDArray[np.integer], n_groups: int) -> NDArray[np.float64]:
@@ -87,3 +98,60 @@ def group_medians(values: NDArray[np.floating], group: NDArray[np.integer], n_gr
         ordered = column[order_in_groups(column, group)]
         medians[some, channel] = (ordered[start + (count - 1) // 2] + ordered[start + count // 2]) / 2
     return medians
+
+
+def entries_of(table: NDArray[np.integer], wanted: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Row and column of the entries of a ``table`` (n, R) that are ``wanted`` (m,), in their order.
+
+    Entries are indices of ``wanted``, negative ones from its end: np.nonzero(wanted[table]) on all cores.
+    """
+    parts = blocks(len(table), max(1, BLOCK // table.shape[1]))
+    counts = over_each(parts, lambda rows: int(_count(table[rows], wanted)))
+    ends = np.cumsum([0, *counts])
+    row, column = np.empty(ends[-1], np.int64), np.empty(ends[-1], np.int64)
+
+    def fill(k: int) -> None:
+        piece = slice(ends[k], ends[k + 1])
+        _list(table[parts[k]], wanted, parts[k].start, row[piece], column[piece])
+
+    over_each(range(len(parts)), fill)
+    return row, column
+
+
+@kernel
+def _count(table: NDArray[np.integer], wanted: NDArray[np.bool_]) -> Integer:
+    count = 0
+    for i in range(table.shape[0]):
+        for j in range(table.shape[1]):
+            count += wanted[table[i, j]]
+    return count
+
+
+@kernel
+def _list(
+    table: NDArray[np.integer],
+    wanted: NDArray[np.bool_],
+    first: int,
+    row: NDArray[np.int64],
+    column: NDArray[np.int64],
+) -> None:
+    k = 0
+    for i in range(table.shape[0]):
+        for j in range(table.shape[1]):
+            if wanted[table[i, j]]:
+                row[k], column[k] = first + i, j
+                k += 1
+
+
+def counts(values: NDArray[np.integer], n: int) -> NDArray[np.int64]:
+    """(n,) how often each of 0 … n - 1 is among ``values``; negative ones are passed over."""
+    count = np.zeros(n, np.int64)
+    _add_counts(values.ravel(), count)
+    return count
+
+
+@kernel
+def _add_counts(values: NDArray[np.integer], count: NDArray[np.int64]) -> None:
+    for value in values:
+        if value >= 0:
+            count[value] += 1

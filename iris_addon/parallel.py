@@ -72,6 +72,11 @@ def over_random_blocks(
     done: Callable[[float], None] = lambda share: None,
 ) -> None:
     """:func:`over_blocks` with a generator per block, so that the numbers drawn do not depend on who runs first."""
-    starts = [part.start for part in blocks(n, size)]
-    generators = dict(zip(starts, rng.spawn(len(starts)), strict=True))
+    generators = {part.start: generator for part, generator in random_blocks(n, size, rng)}
     over_blocks(n, size, lambda part: work(part, generators[part.start]), done)
+
+
+def random_blocks(n: int, size: int, rng: np.random.Generator) -> list[tuple[slice, np.random.Generator]]:
+    """:func:`blocks` with a generator each."""
+    parts = blocks(n, size)
+    return list(zip(parts, rng.spawn(len(parts)), strict=True))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from .capture import load_photo
 from .capture.types import Capture
 from .errors import BadInput
+from .parallel import over_each
 from .progress import Progress
 from .response.local_exposure import SmallPhotos, small_photo
 from .surface.samples import PixelSamples, pixel_lattice, stride_for_budget, trace_pixels
@@ -63,6 +65,16 @@ class PhotoSamples:
     outshone_by: NDArray[np.int32]
 
 
+class _Read(NamedTuple):
+    """One photo: how many pixels were looked at beyond the mesh, the columns of :class:`BeyondMesh` of those that miss
+    it, and the photo at a small size."""
+
+    hdr: bool
+    looked: int
+    missed: tuple[NDArray, ...]
+    small: tuple[NDArray, NDArray]
+
+
 def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progress) -> PhotoSamples:
     """Trace a lattice of pixels of every training photo and read their values.
 
@@ -74,27 +86,19 @@ def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progres
     samples = trace_pixels(tracer, cameras, stride, progress)
     z = np.empty((len(samples.view), 3), np.float32)
     valid = np.empty(len(samples.view), bool)
-    missing: list[tuple[NDArray, ...]] = []
-    looked, small = 0, []
-    for index, view in enumerate(capture.views):
-        photo = load_photo(view)
-        small.append(small_photo(photo.values, photo.valid))
-        hdr = hdr or photo.hdr
-        rows = slice(*np.searchsorted(samples.view, [index, index + 1]))
-        z[rows] = photo.values.reshape(-1, 3)[samples.pixel[rows]]
-        valid[rows] = photo.valid.ravel()[samples.pixel[rows]]
-        lattice = pixel_lattice(view.camera, stride, index)[::BEYOND_STEP]
-        missed = np.setdiff1d(lattice[photo.valid.ravel()[lattice]], samples.pixel[rows])
-        looked += len(lattice)
-        missing.append(
-            (
-                np.full(len(missed), index, np.int16),
-                missed,
-                view.camera.rays(missed)[1],
-                photo.values.reshape(-1, 3)[missed],
-            )
-        )
-        progress.update((index + 1) / len(capture.views))
+    ends = np.searchsorted(samples.view, np.arange(len(cameras) + 1))
+
+    def read(index: int) -> _Read:
+        photo, rows = load_photo(capture.views[index]), slice(ends[index], ends[index + 1])
+        values, shown = photo.values.reshape(-1, 3), photo.valid.ravel()
+        z[rows], valid[rows] = values[samples.pixel[rows]], shown[samples.pixel[rows]]
+        lattice = pixel_lattice(cameras[index], stride, index)[::BEYOND_STEP]
+        missed = np.setdiff1d(lattice[shown[lattice]], samples.pixel[rows])
+        columns = np.full(len(missed), index, np.int16), missed, cameras[index].rays(missed)[1], values[missed]
+        return _Read(photo.hdr, len(lattice), columns, small_photo(photo.values, photo.valid))
+
+    photos = over_each(range(len(cameras)), read, progress.update)
+    hdr = hdr or any(photo.hdr for photo in photos)
     if not valid.any():
         raise BadInput(
             "no pixel of any photo shows the mesh",
@@ -102,9 +106,9 @@ def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progres
         )
     if not valid.all():
         samples, z = samples.take(np.flatnonzero(valid)), z[valid]
-    columns = [np.concatenate(column) for column in zip(*missing, strict=True)]
-    beyond = BeyondMesh(len(columns[0]) / looked, *columns)
+    columns = [np.concatenate(column) for column in zip(*(photo.missed for photo in photos), strict=True)]
+    beyond = BeyondMesh(len(columns[0]) / sum(photo.looked for photo in photos), *columns)
     sizes = np.array([(camera.height, camera.width) for camera in cameras])
-    shown, clipped = (np.stack(part) for part in zip(*small, strict=True))
+    shown, clipped = (np.stack(part) for part in zip(*(photo.small for photo in photos), strict=True))
     mixed, outshone_by = np.zeros(len(z), bool), np.full(len(z), -1, np.int32)
     return PhotoSamples(samples, z, hdr, beyond, stride, SmallPhotos(shown, clipped, sizes), mixed, outshone_by)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from .assembly import make_result, report_figures
 from .cameras.fit import fit_cameras
@@ -69,7 +70,8 @@ def solve(
         Cancelled: finished stages stay in ``out`` for ``resume``.
         IrisError: the disk is full.
     """
-    with sole_writer(out):
+    # Matrices here are narrow; a linear algebra library that waits for work on threads of its own takes them from ours.
+    with sole_writer(out), threadpool_limits(1, "blas"):
         return _solve(capture, config, out, progress or Progress(), resume)
 
 

@@ -16,7 +16,8 @@ from iris_addon.response.curve import Response
 from iris_addon.response.observations import Observations, observe
 from iris_addon.surface.build import Surface, build_surface
 from iris_addon.surface.samples import PixelSamples, trace_pixels
-from iris_addon.transport.gather import Origins, emitter_form_factors, gather
+from iris_addon.transport.form_factors import emitter_form_factors
+from iris_addon.transport.gather import Origins, gather
 from iris_addon.transport.tracer import Tracer
 from iris_addon.transport.transport import Transport, build_transport
 from tests.box_room import look_at

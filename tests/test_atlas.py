@@ -12,8 +12,9 @@ from scipy.spatial import Delaunay
 from iris_addon.capture.meshes import uv_overlap
 from iris_addon.capture.types import DEGENERATE_AREA, Mesh
 from iris_addon.surface.atlas import UNSEEN_SHARE, build_atlas, texel_density_from_footprint
-from iris_addon.surface.atlas_texels import fill_texels, interpolate_uv, rasterise_atlas, texel_index
+from iris_addon.surface.atlas_texels import interpolate_uv, rasterise_atlas, texel_index
 from iris_addon.surface.rasterise import covered_texels
+from iris_addon.surface.texel_fill import fill_texels
 from tests.box_room import box_mesh
 
 SIZE = 256

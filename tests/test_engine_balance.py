@@ -17,7 +17,8 @@ from iris_addon.emission.balance import (
 )
 from iris_addon.emission.evidence import DirectEvidence, Evidence
 from iris_addon.progress import Progress
-from iris_addon.transport.gather import emitter_form_factors, gather
+from iris_addon.transport.form_factors import emitter_form_factors
+from iris_addon.transport.gather import gather
 from iris_addon.transport.tracer import Tracer
 from tests.engine_room import Room, furnished_room, room_origins
 

@@ -9,7 +9,7 @@ import pytest
 
 from iris_addon.progress import Progress
 from iris_addon.transport.bright import aim_at_bright
-from iris_addon.transport.gather import emitter_form_factors
+from iris_addon.transport.form_factors import emitter_form_factors
 from iris_addon.transport.tracer import Tracer
 from iris_addon.transport.transport import Transport
 from tests.engine_room import LAMP_PARTS, Room, cameras, furnished_room, patched

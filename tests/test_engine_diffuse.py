@@ -18,10 +18,12 @@ from iris_addon.response.observations import Observations
 from iris_addon.response.radiance import Linearised
 from iris_addon.surface.field import IrradianceField
 from iris_addon.transport.diffuse import MEAN_SCHLICK, albedo_gain, grazing_gain, schlick, under_lobe
-from iris_addon.transport.gather import Origins, emitter_form_factors, gather
+from iris_addon.transport.form_factors import emitter_form_factors
+from iris_addon.transport.gather import Origins, gather
 from iris_addon.transport.light_moments import LightMoments
+from iris_addon.transport.patch_hits import ESCAPED, UNKNOWN
 from iris_addon.transport.tracer import Tracer
-from iris_addon.transport.transport import ESCAPED, UNKNOWN
+from iris_addon.transport.transport import sent_back
 from tests.engine_room import assemble, cameras, furnished_room, patched, quad
 
 
@@ -105,12 +107,16 @@ def test_patches_lit_from_one_side_send_more_back_there() -> None:
     away = np.stack([back, across])
     k = 2 * (1 + away @ light) / 2 - 0.5
     exact = (1 + k * grazing) * (1 + k * schlick(away[:, 2])) / (1 + kappa * grazing)
-    sent = lit.sent_back(np.zeros(2, np.int64), schlick(away[:, 2]), -away)
+
+    def sent_along(target: int) -> list[float]:
+        return [sent_back(lit.lobes, target, schlick(v[2]), *-v) for v in away]
+
+    sent = sent_along(0)
     np.testing.assert_allclose(sent, exact, rtol=0.02)
     assert sent[0] > 1.15 * sent[1]
     mean = 1 + kappa * schlick(away[:, 2])
-    np.testing.assert_allclose(lit.sent_back(np.full(2, n - 1), schlick(away[:, 2]), -away), mean, rtol=1e-6)
-    np.testing.assert_allclose(lit.sent_back(np.array([UNKNOWN, ESCAPED]), np.ones(2), -away), 1.0)
+    np.testing.assert_allclose(sent_along(n - 1), mean, rtol=1e-6)
+    assert sent_along(UNKNOWN) == sent_along(ESCAPED) == [1, 1]
 
 
 def unit(x: np.ndarray) -> np.ndarray:

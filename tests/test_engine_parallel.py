@@ -10,7 +10,7 @@ import pytest
 
 from iris_addon.parallel import blocks, over_blocks, over_random_blocks
 from iris_addon.progress import Cancelled
-from iris_addon.surface.patches import KeyIndex
+from iris_addon.surface.patches import Slots, number_of
 
 
 @pytest.mark.parametrize(("n", "size"), [(0, 4), (3, 4), (4, 4), (10, 3), (5, 0)])
@@ -76,7 +76,6 @@ def test_the_index_finds_its_keys_and_no_others(n: int) -> None:
     # All in the upper eighth: neighbouring slots fill up and probing has to walk.
     keys = np.unique(rng.integers(2**64 - 2**61, 2**64, 2 * n, dtype=np.uint64))
     known, foreign = keys[::2], keys[1::2]
-    index = KeyIndex(known)
-    assert (index.find(known) == np.arange(len(known))).all()
-    assert (index.find(foreign) == -1).all()
-    assert (index.find(np.zeros(3, np.uint64)) == -1).all()
+    slots = Slots.of(known, np.arange(len(known)))
+    assert [number_of(slots, key) for key in known] == list(range(len(known)))
+    assert all(number_of(slots, key) == -1 for key in [*foreign, np.uint64(0)])

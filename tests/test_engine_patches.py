@@ -34,7 +34,7 @@ def patched(room: Room) -> tuple[PixelSamples, Surface]:
 
 def test_every_pixel_finds_its_own_patch(room: Room, patched: tuple[PixelSamples, Surface]) -> None:
     samples, surface = patched
-    found = surface.grid.lookup(samples.position, samples.normal, room.parts[samples.face])
+    found = surface.grid.patches(samples.position, samples.normal, room.parts[samples.face])
     assert (found == surface.sample_patch).all()
     assert (np.bincount(surface.sample_patch) == surface.count).all()
 
@@ -42,10 +42,10 @@ def test_every_pixel_finds_its_own_patch(room: Room, patched: tuple[PixelSamples
 def test_points_off_the_seen_surface_have_no_patch(patched: tuple[PixelSamples, Surface]) -> None:
     samples, surface = patched
     part = surface.part[surface.sample_patch]
-    assert (surface.grid.lookup(samples.position + 50, samples.normal, part) == -1).all()
-    assert (surface.grid.lookup(samples.position, samples.normal, part + 100) == -1).all()
+    assert (surface.grid.patches(samples.position + 50, samples.normal, part) == -1).all()
+    assert (surface.grid.patches(samples.position, samples.normal, part + 100) == -1).all()
     # The far side of a wall is another surface.
-    assert (surface.grid.lookup(samples.position, -samples.normal, part) == -1).mean() > 0.99
+    assert (surface.grid.patches(samples.position, -samples.normal, part) == -1).mean() > 0.99
 
 
 def test_patches_mix_neither_parts_nor_orientations(room: Room, patched: tuple[PixelSamples, Surface]) -> None:
@@ -70,7 +70,7 @@ def test_origins_lie_on_their_patch(patched: tuple[PixelSamples, Surface]) -> No
     reach = np.linalg.norm(surface.origins.position - surface.position[:, None], axis=2)
     assert (reach < 0.01 * 2**6).all()
     part = np.repeat(surface.part, surface.origins.position.shape[1])
-    found = surface.grid.lookup(surface.origins.position.reshape(-1, 3), surface.origins.normal.reshape(-1, 3), part)
+    found = surface.grid.patches(surface.origins.position.reshape(-1, 3), surface.origins.normal.reshape(-1, 3), part)
     assert (found.reshape(len(surface.part), -1) == np.arange(len(surface.part))[:, None]).all()
 
 

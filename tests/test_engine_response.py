@@ -92,7 +92,7 @@ def test_curves_of_the_family_rise_from_zero_to_one(seed: int) -> None:
 
 def test_the_family_contains_gamma() -> None:
     knots = np.full(len(family.PRIOR_MEAN), np.log(1 / 2.2))
-    assert family.evaluate(knots, X)[1:] == pytest.approx(X[1:] ** (1 / 2.2), abs=1e-6)
+    assert family.Family.at(X).evaluate(knots)[1:] == pytest.approx(X[1:] ** (1 / 2.2), abs=1e-6)
     assert family.downhill(knots).max() == 0
 
 

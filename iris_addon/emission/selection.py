@@ -14,7 +14,7 @@ from ..grouping import group_medians
 from ..progress import Progress
 from ..response.radiance import GroupRadiance
 from ..surface.parts import pieces_between_edges
-from ..transport.gather import emitter_of_face
+from ..transport.form_factors import emitter_of_face
 from .candidates import CERTAIN, emitting_faces, group_emitters, reflectance_needed, whole_parts
 from .solve import SEARCH_SHADOW_RAYS, form_factors_of, lamp_of_patch, patches_on, say_of, solve_lights
 from .types import LightProblem, Lights

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..progress import Progress
 from ..response.radiance import GroupRadiance
 from ..transport.diffuse import under_lobe
-from ..transport.gather import emitter_form_factors, emitter_of_face
+from ..transport.form_factors import emitter_form_factors, emitter_of_face
 from .balance import MAX_ALBEDO, fitted_patches, noticeable, solve_balance
 from .candidates import tie_fixtures
 from .evidence import Evidence

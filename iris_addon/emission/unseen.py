@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from ..progress import Progress
 from ..response.radiance import GroupRadiance
 from ..transport.diffuse import under_lobe
-from ..transport.gather import GatherRays, Origins, emitter_form_factors
+from ..transport.form_factors import emitter_form_factors
+from ..transport.gather import GatherRays, Origins
 from .balance import noticeable, solve_balance
 from .evidence import Evidence
 from .types import LightProblem, Lights

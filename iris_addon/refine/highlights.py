@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from ..emission.types import Lights
 from ..reflectance.ggx import DIELECTRIC_F0
 from ..reflectance.gloss import Gloss
-from ..reflectance.lobes import LobeRays, lobe_cache
+from ..reflectance.lobe_rays import LobeRays
+from ..reflectance.lobes import trace_lobes
 from ..reflectance.materials import MaterialProblem, scene_of
 from ..reflectance.specular import ROUGH
 from ..response.radiance import CLIPPED_SHARE
-from ..transport.gather import emitter_of_face
+from ..transport.form_factors import emitter_of_face
 
 MAX_PATCHES = 2500
 MIN_VIEWS = 4
@@ -64,7 +65,7 @@ def trace_highlights(problem: MaterialProblem, lights: Lights, gloss: Gloss, rng
     o = problem.observations
     glossy = _glossy_observations(problem, lights, gloss, rng)
     scene, roughness = scene_of(problem.light, lights), gloss.roughness[problem.part[glossy]]
-    rays = lobe_cache(scene, problem.light.samples, o.sample[glossy], roughness, RAYS, rng)
+    rays = trace_lobes(scene, problem.light.samples, o.sample[glossy], roughness, RAYS, rng)
     s0, s1 = scene.lobes(rays)
     share = _lamp_shares(rays, lights)
     patches, patch = np.unique(o.patch[glossy], return_inverse=True)

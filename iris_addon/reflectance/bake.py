@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..emission.balance import MAX_ALBEDO
-from ..grouping import group_sums
+from ..kernels import kernel
 from ..response.observations import MIXED_SAY
 
 DIM = 0.05
@@ -22,6 +22,7 @@ HIGHLIGHT = 20.0
 """Inverse of the specular radiance, in irradiance / pi, from which on errors of the lobe outweigh all others."""
 DIM_ALBEDO = 0.02
 """Added to albedo where it divides: relative differences of black surfaces are noise."""
+TINY = np.float32(1e-12)
 OUTLIER = 0.25
 """Relative distance from a texel's mean at which a photo loses half its say."""
 
@@ -89,21 +90,49 @@ def fuse_texels(
         value: (n, 3) albedo.
         weight: (n, 3) say per channel; 0 where clipped.
     """
-    reached = np.zeros(n_texels, bool)
-    reached[texel[weight.any(1)]] = True
-    texels = np.flatnonzero(reached)
-    # The last row takes the pixels without a say in texels that no other reaches.
-    row_of_texel = np.full(n_texels, len(texels), np.int32)
-    row_of_texel[texels] = np.arange(len(texels), dtype=np.int32)
-    row = row_of_texel[texel]
+    row = np.full(n_texels, -1, np.int32)
+    row[texel[weight.any(1)]] = 0
+    texels = np.flatnonzero(row == 0)
+    row[texels] = np.arange(len(texels), dtype=np.int32)
+    first, fused = np.zeros((2, len(texels), 6), np.float32)
+    at = row[texel]
+    _add_up(at, value, weight, first)
+    _add_up_agreeing(at, value, weight, first, fused)
+    norm = first[:, 3:]
+    shown = np.where(norm > 0, fused[:, :3] / np.maximum(fused[:, 3:], TINY), np.nan)
+    return TexelAlbedo(texels, shown, norm.max(1))
 
-    def mean(w: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        norm = group_sums(w, row, len(texels) + 1)
-        return group_sums(w * value, row, len(texels) + 1) / np.maximum(norm, 1e-12), norm
 
-    first, norm = mean(weight)
-    expected = first.astype(np.float32)[row]
-    off = np.abs(value - expected).mean(1, keepdims=True) / (expected.mean(1, keepdims=True) + DIM_ALBEDO)
-    fused, _ = mean(weight / (1 + (off / OUTLIER) ** 2))
-    shown = np.where(norm > 0, fused, np.nan)[:-1].astype(np.float32)
-    return TexelAlbedo(texels, shown, norm[:-1].max(1).astype(np.float32))
+@kernel
+def _add_up(
+    row: NDArray[np.int32], value: NDArray[np.floating], weight: NDArray[np.floating], sums: NDArray[np.float32]
+) -> None:
+    """Weighted values, then weights, of every texel (T, 6); pixels in none of them, -1, have no say."""
+    for i in range(len(row)):
+        if row[i] >= 0:
+            for c in range(3):
+                sums[row[i], c] += weight[i, c] * value[i, c]
+                sums[row[i], 3 + c] += weight[i, c]
+
+
+@kernel
+def _add_up_agreeing(
+    row: NDArray[np.int32],
+    value: NDArray[np.floating],
+    weight: NDArray[np.floating],
+    first: NDArray[np.float32],
+    sums: NDArray[np.float32],
+) -> None:
+    """The same, pixels counting the less the further they are off the mean of their texel by the ``first`` sums."""
+    for i in range(len(row)):
+        t, off, level = row[i], 0.0, DIM_ALBEDO
+        if t < 0:
+            continue
+        for c in range(3):
+            mean = first[t, c] / max(first[t, 3 + c], TINY)
+            off += abs(value[i, c] - mean) / 3
+            level += mean / 3
+        say = 1 / (1 + (off / (level * OUTLIER)) ** 2)
+        for c in range(3):
+            sums[t, c] += say * weight[i, c] * value[i, c]
+            sums[t, 3 + c] += say * weight[i, c]

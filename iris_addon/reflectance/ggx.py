@@ -20,7 +20,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..parallel import over_blocks
+from ..parallel import BLOCK, over_blocks
 
 FloatArray = NDArray[np.floating]
 
@@ -120,16 +120,24 @@ def specular_integrals(roughness: FloatArray, cos_theta: FloatArray) -> tuple[Fl
         roughness: Principled roughness; clamped to [0.03, 1].
         cos_theta: n·ωo; clamped to [0, 1].
     """
-    row = (np.clip(roughness, MIN_ROUGHNESS, 1) - MIN_ROUGHNESS) / (1 - MIN_ROUGHNESS) * (N_ROUGHNESS - 1)
-    column = np.clip(cos_theta, 0, 1) * (N_COSINE - 1)
-    i = np.minimum(row.astype(int), N_ROUGHNESS - 2)
-    j = np.minimum(column.astype(int), N_COSINE - 2)
-    s, t = row - i, column - j
-    table = _table()
-    f0, f1 = (1 - s) * ((1 - t) * table[:, i, j] + t * table[:, i, j + 1]) + s * (
-        (1 - t) * table[:, i + 1, j] + t * table[:, i + 1, j + 1]
-    )
+    roughness, cos_theta = (np.asarray(x, np.float64) for x in (roughness, cos_theta))
+    integrals, table = np.empty((2, roughness.size)), _table()
+    sigma, cosine = roughness.ravel(), cos_theta.ravel()
+    over_blocks(roughness.size, BLOCK, lambda rows: _look_up(table, sigma[rows], cosine[rows], integrals[:, rows]))
+    f0, f1 = integrals.reshape(2, *roughness.shape)
     return f0, f1
+
+
+def _look_up(table: FloatArray, roughness: FloatArray, cosine: FloatArray, integrals: FloatArray) -> None:
+    """Bilinear look-ups into ``integrals`` (2, n)."""
+    row = (np.clip(roughness, MIN_ROUGHNESS, 1) - MIN_ROUGHNESS) / (1 - MIN_ROUGHNESS) * (N_ROUGHNESS - 1)
+    column = np.clip(cosine, 0, 1) * (N_COSINE - 1)
+    i = np.minimum(row.astype(np.int64), N_ROUGHNESS - 2)
+    j = np.minimum(column.astype(np.int64), N_COSINE - 2)
+    s, t, at = row - i, column - j, i * N_COSINE + j
+    for values, result in zip(table.reshape(2, -1), integrals, strict=True):
+        near, far = ((1 - t) * values.take(first) + t * values.take(first + 1) for first in (at, at + N_COSINE))
+        result[:] = (1 - s) * near + s * far
 
 
 @lru_cache(maxsize=1)

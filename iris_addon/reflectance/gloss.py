@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ..parallel import over_each
 from .ggx import DIELECTRIC_F0
 from .gloss_cost import LobeHalves, PartFits
 
@@ -216,14 +217,15 @@ def _part_costs(observed: GlossObservations) -> list[_Costs]:
     part = np.repeat(np.arange(len(pieces)), count[enough])[one]
     fits = PartFits(patch, part, o.weight[rows], o.radiance[rows], np.maximum(o.irradiance[rows], 1e-5))
     lobes = [[(s0[rows], s1[rows]) for s0, s1 in halves] for halves in o.lobes]
-    metals = [fits.metal(level, halves) for level, halves in zip(LEVELS, lobes, strict=True)]
+    levels = range(len(LEVELS))
+    metals = over_each(levels, lambda k: fits.metal(LEVELS[k], lobes[k]))
     metal, colour = np.stack([fits.mean(cost) for cost, _ in metals], 1), np.stack([colour for _, colour in metals], 1)
     centre = np.stack([o.position[rows].mean(0) for rows in pieces])
     log_albedo = np.log(np.maximum(o.radiance, 1e-4) / np.maximum(o.irradiance, 1e-4))
     log_albedo = np.stack([np.median(log_albedo[rows], axis=0) for rows in pieces])
 
     def with_diffuse(factor: NDArray[np.floating]) -> _Costs:
-        dielectric = [fits.dielectric(level[rows], halves) for level, halves in zip(factor, lobes, strict=True)]
+        dielectric = over_each(levels, lambda k: fits.dielectric(factor[k][rows], lobes[k]))
         plastic = np.stack([fits.mean(cost) for cost in dielectric], 1)
         error = np.stack([fits.standard_error(dielectric[-1] - cost) for cost in dielectric], 1)
         null = np.maximum(plastic[:, -1:], MIN_COST)

@@ -8,6 +8,7 @@ over the patches around, else single patches would be too bright by half and the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,14 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
+from ..grouping import entries_of
+from ..kernels import kernel
 from ..parallel import BLOCK, over_each, over_random_blocks
 from ..surface.field import IrradianceField
-from ..transport.diffuse import schlick
-from ..transport.gather import GatherRays, Origins, emitter_of_face
-from ..transport.sampling import dot, ggx_directions
+from ..surface.patches import Lookup
+from ..transport.form_factors import emitter_of_face
+from ..transport.gather import GatherRays, Origins
+from ..transport.patch_hits import find_patch
+from ..transport.sampling import ggx_direction, grazing, vector
 from ..transport.sparse_rays import SparseRays
 from ..transport.tracer import Tracer
-from ..transport.transport import Transport, facing_normals, find_patches
+from ..transport.transport import Transport, sent_back
 from .ggx import ray_alpha
 from .specular_weights import visible_normal_weights
 
@@ -100,7 +105,7 @@ def trace_glossy_bounce(
     on_glossy = np.append(glossy[parts], False)  # the last for rays that hit nothing
 
     def continued(start: int, origins: Origins, rays: GatherRays) -> SparseRays:
-        row, column = np.nonzero(on_glossy[rays.face])
+        row, column = entries_of(rays.face, on_glossy)
         kappa = transport.kappa[start : start + len(rays.face)]
         n = len(row)
         weight, target, face = np.empty((n, 3), np.float32), np.empty(n, np.int32), np.empty(n, np.int32)
@@ -119,6 +124,63 @@ def trace_glossy_bounce(
     return GlossyBounce(SparseRays.joined([seen, unseen]), field.kernel(SPREAD))
 
 
+@kernel
+def _reflect(
+    point: NDArray[np.float32],
+    direction: NDArray[np.float32],
+    distance: NDArray[np.float32],
+    normals: NDArray[np.float32],
+    face: NDArray[np.int32],
+    alpha: NDArray[np.float32],
+    colour: NDArray[np.floating],
+    u: NDArray[np.float32],
+    epsilon: float,
+    along: NDArray[np.float32],
+    weight: NDArray[np.float32],
+) -> None:
+    """Move ``point`` (n, 3) to where its ray ends, just off the surface, and reflect the ray there. Directions below
+    the surface have no weight (n, 3), and are turned to its normal."""
+    for i in range(len(face)):
+        d, n = vector(direction, i), vector(normals, face[i])
+        length = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])  # kept in half precision
+        d = d[0] / length, d[1] / length, d[2] / length
+        if n[0] * d[0] + n[1] * d[1] + n[2] * d[2] > 0:
+            n = -n[0], -n[1], -n[2]
+        x, y, z, half = ggx_direction(n, (-d[0], -d[1], -d[2]), alpha[i], u[i, 0], u[i, 1])
+        w0, w1 = visible_normal_weights(x * n[0] + y * n[1] + z * n[2], half, alpha[i])
+        along[i, 0], along[i, 1], along[i, 2] = (x, y, z) if w0 + w1 > 0 else n
+        for c in range(3):
+            point[i, c] += d[c] * distance[i] + 4 * epsilon * n[c]
+            weight[i, c] = colour[i, c] * w0 + w1
+
+
+@kernel
+def _arrive(
+    start: NDArray[np.float32],
+    along: NDArray[np.float32],
+    face: NDArray[np.int32],
+    distance: NDArray[np.float32],
+    grid: Lookup,
+    normals: NDArray[np.float32],
+    parts: NDArray[np.int32],
+    lobes: NDArray[np.float32],
+    leaving: NDArray[np.floating],
+    n_rays: int,
+    weight: NDArray[np.float32],
+    target: NDArray[np.int32],
+) -> None:
+    """Patches met, and the diffuse lobes at both ends of the path in its weight."""
+    for i in range(len(face)):
+        f, reach = face[i], distance[i] if face[i] >= 0 else np.float32(0)
+        dx, dy, dz = vector(along, i)
+        x, y, z = start[i, 0] + reach * dx, start[i, 1] + reach * dy, start[i, 2] + reach * dz
+        target[i] = find_patch(grid, normals, parts, f, x, y, z, dx, dy, dz)
+        cosine = dx * normals[f, 0] + dy * normals[f, 1] + dz * normals[f, 2] if f >= 0 else 1.0
+        factor = leaving[i] * sent_back(lobes, target[i], grazing(abs(cosine)), dx, dy, dz) / n_rays
+        for c in range(3):
+            weight[i, c] *= factor
+
+
 def _continue_rays(
     tracer: Tracer,
     transport: Transport,
@@ -132,23 +194,27 @@ def _continue_rays(
     column: NDArray[np.integer],
     rng: np.random.Generator,
 ) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
-    direction = rays.direction[row, column].astype(np.float32)
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    face = rays.face[row, column]
-    point_on_patch = column % origins.position.shape[1]
-    start = origins.position[row, point_on_patch]
-    normal = facing_normals(tracer, face, direction)
-    point = start + direction * rays.distance[row, column][:, None] + 4 * tracer.epsilon * normal
-    part = parts[face]
-    alpha = ray_alpha(roughness[part])
-    reflected, half_cosine = ggx_directions(normal, -direction, alpha, rng.random((len(row), 2), np.float32))
-    weight0, weight1, above = visible_normal_weights(normal, reflected, half_cosine, alpha)
-    hits = tracer.closest(point, np.where(above[:, None], reflected, normal))
-    end = point + reflected * np.where(hits.face >= 0, hits.distance, 0)[:, None]
-    target = find_patches(tracer, transport.grids, parts, hits.face, end, reflected)
-    weight = specular_color[part] * weight0[:, None] + weight1[:, None]
-    # The diffuse lobes at both ends of the path.
+    """Weight (n, 3), patch met and face met (n,) of the gather rays ``row``, ``column`` (n,), gone on."""
+    n, part = len(row), parts[rays.face[row, column]]
+    point = origins.position[row, column % origins.position.shape[1]]
+    along, weight, target = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32), np.empty(n, np.int32)
+    _reflect(
+        point,
+        rays.direction[row, column].astype(np.float32),
+        rays.distance[row, column],
+        tracer.normals,
+        rays.face[row, column],
+        ray_alpha(roughness[part]),
+        specular_color[part],
+        rng.random((n, 2), np.float32),
+        tracer.epsilon,
+        along,
+        weight,
+    )
+    hits = tracer.closest(point, along)
     leaving = 1 + kappa[row] * rays.schlick_start[row, column]
-    arriving = schlick(np.abs(dot(tracer.normals[hits.face], reflected)))
-    weight *= (leaving * transport.sent_back(target, arriving, reflected))[:, None]
-    return (weight / rays.face.shape[1]).astype(np.float32), target, hits.face
+    _arrive(
+        point, along, hits.face, hits.distance, transport.grid.lookup, tracer.normals, parts,
+        transport.lobes, leaving, rays.face.shape[1], weight, target,
+    )  # fmt: skip
+    return weight, target, hits.face

@@ -8,14 +8,17 @@ their images sharp.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..capture.types import Camera
+from ..kernels import kernel
 from ..parallel import BLOCK, over_blocks
-from ..surface.lattice import NEIGHBOURS, Lattice
+from ..surface.lattice import Lattice
 from ..surface.samples import PixelSamples
 from ..transport.sampling import dot
 from .ggx import ray_alpha
@@ -45,35 +48,49 @@ def denoise_lobes(
     """
     lattice = Lattice.of(samples.view[rows], samples.pixel[rows], cameras, stride, max(STEPS))
     normal, toward = samples.normal[rows], samples.direction[rows]
-    reflected = 2 * dot(normal, toward)[:, None] * normal - toward
+    reflected = (2 * dot(normal, toward)[:, None] * normal - toward).astype(np.float32)
     precision = 0.5 / (np.float32(REACH) * ray_alpha(roughness)) ** 2
     for step in STEPS:
-        lobes = _average(lobes, lattice, step, part, reflected, precision)
+        smooth, noisy = np.empty_like(lobes), lobes
+
+        def work(block: slice, step: int, smooth: NDArray[np.float32], noisy: NDArray[np.float32]) -> None:
+            places = lattice.slot[block], lattice.pitch[block], lattice.occupant
+            _average(block.start, *places, step, part, reflected, precision, noisy, smooth)
+
+        over_blocks(len(lobes), BLOCK // 4, partial(work, step=step, smooth=smooth, noisy=noisy))
+        lobes = smooth
     return lobes
 
 
+@kernel
 def _average(
-    lobes: NDArray[np.float32],
-    lattice: Lattice,
+    first: int,
+    slot: NDArray[np.int64],
+    pitch: NDArray[np.int64],
+    occupant: NDArray[np.int32],
     step: int,
     part: NDArray[np.integer],
-    reflected: NDArray[np.floating],
+    reflected: NDArray[np.float32],
     precision: NDArray[np.float32],
-) -> NDArray[np.float32]:
-    """One pass: the mean over a pixel and eight others, ``step`` rows and columns away."""
-    result = np.empty_like(lobes)
-
-    def work(block: slice) -> None:
-        total, norm = lobes[block].copy(), np.ones(block.stop - block.start, np.float32)
-        for down, across in NEIGHBOURS:
-            near = lattice.pixel_at(block, step * down, step * across)
-            at = np.maximum(near, 0)
-            turn = reflected[at] - reflected[block]
-            say = np.float32(CORNER if down and across else SIDE) * np.exp(-precision[block] * dot(turn, turn))
-            say[(near < 0) | (part[at] != part[block])] = 0
-            total += say[:, None] * lobes[at]
-            norm += say
-        result[block] = total / norm[:, None]
-
-    over_blocks(len(lobes), BLOCK // 2, work)
-    return result
+    noisy: NDArray[np.float32],
+    smooth: NDArray[np.float32],
+) -> None:
+    """One pass: the mean over a pixel and eight others, ``step`` rows and columns away; of pixels from ``first`` on."""
+    for k in range(len(slot)):
+        own, norm = first + k, 1.0
+        for c in range(noisy.shape[1]):
+            smooth[own, c] = noisy[own, c]
+        for down in range(-1, 2):
+            for across in range(-1, 2):
+                near = occupant[slot[k] + step * (down * pitch[k] + across)]
+                if near < 0 or near == own or part[near] != part[own]:
+                    continue
+                turn = 0.0
+                for axis in range(3):
+                    turn += (reflected[near, axis] - reflected[own, axis]) ** 2
+                say = (CORNER if down and across else SIDE) * math.exp(-precision[own] * turn)
+                norm += say
+                for c in range(noisy.shape[1]):
+                    smooth[own, c] += say * noisy[near, c]
+        for c in range(noisy.shape[1]):
+            smooth[own, c] /= norm

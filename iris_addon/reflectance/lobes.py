@@ -8,23 +8,30 @@ look-up.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..parallel import BLOCK, over_blocks, over_random_blocks
+from ..kernels import Integer, inlined, kernel, rows_of
+from ..parallel import BLOCK, over_random_blocks
+from ..surface.patches import Lookup
 from ..surface.samples import PixelSamples
-from ..transport.diffuse import schlick
-from ..transport.sampling import dot, ggx_directions, r2_sequence
+from ..transport.patch_hits import find_patch
+from ..transport.sampling import Vector, ggx_direction, grazing, r2_sequence, vector
 from ..transport.tracer import Tracer
-from ..transport.transport import Transport, find_patches, radiance_table
+from ..transport.transport import Transport
 from .ggx import ray_alpha
-from .lamp_aim import LampAim
+from .lamp_aim import LampAim, aimed_density, lamp_after, point_on_lamp
+from .lobe_rays import LobeRays
 from .specular_weights import visible_normal_density, visible_normal_weights
 
 AIMED = 3
 """One ray of so many is aimed at a lamp."""
+NEGLIGIBLE = 1e-7
+"""Of the light of a lamp: rays aimed at one that would carry less are not cast."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +44,7 @@ class Scene:
         patch_radiance: (N, 3) reflected radiance.
         face_emission: (F, 3).
         unknown: (3,) radiance of surfaces without a patch.
-        aim: where rays are aimed at lamps; None lets the lobes find them all.
+        aim: where rays are aimed at lamps.
     """
 
     tracer: Tracer
@@ -47,69 +54,11 @@ class Scene:
     patch_radiance: NDArray[np.floating]
     face_emission: NDArray[np.floating]
     unknown: NDArray[np.floating]
-    aim: LampAim | None = None
+    aim: LampAim
 
     def lobes(self, rays: LobeRays) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """``Ls0`` and ``Ls1`` (n, 3) of the points whose reflected rays these are."""
         return rays.radiance(self.patch_radiance, self.transport.kappa, self.face_emission, self.unknown)
-
-
-@dataclass(frozen=True)
-class LobeRays:
-    """Reflected rays of n points at one roughness each.
-
-    Attributes:
-        target: (n, S) int32 patch hit, UNKNOWN or ESCAPED.
-        face: (n, S) int32 face hit, -1 where escaped.
-        weight0, weight1: (n, S) float16, what the radiance each ray meets counts for in either lobe.
-        schlick: (n, S) float16, S of the angle at which each ray arrives.
-    """
-
-    target: NDArray[np.int32]
-    face: NDArray[np.int32]
-    weight0: NDArray[np.float16]
-    weight1: NDArray[np.float16]
-    schlick: NDArray[np.float16]
-
-    def shaped(self, columns: int) -> LobeRays:
-        """As tables with so many columns."""
-        return LobeRays(*(getattr(self, field.name).reshape(-1, columns) for field in fields(self)))
-
-    def beside(self, other: LobeRays) -> LobeRays:
-        """The rays of both, of the same n points."""
-        pairs = ((getattr(self, field.name), getattr(other, field.name)) for field in fields(self))
-        return LobeRays(*(np.concatenate(pair, 1) for pair in pairs))
-
-    def radiance(
-        self,
-        patch_radiance: NDArray[np.floating],
-        kappa: NDArray[np.floating],
-        face_emission: NDArray[np.floating],
-        unknown: NDArray[np.floating],
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """``Ls0`` and ``Ls1``, (n, 3) each.
-
-        Args:
-            patch_radiance: (N, 3) reflected radiance of every patch, and ``kappa`` (N,) of its diffuse lobe.
-            face_emission: (F, 3).
-            unknown: (3,) for hits without a patch.
-        """
-        table, emits = radiance_table(patch_radiance, unknown), face_emission.any(1)
-        n, samples = self.target.shape
-        ls0, ls1 = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
-
-        def work(rows: slice) -> None:
-            target, face = self.target[rows], self.face[rows]
-            own = np.where(target >= 0, kappa[target], 0.0)
-            spread = (1 + own * self.schlick[rows]).astype(np.float32)
-            incoming = table[target] * spread[..., None]
-            on_lamp = (face >= 0) & emits[face]
-            incoming[on_lamp] = face_emission[face[on_lamp]]
-            for result, weight in ((ls0, self.weight0), (ls1, self.weight1)):
-                result[rows] = np.einsum("ns,nsc->nc", weight[rows].astype(np.float32), incoming)
-
-        over_blocks(n, BLOCK // samples, work)
-        return ls0, ls1
 
 
 def trace_lobes(
@@ -120,105 +69,199 @@ def trace_lobes(
     n_rays: int,
     rng: np.random.Generator,
 ) -> LobeRays:
-    """Reflected rays of some pixels, on the calling thread alone.
+    """Reflected rays of some pixels.
 
     Args:
         rows: (n,) the pixels among ``samples``.
         roughness: (n,) Principled roughness.
         n_rays: per pixel, those aimed at lamps included.
     """
-    normal, toward = samples.normal[rows], samples.direction[rows]
-    origin = samples.position[rows] + scene.tracer.epsilon * normal
-    points = _Points(origin, normal, toward, ray_alpha(roughness), scene.sample_patch[rows])
-    n_aimed = 0 if scene.aim is None else n_rays // AIMED
-    n_drawn = n_rays - n_aimed
-    each = points.repeated(n_drawn)
-    direction, half_cosine = ggx_directions(
-        each.normal, each.toward, each.alpha, r2_sequence(len(rows), n_drawn, rng).reshape(-1, 2)
-    )
-    drawn = _trace(scene, each, direction, half_cosine, n_drawn, n_aimed)
-    if scene.aim is None or not n_aimed:
-        return drawn.shaped(n_drawn)
-    each = points.repeated(n_aimed)
-    target, face = scene.aim.points(points.patch, n_aimed, rng)
-    aimed = _trace(scene, each, *_reflection(each, target), n_drawn, n_aimed, face)
-    return drawn.shaped(n_drawn).beside(aimed.shaped(n_aimed))
+    rays = LobeRays.nothing(len(rows), n_rays)
+
+    def work(block: slice, rng: np.random.Generator) -> None:
+        _trace_block(scene, samples, rows[block], roughness[block], rows_of(rays, block), rng)
+
+    over_random_blocks(len(rows), BLOCK // n_rays, work, rng)
+    return rays
 
 
-@dataclass(frozen=True)
-class _Points:
-    """Where n rays start: (n, 3) just off the surface, unit normals and directions to the camera, (n,) GGX widths and
-    patches."""
-
-    origin: NDArray[np.floating]
-    normal: NDArray[np.floating]
-    toward: NDArray[np.floating]
-    alpha: NDArray[np.floating]
-    patch: NDArray[np.integer]
-
-    def repeated(self, times: int) -> _Points:
-        """Every point as often."""
-        return _Points(*(np.repeat(getattr(self, field.name), times, 0) for field in fields(self)))
-
-
-def _reflection(points: _Points, target: NDArray[np.floating]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Unit directions (n, 3) to ``target`` (n, 3) metres, and the cosine (n,) that the half vector has with them."""
-    offset = target - points.origin
-    direction = offset / np.maximum(np.sqrt(dot(offset, offset)), 1e-9)[:, None]
-    half_cosine = np.sqrt(np.clip(0.5 + 0.5 * dot(direction, points.toward), 0, 1))
-    return direction.astype(np.float32), half_cosine.astype(np.float32)
-
-
-def _trace(
-    scene: Scene,
-    points: _Points,
-    direction: NDArray[np.float32],
-    half_cosine: NDArray[np.float32],
-    n_drawn: int,
-    n_aimed: int,
-    face: NDArray[np.integer] | None = None,
-) -> LobeRays:
-    """Rays (n,) that are some of ``n_drawn`` + ``n_aimed`` per pixel.
-
-    A ray counts for G1 F over the density of all rays of its pixel, which makes both kinds of rays alike; only what is
-    no lamp is left to the drawn ones.
-
-    Args:
-        face: (n,) that the rays were aimed at, if they were; those that end elsewhere count for nothing.
-    """
-    weight0, weight1, above = visible_normal_weights(points.normal, direction, half_cosine, points.alpha)
-    hits = scene.tracer.closest(points.origin, np.where(above[:, None], direction, points.normal))
-    share = np.full(len(direction), 1 / n_drawn if face is None else 0.0)
-    if scene.aim is not None and n_aimed:
-        aimed = n_aimed * scene.aim.density(points.patch, hits, direction)
-        both = np.flatnonzero(aimed if face is None else (hits.face == face) * aimed)
-        drawn = visible_normal_density(points.normal[both], points.toward[both], direction[both], points.alpha[both])
-        share[both] = drawn / (n_drawn * drawn + aimed[both])
-    end = points.origin + direction * np.where(hits.face >= 0, hits.distance, 0)[:, None]
-    target = find_patches(scene.tracer, scene.transport.grids, scene.parts, hits.face, end, direction)
-    arrival = schlick(np.abs(dot(scene.tracer.normals[hits.face], direction)))
-    weights = (weight0 * share).astype(np.float16), (weight1 * share).astype(np.float16)
-    return LobeRays(target, hits.face, *weights, arrival.astype(np.float16))
-
-
-def lobe_cache(
+def _trace_block(
     scene: Scene,
     samples: PixelSamples,
     rows: NDArray[np.integer],
     roughness: NDArray[np.floating],
-    n_rays: int,
+    rays: LobeRays,
     rng: np.random.Generator,
-) -> LobeRays:
-    """:func:`trace_lobes` on all cores, for rays that are looked at more than once."""
-    shape = (len(rows), n_rays)
-    indices = np.empty(shape, np.int32), np.empty(shape, np.int32)
-    weights = np.empty(shape, np.float16), np.empty(shape, np.float16), np.empty(shape, np.float16)
-    cache = LobeRays(*indices, *weights)
+) -> None:
+    """Fill ``rays``.
 
-    def work(block: slice, rng: np.random.Generator) -> None:
-        piece = trace_lobes(scene, samples, rows[block], roughness[block], n_rays, rng)
-        for field in fields(LobeRays):
-            getattr(cache, field.name)[block] = getattr(piece, field.name)
+    A ray counts for G1 F over the density of all rays of its pixel, which makes those drawn from the lobe and those
+    aimed at lamps alike; what is no lamp is left to the drawn ones.
+    """
+    n, n_rays = rays.target.shape
+    n_aimed = n_rays // AIMED if len(scene.aim.faces) else 0
+    n_drawn = n_rays - n_aimed
+    points = _Points(
+        samples.position[rows],
+        samples.normal[rows],
+        samples.direction[rows],
+        ray_alpha(roughness),
+        scene.sample_patch[rows],
+    )
+    meets = _Meets(scene.transport.grid.lookup, scene.tracer.normals, scene.parts)
 
-    over_random_blocks(len(rows), BLOCK // n_rays, work, rng)
-    return cache
+    cast = _Cast.empty(n * n_drawn)
+    count = _draw(points, scene.tracer.epsilon, r2_sequence(n, n_drawn, rng), cast, rays)
+    cast = rows_of(cast, slice(count))
+    hits = scene.tracer.closest(cast.start, cast.along)
+    _arrive(points, cast, hits.face, hits.distance, meets, scene.aim, n_drawn, n_aimed, rays)
+    if n_aimed:
+        cast = _Cast.empty(n * n_aimed)
+        u = rng.random((n, n_aimed, 4), np.float32)
+        count = _aim(points, scene.tracer.epsilon, u, scene.aim, n_drawn, cast, rays)
+        cast = rows_of(cast, slice(count))
+        clear = scene.tracer.unoccluded(cast.start, cast.along, cast.length)
+        _arrive_on_lamps(cast, clear, meets, rays)
+
+
+class _Points(NamedTuple):
+    """Where n rays start: (n, 3) on the surface, unit normals and directions to the camera, (n,) GGX widths and
+    patches."""
+
+    position: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    toward: NDArray[np.float32]
+    alpha: NDArray[np.float32]
+    patch: NDArray[np.integer]
+
+
+class _Cast(NamedTuple):
+    """Rays to be traced: (m, 3) starts and unit directions, (m,) lengths of those that are aimed, and the row and
+    column of each among all."""
+
+    start: NDArray[np.float32]
+    along: NDArray[np.float32]
+    length: NDArray[np.float32]
+    row: NDArray[np.int32]
+    column: NDArray[np.int32]
+
+    @staticmethod
+    def empty(n: int) -> _Cast:
+        """Room for so many."""
+        start, along = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
+        return _Cast(start, along, np.empty(n, np.float32), np.empty(n, np.int32), np.empty(n, np.int32))
+
+
+class _Meets(NamedTuple):
+    """What tells the patch that a ray meets: the grid, normals (F, 3) and parts (F,) of faces."""
+
+    grid: Lookup
+    normals: NDArray[np.float32]
+    parts: NDArray[np.int32]
+
+
+@inlined
+def _cast_ray(
+    cast: _Cast, at: Integer, points: _Points, i: Integer, epsilon: float, d: Vector, column: Integer
+) -> None:
+    for axis in range(3):
+        cast.start[at, axis] = points.position[i, axis] + epsilon * points.normal[i, axis]
+        cast.along[at, axis] = d[axis]
+    cast.row[at], cast.column[at] = i, column
+
+
+@kernel
+def _draw(points: _Points, epsilon: float, u: NDArray[np.float32], cast: _Cast, rays: LobeRays) -> int:
+    """Rays off visible normals from points (n, S, 2) of the unit square; how many leave the surface."""
+    count = 0
+    for i in range(u.shape[0]):
+        n, o, alpha = vector(points.normal, i), vector(points.toward, i), points.alpha[i]
+        for j in range(u.shape[1]):
+            x, y, z, half = ggx_direction(n, o, alpha, u[i, j, 0], u[i, j, 1])
+            w0, w1 = visible_normal_weights(x * n[0] + y * n[1] + z * n[2], half, alpha)
+            if w0 + w1 > 0:
+                rays.weight0[i, j], rays.weight1[i, j] = w0, w1
+                _cast_ray(cast, count, points, i, epsilon, (x, y, z), j)
+                count += 1
+    return count
+
+
+@kernel
+def _arrive(
+    points: _Points,
+    cast: _Cast,
+    face: NDArray[np.int32],
+    distance: NDArray[np.float32],
+    meets: _Meets,
+    aim: LampAim,
+    n_drawn: int,
+    n_aimed: int,
+    rays: LobeRays,
+) -> None:
+    for k in range(len(face)):
+        i, j, f, reach = cast.row[k], cast.column[k], face[k], distance[k]
+        share = 1.0 / n_drawn
+        if f >= 0:
+            d = vector(cast.along, k)
+            cosine = d[0] * meets.normals[f, 0] + d[1] * meets.normals[f, 1] + d[2] * meets.normals[f, 2]
+            lamp = aim.label[f]
+            if n_aimed and lamp >= 0 and aim.chance[points.patch[i], lamp] > 0:
+                n, o = vector(points.normal, i), vector(points.toward, i)
+                drawn = visible_normal_density(n, o, d, points.alpha[i])
+                aimed = aimed_density(aim, points.patch[i], lamp, reach, cosine)
+                share = drawn / (n_drawn * drawn + n_aimed * aimed)
+            x, y, z = cast.start[k, 0] + reach * d[0], cast.start[k, 1] + reach * d[1], cast.start[k, 2] + reach * d[2]
+            rays.face[i, j] = f
+            rays.target[i, j] = find_patch(meets.grid, meets.normals, meets.parts, f, x, y, z, d[0], d[1], d[2])
+            rays.schlick[i, j] = grazing(abs(cosine))
+        rays.weight0[i, j] *= share
+        rays.weight1[i, j] *= share
+
+
+@kernel
+def _aim(
+    points: _Points, epsilon: float, u: NDArray[np.float32], aim: LampAim, n_drawn: int, cast: _Cast, rays: LobeRays
+) -> int:
+    """Rays to points on lamps from numbers (n, S, 4) in [0, 1); how many might carry something."""
+    count, n_aimed = 0, u.shape[1]
+    for i in range(u.shape[0]):
+        n, o, alpha, patch = vector(points.normal, i), vector(points.toward, i), points.alpha[i], points.patch[i]
+        for j in range(n_aimed):
+            lamp = lamp_after(aim, patch, (j + u[i, j, 0]) / n_aimed)
+            if lamp < 0:
+                break
+            face, x, y, z = point_on_lamp(aim, lamp, u[i, j, 1], u[i, j, 2], u[i, j, 3])
+            x -= points.position[i, 0] + epsilon * n[0]
+            y -= points.position[i, 1] + epsilon * n[1]
+            z -= points.position[i, 2] + epsilon * n[2]
+            length = max(math.sqrt(x * x + y * y + z * z), 1e-9)
+            x, y, z = x / length, y / length, z / length
+            half = math.sqrt(min(max(0.5 + 0.5 * (x * o[0] + y * o[1] + z * o[2]), 0.0), 1.0))
+            w0, w1 = visible_normal_weights(x * n[0] + y * n[1] + z * n[2], half, alpha)
+            if w0 + w1 > 0:
+                cosine = x * aim.normals[face, 0] + y * aim.normals[face, 1] + z * aim.normals[face, 2]
+                drawn = visible_normal_density(n, o, (x, y, z), alpha)
+                share = drawn / (n_drawn * drawn + n_aimed * aimed_density(aim, patch, lamp, length, cosine))
+                if (w0 + w1) * share > NEGLIGIBLE:
+                    column = n_drawn + j
+                    _cast_ray(cast, count, points, i, epsilon, (x, y, z), column)
+                    cast.length[count] = length
+                    rays.face[i, column] = face
+                    rays.weight0[i, column], rays.weight1[i, column] = w0 * share, w1 * share
+                    rays.schlick[i, column] = grazing(abs(cosine))
+                    count += 1
+    return count
+
+
+@kernel
+def _arrive_on_lamps(cast: _Cast, clear: NDArray[np.bool_], meets: _Meets, rays: LobeRays) -> None:
+    for k in range(len(clear)):
+        i, j, reach = cast.row[k], cast.column[k], cast.length[k]
+        face = rays.face[i, j]
+        if clear[k]:
+            d = vector(cast.along, k)
+            x, y, z = cast.start[k, 0] + reach * d[0], cast.start[k, 1] + reach * d[1], cast.start[k, 2] + reach * d[2]
+            rays.target[i, j] = find_patch(meets.grid, meets.normals, meets.parts, face, x, y, z, d[0], d[1], d[2])
+        else:
+            rays.face[i, j] = -1
+            rays.weight0[i, j] = rays.weight1[i, j] = rays.schlick[i, j] = 0.0

@@ -27,7 +27,8 @@ from .ggx import layered_factor
 from .gloss import FIT_RAYS, LEVELS, Gloss, GlossObservations, choose_observations, fit_gloss
 from .glossy_bounce import GlossyBounce, trace_glossy_bounce
 from .lamp_aim import LampAim
-from .lobes import LobeRays, Scene, lobe_cache
+from .lobe_rays import LobeRays
+from .lobes import Scene, trace_lobes
 from .shading import Shading
 from .specular import rough_lobes, specular_lobes, subtract_specular
 
@@ -207,7 +208,7 @@ class _GlossFit:
         rows = choose_observations(problem.part, o.patch, np.where(usable, o.count, 0), rng)
         scene, at = scene_of(light, lights), o.sample[rows]
         rays = [
-            [lobe_cache(scene, light.samples, at, np.full(len(at), level), n_rays // 2, rng) for _ in range(2)]
+            [trace_lobes(scene, light.samples, at, np.full(len(at), level), n_rays // 2, rng) for _ in range(2)]
             for level, n_rays in zip(LEVELS, FIT_RAYS, strict=False)
         ]
         return _GlossFit(rows, rays)

@@ -2,52 +2,60 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+import math
 
-from ..transport.sampling import dot
-from .ggx import grazing_fresnel, smith_g1
+from ..kernels import Real, inlined
+from ..transport.sampling import Vector
+from .ggx import DIELECTRIC_F0, IOR
+
+HORIZON = 1e-3
+"""Cosine to the normal below which a direction does not leave the surface."""
 
 
-def visible_normal_weights(
-    normal: NDArray[np.floating],
-    incident: NDArray[np.floating],
-    half_cosine: NDArray[np.floating],
-    alpha: NDArray[np.floating],
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
-    """``G1 F0`` and ``G1 F1`` of each direction, and whether it points above the surface at all.
+@inlined
+def masking(cosine: Real, alpha: Real) -> Real:
+    """Smith's G1 of GGX for one direction, as :func:`iris_addon.reflectance.ggx.smith_g1` has it for many."""
+    square = alpha * alpha
+    return 2 * cosine / (cosine + math.sqrt(square + (1 - square) * cosine * cosine))
+
+
+@inlined
+def visible_normal_weights(cosine: Real, half_cosine: Real, alpha: Real) -> tuple[Real, Real]:
+    """``G1 F0`` and ``G1 F1`` of an incident direction; zero below the surface.
 
     Args:
-        normal, incident: (n, 3) unit.
-        half_cosine: (n,) cosine between the half vector and the incident direction.
-        alpha: (n,) GGX width.
+        cosine: between the normal and the incident direction.
+        half_cosine: between the half vector and the incident direction.
+        alpha: GGX width.
     """
-    cosine = dot(incident, normal)
-    above = cosine > 1e-3
-    g1 = np.where(above, smith_g1(np.maximum(cosine, 1e-3), alpha), 0.0)
-    fresnel = grazing_fresnel(half_cosine)
-    return (g1 * (1 - fresnel)).astype(np.float32), (g1 * fresnel).astype(np.float32), above
+    if cosine <= HORIZON:
+        return 0.0, 0.0
+    inside = math.sqrt(1 - (1 - half_cosine * half_cosine) / IOR**2)
+    across = (half_cosine - IOR * inside) / (half_cosine + IOR * inside)
+    along = (IOR * half_cosine - inside) / (IOR * half_cosine + inside)
+    fresnel = (0.5 * (across * across + along * along) - DIELECTRIC_F0) / (1 - DIELECTRIC_F0)
+    g1 = masking(cosine, alpha)
+    return g1 * (1 - fresnel), g1 * fresnel
 
 
-def visible_normal_density(
-    normal: NDArray[np.floating],
-    outgoing: NDArray[np.floating],
-    incident: NDArray[np.floating],
-    alpha: NDArray[np.floating],
-) -> NDArray[np.float64]:
-    """(n,) probability per steradian of ``incident`` among directions reflected off visible normals, D G1 / (4 n·ωo)
+@inlined
+def visible_normal_density(n: Vector, o: Vector, i: Vector, alpha: Real) -> Real:
+    """Probability per steradian of the direction ``i`` among those reflected off visible normals, D G1 / (4 n·o)
     (Heitz 2018, eq. 17).
 
     Args:
-        normal, outgoing, incident: (n, 3) unit, ``outgoing`` above the surface.
-        alpha: (n,) GGX width.
+        n, o, i: normal, directions to the eye and to the light, unit; ``o`` above the surface.
+        alpha: GGX width.
     """
-    half = (outgoing + incident).astype(np.float64)
-    half /= np.maximum(np.sqrt(dot(half, half)), 1e-9)[:, None]
-    square = alpha.astype(np.float64) ** 2
-    cosine = dot(half, normal)
-    across = np.cross(half, normal)
+    hx, hy, hz = o[0] + i[0], o[1] + i[1], o[2] + i[2]
+    length = max(math.sqrt(hx * hx + hy * hy + hz * hz), 1e-9)
+    hx, hy, hz = hx / length, hy / length, hz / length
+    cosine = hx * n[0] + hy * n[1] + hz * n[2]
+    if cosine <= 0:
+        return 0.0
     # Of sharp lobes 1 − cos² is all that matters, and lost where cos is rounded.
-    d = square / (np.pi * (square * cosine**2 + dot(across, across)) ** 2)
-    facing = np.maximum(dot(outgoing, normal), 1e-3)
-    return (cosine > 0) * d * smith_g1(facing, alpha) / (4 * facing)
+    cx, cy, cz = hy * n[2] - hz * n[1], hz * n[0] - hx * n[2], hx * n[1] - hy * n[0]
+    square = alpha * alpha
+    spread = square * cosine * cosine + cx * cx + cy * cy + cz * cz
+    facing = max(o[0] * n[0] + o[1] * n[1] + o[2] * n[2], 1e-3)
+    return square / (math.pi * spread * spread) * masking(facing, alpha) / (4 * facing)

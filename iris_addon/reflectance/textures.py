@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from ..emission.balance import MAX_ALBEDO
 from ..grouping import group_medians, group_sums
 from ..result.types import Textures
-from ..surface.atlas_texels import extend_texels, fill_texels, rasterise_atlas, texel_index
+from ..surface.atlas_texels import rasterise_atlas, texel_index
 from ..surface.samples import PixelSamples
+from ..surface.texel_fill import extend_texels, fill_texels
 from .bake import DIM_ALBEDO, TexelAlbedo, fuse_texels
 from .gloss import Gloss
 

@@ -9,6 +9,8 @@ fit, the data distort the whole scale of radiance by up to 8 %, because only the
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
@@ -27,10 +29,27 @@ _KNOTS = np.linspace(0.0, 1.0, len(PRIOR_MEAN))
 PRIOR_RESIDUALS, DOWNHILL_RESIDUALS = 2 * len(PRIOR_MEAN) - 2, 255
 
 
-def evaluate(log_knots: NDArray[np.floating], x: NDArray[np.floating]) -> NDArray[np.float64]:
-    """f(x) for ``x`` in [0, 1] of any shape; ``log_knots`` (9,) is log P at the knots."""
-    x = np.clip(x, 1e-9, 1.0)
-    return x ** CubicSpline(_KNOTS, np.exp(log_knots), bc_type="natural")(x**WARP)
+@dataclass(frozen=True)
+class Family:
+    """The curves of the family at relative exposures (n,) that many of them are asked for at.
+
+    Attributes:
+        log_x: (n,) logarithm of the exposures.
+        spline: (n, 9) values there of the natural splines that are 1 at one knot and 0 at all others.
+    """
+
+    log_x: NDArray[np.float64]
+    spline: NDArray[np.float64]
+
+    @staticmethod
+    def at(x: NDArray[np.floating]) -> Family:
+        """At exposures in [0, 1]."""
+        x = np.clip(x, 1e-9, 1.0)
+        return Family(np.log(x), CubicSpline(_KNOTS, np.eye(len(_KNOTS)), bc_type="natural")(x**WARP))
+
+    def evaluate(self, log_knots: NDArray[np.floating]) -> NDArray[np.float64]:
+        """f(x) (n,); ``log_knots`` (9,) is log P at the knots."""
+        return np.exp(self.log_x * np.einsum("nk,k->n", self.spline, np.exp(log_knots)))
 
 
 def prior_residual(log_knots: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -41,16 +60,19 @@ def prior_residual(log_knots: NDArray[np.floating]) -> NDArray[np.float64]:
 
 def downhill(log_knots: NDArray[np.floating]) -> NDArray[np.float64]:
     """(DOWNHILL_RESIDUALS,) how far the curve falls from one point to the next, 0 where it rises. Dense near black."""
-    return np.clip(-np.diff(evaluate(log_knots, np.linspace(0.0, 1.0, DOWNHILL_RESIDUALS + 1) ** 2)), 0.0, None)
+    return np.clip(-np.diff(_DOWNHILL.evaluate(log_knots)), 0.0, None)
 
 
 def to_response(log_knots: list[NDArray[np.float64]]) -> Response:
     """Table of the curve of each channel; one entry stands for all three channels."""
-    x = np.linspace(0.0, 1.0, N_SAMPLES)
     rows = []
     for knots in log_knots:
-        f = evaluate(knots, x)
+        f = _TABLE.evaluate(knots)
         f[0] = 0.0
         rows.append(np.clip(np.maximum.accumulate(f), 0.0, 1.0))
     samples = np.stack(rows if len(rows) == 3 else rows * 3)
     return Response(samples, FITTED, tuple(float(v) for v in np.concatenate(log_knots)))
+
+
+_TABLE = Family.at(np.linspace(0.0, 1.0, N_SAMPLES))
+_DOWNHILL = Family.at(np.linspace(0.0, 1.0, DOWNHILL_RESIDUALS + 1) ** 2)

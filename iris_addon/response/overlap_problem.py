@@ -15,14 +15,12 @@ from scipy.optimize import least_squares
 from scipy.sparse import coo_matrix
 
 from ..grouping import group_means, group_sums
+from ..parallel import over_each
 from . import family
-from .curve import Response
+from .curve import N_SAMPLES, Response
 from .observations import Observations
+from .projection import LEAST, ROBUST_SCALE, project, residuals
 
-CLIP_SCALE = 0.03
-"""Log exposure by which an observation may lie on the wrong side of saturation before it starts to be an outlier."""
-ROBUST_SCALE = 0.01
-"""Display-value residual at which an observation starts to count as an outlier (a highlight, a moved object)."""
 WHITE_BALANCE_GAIN = 0.9
 UNKNOWN_PRIOR_WEIGHT = 30.0
 MIN_EXPOSURE_SPREAD, MIN_UNKNOWN_SPREAD = 0.5, 0.25
@@ -32,8 +30,6 @@ PRIOR_WEIGHT = 1.0
 MONOTONICITY_WEIGHT = 1e4
 CONVERGED = 1e-5
 """Relative gain of a step at which the curve stands still."""
-LEAST = 1e-5
-"""Relative exposure that black is taken for."""
 DIFFERENCE = 1e-7
 """Step of the differences for derivatives by knots."""
 
@@ -43,7 +39,7 @@ _COLUMNS = ("z", "share", "clipped", "weight", "view", "pixel", "log_gain")
 
 @dataclass(frozen=True)
 class OverlapProblem:
-    """m observations of n patches. ``log_t`` is (V, 3), or None where exposures are unknown.
+    """m observations of n patches, patch by patch. ``log_t`` is (V, 3), or None where exposures are unknown.
 
     ``white_balance`` forces or forbids unknown exposures per channel; None lets them earn their place. ``log_gain`` is
     what the camera adds to the log exposure of each observation by its place in the photo. ``highlights`` may clip what
@@ -73,6 +69,7 @@ class OverlapProblem:
         white_balance: bool | None,
     ) -> OverlapProblem:
         """The problem of the observations ``index``; ``exposures`` (V,) or None where they are unknown."""
+        index = index[np.argsort(o.patch[index], kind="stable")]
         patches, patch = np.unique(o.patch[index], return_inverse=True)
         return OverlapProblem(
             np.clip(o.z[index].astype(np.float64) + 0.5 / 255, 0, 1),
@@ -98,20 +95,33 @@ class OverlapProblem:
 
     def solve_radiance(self, response: Response) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Log exposures (V, 3) and radiance (n, 3) that fit best under a given curve."""
-        x = np.maximum(response.invert(self.z), LEAST)
-        slope = response.slope(x)
-        log_t = self.log_t
-        if log_t is None:
-            log_t = np.repeat(self._chained(self._log_exposed(response).mean(1, keepdims=True)), 3, 1)
-        t = self._exposure(log_t)
-        # Quantisation noise is uniform in z, so the precision of x / t is (f'(x) t)^2.
-        weight = np.where(self.clipped, 0.0, self.weight)[:, None] * (slope * t) ** 2 + 1e-12
-        radiance = self._mean(weight, x / t)
-        # An outlier would pull its patch along and so hide behind the others: the mean is taken once more without.
-        for _ in range(2):
-            off = (response.apply(radiance[self.patch] * t) - self.z) / ROBUST_SCALE
-            radiance = self._mean(weight / (1 + off**2), x / t)
-        return log_t, radiance
+        log_t, exposure = self._exposed_under(response)
+        return log_t, self._radiance(response, exposure)
+
+    def _exposed_under(self, response: Response) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Log exposures of photos (V, 3) and exposures of observations (m, 3): known, or the best under a curve."""
+        if self.log_t is not None:
+            return self.log_t, self._known_exposure
+        log_t = np.repeat(self._chained(self._log_exposed(response).mean(1, keepdims=True)), 3, 1)
+        return log_t, self._exposure(log_t)
+
+    @cached_property
+    def _known_exposure(self) -> NDArray[np.float64]:
+        assert self.log_t is not None
+        return self._exposure(self.log_t)
+
+    def _radiance(self, response: Response, exposure: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n, 3) that fits best under a given curve and exposures (m, 3)."""
+        radiance, scratch = np.empty((self.n_patches, 3)), (np.empty_like(self.z), np.empty_like(self.z))
+        slope = np.gradient(response.samples, 1 / (N_SAMPLES - 1), axis=1)
+        data = self.z, self.clipped, self.weight, exposure
+        project(response.samples, slope, self._first, *data, *scratch, radiance)
+        return radiance
+
+    @cached_property
+    def _first(self) -> NDArray[np.int64]:
+        """(n + 1,) where the observations of each patch begin."""
+        return np.searchsorted(self.patch, np.arange(self.n_patches + 1))
 
     def _exposure(self, log_t: NDArray[np.float64]) -> NDArray[np.float64]:
         """(m, 3) exposure of the observations under log exposures (V, 3) of the photos."""
@@ -120,11 +130,6 @@ class OverlapProblem:
     def _log_exposed(self, response: Response) -> NDArray[np.float64]:
         """(m, 3) log of what each observation would have been exposed to if all places of a photo were alike."""
         return np.subtract(np.log(np.maximum(response.invert(self.z), LEAST)), self.log_gain[:, None])
-
-    def _mean(self, weight: NDArray[np.float64], radiance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n, 3) weighted mean per patch."""
-        norm = group_sums(weight, self.patch, self.n_patches)
-        return group_sums(weight * radiance, self.patch, self.n_patches) / norm
 
     def exposure_spread(self) -> float:
         """Standard deviation of the exposures in stops, under the median measured response."""
@@ -201,20 +206,16 @@ class OverlapProblem:
         """Display-value residuals, saturation hinges and prior, one flat vector."""
         knots = list(parameters.reshape(n_curves, -1))
         response = family.to_response(knots)
-        log_t, radiance = self.solve_radiance(response)
-        x = radiance[self.patch] * self._exposure(log_t)
-        mismatch = np.where(self.clipped[:, None], 0.0, response.apply(x) - self.z)
-        data = _robust(self.weight[:, None] * mismatch / ROBUST_SCALE)
-        # A byte of 255 means x >= 1 and any other means x < 1: the share of clipped pixels pins the scale.
-        log_x = self.weight[:, None] * np.log(np.maximum(x, 1e-6)) / CLIP_SCALE
-        # A highlight clips what other views show far below, and by any amount: all such count the same.
-        missed = _redescending if self.highlights else _robust
-        clip = np.where((self.share > 0.5).ravel(), missed(np.maximum(-log_x, 0.0)), _robust(np.maximum(log_x, 0.0)))
+        _, exposure = self._exposed_under(response)
+        radiance = self._radiance(response, exposure)
+        mismatch, saturation = np.empty_like(self.z), np.empty_like(self.z)
+        data = self.z, self.share, self.clipped, self.weight, exposure, radiance
+        residuals(response.samples, self._first, *data, self.highlights, mismatch, saturation)
         # (f^g, t^g, L^g) fits as well for any g: without exposure times only the prior holds the exponent.
         held = PRIOR_WEIGHT if self.log_t is not None else UNKNOWN_PRIOR_WEIGHT
         prior = [held * family.prior_residual(k) for k in knots]
         bends = [MONOTONICITY_WEIGHT * family.downhill(k) for k in knots]
-        return np.concatenate([data, clip, *prior, *bends])
+        return np.concatenate([mismatch.ravel(), saturation.ravel(), *prior, *bends])
 
     def minimise(self, start: list[NDArray[np.float64]], max_steps: int) -> list[NDArray[np.float64]]:
         """Knots of one or three curves; radiance and exposures are eliminated (variable projection)."""
@@ -239,12 +240,15 @@ class OverlapProblem:
         base = self.residual(parameters, n_curves)
         of_curve = self._curve_of_residual(len(base), n_curves)
         jacobian = np.zeros((len(base), *knots.shape))
-        for k in range(knots.shape[1]):
+
+        def move(k: int) -> None:
             moved = knots.copy()
             moved[:, k] += DIFFERENCE
             slope = (self.residual(moved.ravel(), n_curves) - base) / DIFFERENCE
             for c in range(n_curves):
                 jacobian[:, c, k] = np.where(of_curve == c, slope, 0.0)
+
+        over_each(range(knots.shape[1]), move)
         return jacobian.reshape(len(base), -1)
 
     def _curve_of_residual(self, n: int, n_curves: int) -> NDArray[np.int64]:
@@ -260,13 +264,3 @@ class OverlapProblem:
         """Median absolute residual of unclipped observations, display values, each as the robust loss takes it."""
         mismatch = self.residual(np.concatenate(knots), len(knots))[: self.z.size].reshape(-1, 3) / self.weight[:, None]
         return float(np.median(np.abs(mismatch[~self.clipped])) * ROBUST_SCALE)
-
-
-def _redescending(residual: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Residuals whose squares are the loss of Geman and McClure, which ends at 1, flat."""
-    return (residual / np.sqrt(1 + residual**2)).ravel()
-
-
-def _robust(residual: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Residuals whose squares are Cauchy's loss, flat; the prior beside them stays quadratic."""
-    return np.copysign(np.sqrt(np.log1p(residual**2)), residual).ravel()

@@ -70,6 +70,7 @@ def write_report(
         + "".join(sections)
         + "</main></body></html>\n"
     )
+    saver.save()
     path = folder / "report.html"
     atomic_write(path, lambda temporary: temporary.write_text(page, encoding="utf-8"))
     return path

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..imaging import to_codes, write_png
+from ..parallel import over_each
 
 FloatArray = NDArray[np.floating]
 ERROR_GAIN = 4.0
@@ -16,24 +17,27 @@ ERROR_GAIN = 4.0
 
 
 class Pictures:
-    """Saves arrays as PNG and gives back the HTML that shows them."""
+    """Gives the HTML that shows arrays, which :meth:`save` writes as PNG."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._taken: set[str] = set()
+        self._codes: dict[str, NDArray[np.uint8]] = {}
 
     def figure(self, name: str, image: FloatArray, caption: str) -> str:
         """``image`` (H, W, 3) or (H, W), display values."""
         stem = "".join(c if c.isalnum() or c in "-_" else "-" for c in name)[:80]
-        while stem in self._taken:
+        while stem in self._codes:
             stem += "_"
-        self._taken.add(stem)
-        write_png(self._folder / f"{stem}.png", to_codes(image))
+        self._codes[stem] = to_codes(image)
         height, width = image.shape[:2]
         return (
             f'<figure><img src="{self._folder.name}/{stem}.png" width="{width}" height="{height}" loading="lazy" '
             f'alt="{escape(caption)}"><figcaption>{escape(caption)}</figcaption></figure>'
         )
+
+    def save(self) -> None:
+        """Write all pictures."""
+        over_each(list(self._codes), lambda stem: write_png(self._folder / f"{stem}.png", self._codes[stem]))
 
 
 def srgb(linear: FloatArray) -> FloatArray:

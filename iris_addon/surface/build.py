@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from ..capture.types import Mesh
 from ..grouping import group_equal, group_means
-from ..parallel import BLOCK, over_blocks
 from ..transport.gather import Origins
-from .patches import N_LEVELS, KeyIndex, PatchGrid, block_keys, cell_keys, choose_levels
+from .patches import N_LEVELS, PatchGrid, block_keys, cell_keys, cells, choose_levels
 from .samples import PixelSamples
 
 FIRST_PIXELS_PER_PATCH = 3.0
@@ -61,7 +60,7 @@ def build_surface(
     blocks = group_equal(block_keys(samples.position, origin, scale))
     while True:
         levels = choose_levels(blocks, samples.footprint, scale, pixels_per_patch)
-        keys = _keys(samples, part, origin, scale, KeyIndex(blocks.keys), levels)
+        keys = cell_keys(cells(origin, scale, blocks.keys, levels), samples.position, samples.normal, part)
         groups = group_equal(keys)
         n = len(groups.keys)
         if n <= max_patches or pixels_per_patch > 100:
@@ -87,22 +86,3 @@ def build_surface(
         Origins(samples.position[pick], samples.normal[pick]),
         pixels_per_patch,
     )
-
-
-def _keys(
-    samples: PixelSamples,
-    part: NDArray[np.int32],
-    origin: NDArray[np.float64],
-    scale: float,
-    known_blocks: KeyIndex,
-    block_levels: NDArray[np.int8],
-) -> NDArray[np.uint64]:
-    """(n,) cell key of every pixel."""
-    keys = np.empty(len(part), np.uint64)
-
-    def work(rows: slice) -> None:
-        at = samples.position[rows], samples.normal[rows], part[rows]
-        keys[rows] = cell_keys(*at, origin, scale, known_blocks, block_levels)
-
-    over_blocks(len(part), BLOCK, work)
-    return keys

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
+from ..kernels import kernel
 from ..parallel import BLOCK, over_blocks
 from .build import Surface
 from .samples import PixelSamples
@@ -68,13 +70,9 @@ class IrradianceField:
             group: (P,) label of every patch; averages are then over neighbours of the same label.
         """
         rows = np.arange(len(self.position)) if rows is None else rows
-        near = self.neighbours[rows]
-        weight = self._weights(self.position[rows], self.normal[rows], rows, width)
-        if group is not None:
-            weight = weight * (group[near] == group[rows][:, None])
-            weight /= weight.sum(1, keepdims=True)
-        ends = np.arange(0, near.size + 1, near.shape[1])
-        return csr_matrix((weight.ravel(), near.ravel(), ends), (len(rows), len(self.position)))
+        weight = self._weights(self.position[rows], self.normal[rows], rows, width, group=group)
+        ends = np.arange(0, weight.size + 1, weight.shape[1])
+        return csr_matrix((weight.ravel(), self.neighbours[rows].ravel(), ends), (len(rows), len(self.position)))
 
     def denoise(
         self, values: NDArray[np.floating], irradiance: NDArray[np.floating] | None = None
@@ -84,55 +82,123 @@ class IrradianceField:
         Args:
             irradiance: (P, 3) by which that is told; by default the values are irradiance themselves.
         """
-        lit = values if irradiance is None else irradiance
-        rows = np.arange(len(self.position))
-        weight = self._weights(self.position, self.normal, rows, DENOISED)
-        weight = _lit_alike(weight, self.neighbours, rows, _log_level(lit), EDGE)
-        return np.einsum("pk,pkc->pc", weight, values.astype(np.float32)[self.neighbours])
+        lit = _log_level(values if irradiance is None else irradiance)
+        table = np.ascontiguousarray(values, np.float32)
+        mean = np.empty_like(table)
+
+        def work(block: slice) -> None:
+            rows = np.arange(block.start, block.stop)
+            weight = self._weights(self.position[block], self.normal[block], rows, DENOISED, lit=lit, edge=EDGE)
+            _average(weight, self.neighbours, rows, table, mean[block])
+
+        over_blocks(len(table), BLOCK // NEIGHBOURS, work)
+        return mean
 
     def at_samples(
         self, samples: PixelSamples, patch: NDArray[np.int32], values: NDArray[np.floating]
     ) -> NDArray[np.float32]:
         """(n, C) patch values (P, C) interpolated at pixels; ``patch`` (n,) is the patch each pixel lies on."""
-        table, level = values.astype(np.float32), _log_level(values)
+        table, lit = np.ascontiguousarray(values, np.float32), _log_level(values)
         result = np.empty((len(patch), table.shape[1]), np.float32)
 
-        def work(rows: slice) -> None:
-            weight = self._weights(samples.position[rows], samples.normal[rows], patch[rows], KERNEL)
-            weight = _lit_alike(weight, self.neighbours[patch[rows]], patch[rows], level, POINT_EDGE)
-            result[rows] = np.einsum("pk,pkc->pc", weight, table[self.neighbours[patch[rows]]])
+        def work(block: slice) -> None:
+            at, rows = (samples.position[block], samples.normal[block]), patch[block]
+            weight = self._weights(*at, rows, KERNEL, lit=lit, edge=POINT_EDGE)
+            _average(weight, self.neighbours, rows, table, result[block])
 
         over_blocks(len(patch), BLOCK // NEIGHBOURS, work)
         return result
 
     def _weights(
-        self, position: NDArray[np.float32], normal: NDArray[np.float32], patch: NDArray[np.integer], width: float
+        self,
+        position: NDArray[np.float32],
+        normal: NDArray[np.float32],
+        patch: NDArray[np.integer],
+        width: float,
+        lit: NDArray[np.float32] | None = None,
+        edge: float = 1.0,
+        group: NDArray[np.integer] | None = None,
     ) -> NDArray[np.float32]:
-        """(n, K) normalised kernel weights of the neighbours of each point's patch."""
-        near = self.neighbours[patch]
-        offset = self.position[near] - position[:, None]
-        turn = self.normal[near] - normal[:, None]
-        reach = self.size[patch][:, None] * np.float32(width)
-        distance, angle = (np.einsum("nkc,nkc->nk", d, d) for d in (offset, turn))
-        height = np.einsum("nkc,nc->nk", offset, normal) * np.float32(PLANE_WEIGHT)
-        square = (distance + height**2) / reach**2 + angle * np.float32((NORMAL_WEIGHT / width) ** 2)
-        weight = np.exp(-0.5 * np.minimum(square - square.min(1, keepdims=True), 60.0))
-        return weight / weight.sum(1, keepdims=True)
+        """(n, K) normalised kernel weights of the neighbours of each point's patch.
+
+        Args:
+            lit: (P,) log irradiance; neighbours count less where it differs by ``edge``.
+            group: (P,) label of every patch; those of another than the point's patch have no weight.
+        """
+        n = len(patch)
+        weight = np.empty((n, self.neighbours.shape[1]), np.float32)
+        lit = np.zeros(0, np.float32) if lit is None else lit
+        label = np.zeros(0, np.int64) if group is None else group.astype(np.int64)
+        rest = self.neighbours, self.position, self.normal, self.size, width, lit, edge, label
+
+        def work(rows: slice) -> None:
+            _weigh(position[rows], normal[rows], patch[rows], *rest, weight[rows])
+
+        over_blocks(n, BLOCK // NEIGHBOURS, work)
+        return weight
+
+
+@kernel
+def _weigh(
+    position: NDArray[np.float32],
+    normal: NDArray[np.float32],
+    patch: NDArray[np.integer],
+    neighbours: NDArray[np.int32],
+    centre: NDArray[np.float32],
+    facing: NDArray[np.float32],
+    size: NDArray[np.float32],
+    width: float,
+    lit: NDArray[np.float32],
+    edge: float,
+    label: NDArray[np.int64],
+    weight: NDArray[np.float32],
+) -> None:
+    """A Gaussian of the distance along the plane of a point, of that before or behind it, of the turn of the normal and
+    of the difference in light."""
+    for i in range(len(patch)):
+        own, least = patch[i], np.inf
+        reach = (size[own] * width) ** 2
+        for k in range(neighbours.shape[1]):
+            near = neighbours[own, k]
+            distance = height = turn = 0.0
+            for c in range(3):
+                offset, turned = centre[near, c] - position[i, c], facing[near, c] - normal[i, c]
+                distance += offset * offset
+                turn += turned * turned
+                height += offset * normal[i, c]
+            height *= PLANE_WEIGHT
+            square = (distance + height * height) / reach + turn * (NORMAL_WEIGHT / width) ** 2
+            if len(lit):
+                square += ((lit[near] - lit[own]) / edge) ** 2
+            if len(label) and label[near] != label[own]:
+                square = np.inf
+            weight[i, k] = square
+            least = min(least, square)
+        total = 0.0
+        for k in range(neighbours.shape[1]):
+            weight[i, k] = math.exp(-0.5 * (weight[i, k] - least))
+            total += weight[i, k]
+        for k in range(neighbours.shape[1]):
+            weight[i, k] /= total
+
+
+@kernel
+def _average(
+    weight: NDArray[np.float32],
+    neighbours: NDArray[np.int32],
+    patch: NDArray[np.integer],
+    values: NDArray[np.float32],
+    mean: NDArray[np.float32],
+) -> None:
+    for i in range(len(patch)):
+        for c in range(values.shape[1]):
+            mean[i, c] = 0.0
+        for k in range(weight.shape[1]):
+            near, say = neighbours[patch[i], k], weight[i, k]
+            for c in range(values.shape[1]):
+                mean[i, c] += say * values[near, c]
 
 
 def _log_level(irradiance: NDArray[np.floating]) -> NDArray[np.float32]:
     """(P,) logarithm of the mean over channels."""
     return np.log(np.maximum(irradiance.mean(1), 1e-9)).astype(np.float32)
-
-
-def _lit_alike(
-    weight: NDArray[np.float32],
-    near: NDArray[np.int32],
-    patch: NDArray[np.integer],
-    level: NDArray[np.float32],
-    edge: float,
-) -> NDArray[np.float32]:
-    """Weights (n, K) of the neighbours ``near`` of patches (n,), less where their log irradiance (P,) differs."""
-    square = ((level[near] - level[patch][:, None]) / np.float32(edge)) ** 2
-    weight = weight * np.exp(-0.5 * np.minimum(square, 60.0))
-    return weight / weight.sum(1, keepdims=True)

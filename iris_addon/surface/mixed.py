@@ -8,13 +8,14 @@ pixels these are is known: the mesh says what the rays beside them hit.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..capture.types import Camera
+from ..kernels import Integer, inlined, kernel
 from ..parallel import BLOCK, over_blocks, over_each
-from ..transport.sampling import dot
 from ..transport.tracer import Tracer
 from .lattice import NEIGHBOURS, NO_PIXEL, Lattice
 from .samples import PixelSamples, trace_view
@@ -68,33 +69,66 @@ def _beside_others(
     samples: PixelSamples, parts: NDArray[np.integer], cameras: Sequence[Camera], stride: int
 ) -> NDArray[np.bool_]:
     lattice = Lattice.of(samples.view, samples.pixel, cameras, stride, margin=1)
-    part = parts[samples.face]
-    mixed = np.zeros(len(part), bool)
+    surface = _Surface(parts[samples.face], samples.position, samples.normal, samples.footprint, stride)
+    mixed = np.empty(len(surface.part), bool)
 
     def work(block: slice) -> None:
-        for down, across in NEIGHBOURS:
-            near = lattice.pixel_at(block, down, across)
-            at = np.maximum(near, 0)
-            crease = dot(samples.normal[block], samples.normal[at]) < SAME_DIRECTION
-            other = crease | _another_surface(samples, part, block, at, stride)
-            mixed[block] |= np.where(near >= 0, other, near == NO_PIXEL)
+        _mark_mixed(block.start, lattice.slot[block], lattice.pitch[block], lattice.occupant, surface, mixed[block])
 
-    over_blocks(len(part), BLOCK // 2, work)
+    over_blocks(len(mixed), BLOCK, work)
     return mixed
 
 
-def _another_surface(
-    samples: PixelSamples,
-    part: NDArray[np.integer],
-    own: slice | NDArray[np.integer],
-    near: NDArray[np.integer],
-    stride: int,
-) -> NDArray[np.bool_]:
-    """Whether pixels ``near`` show another part than ``own`` do, or lie off their plane."""
-    step = samples.position[near] - samples.position[own]
-    height = np.maximum(np.abs(dot(step, samples.normal[own])), np.abs(dot(step, samples.normal[near])))
-    reach = stride * np.minimum(samples.footprint[own], samples.footprint[near])
-    return (part[near] != part[own]) | (height > reach)
+class _Surface(NamedTuple):
+    """What pixels show: (n,) part, (n, 3) position and normal, (n,) footprint; and the step of their lattice."""
+
+    part: NDArray[np.integer]
+    position: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    footprint: NDArray[np.float32]
+    stride: int
+
+
+@inlined
+def _apart(surface: _Surface, a: Integer, b: Integer) -> Any:
+    """Whether two pixels show different parts, or lie off each other's plane."""
+    p, n = surface.position, surface.normal
+    above = below = 0.0
+    for axis in range(3):
+        step = p[b, axis] - p[a, axis]
+        above += step * n[a, axis]
+        below += step * n[b, axis]
+    reach = surface.stride * min(surface.footprint[a], surface.footprint[b])
+    return surface.part[a] != surface.part[b] or max(abs(above), abs(below)) > reach
+
+
+@inlined
+def _crease(surface: _Surface, a: Integer, b: Integer) -> bool:
+    cosine = 0.0
+    for axis in range(3):
+        cosine += surface.normal[a, axis] * surface.normal[b, axis]
+    return cosine < SAME_DIRECTION
+
+
+@kernel
+def _mark_mixed(
+    first: int,
+    slot: NDArray[np.int64],
+    pitch: NDArray[np.int64],
+    occupant: NDArray[np.int32],
+    surface: _Surface,
+    mixed: NDArray[np.bool_],
+) -> None:
+    for k in range(len(slot)):
+        own, found = first + k, False
+        for down in range(-1, 2):
+            for across in range(-1, 2):
+                near = occupant[slot[k] + down * pitch[k] + across]
+                if near == NO_PIXEL:
+                    found = True
+                elif near >= 0 and near != own and not found:
+                    found = _crease(surface, own, near) or _apart(surface, own, near)
+        mixed[k] = found
 
 
 def outshone_by(
@@ -114,19 +148,35 @@ def outshone_by(
         mixed: (n,) of :func:`mixed_pixels`.
     """
     lattice = Lattice.of(samples.view, samples.pixel, cameras, stride, margin=1)
-    part, level, rows = parts[samples.face], z.mean(1), np.flatnonzero(mixed)
-    brightest = np.full(len(part), -1, np.int32)
+    surface = _Surface(parts[samples.face], samples.position, samples.normal, samples.footprint, stride)
+    brightest, rows = np.full(len(mixed), -1, np.int32), np.flatnonzero(mixed)
+    level = z.mean(1)
 
     def work(block: slice) -> None:
-        own = rows[block]
-        least = AS_BRIGHT * level[own]
-        for down, across in NEIGHBOURS:
-            near = lattice.pixel_at(own, down, across)
-            at = np.maximum(near, 0)
-            apart = part[at] != part[own]  # A thing may lie before itself: among equals, another part.
-            more = (level[at] > least) | (apart & (level[at] >= least))
-            more &= (near >= 0) & _another_surface(samples, part, own, at, stride)
-            brightest[own[more]], least[more] = at[more], level[at[more]]
+        _find_brightest(rows[block], lattice.slot, lattice.pitch, lattice.occupant, surface, level, brightest)
 
-    over_blocks(len(rows), BLOCK // 2, work)
+    over_blocks(len(rows), BLOCK, work)
     return brightest
+
+
+@kernel
+def _find_brightest(
+    rows: NDArray[np.int64],
+    slot: NDArray[np.int64],
+    pitch: NDArray[np.int64],
+    occupant: NDArray[np.int32],
+    surface: _Surface,
+    level: NDArray[np.floating],
+    brightest: NDArray[np.int32],
+) -> None:
+    for own in rows:
+        least = AS_BRIGHT * level[own]
+        for down in range(-1, 2):
+            for across in range(-1, 2):
+                near = occupant[slot[own] + down * pitch[own] + across]
+                if near < 0 or near == own:
+                    continue
+                # A thing may lie before itself: among equals, another part.
+                other = surface.part[near] != surface.part[own]
+                if (level[near] > least or (other and level[near] >= least)) and _apart(surface, own, near):
+                    brightest[own], least = near, level[near]

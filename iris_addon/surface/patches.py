@@ -8,64 +8,165 @@ or with long slivers gives the same patches, and every point on the surface find
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..grouping import Groups
+from ..kernels import Integer, Real, inlined, kernel
+from ..parallel import BLOCK, over_blocks
 
 N_LEVELS = 6
 FINEST = 0.01
 """Finest cell, metres; a cell spans ``FINEST * 2**level``."""
 FREE_SLOTS = 4
 """Slots of a hash table per key; most keys then lie in their first slot."""
+ABSENT = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
-def _mix(*columns: NDArray[np.integer]) -> NDArray[np.uint64]:
-    """64-bit hash of integer columns; with 10^6 keys a collision has probability 10^-7."""
-    key = np.zeros(len(columns[0]), np.uint64)
-    for column in columns:
-        key = (key + column.astype(np.uint64)) * np.uint64(0x9E3779B97F4A7C15)
-        key ^= key >> np.uint64(29)
-    return key
+@inlined
+def _mix(key: Integer, value: Integer) -> Integer:
+    """Hash of another integer on top of ``key``, 64 bits; with 10^6 keys a collision has probability 10^-7."""
+    key = (key + np.uint64(np.int64(value))) * np.uint64(0x9E3779B97F4A7C15)
+    return key ^ (key >> np.uint64(29))
 
 
-@dataclass(frozen=True)
-class KeyIndex:
-    """Finds 64-bit hashes among the distinct ``keys`` by open addressing: one or two reads where a search takes 17."""
+@inlined
+def _cell(x: Real, y: Real, z: Real, per_metre: Real) -> Integer:
+    """Number of the cell that a point lies in; the same again two million cells away."""
+    i, j, k = math.floor(x * per_metre), math.floor(y * per_metre), math.floor(z * per_metre)
+    return (i & 0x1FFFFF) | (j & 0x1FFFFF) << 21 | (k & 0x1FFFFF) << 42
 
-    keys: NDArray[np.uint64]
 
-    @cached_property
-    def _slots(self) -> tuple[NDArray[np.int32], np.uint64]:
-        """Position of the key in each slot, -1 where empty; and by how much a key is shifted to give its slot."""
-        bits = max(4, int(np.ceil(np.log2(max(len(self.keys), 1) * FREE_SLOTS))))
-        shift = np.uint64(64 - bits)
-        slots = np.full(1 << bits, -1, np.int32)
-        open_ = np.arange(len(self.keys), dtype=np.int32)
-        slot = (self.keys >> shift).astype(np.int64)
-        while len(open_):
-            free = slots[slot] < 0
-            slots[slot[free]] = open_[free]
-            left = slots[slot] != open_
-            open_, slot = open_[left], (slot[left] + 1) & (len(slots) - 1)
-        return slots, shift
+class Slots(NamedTuple):
+    """A hash table from distinct 64-bit keys to numbers, by open addressing: one or two reads where a search takes 17.
 
-    def find(self, keys: NDArray[np.uint64]) -> NDArray[np.int32]:
-        """(n,) position of each key, -1 where absent."""
-        if len(self.keys) == 0:
-            return np.full(len(keys), -1, np.int32)
-        slots, shift = self._slots
-        slot = (keys >> shift).astype(np.int64)
-        found = slots[slot]
-        open_ = np.flatnonzero((self.keys[found] != keys) & (found >= 0))
-        while len(open_):
-            slot[open_] = (slot[open_] + 1) & (len(slots) - 1)
-            found[open_] = slots[slot[open_]]
-            open_ = open_[(self.keys[found[open_]] != keys[open_]) & (found[open_] >= 0)]
-        return found
+    Attributes:
+        table: (2^b, 2) uint64, key and number in each slot; ABSENT where empty.
+        shift: bits by which a key is shifted to give its slot.
+    """
+
+    table: NDArray[np.uint64]
+    shift: np.uint64
+
+    @staticmethod
+    def of(keys: NDArray[np.uint64], numbers: NDArray[np.integer]) -> Slots:
+        """The table of ``keys`` (n,) and their ``numbers`` (n,), none of them negative."""
+        bits = max(4, int(np.ceil(np.log2(max(len(keys), 1) * FREE_SLOTS))))
+        slots = Slots(np.full((1 << bits, 2), ABSENT, np.uint64), np.uint64(64 - bits))
+        _fill(slots, keys, numbers.astype(np.uint64))
+        return slots
+
+
+@inlined
+def number_of(slots: Slots, key: Integer) -> Integer:
+    """The number of ``key``, -1 where it is absent."""
+    at = np.int64(key >> slots.shift)
+    while slots.table[at, 1] != ABSENT:
+        if slots.table[at, 0] == key:
+            return np.int64(slots.table[at, 1])
+        at = (at + 1) & (len(slots.table) - 1)
+    return np.int64(-1)
+
+
+@kernel
+def _fill(slots: Slots, keys: NDArray[np.uint64], numbers: NDArray[np.uint64]) -> None:
+    for i in range(len(keys)):
+        at = np.int64(keys[i] >> slots.shift)
+        while slots.table[at, 1] != ABSENT:
+            at = (at + 1) & (len(slots.table) - 1)
+        slots.table[at, 0], slots.table[at, 1] = keys[i], numbers[i]
+
+
+class Cells(NamedTuple):
+    """A grid of cells as kernels take it: ``origin`` (3,) metres, finest cells ``per_metre``, and the level of the
+    known blocks of the coarsest size."""
+
+    origin: NDArray[np.float64]
+    per_metre: float
+    levels: Slots
+
+
+def cells(origin: NDArray[np.float64], scale: float, block_keys: NDArray[np.uint64], levels: NDArray[np.int8]) -> Cells:
+    """The grid of a :class:`PatchGrid` with these attributes."""
+    return Cells(origin, 1 / (scale * FINEST), Slots.of(block_keys, levels))
+
+
+@inlined
+def _block_key(origin: NDArray[np.float64], per_metre: Real, x: Real, y: Real, z: Real) -> Integer:
+    """Hash of the coarsest cell around a point."""
+    x, y, z = x - origin[0], y - origin[1], z - origin[2]
+    return _mix(np.uint64(0), _cell(x, y, z, per_metre / (1 << (N_LEVELS - 1))))
+
+
+@inlined
+def _level_at(cells: Cells, x: Real, y: Real, z: Real) -> Integer:
+    """Level of the cells around a point."""
+    level = number_of(cells.levels, _block_key(cells.origin, cells.per_metre, x, y, z))
+    return level if level >= 0 else np.int64(N_LEVELS - 1)
+
+
+@inlined
+def _side(x: Real) -> Integer:
+    """A coordinate of a unit vector rounded: 0, 1, 2 for −1, 0, 1."""
+    return 2 if x > 0.5 else (0 if x < -0.5 else 1)
+
+
+@inlined
+def _cell_key(
+    cells: Cells, level: Integer, x: Real, y: Real, z: Real, nx: Real, ny: Real, nz: Real, part: Integer
+) -> Integer:
+    """Hash of (cell of ``level``, 26 directions of the normal, part)."""
+    facing = 9 * _side(nx) + 3 * _side(ny) + _side(nz)
+    x, y, z = x - cells.origin[0], y - cells.origin[1], z - cells.origin[2]
+    key = _mix(np.uint64(0), _cell(x, y, z, cells.per_metre / (1 << level)))
+    return _mix(key, (np.int64(part) * 27 + facing) * N_LEVELS + level)
+
+
+@kernel
+def _cell_keys(
+    cells: Cells, position: NDArray, normal: NDArray, part: NDArray[np.integer], keys: NDArray[np.uint64]
+) -> None:
+    for i in range(len(keys)):
+        x, y, z = position[i, 0], position[i, 1], position[i, 2]
+        level = _level_at(cells, x, y, z)
+        keys[i] = _cell_key(cells, level, x, y, z, normal[i, 0], normal[i, 1], normal[i, 2], part[i])
+
+
+@kernel
+def _block_keys(origin: NDArray[np.float64], per_metre: float, position: NDArray, keys: NDArray[np.uint64]) -> None:
+    for i in range(len(keys)):
+        keys[i] = _block_key(origin, per_metre, position[i, 0], position[i, 1], position[i, 2])
+
+
+class Lookup(NamedTuple):
+    """Patches of one grid or two as kernels take them: cells, and the patch of those that are known."""
+
+    cells: Cells
+    patches: Slots
+
+
+@inlined
+def patch_at(lookup: Lookup, x: Real, y: Real, z: Real, nx: Real, ny: Real, nz: Real, part: Integer) -> Integer:
+    """Patch of a surface point, -1 where there is none; the normal is on the side looked at."""
+    level = _level_at(lookup.cells, x, y, z)
+    patch = number_of(lookup.patches, _cell_key(lookup.cells, level, x, y, z, nx, ny, nz, part))
+    if patch < 0 and level != N_LEVELS - 1:  # what no photo shows there has patches of the coarsest size
+        patch = number_of(lookup.patches, _cell_key(lookup.cells, N_LEVELS - 1, x, y, z, nx, ny, nz, part))
+    return patch
+
+
+@kernel
+def _patches_at(
+    lookup: Lookup, position: NDArray, normal: NDArray, part: NDArray[np.integer], patch: NDArray[np.int32]
+) -> None:
+    for i in range(len(patch)):
+        x, y, z = position[i, 0], position[i, 1], position[i, 2]
+        patch[i] = patch_at(lookup, x, y, z, normal[i, 0], normal[i, 1], normal[i, 2], part[i])
 
 
 @dataclass(frozen=True)
@@ -86,45 +187,40 @@ class PatchGrid:
     cell_keys: NDArray[np.uint64]
     cell_patches: NDArray[np.int32]
 
-    def lookup(
+    def patches(
         self, position: NDArray[np.floating], normal: NDArray[np.floating], part: NDArray[np.integer]
     ) -> NDArray[np.int32]:
         """(n,) patch of each surface point, -1 where there is none; ``normal`` is on the side looked at."""
-        keys = cell_keys(position, normal, part, self.origin, self.scale, self._blocks, self.block_levels)
-        at = self._cells.find(keys)
-        return np.where(at >= 0, self.cell_patches[at], np.int32(-1)) if len(self.cell_patches) else at
+        patch = np.empty(len(position), np.int32)
+        _patches_at(self.lookup, position, normal, part, patch)
+        return patch
 
     @cached_property
-    def _blocks(self) -> KeyIndex:
-        return KeyIndex(self.block_keys)
+    def lookup(self) -> Lookup:
+        """The grid for kernels."""
+        known = cells(self.origin, self.scale, self.block_keys, self.block_levels)
+        return Lookup(known, Slots.of(self.cell_keys, self.cell_patches))
 
-    @cached_property
-    def _cells(self) -> KeyIndex:
-        return KeyIndex(self.cell_keys)
+    def joined(self, unseen: PatchGrid) -> PatchGrid:
+        """With the patches of a grid of the coarsest cells alone, for points where this one has none."""
+        keys, patches = (self.cell_keys, unseen.cell_keys), (self.cell_patches, unseen.cell_patches)
+        return replace(self, cell_keys=np.concatenate(keys), cell_patches=np.concatenate(patches))
 
 
 def block_keys(position: NDArray[np.floating], origin: NDArray[np.float64], scale: float) -> NDArray[np.uint64]:
     """Hash of the coarsest cell around each point."""
-    size = scale * FINEST * 2 ** (N_LEVELS - 1)
-    return _mix(*(np.floor((position[:, axis] - origin[axis]) / size).astype(np.int64) for axis in range(3)))
+    keys = np.empty(len(position), np.uint64)
+    over_blocks(len(keys), BLOCK, lambda rows: _block_keys(origin, 1 / (scale * FINEST), position[rows], keys[rows]))
+    return keys
 
 
 def cell_keys(
-    position: NDArray[np.floating],
-    normal: NDArray[np.floating],
-    part: NDArray[np.integer],
-    origin: NDArray[np.float64],
-    scale: float,
-    known_blocks: KeyIndex,
-    block_levels: NDArray[np.int8],
+    grid: Cells, position: NDArray[np.floating], normal: NDArray[np.floating], part: NDArray[np.integer]
 ) -> NDArray[np.uint64]:
     """Hash of (cell at the block's level, 26 directions of the normal, part) for each point."""
-    at = known_blocks.find(block_keys(position, origin, scale))
-    level = np.where(at >= 0, block_levels[at] if len(block_levels) else 0, N_LEVELS - 1)
-    size = (scale * FINEST * 2.0 ** np.arange(N_LEVELS))[level]
-    cell = [np.floor((position[:, axis] - origin[axis]) / size).astype(np.int64) for axis in range(3)]
-    facing = np.rint(normal).astype(np.int64)
-    return _mix(*cell, 9 * facing[:, 0] + 3 * facing[:, 1] + facing[:, 2], level, part)
+    keys = np.empty(len(position), np.uint64)
+    over_blocks(len(keys), BLOCK, lambda rows: _cell_keys(grid, position[rows], normal[rows], part[rows], keys[rows]))
+    return keys
 
 
 def choose_levels(

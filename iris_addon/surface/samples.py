@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from ..capture.types import Camera
+from ..parallel import over_each
 from ..progress import Progress
 from ..transport.sampling import dot
 from ..transport.tracer import Tracer, points_on_faces
@@ -89,10 +90,11 @@ def stride_for_budget(cameras: Sequence[Camera], budget: int) -> int:
 
 def trace_pixels(tracer: Tracer, cameras: Sequence[Camera], stride: int, progress: Progress) -> PixelSamples:
     """Primary rays through the centres of a lattice of pixels of every camera."""
-    views = []
-    for index, camera in enumerate(cameras):
-        views.append(trace_view(tracer, camera, index, pixel_lattice(camera, stride, index)))
-        progress.update((index + 1) / len(cameras))
+    views = over_each(
+        range(len(cameras)),
+        lambda index: trace_view(tracer, cameras[index], index, pixel_lattice(cameras[index], stride, index)),
+        progress.update,
+    )
     names = [column.name for column in fields(PixelSamples)]
     return PixelSamples(*(np.concatenate([getattr(view, name) for view in views]) for name in names))
 

@@ -12,14 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..grouping import entries_of
+from ..kernels import kernel, rows_of
 from ..parallel import BLOCK, over_random_blocks
 from ..response.curve import LUMINANCE
-from .diffuse import schlick
-from .gather import ray_origins
-from .sampling import dot
+from .form_factors import POINT_SETS, ShadowRays, aim_at_point
+from .patch_hits import find_patches
+from .sampling import dot, grazing, vector
 from .sparse_rays import SparseRays
 from .tracer import Tracer
-from .transport import Transport, find_patches
+from .transport import Transport, sent_back
 
 BRIGHT = 10.0
 """Radiance, in medians of what photos show, from which a patch is aimed at."""
@@ -70,7 +72,7 @@ def aim_at_bright(
     """
     light = np.maximum(radiance @ LUMINANCE, 0.0)
     bright = light > BRIGHT * np.median(light[: transport.n_seen])
-    row, column = np.nonzero(np.append(bright, [False, False])[transport.target])  # UNKNOWN and ESCAPED are last
+    row, column = entries_of(transport.target, np.append(bright, [False, False]))  # the last are ESCAPED and UNKNOWN
     on = ~dark_faces[transport.rays.face[row, column]]
     row, column = row[on], column[on]
     sent = light[transport.target[row, column]].sum() / transport.target.shape[1]
@@ -104,7 +106,7 @@ def _bright_points(
     area = np.repeat(areas / count, count)
     sides = []
     for normal in (tracer.normals[face], -tracer.normals[face]):
-        patch = find_patches(tracer, transport.grids, parts, face, position, -normal)
+        patch = find_patches(tracer, transport.grid, parts, face, position, -normal)
         on = np.flatnonzero((patch >= 0) & (light[patch] > 0))
         sides.append((position[on], normal[on], face[on], patch[on], area[on]))
     position, normal, face, patch, area = map(np.concatenate, zip(*sides, strict=True))
@@ -137,29 +139,68 @@ def _aimed(tracer: Tracer, transport: Transport, points: BrightPoints, rng: np.r
     """SAMPLES shadow rays from every seen patch; those that arrive."""
     origins, n_rays = transport.origins, transport.rays.face.shape[1]
     cumulative = np.cumsum(points.chance)
-    arrived: dict[int, tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]] = {}
+    strata = (np.arange(SAMPLES) + rng.random((POINT_SETS, SAMPLES))) * (cumulative[-1] / SAMPLES)
+    sets = np.minimum(np.searchsorted(cumulative, strata, side="right"), len(cumulative) - 1).astype(np.int32)
+    arrived: dict[int, SparseRays] = {}
 
     def work(rows: slice, rng: np.random.Generator) -> None:
-        n = rows.stop - rows.start
-        position, normal = ray_origins(origins, rows, SAMPLES, tracer.epsilon)
-        strata = (np.arange(SAMPLES) + rng.random((n, SAMPLES))) * (cumulative[-1] / SAMPLES)
-        pick = np.minimum(np.searchsorted(cumulative, strata.ravel(), side="right"), len(cumulative) - 1)
-        offset = points.position[pick] - position
-        length = np.sqrt(np.maximum(dot(offset, offset), 1e-9))
-        direction = offset / length[:, None]
-        cos_surface, cos_light = dot(direction, normal), -dot(direction, points.normal[pick])
-        live = np.flatnonzero((cos_surface > 1e-4) & (cos_light > 1e-4))
-        live = live[tracer.unoccluded(position[live], direction[live], length[live])]
-        row, pick = rows.start + live // SAMPLES, pick[live]
-        target = points.patch[pick]
-        filled = cos_surface[live] * cos_light[live] / (np.pi * length[live] ** 2)
+        pick = sets[rng.integers(POINT_SETS, size=rows.stop - rows.start)]
+        shadow = ShadowRays.empty(pick.size)
+        count = _toward_picked(*origins.flat(rows), tracer.epsilon, points.position, points.normal, pick, shadow)
+        shadow = rows_of(shadow, slice(count))
+        clear = tracer.unoccluded(shadow.start, shadow.along, shadow.length)
+        shadow = rows_of(shadow, clear)
+        row, target = rows.start + shadow.row, points.patch[shadow.pick]
+        filled = shadow.cos_surface * shadow.cos_light / (np.pi * shadow.length**2)
         weight = filled / (n_rays * filled + SAMPLES * points.per_area[target])
-        weight = weight * _lobes(transport, row, target, cos_surface[live], cos_light[live], direction[live])
-        arrived[rows.start] = row, pick, weight.astype(np.float32)
+        weight = weight * _lobes(transport, row, target, shadow.cos_surface, shadow.cos_light, shadow.along)
+        arrived[rows.start] = SparseRays(
+            transport.n_patches, row, weight[:, None].astype(np.float32), target, points.face[shadow.pick]
+        )
 
     over_random_blocks(len(origins.position), BLOCK // SAMPLES, work, rng)
-    row, pick, weight = map(np.concatenate, zip(*(arrived[start] for start in sorted(arrived)), strict=True))
-    return SparseRays(transport.n_patches, row, weight[:, None], points.patch[pick], points.face[pick])
+    return SparseRays.joined([arrived[start] for start in sorted(arrived)])
+
+
+@kernel
+def _toward_picked(
+    position: NDArray[np.float32],
+    normal: NDArray[np.float32],
+    per_patch: int,
+    epsilon: float,
+    points: NDArray[np.float32],
+    normals: NDArray[np.float32],
+    pick: NDArray[np.int32],
+    shadow: ShadowRays,
+) -> int:
+    """Rays from patches, ``per_patch`` points (n, 3) each, to those of ``points`` (m, 3) that each has picked (n, S),
+    if they shine there; how many."""
+    count = 0
+    for p in range(pick.shape[0]):
+        for s in range(pick.shape[1]):
+            k, at = p * per_patch + s % per_patch, pick[p, s]
+            origin, n = vector(position, k), vector(normal, k)
+            faces = aim_at_point(shadow, count, origin, n, epsilon, vector(points, at), vector(normals, at))
+            if faces and shadow.cos_light[count] > 0:
+                shadow.row[count], shadow.pick[count] = p, at
+                count += 1
+    return count
+
+
+@kernel
+def _lobe_factors(
+    lobes: NDArray[np.float32],
+    kappa: NDArray[np.floating],
+    row: NDArray[np.integer],
+    target: NDArray[np.integer],
+    cos_start: NDArray[np.floating],
+    cos_end: NDArray[np.floating],
+    direction: NDArray[np.float32],
+    factor: NDArray[np.float64],
+) -> None:
+    for i in range(len(factor)):
+        back = sent_back(lobes, target[i], grazing(cos_end[i]), direction[i, 0], direction[i, 1], direction[i, 2])
+        factor[i] = (1 + kappa[row[i]] * grazing(cos_start[i])) * back
 
 
 def _lobes(
@@ -171,5 +212,6 @@ def _lobes(
     direction: NDArray[np.floating],
 ) -> NDArray[np.floating]:
     """The diffuse lobes at both ends of each ray over Lambert's."""
-    starting = 1 + transport.kappa[row] * schlick(cos_start)
-    return starting * transport.sent_back(target, schlick(cos_end), direction)
+    factor = np.empty(len(row))
+    _lobe_factors(transport.lobes, transport.kappa, row, target, cos_start, cos_end, direction, factor)
+    return factor

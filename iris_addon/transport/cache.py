@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import sys
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -18,11 +17,12 @@ from ..errors import IrisError
 from ..progress import Progress
 from ..surface.build import Surface
 from ..surface.patches import PatchGrid
+from ..user_cache import user_cache
 from .gather import GatherRays, Origins
 from .tracer import Tracer
 from .transport import Transport, build_transport
 
-FORMAT = 3
+FORMAT = 4
 MAX_ENTRIES = 6
 ABANDONED_SECONDS = 3600
 
@@ -30,13 +30,7 @@ ABANDONED_SECONDS = 3600
 def cache_folder() -> Path:
     """Where transport is kept: $IRIS_CACHE, else the user's cache folder."""
     chosen = os.environ.get("IRIS_CACHE")
-    if chosen:
-        return Path(chosen)
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "iris" / "cache"
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches" / "iris"
-    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "iris"
+    return Path(chosen) if chosen else user_cache()
 
 
 def cached_transport(
@@ -92,10 +86,8 @@ def _arrays(t: Transport) -> dict[str, NDArray]:
         arrays |= {f"{name}.position": origins.position, f"{name}.normal": origins.normal}
     for name, rays in (("rays", t.rays), ("unseen_rays", t.unseen_rays)):
         arrays |= {f"{name}.{field}": getattr(rays, field) for field in _RAYS}
-    for index, grid in enumerate(t.grids):
-        arrays |= {f"grid{index}.{field}": getattr(grid, field) for field in _GRID}
-        arrays[f"grid{index}.scale"] = np.array(grid.scale)
-    return arrays
+    arrays |= {f"grid.{field}": getattr(t.grid, field) for field in _GRID}
+    return {**arrays, "grid.scale": np.array(t.grid.scale)}
 
 
 def _read(path: Path) -> Transport | None:
@@ -103,14 +95,6 @@ def _read(path: Path) -> Transport | None:
     if a is None:
         return None
     try:
-        grids = [
-            PatchGrid(
-                a[f"grid{k}.origin"],
-                float(a[f"grid{k}.scale"]),
-                *(a[f"grid{k}.{field}"] for field in _GRID[1:]),
-            )
-            for k in range(2)
-        ]
         return Transport(
             int(a["n_seen"]),
             Origins(a["origins.position"], a["origins.normal"]),
@@ -120,7 +104,7 @@ def _read(path: Path) -> Transport | None:
             a["target"],
             a["unseen_target"],
             a["part"],
-            (grids[0], grids[1]),
+            PatchGrid(a["grid.origin"], float(a["grid.scale"]), *(a[f"grid.{field}"] for field in _GRID[1:])),
             np.zeros(len(a["part"])),
         )
     except (KeyError, ValueError, TypeError):

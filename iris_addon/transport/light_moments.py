@@ -57,7 +57,7 @@ class LightMoments:
         return ((light + schlick * view) / (1 + kappa * grazing)).astype(np.float32)
 
     def lobes(self, roughness: NDArray[np.floating]) -> NDArray[np.float32]:
-        """(2, 4, P) lobe of every patch of ``roughness`` (P,): :meth:`view_factor` is (1, S) M (1, v), v being the unit
+        """(P, 2, 4) lobe of every patch of ``roughness`` (P,): :meth:`view_factor` is (1, S) M (1, v), v being the unit
         vector away from the patch."""
         patch = np.arange(len(self.grazing))
 
@@ -71,4 +71,4 @@ class LightMoments:
         values = np.stack([np.stack([factor(s), *(factor(s, axis) for axis in range(3))]) for s in (0.0, 1.0)])
         values[:, 1:] -= values[:, :1]
         values[1] -= values[0]
-        return values
+        return np.moveaxis(values, 2, 0)

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
+
+from ..kernels import Integer, Real, inlined
 
 # R2 sequence (Roberts 2018): additive recurrence with the plastic number.
 _PLASTIC = 1.32471795724474602596
@@ -23,63 +27,81 @@ def r2_sequence(n_rows: int, n_columns: int, rng: np.random.Generator) -> NDArra
     return points
 
 
-def tangent_frame(normal: NDArray[np.floating]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Two unit vectors that complete each unit normal (n, 3) to a basis (Duff et al. 2017).
-
-    They lie in memory coordinate by coordinate: to scale them is then one loop over all and not one over three each.
-    """
-    x, y, z = normal.astype(np.float32).T
-    sign = np.where(z >= 0, np.float32(1), np.float32(-1))
-    a = -1.0 / (sign + z)
-    b = x * y * a
-    return np.stack([1 + sign * x**2 * a, sign * b, -sign * x]).T, np.stack([b, sign + y**2 * a, -y]).T
+Vector = tuple[Real, Real, Real]
 
 
-def cosine_directions(normal: NDArray[np.floating], u: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Cosine-distributed unit directions about normals (n, 3) from random numbers (n, 2)."""
-    tangent, bitangent = tangent_frame(normal)
-    radius, angle = np.sqrt(u[:, 0]), 2 * np.pi * u[:, 1]
-    x, y = radius * np.cos(angle), radius * np.sin(angle)
-    z = np.sqrt(np.maximum(1 - u[:, 0], 1e-6))
-    return (tangent * x[:, None] + bitangent * y[:, None] + normal * z[:, None]).astype(np.float32, copy=False)
+@inlined
+def vector(values: NDArray[np.floating], i: Integer) -> Vector:
+    """Row ``i`` of (n, 3)."""
+    return values[i, 0], values[i, 1], values[i, 2]
 
 
-def ggx_directions(
-    normal: NDArray[np.floating], outgoing: NDArray[np.floating], alpha: NDArray[np.floating], u: NDArray[np.floating]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Directions reflected off visible GGX normals (Heitz 2018, "Sampling the GGX Distribution of Visible Normals").
+@inlined
+def grazing(cosine: Real) -> Real:
+    """Schlick's S of one cosine to the normal, (1 − c)^5."""
+    x = 1.0 - min(max(cosine, 0.0), 1.0)
+    return x * x * x * x * x
+
+
+@inlined
+def tangent_frame(nx: Real, ny: Real, nz: Real) -> tuple[Vector, Vector]:
+    """Two unit vectors that complete a unit normal to a basis (Duff et al. 2017)."""
+    sign = 1.0 if nz >= 0 else -1.0
+    a = -1.0 / (sign + nz)
+    b = nx * ny * a
+    return (1 + sign * nx * nx * a, sign * b, -sign * nx), (b, sign + ny * ny * a, -ny)
+
+
+@inlined
+def cosine_direction(nx: Real, ny: Real, nz: Real, u: Real, v: Real) -> Vector:
+    """Cosine-distributed unit direction about a normal from a point (u, v) of the unit square."""
+    t, b = tangent_frame(nx, ny, nz)
+    radius, angle = math.sqrt(u), np.float32(2 * np.pi * v)
+    x, y, z = radius * math.cos(angle), radius * math.sin(angle), math.sqrt(max(1 - u, 1e-6))
+    return x * t[0] + y * b[0] + z * nx, x * t[1] + y * b[1] + z * ny, x * t[2] + y * b[2] + z * nz
+
+
+@inlined
+def ggx_direction(n: Vector, o: Vector, alpha: Real, u: Real, v: Real) -> tuple[Real, Real, Real, Real]:
+    """Direction reflected off a visible GGX normal (Heitz 2018, "Sampling the GGX Distribution of Visible Normals").
 
     Args:
-        normal: (n, 3) unit, on the side of ``outgoing``.
-        outgoing: (n, 3) unit, from the surface to the eye.
-        alpha: (n,) GGX width (roughness squared).
-        u: (n, 2) random numbers.
+        n: unit, on the side of ``o``.
+        o: unit, from the surface to the eye.
+        alpha: GGX width (roughness squared).
+        u, v: a point of the unit square.
 
     Returns:
-        Incident directions (n, 3), unit, and the half vector's cosine with them, (n,). A direction below the surface
-        has a weight G2/G1 of zero.
+        The incident direction, unit, and the half vector's cosine with it. A direction below the surface has a weight
+        G2/G1 of zero.
     """
-    tangent, bitangent = tangent_frame(normal)
-    vx, vy, vz = dot(outgoing, tangent), dot(outgoing, bitangent), dot(outgoing, normal)
+    t, b = tangent_frame(n[0], n[1], n[2])
+    vx, vy = o[0] * t[0] + o[1] * t[1] + o[2] * t[2], o[0] * b[0] + o[1] * b[1] + o[2] * b[2]
+    vz = o[0] * n[0] + o[1] * n[1] + o[2] * n[2]
     # The view direction on the unit hemisphere of normals, stretched; t1 and t2 span the disc it sees.
     sx, sy = alpha * vx, alpha * vy
-    length = np.sqrt(sx**2 + sy**2 + vz**2)
+    length = math.sqrt(sx * sx + sy * sy + vz * vz)
     sx, sy, sz = sx / length, sy / length, vz / length
-    across = sx**2 + sy**2
-    inverse = 1 / np.sqrt(np.maximum(across, 1e-12))
-    slanted = across > 1e-9
-    t1x, t1y = np.where(slanted, -sy * inverse, 1), np.where(slanted, sx * inverse, 0)
+    across = sx * sx + sy * sy
+    t1x, t1y = 1.0, 0.0
+    if across > 1e-9:
+        inverse = 1 / math.sqrt(across)
+        t1x, t1y = -sy * inverse, sx * inverse
     t2x, t2y, t2z = -sz * t1y, sz * t1x, sx * t1y - sy * t1x
-    radius, angle = np.sqrt(u[:, 0]), np.float32(2 * np.pi) * u[:, 1]
-    p1, p2 = radius * np.cos(angle), radius * np.sin(angle)
+    radius, angle = math.sqrt(u), np.float32(2 * np.pi * v)
+    p1, p2 = radius * math.cos(angle), radius * math.sin(angle)
     s = 0.5 * (1 + sz)
-    p2 = (1 - s) * np.sqrt(np.maximum(1 - p1**2, 0)) + s * p2
-    p3 = np.sqrt(np.maximum(1 - p1**2 - p2**2, 0))
+    p2 = (1 - s) * math.sqrt(max(1 - p1 * p1, 0.0)) + s * p2
+    p3 = math.sqrt(max(1 - p1 * p1 - p2 * p2, 0.0))
     hx, hy = alpha * (t1x * p1 + t2x * p2 + sx * p3), alpha * (t1y * p1 + t2y * p2 + sy * p3)
-    hz = np.maximum(t2z * p2 + sz * p3, 1e-6)
-    length = np.sqrt(hx**2 + hy**2 + hz**2)
+    hz = max(t2z * p2 + sz * p3, 1e-6)
+    length = math.sqrt(hx * hx + hy * hy + hz * hz)
     cosine = (vx * hx + vy * hy + vz * hz) / length
     twice = 2 * cosine / length
-    lx, ly, lz = twice * hx - vx, twice * hy - vy, twice * hz - vz
-    world = tangent * lx[:, None] + bitangent * ly[:, None] + normal * lz[:, None]
-    return world.astype(np.float32, copy=False), np.clip(cosine, 0, 1).astype(np.float32, copy=False)
+    x, y, z = twice * hx - vx, twice * hy - vy, twice * hz - vz
+    return (
+        x * t[0] + y * b[0] + z * n[0],
+        x * t[1] + y * b[1] + z * n[1],
+        x * t[2] + y * b[2] + z * n[2],
+        min(max(cosine, 0.0), 1.0),
+    )

@@ -14,17 +14,17 @@ import torch
 from numpy.typing import NDArray
 
 from ..grouping import group_equal
+from ..kernels import Integer, Real, inlined, kernel
 from ..parallel import BLOCK, over_blocks
 from ..progress import Progress
 from ..surface.build import ORIGINS_PER_PATCH, Surface
-from ..surface.patches import KeyIndex, PatchGrid, cell_keys
+from ..surface.patches import PatchGrid, cell_keys, cells
 from .diffuse import burley_roughness
 from .gather import GatherRays, Origins, gather
 from .light_moments import LightMoments
-from .sampling import dot
+from .patch_hits import ESCAPED, UNKNOWN, facing_normals, find_patches
 from .tracer import Tracer
 
-UNKNOWN, ESCAPED = -1, -2
 UNSEEN_RAYS_SHARE = 4
 """Unseen patches get one in so many of the rays: their radiance is second-hand anyway."""
 
@@ -39,6 +39,7 @@ class Transport:
         rays: of the seen patches; ``unseen_rays`` of the others.
         target, unseen_target: (P, R) and (N - P, R') int32 patch hit, UNKNOWN or ESCAPED.
         part: (N,) part of each patch.
+        grid: from surface points to all N patches.
         device: where torch sums over rays.
         kappa: (N,) grazing gain of the diffuse lobe of each patch, see :mod:`iris_addon.transport.diffuse`.
         moments: where the light of the seen patches comes from, once that is about known and their lobe is Burley's;
@@ -53,7 +54,7 @@ class Transport:
     target: NDArray[np.int32]
     unseen_target: NDArray[np.int32]
     part: NDArray[np.int32]
-    grids: tuple[PatchGrid, PatchGrid]
+    grid: PatchGrid
     kappa: NDArray[np.float64]
     device: str = "cpu"
     moments: LightMoments | None = None
@@ -102,44 +103,55 @@ class Transport:
         weight = np.empty(target.shape, np.float32)
 
         def work(rows: slice) -> None:
-            starting = 1 + own[rows, None].astype(np.float32) * rays.schlick_start[rows]
-            weight[rows] = starting * self.sent_back(target[rows], rays.schlick_end[rows], rays.direction[rows])
+            start, end = (s[rows].astype(np.float32) for s in (rays.schlick_start, rays.schlick_end))
+            direction = rays.direction[rows].astype(np.float32)
+            _lobe_weights(self.lobes, own[rows], target[rows], start, end, direction, weight[rows])
 
         over_blocks(len(target), BLOCK // target.shape[1], work)
         return weight
 
-    def sent_back(
-        self, target: NDArray[np.integer], schlick: NDArray[np.floating], direction: NDArray[np.floating]
-    ) -> NDArray[np.float32]:
-        """What patches send back along the rays that meet them over what their radiance counts as; 1 for no patch.
-
-        Args:
-            target: patch met, any shape.
-            schlick: of the same shape, S of the angles at which the rays arrive.
-            direction: the same shape and 3, unit, of the rays.
-        """
-        schlick = schlick.astype(np.float32, copy=False)
-
-        def coefficient(k: int) -> NDArray[np.float32]:
-            head_on, grazing = (table.take(target, mode="wrap") for table in self._lobes[:, k])
-            return head_on + schlick * grazing
-
-        factor = coefficient(0)
-        if self.moments is not None:
-            for axis in range(3):
-                factor -= coefficient(1 + axis) * direction[..., axis]
-        return factor
-
     @cached_property
-    def _lobes(self) -> NDArray[np.float32]:
-        """(2, 4, N + 2) as of :meth:`LightMoments.lobes`; those of light from all sides where there are no moments, and
-        the last two for UNKNOWN and ESCAPED."""
-        lobes = np.zeros((2, 4, self.n_patches + 2), np.float32)
-        lobes[0, 0] = 1
-        lobes[1, 0, : self.n_patches] = self.kappa
+    def lobes(self) -> NDArray[np.float32]:
+        """(N + 2, 2, 4) as of :meth:`LightMoments.lobes`, for :func:`sent_back`; those of light from all sides where
+        there are no moments, and the last two for UNKNOWN and ESCAPED."""
+        lobes = np.zeros((self.n_patches + 2, 2, 4), np.float32)
+        lobes[:, 0, 0] = 1
+        lobes[: self.n_patches, 1, 0] = self.kappa
         if self.moments is not None:
-            lobes[..., : self.n_seen] = self.moments.lobes(burley_roughness(self.kappa[: self.n_seen]))
+            lobes[: self.n_seen] = self.moments.lobes(burley_roughness(self.kappa[: self.n_seen]))
         return lobes
+
+
+@inlined
+def sent_back(lobes: NDArray[np.float32], target: Integer, schlick: Real, dx: Real, dy: Real, dz: Real) -> Real:
+    """What a patch sends back along a ray that meets it over what its radiance counts as; 1 for no patch.
+
+    Args:
+        lobes: :attr:`Transport.lobes`.
+        target: patch met, UNKNOWN or ESCAPED.
+        schlick: S of the angle at which the ray arrives.
+        dx, dy, dz: unit direction of the ray.
+    """
+    value = lobes[target, 0, 0] + schlick * lobes[target, 1, 0]
+    value -= (lobes[target, 0, 1] + schlick * lobes[target, 1, 1]) * dx
+    value -= (lobes[target, 0, 2] + schlick * lobes[target, 1, 2]) * dy
+    return value - (lobes[target, 0, 3] + schlick * lobes[target, 1, 3]) * dz
+
+
+@kernel
+def _lobe_weights(
+    lobes: NDArray[np.float32],
+    own: NDArray[np.floating],
+    target: NDArray[np.int32],
+    start: NDArray[np.float32],
+    end: NDArray[np.float32],
+    direction: NDArray[np.float32],
+    weight: NDArray[np.float32],
+) -> None:
+    for p in range(target.shape[0]):
+        for r in range(target.shape[1]):
+            x, y, z = direction[p, r, 0], direction[p, r, 1], direction[p, r, 2]
+            weight[p, r] = (1 + own[p] * start[p, r]) * sent_back(lobes, target[p, r], end[p, r], x, y, z)
 
 
 def _mean_of_targets(
@@ -175,33 +187,9 @@ def table_rows(target: NDArray[np.int32], face: NDArray[np.int32], dark_faces: N
     return np.where(dark_faces[face] & (face >= 0), np.int32(ESCAPED), target)
 
 
-def facing_normals(tracer: Tracer, face: NDArray[np.integer], direction: NDArray[np.floating]) -> NDArray[np.float32]:
-    """(n, 3) normals of hit faces, turned against the directions the rays came along."""
-    normal = tracer.normals[face]
-    return normal * np.where(dot(normal, direction) > 0, np.float32(-1), np.float32(1))[:, None]
-
-
-def find_patches(
-    tracer: Tracer,
-    grids: tuple[PatchGrid, ...],
-    parts: NDArray[np.int32],
-    face: NDArray[np.int32],
-    point: NDArray[np.float32],
-    direction: NDArray[np.floating],
-) -> NDArray[np.int32]:
-    """(n,) patch of each hit, tried grid by grid; UNKNOWN or ESCAPED where there is none."""
-    normal = facing_normals(tracer, face, direction.astype(np.float32, copy=False))
-    # Few rays escape or miss the first grid: looked up there all alike, only the rest need sorting out.
-    result = np.where(face < 0, np.int32(ESCAPED), grids[0].lookup(point, normal, parts[face]))
-    for grid in grids[1:]:
-        open_ = np.flatnonzero(result == UNKNOWN)
-        result[open_] = grid.lookup(point[open_], normal[open_], parts[face[open_]])
-    return result
-
-
 def _targets(
     tracer: Tracer,
-    grids: tuple[PatchGrid, ...],
+    grid: PatchGrid,
     parts: NDArray[np.int32],
     rays: GatherRays,
     point: NDArray[np.float32],
@@ -210,7 +198,8 @@ def _targets(
     target = np.empty(len(face), np.int32)
 
     def work(block: slice) -> None:
-        target[block] = find_patches(tracer, grids, parts, face[block], point[block], direction[block])
+        along = direction[block].astype(np.float32)
+        target[block] = find_patches(tracer, grid, parts, face[block], point[block], along)
 
     over_blocks(len(face), BLOCK, work)
     return target.reshape(rays.face.shape)
@@ -231,7 +220,7 @@ def _unseen_patches(
     point = hit_point[row, column]
     normal = facing_normals(tracer, face, rays.direction[row, column].astype(np.float32))
     none = np.zeros(0, np.uint64), np.zeros(0, np.int8)
-    keys = cell_keys(point, normal, parts[face], surface.grid.origin, surface.grid.scale, KeyIndex(none[0]), none[1])
+    keys = cell_keys(cells(surface.grid.origin, surface.grid.scale, *none), point, normal, parts[face])
     groups = group_equal(keys)
     count = groups.count
     kept = np.sort(np.argsort(-count, kind="stable")[:limit])
@@ -253,17 +242,16 @@ def build_transport(
 ) -> Transport:
     """Trace the gather rays of all patches and name the patch that each one hits."""
     rays, point = gather(tracer, surface.origins, n_rays, rng, progress)
-    target = _targets(tracer, (surface.grid,), parts, rays, point)
+    target = _targets(tracer, surface.grid, parts, rays, point)
     unseen_grid, unseen_origins, unseen_part = _unseen_patches(
         tracer, surface, parts, rays, point, target, limit=len(surface.part) // 2
     )
     row, column = np.nonzero(target == UNKNOWN)
-    target[row, column] = find_patches(
-        tracer, (unseen_grid,), parts, rays.face[row, column], point[row, column], rays.direction[row, column]
-    )
-    grids = (surface.grid, unseen_grid)
+    along = rays.direction[row, column].astype(np.float32)
+    grid = surface.grid.joined(unseen_grid)
+    target[row, column] = find_patches(tracer, grid, parts, rays.face[row, column], point[row, column], along)
     unseen_rays, point = gather(tracer, unseen_origins, max(16, n_rays // UNSEEN_RAYS_SHARE), rng, progress)
-    unseen_target = _targets(tracer, grids, parts, unseen_rays, point)
+    unseen_target = _targets(tracer, grid, parts, unseen_rays, point)
     return Transport(
         len(surface.part),
         surface.origins,
@@ -273,6 +261,6 @@ def build_transport(
         target,
         unseen_target,
         np.concatenate([surface.part, unseen_part]),
-        grids,
+        grid,
         np.zeros(len(surface.part) + len(unseen_part)),
     )

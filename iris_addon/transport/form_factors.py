@@ -1,0 +1,243 @@
+"""Light that arrives straight from lamps: area sampling with shadow rays, and the gather rays that found them.
+
+``B`` of ``Ld = G L + B e`` (:mod:`iris_addon.transport.gather`) combines both ways to find an emitter with the balance
+heuristic (Veach 1997, eq. 9.8): area sampling alone is noisy next to a large window, cosine sampling alone misses small
+lamps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..grouping import entries_of
+from ..kernels import Integer, Real, inlined, kernel, rows_of
+from ..parallel import BLOCK, over_each, random_blocks
+from ..progress import Progress
+from .diffuse import schlick
+from .gather import GatherRays, Origins
+from .sampling import Vector, grazing, r2_sequence, vector
+from .tracer import Tracer
+
+POINT_SETS = 1024
+"""Sets of points on an emitter, of which every patch takes one at random. Drawing points anew for each patch costs as
+much as its rays; of patches near each other, over which noise is averaged, hardly two share a set."""
+MIN_COSINE = 1e-4
+"""At either end of a ray to a point on a light source."""
+
+
+def emitter_of_face(emitters: Sequence[NDArray[np.integer]], n_faces: int) -> NDArray[np.int64]:
+    """(F + 1,) index of the emitter each face belongs to, else -1; the last entry is that of no face at all, -1."""
+    label = np.full(n_faces + 1, -1, np.int64)
+    for index, faces in enumerate(emitters):
+        label[faces] = index
+    return label
+
+
+def emitter_form_factors(
+    tracer: Tracer,
+    origins: Origins,
+    rays: GatherRays,
+    emitters: Sequence[NDArray[np.integer]],
+    n_samples: int,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> NDArray[np.float32]:
+    """``B`` (P, E, 2): the share of a patch's cosine-weighted hemisphere that each emitter fills, with visibility,
+    and the same weighted by Schlick's S, for diffuse lobes (:func:`iris_addon.transport.diffuse.under_lobe`).
+
+    Args:
+        emitters: face indices of each emitter.
+        n_samples: points sampled on each emitter per patch, before patches that cannot see it are left out.
+    """
+    n, n_rays = rays.face.shape
+    result = np.zeros((n, len(emitters), 2), np.float32)
+    if not emitters:
+        return result
+    area = np.array([tracer.areas[faces].sum() for faces in emitters], np.float32)
+    label = emitter_of_face(emitters, len(tracer.areas))
+    _add_gathered(result, tracer, origins, rays, label, area, n_samples)
+    # Lamps and blocks of patches in one go: where either are few, cores would wait.
+    generators = rng.spawn(2 * len(emitters))
+    sets = over_each(range(len(emitters)), lambda k: _sets_of_points(tracer, emitters[k], n_samples, generators[2 * k]))
+    jobs = [
+        (k, rows, generator)
+        for k in range(len(emitters))
+        for rows, generator in random_blocks(n, BLOCK // n_samples, generators[2 * k + 1])
+    ]
+
+    def add(job: tuple[int, slice, np.random.Generator]) -> None:
+        k, rows, generator = job
+        _add_sampled(
+            result[rows, k], tracer, *origins.flat(rows), sets[k], float(area[k]), n_rays, n_samples, generator
+        )
+
+    over_each(jobs, add, progress.update)
+    return result
+
+
+def _add_gathered(
+    result: NDArray[np.float32],
+    tracer: Tracer,
+    origins: Origins,
+    rays: GatherRays,
+    label: NDArray[np.int64],
+    area: NDArray[np.float32],
+    n_samples: int,
+) -> None:
+    """Add the gather rays that hit an emitter, weighted against the area samples they compete with."""
+    n_rays = rays.face.shape[1]
+    row, column = entries_of(rays.face, label >= 0)
+    face = rays.face[row, column]
+    k = label[face]
+    direction = rays.direction[row, column].astype(np.float32)
+    cos_light = np.abs((tracer.normals[face] * direction).sum(1))
+    cos_surface = np.abs((origins.normal[row, column % origins.normal.shape[1]] * direction).sum(1))
+    per_area = cos_surface * cos_light / np.maximum(np.pi * rays.distance[row, column] ** 2, 1e-9)
+    weight = n_rays * per_area / (n_rays * per_area + n_samples / area[k])
+    for kind, factor in enumerate(with_schlick(cos_surface).T):
+        total = np.bincount(row * len(area) + k, weight / n_rays * factor, minlength=result[..., 0].size)
+        result[..., kind] += total.reshape(len(result), len(area))
+
+
+def with_schlick(cosine: NDArray[np.floating]) -> NDArray[np.floating]:
+    """(n, 2) of 1 and S of the cosines (n,)."""
+    return np.stack([np.ones_like(cosine), schlick(cosine)], -1)
+
+
+def _add_sampled(
+    column: NDArray[np.float32],
+    tracer: Tracer,
+    position: NDArray[np.float32],
+    normal: NDArray[np.float32],
+    per_patch: int,
+    sets: tuple[NDArray[np.float32], NDArray[np.float32]],
+    area: float,
+    n_rays: int,
+    n_samples: int,
+    rng: np.random.Generator,
+) -> None:
+    """Add shadow rays from some patches to ``n_samples`` points on one emitter to ``column`` (n, 2).
+
+    Args:
+        position, normal: (n · per_patch, 3) points on the patches.
+        sets: points on the emitter, as of :func:`_sets_of_points`.
+    """
+    shadow = ShadowRays.empty(len(column) * n_samples)
+    chosen = rng.integers(POINT_SETS, size=len(column))
+    count = _toward_points(position, normal, per_patch, tracer.epsilon, *sets, chosen, n_samples, shadow)
+    shadow = rows_of(shadow, slice(count))
+    clear = tracer.unoccluded(shadow.start, shadow.along, shadow.length)
+    _add_visible(shadow, clear, area, n_rays, n_samples, column)
+
+
+class ShadowRays(NamedTuple):
+    """Rays to points on light sources.
+
+    Attributes:
+        start, along: (n, 3) float32 metres, and unit.
+        length: (n,) float32 metres.
+        row: (n,) int32 the patch that each starts from.
+        pick: (n,) int32 the point that each goes to.
+        cos_surface, cos_light: (n,) float32 at either end.
+    """
+
+    start: NDArray[np.float32]
+    along: NDArray[np.float32]
+    length: NDArray[np.float32]
+    row: NDArray[np.int32]
+    pick: NDArray[np.int32]
+    cos_surface: NDArray[np.float32]
+    cos_light: NDArray[np.float32]
+
+    @staticmethod
+    def empty(n: int) -> ShadowRays:
+        """Room for so many."""
+        start, along = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
+        row, pick = np.empty(n, np.int32), np.empty(n, np.int32)
+        length, cos_surface, cos_light = (np.empty(n, np.float32) for _ in range(3))
+        return ShadowRays(start, along, length, row, pick, cos_surface, cos_light)
+
+
+@inlined
+def aim_at_point(
+    shadow: ShadowRays, at: Integer, origin: Vector, n: Vector, epsilon: Real, point: Vector, m: Vector
+) -> bool:
+    """Fill row ``at`` with the ray to a point, ``n`` and ``m`` being the normals of both ends; whether either may see
+    the other."""
+    ox, oy, oz = origin[0] + epsilon * n[0], origin[1] + epsilon * n[1], origin[2] + epsilon * n[2]
+    dx, dy, dz = point[0] - ox, point[1] - oy, point[2] - oz
+    length = math.sqrt(max(dx * dx + dy * dy + dz * dz, 1e-9))
+    dx, dy, dz = dx / length, dy / length, dz / length
+    shadow.start[at, 0], shadow.start[at, 1], shadow.start[at, 2] = ox, oy, oz
+    shadow.along[at, 0], shadow.along[at, 1], shadow.along[at, 2] = dx, dy, dz
+    shadow.length[at] = length
+    cos_surface = dx * n[0] + dy * n[1] + dz * n[2]
+    cos_light = -(dx * m[0] + dy * m[1] + dz * m[2])
+    shadow.cos_surface[at], shadow.cos_light[at] = cos_surface, cos_light
+    return cos_surface > MIN_COSINE and abs(cos_light) > MIN_COSINE
+
+
+@kernel
+def _toward_points(
+    position: NDArray[np.float32],
+    normal: NDArray[np.float32],
+    per_patch: int,
+    epsilon: float,
+    points: NDArray[np.float32],
+    normals: NDArray[np.float32],
+    chosen: NDArray[np.integer],
+    n_samples: int,
+    shadow: ShadowRays,
+) -> int:
+    """Rays from patches, ``per_patch`` points (n, 3) each, to the set of points (SETS · n_samples, 3) that each has
+    ``chosen``; how many."""
+    count = 0
+    for p in range(len(chosen)):
+        for s in range(n_samples):
+            start, end = p * per_patch + s % per_patch, chosen[p] * n_samples + s
+            origin, n = vector(position, start), vector(normal, start)
+            if aim_at_point(shadow, count, origin, n, epsilon, vector(points, end), vector(normals, end)):
+                shadow.row[count] = p
+                count += 1
+    return count
+
+
+@kernel
+def _add_visible(
+    shadow: ShadowRays,
+    clear: NDArray[np.bool_],
+    area: float,
+    n_rays: int,
+    n_samples: int,
+    column: NDArray[np.float32],
+) -> None:
+    """Add what arrives to ``column`` (n, 2), by the balance heuristic against the gather rays."""
+    for i in range(len(clear)):
+        if clear[i]:
+            cosine = shadow.cos_surface[i]
+            per_area = cosine * abs(shadow.cos_light[i]) / (math.pi * shadow.length[i] ** 2)
+            value = per_area / (n_samples / area + n_rays * per_area)
+            column[shadow.row[i], 0] += value
+            column[shadow.row[i], 1] += value * grazing(cosine)
+
+
+def _sets_of_points(
+    tracer: Tracer, faces: NDArray[np.integer], n_samples: int, rng: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Position and normal, both (POINT_SETS · n_samples, 3), of points spread over an emitter, each set on its own.
+
+    Faces are chosen in order of area, and a run of the R2 sequence is as even as the whole: so are the points of each.
+    """
+    cumulative = np.cumsum(tracer.areas[faces])
+    strata = (np.arange(n_samples) + rng.random((POINT_SETS, n_samples))) * (cumulative[-1] / n_samples)
+    pick = faces[np.minimum(np.searchsorted(cumulative, strata, side="right"), len(faces) - 1)]
+    u = r2_sequence(POINT_SETS, n_samples, rng)
+    u = np.where(u.sum(-1, keepdims=True) > 1, 1 - u, u)
+    corner, second, third = np.moveaxis(tracer.corners[pick].astype(np.float32), 2, 0)
+    position = corner + u[..., :1] * (second - corner) + u[..., 1:] * (third - corner)
+    return position.reshape(-1, 3), tracer.normals[pick.ravel()]
