@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,9 +19,10 @@ from .types import Camera, FloatArray, View
 
 SAME_FIELD = 1e-3
 SAME_POSE = 1e-4
-NEIGHBOURS = 4
-NEAR = (0.3, 0.3)
-"""Radians and metres over which a correction fades away from the photo that it was found for."""
+NEAR = (0.6, 0.6)
+"""Radians and metres over which corrections of two photos become less alike, by a factor of e."""
+NUGGET = 0.01
+"""Variance of what a photo's correction has for itself, relative to what it shares with near ones."""
 PREDICTED = 0.7
 """Neighbours speak for each other where what they leave of their corrections is smaller than that, relative."""
 
@@ -101,7 +103,9 @@ class PoseCorrections:
         before = np.array([camera.c2w for camera in given])
         twists = np.array([twist(np.linalg.inv(a) @ b.c2w) for a, b in zip(before, found, strict=True)])
         corrections = PoseCorrections(before, twists, True)
-        left = np.array([corrections._predicted(pose, skip=k) for k, pose in enumerate(before)]) - twists
+        # What is left of each if the others predict it (Dubrule 1983, cross validation of kriging in a unique
+        # neighbourhood).
+        left = corrections._weights / np.diag(corrections._precision)[:, None]
         size, left = (np.linalg.norm(part.reshape(-1, 2, 3), axis=-1) for part in (twists, left))
         return replace(corrections, smooth=bool((np.median(left, 0) < PREDICTED * np.median(size, 0)).all()))
 
@@ -122,19 +126,25 @@ class PoseCorrections:
         return replace(camera, c2w=camera.c2w @ rigid(correction))
 
     def _away(self, pose: FloatArray) -> NDArray[np.float64]:
-        """(N,) how far the photos were taken from a camera, 1 where their corrections have faded."""
+        """(N,) how far the photos were taken from a camera, in the unit of NEAR."""
         cosine = (np.einsum("nij,ij->n", self.given[:, :3, :3], pose[:3, :3]) - 1) / 2
         turn = np.arccos(np.clip(cosine, -1, 1))
         return turn / NEAR[0] + np.linalg.norm(self.given[:, :3, 3] - pose[:3, 3], axis=1) / NEAR[1]
 
-    def _predicted(self, pose: FloatArray, skip: int = -1) -> FloatArray:
-        """(6,) mean of the nearest photos' corrections, those further away counting less, and none beside them."""
-        away = self._away(pose)
-        if skip >= 0:
-            away[skip] = np.inf
-        near = np.argsort(away)[:NEIGHBOURS]
-        say = 1 / (away[near] + 0.02) ** 2
-        return say @ self.twists[near] / (say.sum() + 1)
+    def _predicted(self, pose: FloatArray) -> FloatArray:
+        """(6,) what the photos near a camera say of it, nothing far from all: simple kriging (Matheron 1963)."""
+        return np.exp(-self._away(pose)) @ self._weights
+
+    @cached_property
+    def _precision(self) -> FloatArray:
+        """(N, N) inverse of how alike the corrections of two photos are."""
+        alike = np.exp(-np.array([self._away(pose) for pose in self.given]))
+        return np.linalg.inv(alike + NUGGET * np.eye(len(alike)))
+
+    @cached_property
+    def _weights(self) -> FloatArray:
+        """(N, 6) that the corrections are the sum of."""
+        return self._precision @ self.twists
 
     def content(self) -> dict[str, Any]:
         """Plain values for report.json."""
