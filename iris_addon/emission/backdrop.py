@@ -29,6 +29,8 @@ DIRECTIONS = 400
 """In which the shell touches the room."""
 CLEARANCE = 1.01
 """The shell stands off the walls by a hundredth of its size, lest they flicker."""
+STEP_BACK = 0.1
+"""Of the room's size: so far from where a photo was taken one still stands within."""
 OUTLIER = 0.3
 """Deviation in log radiance of an outlier: something in front of what most photos show."""
 FLOOR = 0.01
@@ -44,9 +46,11 @@ def fit_backdrop(beyond: BeyondMesh, photometry: Photometry, mesh: Mesh, views: 
     if beyond.share < MIN_SHARE:
         return None
     positions = np.stack([view.camera.position for view in views])
-    hull = _shell(np.concatenate([mesh.vertices[np.unique(mesh.faces)], positions]))
-    if hull is None:
+    surface = mesh.vertices[np.unique(mesh.faces)]
+    step = STEP_BACK * float(np.ptp(surface, axis=0).max()) * np.concatenate([np.eye(3), -np.eye(3)])
+    if _flat(np.concatenate([surface, positions])):
         return None
+    hull = _shell(np.concatenate([surface, *(positions + one for one in step)]))
     linear = photometry.linearise_pixels(beyond.z, beyond.view, beyond.pixel)
     radiance = np.where(linear.open, linear.radiance, linear.bound).astype(np.float64)
     painted = _exit_points(hull.equations, positions[beyond.view], beyond.direction) - hull.points.mean(0)
@@ -54,16 +58,19 @@ def fit_backdrop(beyond: BeyondMesh, photometry: Photometry, mesh: Mesh, views: 
     return Backdrop(hull.points, _inward_faces(hull), _picture(texel, radiance))
 
 
-def _shell(points: NDArray[np.floating]) -> ConvexHull | None:
-    """Convex hull of what lies furthest out of ``points`` (n, 3); None for points in a plane."""
+def _flat(points: NDArray[np.floating]) -> bool:
+    """Whether ``points`` (n, 3) lie in a plane."""
+    return bool(np.linalg.matrix_rank(points - points.mean(0), tol=1e-6 * float(np.ptp(points))) < 3)
+
+
+def _shell(points: NDArray[np.floating]) -> ConvexHull:
+    """Convex hull of what lies furthest out of ``points`` (n, 3)."""
     k = np.arange(DIRECTIONS) + 0.5
     z, azimuth = 1 - 2 * k / DIRECTIONS, np.pi * (1 + 5**0.5) * k  # a Fibonacci lattice on the sphere
     ring = np.sqrt(1 - z * z)
     directions = np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], -1)
     extreme = np.unique([int(np.argmax(points @ direction)) for direction in directions])
     corners = np.asarray(points, np.float64)[extreme]
-    if np.linalg.matrix_rank(corners - corners.mean(0), tol=1e-6 * np.ptp(corners)) < 3:
-        return None
     corners = corners[ConvexHull(corners).vertices]
     return ConvexHull(corners.mean(0) + CLEARANCE * (corners - corners.mean(0)))
 
