@@ -88,7 +88,7 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         photos = sample_photos(capture, tracer, config.hdr is not None, progress)
     with progress.stage("surface"):
         adjacency = edge_adjacency(capture.mesh)
-        parts = split_parts(capture.mesh, adjacency, tracer.normals, photos.samples, photos.z)
+        parts, scanned = split_parts(capture.mesh, adjacency, tracer.normals, photos.samples, photos.z)
         taken_by = [view.camera for view in capture.views]
         mixed = mixed_pixels(tracer, photos.samples, parts, taken_by, photos.stride)
         brighter = outshone_by(photos.samples, photos.z, mixed, parts, taken_by, photos.stride)
@@ -103,7 +103,8 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         hidden = nothing_hidden(transport)
         if config.refinements.hidden_light is not False:
             pieces = pieces_between_edges(tracer.normals, adjacency, parts)
-            hidden = find_hidden(transport, parts, pieces, photos.samples.seen_faces(len(parts)))
+            # What a scanner saw of a room its photos saw too: what is left are scraps along the borders of both.
+            hidden = find_hidden(transport, parts, pieces, photos.samples.seen_faces(len(parts)) | scanned)
     seen, widths = photos.samples, photos.small.sizes[:, 1]
     observations = observe(
         surface.sample_patch, seen.view, seen.pixel, widths, photos.z, photos.mixed, photos.hdr, config.rng(3)

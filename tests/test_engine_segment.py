@@ -48,7 +48,8 @@ def _seen(mesh: Mesh) -> tuple[PixelSamples, NDArray[np.float32]]:
 def test_a_model_is_split_at_its_folds_and_a_scan_at_its_colours(roughness: float):
     mesh = _sheet(roughness)
     samples, z = _seen(mesh)
-    parts = split_parts(mesh, edge_adjacency(mesh), Tracer(mesh).normals, samples, z)
+    parts, scanned = split_parts(mesh, edge_adjacency(mesh), Tracer(mesh).normals, samples, z)
+    assert (scanned == (roughness > 0)).all()
     center = mesh.vertices[mesh.faces].mean(1)
     upright, light = center[:, 2] > 0.005, center[:, 1] > 0.5
     assert _purity(parts, upright if roughness == 0 else light) > 0.97

@@ -38,8 +38,8 @@ def split_parts(
     normals: NDArray[np.floating],
     samples: PixelSamples,
     z: NDArray[np.floating],
-) -> NDArray[np.int32]:
-    """(F,) part per face: the capture's own, else components, the large ones split.
+) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+    """(F,) part per face: the capture's own, else components, the large ones split; and which faces were scanned.
 
     Args:
         normals: (F, 3) unit.
@@ -47,10 +47,10 @@ def split_parts(
     """
     parts = initial_parts(mesh, adjacency)
     if mesh.parts is not None:
-        return parts
+        return parts, np.zeros(len(parts), bool)
     scanned = scanned_faces(parts, adjacency, normals, samples)
     parts = split_creases(parts, adjacency, normals, samples, scanned)
-    return split_scan(parts, adjacency, normals, samples, z, scanned) if scanned.any() else parts
+    return split_scan(parts, adjacency, normals, samples, z, scanned) if scanned.any() else parts, scanned
 
 
 def scanned_faces(
