@@ -156,8 +156,8 @@ def _without_idle(
         return tried
     seen = problem.samples.seen_faces(len(problem.parts))
     for lamp in sorted(left, key=lambda lamp: (not seen[lamp].any(), problem.tracer.areas[lamp].sum())):
-        if len(sure) + len(left) == 1:
-            break
+        if len(sure) + len(left) == 1 and not len(problem.hidden.directions):
+            break  # the last light of a closed room
         tried = without([lamp])
         radiance = lights.radiance[len(sure) + next(k for k, other in enumerate(left) if other is lamp)]
         dim = not seen[lamp].any() and not _glows(problem, lights, lamp)
