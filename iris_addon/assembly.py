@@ -27,7 +27,6 @@ from .reflectance.specular import pixel_lobes, subtract_specular
 from .reflectance.textures import make_textures
 from .response.local_exposure import ALIKE
 from .result.types import Emitter, OutsideLight, Result
-from .surface.atlas import build_atlas, texel_density_from_footprint
 from .surface.build import Surface
 from .surface.samples import PixelSamples, as_picture
 from .transport.diffuse import schlick
@@ -46,6 +45,7 @@ Rows = slice | NDArray[np.bool_]
 def make_result(
     capture: Capture,
     config: SolveConfig,
+    uv: NDArray[np.float32],
     problem: MaterialProblem,
     photos: PhotoSamples,
     photometry: Photometry,
@@ -53,7 +53,11 @@ def make_result(
     gloss: Gloss,
     progress: Progress,
 ) -> tuple[Result, dict[str, NDArray[np.float32]]]:
-    """Albedo per pixel, fused on the atlas; the result put together, and a few photos as it explains them."""
+    """Albedo per pixel, fused on the atlas; the result put together, and a few photos as it explains them.
+
+    Args:
+        uv: (F, 3, 2) the atlas, per corner.
+    """
     samples, light = photos.samples, problem.light
     part = light.parts[samples.face]
     shading = problem.shading(lights)
@@ -79,10 +83,6 @@ def make_result(
     weight *= linear.open * linear.precision
     weight /= np.median(weight[weight > 0])
     held_out = config.rng(7).random(len(part)) < HELD_OUT
-    uv = capture.mesh.uv
-    if uv is None:
-        density = texel_density_from_footprint(samples.face, samples.footprint, len(light.parts))
-        uv = build_atlas(capture.mesh, density, config.atlas_size)
     textures, base_color = make_textures(
         uv, config.atlas_size, light.parts, lights.mask, gloss, samples, albedo, weight * ~held_out[:, None]
     )

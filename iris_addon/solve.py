@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -20,9 +21,9 @@ from threadpoolctl import threadpool_limits
 from .assembly import make_result, report_figures
 from .cameras.fit import fit_cameras
 from .capture.exposures import with_unit_mean
-from .capture.types import Capture
+from .capture.types import Capture, Mesh
 from .checkpoint import Checkpoints, fingerprint
-from .compute import choose_device
+from .compute import choose_device, keep_freed_memory
 from .config import Refinements, SolveConfig
 from .emission.candidates import brightness
 from .emission.given import read_given_emitters
@@ -45,10 +46,12 @@ from .response.radiance import group_radiance, linearise
 from .result.io import save_result
 from .result.report_html import write_report
 from .result.types import Result
+from .surface.atlas import build_atlas, texel_density_from_footprint
 from .surface.build import Surface, build_surface
 from .surface.field import IrradianceField
 from .surface.mixed import mixed_pixels, outshone_by
 from .surface.parts import edge_adjacency, pieces_between_edges
+from .surface.samples import PixelSamples
 from .surface.segment import split_parts
 from .transport.cache import cached_transport
 from .transport.diffuse import grazing_gain, schlick
@@ -70,6 +73,7 @@ def solve(
         Cancelled: finished stages stay in ``out`` for ``resume``.
         IrisError: the disk is full.
     """
+    keep_freed_memory()
     # Matrices here are narrow; a linear algebra library that waits for work on threads of its own takes them from ours.
     with sole_writer(out), threadpool_limits(1, "blas"):
         return _solve(capture, config, out, progress or Progress(), resume)
@@ -109,7 +113,9 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     observations = observe(
         surface.sample_patch, seen.view, seen.pixel, widths, photos.z, photos.mixed, photos.hdr, config.rng(3)
     )
-    with progress.stage("response"):
+    # Little of what either does runs on more than one core.
+    with progress.stage("response"), ThreadPoolExecutor(1) as aside:
+        atlas = aside.submit(_atlas, capture.mesh, seen, config.atlas_size)
         photometry = Photometry.from_arrays(
             checkpoints.stage(
                 "response",
@@ -137,7 +143,9 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
             arrays = checkpoints.stage("joint", lambda: _joint(problem, photometry, lights, gloss, progress))
             lights, joint = Lights.from_arrays(arrays), {"joint": joint_report(arrays)}
     with progress.stage("textures"):
-        result, rerenders = make_result(capture, config, problem, photos, photometry, lights, gloss, progress)
+        result, rerenders = make_result(
+            capture, config, atlas.result(), problem, photos, photometry, lights, gloss, progress
+        )
         result = result.with_exposures_times(unit)
     result.report.update(
         report_figures(
@@ -149,6 +157,13 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     write_report(result, capture, out, rerenders)
     checkpoints.clear()
     return result
+
+
+def _atlas(mesh: Mesh, samples: PixelSamples, size: int) -> NDArray[np.float32]:
+    """(F, 3, 2) the mesh's own UVs, else new ones with texels as large as the pixels of photos."""
+    if mesh.uv is not None:
+        return mesh.uv
+    return build_atlas(mesh, texel_density_from_footprint(samples.face, samples.footprint, len(mesh.faces)), size)
 
 
 def _problem(

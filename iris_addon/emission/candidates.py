@@ -99,7 +99,7 @@ def emitting_faces(
     A lamp's face shines all over; a large floor triangle with a window's reflection on it does not.
     """
     count = np.bincount(sample_face, minlength=n_faces)
-    bright = np.bincount(sample_face, passed[sample_patch], n_faces)
+    bright = np.bincount(sample_face[passed[sample_patch]], minlength=n_faces)
     return (bright > FACE_SHARE * count) & (count > 0), count
 
 

@@ -52,11 +52,10 @@ def make_textures(
     part = np.empty(size * size, np.int32)
     part[texel] = parts[samples.face]
     base_color = _fill(fused, part[fused.texel], face, parts, samples, albedo, weight, size)
-    shown = np.maximum(face, 0)
-    inside = face >= 0
-    base_color[inside & lamps[shown]] = 0.0
-    roughness = np.where(inside, gloss.roughness[parts[shown]], 1.0).astype(np.float32)
-    metallic = np.where(inside, gloss.metallic[parts[shown]], 0.0).astype(np.float32)
+    # A last entry stands for texels of no face, -1.
+    base_color[np.append(lamps, False)[face]] = 0.0
+    roughness = np.append(gloss.roughness[parts], 1.0).astype(np.float32)[face]
+    metallic = np.append(gloss.metallic[parts], 0.0).astype(np.float32)[face]
     confidence = np.zeros((size, size), np.float32)
     confidence.flat[fused.texel] = np.clip(fused.weight / FULL_CONFIDENCE, 0, 1)
     textures = Textures(base_color, roughness, metallic, confidence)
@@ -82,10 +81,9 @@ def _fill(
     value = np.zeros((size * size, 3), np.float32)
     value[fused.texel] = with_expected(fused, part, part_mean, size)
     filled = fill_texels(value.reshape(size, size, 3), known)
-    shown = np.maximum(face, 0)
-    unseen = (face >= 0) & (count[shown] == 0)
-    constant = part_mean[parts[shown]]
-    return np.where((unseen & ~known)[..., None], constant, filled).astype(np.float32)
+    unseen = np.append(count == 0, False)[face] & ~known
+    filled[unseen] = part_mean[parts[face[unseen]]]
+    return filled
 
 
 def with_expected(
