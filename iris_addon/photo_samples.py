@@ -17,7 +17,7 @@ from .response.local_exposure import SmallPhotos, small_photo
 from .surface.samples import PixelSamples, pixel_lattice, stride_for_budget, trace_pixels
 from .transport.tracer import Tracer
 
-PIXEL_BUDGET = 3_000_000
+PIXEL_BUDGET = 6_500_000
 """Pixels the solver looks at; beyond, one pixel of every n x n block is taken, another one in every photo."""
 BEYOND_STEP = 7
 """One pixel in so many tells what lies beyond the mesh."""
