@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from iris_addon.capture.exposures import exif_settings
 from iris_addon.errors import BadInput
+from iris_addon.imaging import read_image
 from iris_addon.photometry import Photometry
 from iris_addon.response import curve, family
 from iris_addon.response.curve import N_SAMPLES, SATURATED, Response
@@ -192,6 +194,35 @@ def test_unknown_exposures_come_back_up_to_an_exponent(name: str) -> None:
     # The curve is that of the photos under the same exponent: f(x) = true f(x^(1/g)).
     equivalent = np.interp(X ** (1 / exponent), X, truth.samples[0])
     assert np.abs(fit.response.samples - equivalent).max() < 0.06
+
+
+def test_a_bracket_of_thirteen_stops_through_a_soft_shoulder() -> None:
+    """In the short photos nearly all is black, in the long ones nearly all is on the shoulder."""
+    rng = np.random.default_rng(14)
+    stops = np.array([3.7, 3.3, 2.0, 1.7, 0.0, -0.3, -1.7, -2.0, -4.0, -5.9, -6.3, -8.3, -8.6, -10.0])
+    shoulder = 1 - np.exp(-18 * X**0.7)
+    observations, _ = observations_of(response_of(shoulder / shoulder[-1]), 2.0 ** (stops + 1), rng, 1500, 0.02)
+    found = np.log2(fit_overlap(doubled(observations), None, len(stops), rng).exposures).mean(1)
+    exponent, offset = np.polyfit(found, stops, 1)
+    assert np.sqrt(np.mean((exponent * found + offset - stops) ** 2)) < 0.15
+    assert exponent == pytest.approx(1.0, abs=0.4), "measured responses are that much alike in the midtones"
+
+
+def test_the_times_of_a_real_bracket_come_back(shared: Path) -> None:
+    """A desk in 13 exposures over 13.7 stops, the last of which is nearly black."""
+    photos = sorted((shared / "brackets" / "desk").glob("*.jpg"))
+    if not photos:
+        pytest.skip("shared/brackets/desk is not there")
+    z = np.stack([read_image(photo)[::4, ::4] for photo in photos]) / 255
+    n = z[0, :, :, 0].size
+    patch, view = np.tile(np.arange(n), len(photos)), np.repeat(np.arange(len(photos)), n)
+    desk = doubled(observe_off_edges(patch, view, z.reshape(-1, 3), np.random.default_rng(0)))
+    seconds = np.log2([exif_settings(photo)["seconds"] for photo in photos])
+    found = np.log2(fit_overlap(desk, None, len(photos), np.random.default_rng(1)).exposures).mean(1)
+    seconds, found = seconds - seconds.mean(), found - found.mean()
+    exponent = (found @ seconds) / (found @ found)
+    assert np.sqrt(np.mean((exponent * found - seconds) ** 2)) < 0.15
+    assert np.sqrt(np.mean((found - seconds) ** 2)) < 0.5
 
 
 def test_exposures_under_a_given_curve() -> None:

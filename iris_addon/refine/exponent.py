@@ -19,22 +19,26 @@ from ..emission.types import LightProblem, Lights
 from ..progress import Progress
 from ..response.radiance import GroupRadiance
 
-LOG_EXPONENTS = np.linspace(-0.8, 0.8, 9)
+LOG_EXPONENTS = np.linspace(-1.2, 1.2, 13)
 """Tried; between them the loss is smooth."""
 PRIOR_STD = 0.4
 """Of the log exponent about that of the median measured response, for rooms whose shading says little."""
 
 
 def choose_exponent(problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress) -> float:
-    """The g under which the light balances best; 1 where it balances ever better towards the ends of the range.
+    """The g under which the light balances best; 1 where that says nothing.
 
-    It does so where most light comes from what no photo shows: then the light balance is about guesses.
+    So it is where most light comes from what no photo shows, as the balance then is about guesses, and where the best g
+    lies at an end of the range.
 
     Args:
         observed: radiance of the seen patches, up to a power.
         lights: the lamps found under that radiance; g changes their radiance, not which faces they are.
     """
-    if not lights.emitters and not len(lights.hidden_radiance):
+    n_seen, hidden = problem.transport.n_seen, problem.hidden.form_factors[..., 0]
+    from_lamps = lights.form_factors[:n_seen, :, 0] @ lights.radiance
+    from_outside = hidden[:n_seen] @ lights.hidden_radiance
+    if from_lamps.sum() <= from_outside.sum():
         return 1.0
     losses = np.array([_loss(problem, observed, lights, float(g), progress) for g in np.exp(LOG_EXPONENTS)])
     losses += 0.5 * (LOG_EXPONENTS / PRIOR_STD) ** 2 / EFFECTIVE_PATCHES

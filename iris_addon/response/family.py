@@ -25,6 +25,9 @@ PRIOR_MEAN = np.array([-0.25, -0.34, -0.43, -0.54, -0.67, -0.79, -0.92, -1.05, -
 PRIOR_STD = 0.7
 BEND_STD = 0.25
 """Spread about the median, and of its second differences."""
+MIDTONES = (0.15, 0.6)
+CONTRAST_MEAN, CONTRAST_STD = -0.41, 0.42
+"""Log of the slope of log f over log x between those display values, over the same curves."""
 _KNOTS = np.linspace(0.0, 1.0, len(PRIOR_MEAN))
 PRIOR_RESIDUALS, DOWNHILL_RESIDUALS = 2 * len(PRIOR_MEAN) - 2, 255
 
@@ -56,6 +59,16 @@ def prior_residual(log_knots: NDArray[np.floating]) -> NDArray[np.float64]:
     """(PRIOR_RESIDUALS,) distance from the median measured response and its bends, in standard deviations."""
     offset = log_knots - PRIOR_MEAN
     return np.concatenate([offset / PRIOR_STD, np.diff(offset, 2) / BEND_STD])
+
+
+def contrast_residual(response: Response) -> NDArray[np.float64]:
+    """(3,) distance of the curves' exponents in the midtones from the median measured one, in standard deviations.
+
+    It is the slope of log f over log x between two display values, which no scale of x moves, nor a soft shoulder.
+    """
+    low, high = np.log(np.maximum(response.invert(np.repeat(MIDTONES, 3).reshape(2, 3)), 1e-6))
+    slope = np.log(MIDTONES[1] / MIDTONES[0]) / np.maximum(high - low, 1e-3)
+    return (np.log(slope) - CONTRAST_MEAN) / CONTRAST_STD
 
 
 def downhill(log_knots: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -12,24 +12,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.sparse import coo_matrix
 
-from ..grouping import group_means, group_sums
+from ..grouping import group_means
 from ..parallel import over_each
 from . import family
 from .curve import N_SAMPLES, Response
 from .observations import Observations
-from .projection import LEAST, ROBUST_SCALE, project, residuals
+from .projection import LEAST, ROBUST_SCALE, add_links, log_exposures, project, residuals
 
 WHITE_BALANCE_GAIN = 0.9
-UNKNOWN_PRIOR_WEIGHT = 30.0
+EXPONENT_WEIGHT = 300.0
+"""Of the prior over contrast, which alone holds the exponent where exposures are unknown."""
 MIN_EXPOSURE_SPREAD, MIN_UNKNOWN_SPREAD = 0.5, 0.25
-"""Stops; below, exposures vary too little to tell the curve. Where they are unknown the prior holds it faster."""
+"""Stops; below, exposures vary too little to tell the curve."""
+AMPLE_SPREAD = 2.7
+"""Stops; unknown exposures that vary as much tell the curve as known ones do."""
 PRIOR_WEIGHT = 1.0
 """The prior over curves counts as much as one observation that is off by ROBUST_SCALE."""
 MONOTONICITY_WEIGHT = 1e4
 CONVERGED = 1e-5
 """Relative gain of a step at which the curve stands still."""
+UNLINKED = 1e-9
+"""Pull of each photo's log exposure to zero, relative to that of others: what sets it where nothing else does."""
 DIFFERENCE = 1e-7
 """Step of the differences for derivatives by knots."""
 
@@ -102,7 +106,7 @@ class OverlapProblem:
         """Log exposures of photos (V, 3) and exposures of observations (m, 3): known, or the best under a curve."""
         if self.log_t is not None:
             return self.log_t, self._known_exposure
-        log_t = np.repeat(self._chained(self._log_exposed(response).mean(1, keepdims=True)), 3, 1)
+        log_t = self._chained(response)
         return log_t, self._exposure(log_t)
 
     @cached_property
@@ -144,8 +148,7 @@ class OverlapProblem:
         shared = self.solve_radiance(response)[0]
         if self.log_t is not None or self.white_balance is False:
             return np.exp(shared)
-        log_x = self._log_exposed(response)
-        per_channel = self._chained(log_x)
+        log_x, per_channel = self._log_exposed(response), self._chained(response, per_channel=True)
         better = self._spread(log_x, per_channel) < WHITE_BALANCE_GAIN * self._spread(log_x, shared)
         return np.exp(per_channel if self.white_balance or better else shared)
 
@@ -156,8 +159,7 @@ class OverlapProblem:
         of the known ones on them, because the known ones are what has errors. Photos without overlap keep theirs.
         """
         assert self.log_t is not None
-        log_x = self._log_exposed(response)
-        free = self._chained(log_x if per_channel else log_x.mean(1, keepdims=True))
+        free = self._chained(response, per_channel)
         seen = np.bincount(self.view[~self.clipped], minlength=self.n_views) > 0
         known, free = self.log_t[seen], free[seen] - free[seen].mean(0)
         varied = known.std() > MIN_EXPOSURE_SPREAD * np.log(2)
@@ -167,32 +169,27 @@ class OverlapProblem:
         log_t[seen] = known.mean(0) + factor * free
         return log_t
 
-    def _chained(self, log_x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(V, C) log exposures on which the log values (m, C) of the views of each patch agree."""
-        use = ~self.clipped
-        log_x, patch = log_x[use], self.patch[use]
-        mean = group_sums(log_x, patch, self.n_patches) / self._views_of_patch
-        return self._chain @ group_sums(log_x - mean[patch], self.view[use], self.n_views)
+    def _chained(self, response: Response, per_channel: bool = False) -> NDArray[np.float64]:
+        """(V, 3) log exposures on which the views of each patch agree under a curve.
 
-    @cached_property
-    def _views_of_patch(self) -> NDArray[np.int64]:
-        """(n, 1) unclipped views of each patch, at least 1."""
-        return np.maximum(np.bincount(self.patch[~self.clipped], minlength=self.n_patches), 1)[:, None]
-
-    @cached_property
-    def _chain(self) -> NDArray[np.float64]:
-        """(V, V) from the sums of log values over their patches' means, per view, to log exposures.
-
-        It inverts the Laplacian of the graph of photos that share patches: a walk through a house, where each photo
-        overlaps with the next few only, takes thousands of turns of patch means and view means to agree. Photos that
-        share nothing with the rest come out near the mean.
+        What is black in a photo, or on the curve's shoulder, hardly counts, and outliers less the second time. The
+        Laplacian of the graph of photos that share patches is inverted: a walk through a house, where each photo
+        overlaps with the next few only, would take thousands of turns of patch means and view means to agree. Photos
+        that share nothing with the rest come out near the mean.
         """
-        use = ~self.clipped
-        at = (np.ones(int(use.sum())), (self.view[use], self.patch[use]))
-        incidence = coo_matrix(at, (self.n_views, self.n_patches)).tocsr()
-        shared = incidence.multiply(1 / self._views_of_patch.T) @ incidence.T
-        views = np.asarray(incidence.sum(1)).ravel()
-        return np.linalg.pinv(np.diag(views) - shared.toarray(), rcond=1e-9, hermitian=True)
+        slope = np.gradient(response.samples, 1 / (N_SAMPLES - 1), axis=1)
+        log_x, say = np.empty_like(self.z), np.empty_like(self.z)
+        log_exposures(response.samples, slope, self.z, self.clipped, self.weight, self.log_gain, log_x, say)
+        log_t, n = np.zeros((self.n_views, 3)), self.n_views
+        for trusting in (True, False):
+            laplacian, pull = np.zeros((3, n, n)), np.zeros((3, n))
+            add_links(self._first, self.view, log_x, say, log_t, trusting, laplacian, pull)
+            if not per_channel:
+                laplacian, pull = laplacian.sum(0, keepdims=True), pull.sum(0, keepdims=True)
+            mean = np.trace(laplacian, axis1=1, axis2=2)[:, None, None] / n
+            held = laplacian + np.maximum(UNLINKED * mean, 1e-30) * np.eye(n)
+            log_t = np.ascontiguousarray(np.broadcast_to(np.linalg.solve(held, pull[..., None])[..., 0].T, (n, 3)))
+        return log_t
 
     def _spread(self, log_x: NDArray[np.float64], log_t: NDArray[np.float64]) -> float:
         """Median disagreement of views about a patch's log radiance under given log exposures (V, 3)."""
@@ -211,11 +208,21 @@ class OverlapProblem:
         mismatch, saturation = np.empty_like(self.z), np.empty_like(self.z)
         data = self.z, self.share, self.clipped, self.weight, exposure, radiance
         residuals(response.samples, self._first, *data, self.highlights, mismatch, saturation)
-        # (f^g, t^g, L^g) fits as well for any g: without exposure times only the prior holds the exponent.
-        held = PRIOR_WEIGHT if self.log_t is not None else UNKNOWN_PRIOR_WEIGHT
-        prior = [held * family.prior_residual(k) for k in knots]
+        prior = [self._prior_weight * family.prior_residual(k) for k in knots]
         bends = [MONOTONICITY_WEIGHT * family.downhill(k) for k in knots]
-        return np.concatenate([mismatch.ravel(), saturation.ravel(), *prior, *bends])
+        # (f^g, t^g, L^g) fits as well for any g: without exposure times only the prior holds the exponent, by contrast
+        # as far as it leaves the curve free.
+        exponent = 0.0 if self.log_t is not None else EXPONENT_WEIGHT / self._prior_weight
+        held = [exponent * family.contrast_residual(response)] if exponent else []
+        return np.concatenate([mismatch.ravel(), saturation.ravel(), *prior, *bends, *held])
+
+    @cached_property
+    def _prior_weight(self) -> float:
+        """Of the prior over curves. Exposures that are looked for too, and differ little, leave much of the curve to
+        whatever else makes views disagree."""
+        if self.log_t is not None:
+            return PRIOR_WEIGHT
+        return PRIOR_WEIGHT * max(1.0, (AMPLE_SPREAD / max(self.exposure_spread(), MIN_UNKNOWN_SPREAD)) ** 2)
 
     def minimise(self, start: list[NDArray[np.float64]], max_steps: int) -> list[NDArray[np.float64]]:
         """Knots of one or three curves; radiance and exposures are eliminated (variable projection)."""

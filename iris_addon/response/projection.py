@@ -19,6 +19,8 @@ ROBUST_SCALE = 0.01
 """Display-value residual at which an observation starts to count as an outlier (a highlight, a moved object)."""
 LEAST = 1e-5
 """Relative exposure that black is taken for."""
+BLACK = 1.5 / 255
+"""Display value up to which it says only that less was exposed."""
 NO_WEIGHT = 1e-12
 
 
@@ -86,6 +88,67 @@ def project(
                     total += trusted * found[j, c]
                     norm += trusted
                 radiance[p, c] = total / norm
+
+
+@kernel
+def log_exposures(
+    table: NDArray[np.float64],
+    slope: NDArray[np.float64],
+    z: NDArray[np.float64],
+    clipped: NDArray[np.bool_],
+    weight: NDArray[np.float64],
+    log_gain: NDArray[np.float64],
+    log_x: NDArray[np.float64],
+    say: NDArray[np.float64],
+) -> None:
+    """Log of what each of m observations would have been exposed to if all places of its photo were alike, and the
+    precision of that, (m, 3) both: noise is uniform in z, so it is (f'(x) x)^2; 0 where clipped."""
+    for j in range(len(z)):
+        for c in range(3):
+            x = max(_inverse(table, c, z[j, c]), LEAST)
+            rate = _at(slope, c, x) * x
+            log_x[j, c] = math.log(x) - log_gain[j]
+            say[j, c] = 0.0 if clipped[j] or z[j, c] < BLACK else weight[j] * rate * rate
+
+
+@kernel
+def add_links(
+    first: NDArray[np.int64],
+    view: NDArray[np.int64],
+    log_x: NDArray[np.float64],
+    say: NDArray[np.float64],
+    log_t: NDArray[np.float64],
+    trusting: bool,
+    laplacian: NDArray[np.float64],
+    pull: NDArray[np.float64],
+) -> None:
+    """Normal equations of log exposures whose views of every patch agree: laplacian (3, V, V) and right side (3, V).
+
+    Args:
+        log_x, say: (m, 3) of :func:`log_exposures`; ``say`` is written over.
+        log_t: (V, 3) log exposures; unless ``trusting``, what is an outlier under them counts less.
+    """
+    for p in range(len(first) - 1):
+        rows = range(first[p], first[p + 1])
+        for c in range(3):
+            if not trusting:
+                total, norm = 0.0, NO_WEIGHT
+                for j in rows:
+                    total += say[j, c] * (log_x[j, c] - log_t[view[j], c])
+                    norm += say[j, c]
+                for j in rows:
+                    off = (log_x[j, c] - log_t[view[j], c] - total / norm) / ROBUST_SCALE
+                    say[j, c] /= 1 + say[j, c] * off * off
+            total, norm = 0.0, NO_WEIGHT
+            for j in rows:
+                total += say[j, c] * log_x[j, c]
+                norm += say[j, c]
+            for j in rows:
+                a, s = view[j], say[j, c]
+                laplacian[c, a, a] += s
+                pull[c, a] += s * (log_x[j, c] - total / norm)
+                for i in rows:
+                    laplacian[c, a, view[i]] -= s * say[i, c] / norm
 
 
 @inlined
