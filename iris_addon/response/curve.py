@@ -55,7 +55,12 @@ class Response:
 
     def slope(self, exposure: NDArray[np.floating]) -> NDArray[np.float64]:
         """f'(x) at relative exposures (..., 3)."""
-        return _at(np.gradient(self.samples, 1 / (N_SAMPLES - 1), axis=1), exposure)
+        return _at(self.slopes, exposure)
+
+    @property
+    def slopes(self) -> NDArray[np.float64]:
+        """(3, 1024) f'(x) where ``samples`` are."""
+        return np.gradient(self.samples, 1 / (N_SAMPLES - 1), axis=1)
 
 
 def _at(rows: NDArray[np.float64], x: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from ..grouping import group_means
 from ..parallel import over_each
 from . import family
-from .curve import N_SAMPLES, Response
+from .curve import Response
 from .observations import Observations
 from .projection import LEAST, ROBUST_SCALE, add_links, log_exposures, project, residuals
 
@@ -117,9 +117,8 @@ class OverlapProblem:
     def _radiance(self, response: Response, exposure: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n, 3) that fits best under a given curve and exposures (m, 3)."""
         radiance, scratch = np.empty((self.n_patches, 3)), (np.empty_like(self.z), np.empty_like(self.z))
-        slope = np.gradient(response.samples, 1 / (N_SAMPLES - 1), axis=1)
         data = self.z, self.clipped, self.weight, exposure
-        project(response.samples, slope, self._first, *data, *scratch, radiance)
+        project(response.samples, response.slopes, self._first, *data, *scratch, radiance)
         return radiance
 
     @cached_property
@@ -177,9 +176,9 @@ class OverlapProblem:
         overlaps with the next few only, would take thousands of turns of patch means and view means to agree. Photos
         that share nothing with the rest come out near the mean.
         """
-        slope = np.gradient(response.samples, 1 / (N_SAMPLES - 1), axis=1)
         log_x, say = np.empty_like(self.z), np.empty_like(self.z)
-        log_exposures(response.samples, slope, self.z, self.clipped, self.weight, self.log_gain, log_x, say)
+        data = self.z, self.clipped, self.weight, self.log_gain
+        log_exposures(response.samples, response.slopes, *data, log_x, say)
         log_t, n = np.zeros((self.n_views, 3)), self.n_views
         for trusting in (True, False):
             laplacian, pull = np.zeros((3, n, n)), np.zeros((3, n))
@@ -212,9 +211,10 @@ class OverlapProblem:
         bends = [MONOTONICITY_WEIGHT * family.downhill(k) for k in knots]
         # (f^g, t^g, L^g) fits as well for any g: without exposure times only the prior holds the exponent, by contrast
         # as far as it leaves the curve free.
-        exponent = 0.0 if self.log_t is not None else EXPONENT_WEIGHT / self._prior_weight
-        held = [exponent * family.contrast_residual(response)] if exponent else []
-        return np.concatenate([mismatch.ravel(), saturation.ravel(), *prior, *bends, *held])
+        held = np.zeros(0)
+        if self.log_t is None:
+            held = EXPONENT_WEIGHT / self._prior_weight * family.contrast_residual(response)
+        return np.concatenate([mismatch.ravel(), saturation.ravel(), *prior, *bends, held])
 
     @cached_property
     def _prior_weight(self) -> float:
