@@ -170,15 +170,17 @@ def test_sheen_alone_is_no_gloss(highlight: bool) -> None:
     assert (fit_gloss(observed, 1).roughness[0] < 1) == highlight
 
 
-def test_a_polished_part_is_not_outvoted_by_matte_neighbours_of_its_colour() -> None:
-    """A frame of the wall's colour on the wall: its own highlight stands, and the wall stays matte."""
+@pytest.mark.parametrize("odd_one_is_polished", [True, False])
+def test_a_part_is_not_outvoted_by_neighbours_of_its_colour(odd_one_is_polished: bool) -> None:
+    """A frame of the wall's colour on the wall: its own highlight stands, and the wall stays matte; nor is a wall that
+    shows no highlight polished because two frames on it are."""
     rng = np.random.default_rng(7)
     patches, views = 60, 5
     n = patches * views
     zero = np.zeros((3 * n, 3))
-    highlight = 0.1 * (rng.random((3 * n, 1)) < 0.3) * np.ones(3)
     part = np.repeat(np.arange(3), n)
-    polished = (part == 0)[:, None]
+    highlight = np.where(part == 0, 0.02, 0.1)[:, None] * (rng.random((3 * n, 1)) < 0.3) * np.ones(3)
+    polished = ((part == 0) == odd_one_is_polished)[:, None]
     lobes = [(zero, highlight) for _ in LEVELS[:-2]]
     observed = GlossObservations(
         part,
@@ -191,7 +193,9 @@ def test_a_polished_part_is_not_outvoted_by_matte_neighbours_of_its_colour() -> 
         [[lobe] * 2 for lobe in (*lobes, (zero, zero), (zero, zero))],
     )
     roughness = fit_gloss(observed, 3).roughness
-    assert roughness[0] < 0.6 and (roughness[1:] == 1).all()
+    glossy = roughness < 0.6
+    assert (glossy == [odd_one_is_polished, *[not odd_one_is_polished] * 2]).all()
+    assert (roughness[~glossy] == 1).all()
 
 
 def test_gloss_by_chance_alone_is_rare() -> None:

@@ -31,7 +31,8 @@ MAX_OBSERVATIONS = 2000
 ERRORS_NEEDED = 1.5
 """Standard errors by which a gloss must fit better than the rough dielectric."""
 ERRORS_NEEDED_ALONE = 2.0
-"""The same for a part whose neighbours of like albedo show none: a white frame is polished on a white wall."""
+"""The same for a part whose neighbours of like albedo say otherwise: a white frame is polished on a white wall, and the
+wall is matte beside it."""
 METAL_GAIN_NEEDED = 0.15
 """Relative fall of the robust residual that a metal must bring over the best dielectric."""
 MAX_METAL = 0.95
@@ -178,13 +179,15 @@ def fit_gloss(observed: GlossObservations, n_parts: int, forced: bool | None = N
     costs, layered = (None, False) if forced is False else _layered_or_not(observed)
     if costs is not None:
         for k, (plastic, metal, error, count) in enumerate(zip(*costs.pooled(), strict=True)):
-            label, own = int(costs.ids[k]), costs.plastic[k]
+            label, own, own_error = int(costs.ids[k]), costs.plastic[k], costs.error[k]
             gain_of_metal = 0.0 if forced else (1.0 + FEW / count) * METAL_GAIN_NEEDED
             if metal.min() < (1 - gain_of_metal) * plastic.min():
                 _make_metal(gloss, label, metal, costs.colour[k])
-            elif forced or _shows_highlight(plastic, error, ERRORS_NEEDED):
+            elif forced or (
+                _shows_highlight(plastic, error, ERRORS_NEEDED) and not _speaks_against(own, own_error, plastic)
+            ):
                 gloss.roughness[label] = _interpolate_minimum(plastic)
-            elif _shows_highlight(own, costs.error[k], ERRORS_NEEDED_ALONE):
+            elif _shows_highlight(own, own_error, ERRORS_NEEDED_ALONE):
                 gloss.roughness[label] = _interpolate_minimum(own)
             gloss.decided[label] = True
     return replace(gloss, layered=layered)
@@ -246,6 +249,12 @@ def _shows_highlight(plastic: NDArray[np.float64], error: NDArray[np.float64], e
     none from chance."""
     best = int(np.argmin(plastic[: len(FIT_RAYS)]))
     return bool(plastic[-1] - plastic[best] > errors_needed * error[best])
+
+
+def _speaks_against(own: NDArray[np.float64], error: NDArray[np.float64], pooled: NDArray[np.float64]) -> bool:
+    """Whether a part by itself is sure to be matte at the level that suits it and its neighbours best."""
+    best = int(np.argmin(pooled[: len(FIT_RAYS)]))
+    return bool(own[best] - own[-1] > ERRORS_NEEDED_ALONE * error[best])
 
 
 def _interpolate_minimum(cost: NDArray[np.float64]) -> float:
