@@ -184,7 +184,7 @@ def fit_gloss(observed: GlossObservations, n_parts: int, forced: bool | None = N
             if metal.min() < (1 - gain_of_metal) * plastic.min():
                 _make_metal(gloss, label, metal, costs.colour[k])
             elif forced or (
-                _shows_highlight(plastic, error, ERRORS_NEEDED) and not _speaks_against(own, own_error, plastic)
+                _shows_highlight(plastic, error, ERRORS_NEEDED) and not _denies_highlight(own, own_error, plastic)
             ):
                 gloss.roughness[label] = _interpolate_minimum(plastic)
             elif _shows_highlight(own, own_error, ERRORS_NEEDED_ALONE):
@@ -244,16 +244,20 @@ def _make_metal(gloss: Gloss, label: int, cost: NDArray[np.float64], colour: NDA
     gloss.specular[label] = np.clip(colour[int(np.argmin(cost))], DIELECTRIC_F0, MAX_METAL)
 
 
-def _shows_highlight(plastic: NDArray[np.float64], error: NDArray[np.float64], errors_needed: float) -> bool:
-    """Whether a lobe narrow enough to be traced fits better than the rough dielectric: no gloss from sheen alone, and
-    none from chance."""
-    best = int(np.argmin(plastic[: len(FIT_RAYS)]))
-    return bool(plastic[-1] - plastic[best] > errors_needed * error[best])
+def _best_traced(cost: NDArray[np.float64]) -> int:
+    """The level that fits best of those whose lobes are narrow enough to be traced: no gloss from sheen alone."""
+    return int(np.argmin(cost[: len(FIT_RAYS)]))
 
 
-def _speaks_against(own: NDArray[np.float64], error: NDArray[np.float64], pooled: NDArray[np.float64]) -> bool:
-    """Whether a part by itself is sure to be matte at the level that suits it and its neighbours best."""
-    best = int(np.argmin(pooled[: len(FIT_RAYS)]))
+def _shows_highlight(cost: NDArray[np.float64], error: NDArray[np.float64], errors_needed: float) -> bool:
+    """Whether a gloss fits better than the rough dielectric, and not by chance."""
+    best = _best_traced(cost)
+    return bool(cost[-1] - cost[best] > errors_needed * error[best])
+
+
+def _denies_highlight(own: NDArray[np.float64], error: NDArray[np.float64], pooled: NDArray[np.float64]) -> bool:
+    """Whether a part's own photos are sure against the gloss that it and its neighbours together show."""
+    best = _best_traced(pooled)
     return bool(own[best] - own[-1] > ERRORS_NEEDED_ALONE * error[best])
 
 
