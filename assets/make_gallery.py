@@ -1,9 +1,10 @@
-"""Make the pictures of the README from the bundled capture: relit, disco, objects put into a photo, the camera's match.
+"""Make the pictures of the README from the bundled capture: the demo's own, relit, disco, objects put into a photo, the
+camera's match.
 
     .venv/bin/python assets/make_gallery.py [--result DIR] [--out DIR] [--samples 96]
 
-Every picture comes from the command line, with jobs that are written beside the renders in --out (out/gallery). A
-solved result is taken from --result, else the bundled room is solved. Finished frames are not rendered again.
+Every picture comes from the command line, with jobs that are written beside the renders in --out (out/gallery). What
+`make demo` made is taken from --result, else it is made anew. Finished frames are not rendered again.
 """
 
 from __future__ import annotations
@@ -130,14 +131,15 @@ def photo_job() -> dict:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--result", type=Path, help="solved result of the bundled capture; solved anew without it")
+    parser.add_argument("--result", type=Path, help="what `make demo` made (out/demo); made anew without it")
     parser.add_argument("--out", type=Path, default=ASSETS.parent / "out" / "gallery")
     parser.add_argument("--samples", type=int, default=96)
     args = parser.parse_args()
     out: Path = args.out.absolute()
-    result = args.result.absolute() if args.result else out / "result"
-    if not (result / "report.json").is_file():
-        run("solve", CAPTURE, "--out", result, "--resume")
+    result = args.result.absolute() if args.result else out / "demo"
+    if not (result / "pictures").is_dir():
+        run("demo", "--out", result)
+    save("demo.png", demo_sheet(result / "pictures"))
 
     out.mkdir(parents=True, exist_ok=True)
     look = look_at(RELIT_VIEW, args.samples)
@@ -168,6 +170,12 @@ def main() -> None:
     save("inserted.jpg", np.concatenate([photo(PHOTO_VIEW), only_picture(out / "photo")], axis=1))
     run("render", result, *look, "--out", out / "match")
     save("camera_match.jpg", np.concatenate([photo(PHOTO_VIEW), only_picture(out / "match")], axis=1))
+
+
+def demo_sheet(pictures: Path) -> np.ndarray:
+    """The demo's pictures in three rows: a photo and its re-render; relit and inserted; albedo and lamps."""
+    rows = (["photo_and_rerender"], ["relit", "inserted"], ["albedo", "lights"])
+    return np.concatenate([np.concatenate([read(pictures / f"{name}.png") for name in row], axis=1) for row in rows])
 
 
 def run(*args: object) -> None:
