@@ -89,6 +89,18 @@ def test_the_shell_holds_mesh_and_cameras_and_looks_inwards() -> None:
         assert (np.einsum("fc,fc->f", normal, point - a) > 0).all()
 
 
+def test_the_shell_does_not_stand_before_a_pane_that_stands_back_in_its_wall() -> None:
+    """No direction in which the pane's corners lie furthest out need be among those that the shell is drawn from."""
+    pane = np.array([[x, 4.15, z] for x in (1.7, 3.3) for z in (0.9, 2.1)])
+    recessed = Mesh(np.vstack([CORNERS, pane]), np.vstack([box().faces, [[8, 9, 11], [8, 11, 10]]]))
+    found = fit_backdrop(seen(np.random.default_rng(1), 500), PHOTOMETRY, recessed, VIEWS)
+    assert found is not None
+    a, b, c = np.moveaxis(found.vertices[found.faces], 1, 0)
+    normal = np.cross(b - a, c - a)
+    for point in (*CORNERS, *pane):
+        assert (np.einsum("fc,fc->f", normal, point - a) > 0).all()
+
+
 def test_no_backdrop_without_holes_or_without_a_room() -> None:
     rng = np.random.default_rng(2)
     assert fit_backdrop(seen(rng, 500, share=MIN_SHARE / 2), PHOTOMETRY, ROOM, VIEWS) is None

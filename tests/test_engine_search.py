@@ -133,6 +133,20 @@ def test_photos_show_that_much_less_of_a_lamp_as_pixels_are_outshone(lent: int) 
     assert stops == pytest.approx({0: 2, 10: 3, 20: 10}[lent])
 
 
+@pytest.mark.parametrize(("open_share", "stays"), [(0.0, True), (0.95, True), (1.05, False)])
+def test_a_lamp_is_a_speck_beside_light_from_outside_too(open_share: float, stays: bool) -> None:
+    """A sky that every patch sees all of would make the bar just 2 in 10,000 of all light."""
+    room = problem(floor=(0.1, 4.0, 0.1), clipped=(False, True, False))
+    sees = np.full((N_PATCHES, 1, 2), open_share, np.float32)
+    room.hidden = HiddenSources((), np.array([[0.0, 0.0, 1.0]]), sees)  # type: ignore[misc]
+    one = lights([(BAR, 4.0)], irradiance=(0.6, 0.6, 0.5))
+    power = 0.2 * 4.0
+    sky = power * (1 / selection.NEGLIGIBLE_POWER - 1) / room.tracer.areas.sum()
+    lit = replace(one, hidden_radiance=np.full((1, 3), sky))
+    kept = selection.needed_lamps(room, OBSERVED, lit, Progress())  # type: ignore[arg-type]
+    assert [faces.tolist() for faces in kept] == ([[BAR]] if stays else [])
+
+
 def test_rounds_of_gloss_bring_no_new_lamps(monkeypatch: pytest.MonkeyPatch) -> None:
     """The bar seems to need a reflectance of 10, and was no lamp when the whole room was searched."""
     room = problem(floor=(4.0, 4.0, 0.1), clipped=(True, True, False))

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from ..capture.types import Mesh, View
 from ..photo_samples import BeyondMesh
@@ -26,7 +26,7 @@ MIN_SHARE = 2e-3
 HEIGHT = 128
 """Rows of the picture: 1.4 degrees a texel, 6 cm at two and a half metres."""
 DIRECTIONS = 400
-"""In which the shell touches the room."""
+"""In which the points that the shell is drawn through lie furthest out."""
 CLEARANCE = 1.01
 """The shell stands off the walls by a hundredth of its size, lest they flicker."""
 STEP_BACK = 0.1
@@ -64,14 +64,22 @@ def _flat(points: NDArray[np.floating]) -> bool:
 
 
 def _shell(points: NDArray[np.floating]) -> ConvexHull:
-    """Convex hull of what lies furthest out of ``points`` (n, 3)."""
+    """A convex body of few faces around all of ``points`` (n, 3), lest it hide a pane that stands back in its wall.
+
+    The hull of what lies furthest out in some directions, with each of its faces moved out until nothing is beyond it.
+    """
     k = np.arange(DIRECTIONS) + 0.5
     z, azimuth = 1 - 2 * k / DIRECTIONS, np.pi * (1 + 5**0.5) * k  # a Fibonacci lattice on the sphere
     ring = np.sqrt(1 - z * z)
     directions = np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], -1)
-    extreme = np.unique([int(np.argmax(points @ direction)) for direction in directions])
-    corners = np.asarray(points, np.float64)[extreme]
-    corners = corners[ConvexHull(corners).vertices]
+    points = np.asarray(points, np.float64)
+    outermost = points[ConvexHull(points).vertices]
+    extreme = np.unique((outermost @ directions.T).argmax(0))
+    inner = ConvexHull(outermost[extreme])
+    normals = np.unique(inner.equations[:, :3].round(6), axis=0)
+    offsets = (outermost @ normals.T).max(0)
+    planes = np.concatenate([normals, -offsets[:, None]], 1)
+    corners = HalfspaceIntersection(planes, inner.points.mean(0)).intersections
     return ConvexHull(corners.mean(0) + CLEARANCE * (corners - corners.mean(0)))
 
 

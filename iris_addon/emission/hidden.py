@@ -1,7 +1,7 @@
 """Light whose source no photo shows: surfaces behind a corner that glow, and light from beyond the mesh.
 
 The former are lamps like others, of which photos say nothing. The latter enters the light balance as further emitters,
-directions in which rays escape the mesh, with form factors read off the gather rays.
+soft lobes around twelve directions, with form factors read off the gather rays that escape the mesh.
 """
 
 from __future__ import annotations
@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..grouping import counts
-from ..result.sh import fit_sh, sh_basis
+from ..result.sh import sh_basis
 from ..transport.form_factors import with_schlick
 from ..transport.gather import GatherRays, Origins
 from ..transport.patch_hits import ESCAPED
-from ..transport.sampling import dot
 from ..transport.transport import Transport
 
 MIN_SHARE = 2e-3
@@ -25,6 +24,11 @@ MIN_PIECE_SHARE, MAX_PIECES = 2e-5, 64
 """The same for a surface, which a shade may hide from most of the room, and how many are asked for."""
 DIRECTIONAL_SHARE = 0.02
 """From this share of escaping rays on, light from outside may depend on direction."""
+LOBE_BANDS = np.repeat([np.pi / 3, np.pi / 6, np.pi / 30], [1, 3, 5])
+"""(1 + cos)² / 16 in Legendre polynomials, (4/3 P0 + 2 P1 + 2/3 P2) / 16, each times 4π / (2 l + 1): by the addition
+theorem, times the harmonics at a lobe's middle, these are the harmonics of the lobe."""
+BLOCK = 512
+"""Patches at a time."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +38,9 @@ class HiddenSources:
     Attributes:
         pieces: faces of each surface that no photo sees and many gather rays meet, most of them first. The search tries
             them as lamps.
-        directions: (D, 3) unit centres of the direction bins of outside light; D in {0, 1, 12}. Their radiance is an
-            unknown of the light balance.
-        form_factors: (N, D, 2) share of each patch's hemisphere, plain and times Schlick's S.
+        directions: (D, 3) unit middles of the lobes of outside light; D in {0, 1, 12}. How bright each is is unknown to
+            the light balance. A single one is the same from everywhere.
+        form_factors: (N, D, 2) irradiance / pi of each patch by each lobe, plain and times Schlick's S.
     """
 
     pieces: tuple[NDArray[np.int64], ...]
@@ -44,20 +48,31 @@ class HiddenSources:
     form_factors: NDArray[np.float32]
 
     def with_directions(self, count: int) -> HiddenSources:
-        """The same sources with 0, 1 (constant) or all direction bins of outside light."""
+        """The same sources with 0, 1 (constant) or all lobes of outside light."""
         if count == len(self.directions):
             return self
         outside = self.form_factors.sum(1, keepdims=True)[:, :count]
         return replace(self, directions=np.array([[0.0, 0.0, 1.0]])[:count], form_factors=outside)
 
     def outside_sh(self, radiance: NDArray[np.floating]) -> NDArray[np.float64] | None:
-        """(1, 3) or (9, 3) spherical harmonics of the outside radiance (D, 3) per bin, None without bins."""
+        """(1, 3) or (9, 3) spherical harmonics of outside light whose lobes are as bright as ``radiance`` (D, 3), None
+        without lobes."""
         if len(self.directions) == 0:
             return None
         if len(self.directions) == 1:
             return radiance / sh_basis(np.array([[0.0, 0.0, 1.0]]), 1)
-        # Twelve bins and nine functions: few rays escape through some of them.
-        return fit_sh(self.directions, radiance, np.ones(len(radiance)), ridge=0.05)
+        return (sh_basis(self.directions) * LOBE_BANDS).T @ radiance
+
+
+def lobes(directions: NDArray[np.floating], middles: NDArray[np.floating]) -> NDArray[np.floating]:
+    """(..., D) radiance along unit ``directions`` (..., 3) of lobes of brightness one: (1 + cos)² / 16.
+
+    They are harmonics of order 2 and never negative: the balance is solved with just the light that Cycles is given.
+    The faces of a dodecahedron are a spherical design of order 5, so their lobes add up to one in every direction.
+    """
+    if len(middles) == 1:
+        return np.ones((*directions.shape[:-1], 1), directions.dtype)
+    return (1 + directions @ middles.T.astype(directions.dtype)) ** 2 / 16
 
 
 def dodecahedron() -> NDArray[np.float64]:
@@ -112,14 +127,16 @@ def _unseen_pieces(
 def _form_factors(
     target: NDArray[np.int32], origins: Origins, rays: GatherRays, directions: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    """(rows, D, 2) share of each row's rays that leave in a direction's bin."""
+    """(rows, D, 2) irradiance / pi of each row by the lobes, through the rays that escape."""
     n_rows, n_rays = target.shape
     result = np.zeros((n_rows, len(directions), 2), np.float32)
     if len(directions) == 0:
         return result
-    row, column = np.nonzero(target == ESCAPED)
-    direction = rays.direction[row, column].astype(np.float32)
-    cosine = dot(origins.normal[row, column % origins.normal.shape[1]], direction)
-    bins = (direction @ directions.T.astype(np.float32)).argmax(1)
-    np.add.at(result, (row, bins), with_schlick(cosine) / n_rays)
+    normal = np.arange(n_rays) % origins.normal.shape[1]
+    for start in range(0, n_rows, BLOCK):
+        rows = slice(start, start + BLOCK)
+        direction = rays.direction[rows].astype(np.float32)
+        cosine = np.einsum("prk,prk->pr", origins.normal[rows][:, normal], direction)
+        escapes = with_schlick(cosine) * (target[rows] == ESCAPED)[..., None]
+        result[rows] = np.moveaxis(lobes(direction, directions), 1, 2) @ escapes / n_rays
     return result

@@ -21,6 +21,7 @@ from .types import LightProblem, Lights
 from .unseen import promising
 
 NEGLIGIBLE_POWER = 2e-4
+"""Of all the light that enters the room, lamps and outside together."""
 IDLE_LOSS = 0.005
 """Highest rise of the held-out loss without a lamp that does nothing, per stop it is brighter than photos show."""
 SILENT_EVERY = 4
@@ -106,7 +107,7 @@ def needed_lamps(
     needed = certainty(problem, lights, lamp_of_patch(problem, lights.emitters))
     power = np.array([problem.tracer.areas[f].sum() for f in lights.emitters]) * lights.radiance.mean(1)
     # Mixed pixels at the edge of a real lamp make specks.
-    strong = power > NEGLIGIBLE_POWER * power.sum()
+    strong = power > NEGLIGIBLE_POWER * (power.sum() + _power_from_outside(problem, lights))
     certain = (needed >= CERTAIN) & (_outshone(problem, lights.emitters) <= OUTSHONE)
     sure = [lights.emitters[k] for k in np.flatnonzero(strong & certain)]
     lamps = [lights.emitters[k] for k in np.flatnonzero(strong & ~certain)]
@@ -118,6 +119,17 @@ def needed_lamps(
             lights = _without_idle(problem, observed, sure, sides, lights, say, progress)
             lamps = [lamp[lights.mask[lamp]] for lamp in lamps]
     return [*sure, *(lamp for lamp in lamps if len(lamp))]
+
+
+def _power_from_outside(problem: LightProblem, lights: Lights) -> float:
+    """Light that comes in from beyond the mesh, in the unit of a lamp's area times its radiance.
+
+    The patches share the area of the mesh about evenly.
+    """
+    if len(lights.hidden_radiance) == 0:
+        return 0.0
+    irradiance = problem.hidden.form_factors[:, :, 0] @ lights.hidden_radiance
+    return float(problem.tracer.areas.sum() * irradiance.mean())
 
 
 def _outshone(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> NDArray[np.float64]:

@@ -27,22 +27,6 @@ def sh_basis(directions: NDArray[np.floating], n: int = 9) -> NDArray[np.float64
     return np.stack(functions[:n], -1)
 
 
-def fit_sh(
-    directions: NDArray[np.floating], radiance: NDArray[np.floating], weight: NDArray[np.floating], ridge: float
-) -> NDArray[np.float64]:
-    """(9, 3) harmonics of order 2 with the least weighted squared error.
-
-    Args:
-        directions: (n, 3) unit; ``radiance`` (n, 3) along them; ``weight`` (n,).
-        ridge: pull to zero of all but the constant, whose size is the light's power; directions that nothing is known
-            of do not ring.
-    """
-    basis = sh_basis(directions, 9)
-    weighted = weight[:, None] * basis
-    pull = ridge * np.diag([0.0] + [1.0] * 8)
-    return np.linalg.solve(basis.T @ weighted + pull, weighted.T @ radiance)
-
-
 def sh_radiance(sh: NDArray[np.floating], directions: NDArray[np.floating]) -> NDArray[np.float64]:
     """(..., 3) radiance at unit ``directions`` (..., 3) of the expansion ``sh`` (n, 3), clamped at zero."""
     return np.maximum(sh_basis(directions, len(sh)) @ sh, 0.0)
