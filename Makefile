@@ -17,7 +17,7 @@ help:
 	@echo "make test       unit tests;  make test-all  the slow ones too"
 	@echo "make test-blender  real Blenders 4.3 and 5.2 by mouse, as root on Debian;  make test-wheels  bpy 4.5 and 5.2"
 	@echo "make bench      speed against accuracy with peers, 1½ hours;  make profile  where the time goes, minutes"
-	@echo "make stability  every perturbation, an hour;  make scaling  cost against size, 20 minutes"
+	@echo "make stability  every perturbation, 1½ hours;  make scaling  cost against size, 20 minutes"
 	@echo "make figures    charts and tables out of what was measured; nothing is measured"
 	@echo "make lint       ruff and pyright;  make format  let ruff format"
 
