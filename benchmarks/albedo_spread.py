@@ -27,7 +27,7 @@ from iris_addon.response.curve import LUMINANCE
 from iris_addon.result.io import load_result
 from iris_addon.result.types import Result
 from iris_addon.surface.atlas_texels import rasterise_atlas
-from iris_addon.transport.tracer import Tracer
+from iris_addon.transport.tracer import Tracer, points_on_faces
 
 PATCH = 10
 """Pixels around the one named through which the plane is laid."""
@@ -66,9 +66,8 @@ class Texels:
         face, weights = rasterise_atlas(result.mesh.uv, side)
         covered = np.flatnonzero((face.ravel() >= 0) & (result.textures.confidence.ravel() > SEEN))
         self.face = face.ravel()[covered]
-        self.position = _points(result, self.face, weights.reshape(-1, 2)[covered])
+        self.position = points_on_faces(self.tracer.corners, self.face, weights.reshape(-1, 2)[covered])
         self.albedo = result.textures.base_color.reshape(-1, 3)[covered].astype(np.float64)
-        self._result = result
 
     def spread_at(self, camera: Camera, x: float, y: float, reach: float) -> Spread:
         """The spread of the surface at a place of a photo; raises BadInput where it shows no flat surface."""
@@ -94,7 +93,7 @@ class Texels:
         on = hits.face >= 0
         if np.count_nonzero(on) < 3:
             raise BadInput(f"nothing of the mesh is seen at {x:g}, {y:g}", "name a place on a surface")
-        points = _points(self._result, hits.face[on], hits.barycentric[on])
+        points = points_on_faces(self.tracer.corners, hits.face[on], hits.barycentric[on])
         centre = points.mean(0)
         return centre, np.linalg.svd(points - centre)[2]
 
@@ -112,13 +111,6 @@ def spread_of(albedo: NDArray[np.floating], place: NDArray[np.floating]) -> Spre
 def _robust(values: NDArray[np.floating]) -> float:
     middle = np.median(values) if len(values) else np.nan
     return float(1.4826 * np.median(np.abs(values - middle)) / middle) if len(values) else float("nan")
-
-
-def _points(result: Result, face: NDArray[np.integer], weights: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(n, 3) points of faces by the weights (n, 2) of corners 1 and 2."""
-    corners = result.mesh.vertices[result.mesh.faces[face]]
-    u, v = weights[:, :1], weights[:, 1:]
-    return corners[:, 0] * (1 - u - v) + corners[:, 1] * u + corners[:, 2] * v
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

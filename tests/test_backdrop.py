@@ -78,15 +78,20 @@ def test_a_missing_wall_is_painted_where_it_stands(hidden: float) -> None:
     assert np.isfinite(found.picture).all() and found.picture.min() >= 0
 
 
+def assert_within(points: list[np.ndarray], shell: Backdrop) -> None:
+    """All points lie before all faces of the shell, which are seen from within."""
+    a, b, c = np.moveaxis(shell.vertices[shell.faces], 1, 0)
+    normal = np.cross(b - a, c - a)
+    for point in points:
+        assert (np.einsum("fc,fc->f", normal, point - a) > 0).all()
+
+
 def test_the_shell_holds_mesh_and_cameras_and_looks_inwards() -> None:
     rng = np.random.default_rng(1)
     outside = np.vstack([CAMERAS, [[2.0, -1.5, 1.0]]])  # a photographer in the door
     found = fit_backdrop(seen(rng, 500), PHOTOMETRY, ROOM, views_at(outside))
     assert found is not None
-    a, b, c = np.moveaxis(found.vertices[found.faces], 1, 0)
-    normal = np.cross(b - a, c - a)
-    for point in (*CORNERS, *outside):
-        assert (np.einsum("fc,fc->f", normal, point - a) > 0).all()
+    assert_within([*CORNERS, *outside], found)
 
 
 def test_the_shell_does_not_stand_before_a_pane_that_stands_back_in_its_wall() -> None:
@@ -95,10 +100,7 @@ def test_the_shell_does_not_stand_before_a_pane_that_stands_back_in_its_wall() -
     recessed = Mesh(np.vstack([CORNERS, pane]), np.vstack([box().faces, [[8, 9, 11], [8, 11, 10]]]))
     found = fit_backdrop(seen(np.random.default_rng(1), 500), PHOTOMETRY, recessed, VIEWS)
     assert found is not None
-    a, b, c = np.moveaxis(found.vertices[found.faces], 1, 0)
-    normal = np.cross(b - a, c - a)
-    for point in (*CORNERS, *pane):
-        assert (np.einsum("fc,fc->f", normal, point - a) > 0).all()
+    assert_within([*CORNERS, *pane], found)
 
 
 def test_no_backdrop_without_holes_or_without_a_room() -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..grouping import counts
+from ..parallel import BLOCK, over_blocks
 from ..result.sh import sh_basis
 from ..transport.form_factors import with_schlick
 from ..transport.gather import GatherRays, Origins
@@ -27,8 +28,6 @@ DIRECTIONAL_SHARE = 0.02
 LOBE_BANDS = np.repeat([np.pi / 3, np.pi / 6, np.pi / 30], [1, 3, 5])
 """(1 + cos)² / 16 in Legendre polynomials, (4/3 P0 + 2 P1 + 2/3 P2) / 16, each times 4π / (2 l + 1): by the addition
 theorem, times the harmonics at a lobe's middle, these are the harmonics of the lobe."""
-BLOCK = 512
-"""Patches at a time."""
 
 
 @dataclass(frozen=True)
@@ -133,10 +132,12 @@ def _form_factors(
     if len(directions) == 0:
         return result
     normal = np.arange(n_rays) % origins.normal.shape[1]
-    for start in range(0, n_rows, BLOCK):
-        rows = slice(start, start + BLOCK)
+
+    def some(rows: slice) -> None:
         direction = rays.direction[rows].astype(np.float32)
         cosine = np.einsum("prk,prk->pr", origins.normal[rows][:, normal], direction)
         escapes = with_schlick(cosine) * (target[rows] == ESCAPED)[..., None]
         result[rows] = np.moveaxis(lobes(direction, directions), 1, 2) @ escapes / n_rays
+
+    over_blocks(n_rows, BLOCK // n_rays, some)
     return result

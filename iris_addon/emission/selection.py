@@ -126,8 +126,6 @@ def _power_from_outside(problem: LightProblem, lights: Lights) -> float:
 
     The patches share the area of the mesh about evenly.
     """
-    if len(lights.hidden_radiance) == 0:
-        return 0.0
     irradiance = problem.hidden.form_factors[:, :, 0] @ lights.hidden_radiance
     return float(problem.tracer.areas.sum() * irradiance.mean())
 
