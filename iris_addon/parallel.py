@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from functools import cache
+from threading import Event, Lock
 from typing import TypeVar
 
 import numpy as np
@@ -15,6 +17,9 @@ Made = TypeVar("Made")
 BLOCK = 1 << 17
 """Rays, or whatever else is counted, of one block: smaller and the threads wait for the interpreter, larger and the
 temporaries leave the cache."""
+
+SECONDS_UNCHECKED = 0.1
+"""For so long a wish to stop may go unheard while other threads work."""
 
 
 def cores() -> int:
@@ -28,27 +33,57 @@ def blocks(n: int, size: int) -> list[slice]:
     return [slice(start, min(start + step, n)) for start in range(0, n, step)]
 
 
+@cache
+def _helpers() -> ThreadPoolExecutor:
+    """Threads beside the caller's own, started once: there are hundreds of calls in a solve."""
+    return ThreadPoolExecutor(max(1, cores() - 1), "iris")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_helpers.cache_clear)  # threads do not live on in a child
+
+
 def over_blocks(
     n: int, size: int, work: Callable[[slice], None], done: Callable[[float], None] = lambda share: None
 ) -> None:
-    """Call ``work`` on every block of ``range(n)``.
+    """Call ``work`` on every block of ``range(n)``, on this thread and as many more as there are cores.
+
+    A block may call this again: its thread then takes what no other is free for, so that none waits for itself.
 
     Args:
-        done: told the share that is done, on the calling thread. What it raises (a cancel), or what a block raises, is
-            raised here at once; blocks not begun are dropped.
+        done: told the share that is done, on the calling thread. What it raises (a cancel) is raised here at once, what
+            a block raises as soon as the caller is through with its own; blocks not begun are dropped.
     """
     parts = blocks(n, size)
-    if len(parts) == 1:
-        work(parts[0])
-        done(1.0)
-        return
-    with ThreadPoolExecutor(cores()) as threads:
+    left, finished = iter(parts), 0
+    lock, stopped = Lock(), Event()
+
+    def take(after: Callable[[float], None] = lambda share: None) -> None:
+        nonlocal finished
         try:
-            for part, _ in zip(parts, threads.map(work, parts), strict=True):
-                done(part.stop / n)
+            while not stopped.is_set():
+                with lock:
+                    part = next(left, None)
+                if part is None:
+                    return
+                work(part)
+                with lock:
+                    finished += part.stop - part.start
+                    share = finished / n
+                after(share)
         except BaseException:
-            threads.shutdown(wait=False, cancel_futures=True)
+            stopped.set()
             raise
+
+    helpers = [_helpers().submit(take) for _ in range(min(cores(), len(parts)) - 1)]
+    try:
+        take(done)
+    finally:
+        begun = [helper for helper in helpers if not helper.cancel()]
+    for helper in begun:
+        helper.result()
+    if begun:
+        done(1.0)
 
 
 def over_each(
@@ -62,6 +97,25 @@ def over_each(
 
     over_blocks(len(items), 1, one, done)
     return [made[index] for index in range(len(items))]
+
+
+def aside(work: Callable[[], Made]) -> Future[Made]:
+    """``work`` begun on a thread of its own; whoever asks for what it returns uses :func:`waited_for`."""
+    thread = ThreadPoolExecutor(1, "iris aside")
+    begun = thread.submit(work)
+    thread.shutdown(wait=False)
+    return begun
+
+
+def waited_for(begun: Future[Made], check: Callable[[], None]) -> Made:
+    """What work that was begun returns, or raises.
+
+    ``check`` is called ten times a second meanwhile; what it raises (a cancel) is raised here at once, and the work
+    then comes to its end unheeded.
+    """
+    while not wait([begun], SECONDS_UNCHECKED).done:
+        check()
+    return begun.result()
 
 
 def over_random_blocks(

@@ -8,7 +8,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -32,6 +31,7 @@ from .emission.search import choose_outside
 from .emission.types import LightProblem, Lights
 from .errors import BadInput
 from .folder_lock import sole_writer
+from .parallel import aside, waited_for
 from .photo_samples import PhotoSamples, sample_photos
 from .photometry import Photometry, measure_photometry
 from .preview import write_previews
@@ -113,15 +113,13 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     observations = observe(
         surface.sample_patch, seen.view, seen.pixel, widths, photos.z, photos.mixed, photos.hdr, config.rng(3)
     )
-    # Little of what either does runs on more than one core.
-    with progress.stage("response"), ThreadPoolExecutor(1) as aside:
-        atlas = aside.submit(_atlas, capture.mesh, seen, config.atlas_size)
-        photometry = Photometry.from_arrays(
-            checkpoints.stage(
-                "response",
-                lambda: measure_photometry(capture, config, observations, photos, config.rng(4)).arrays(),
-            )
-        )
+    with progress.stage("response"):
+        # Little of what either does runs on more than one core.
+        atlas_begun = aside(lambda: _atlas(capture.mesh, seen, config.atlas_size))
+        measured = partial(measure_photometry, capture, config, observations, photos, config.rng(4))
+        arrays = checkpoints.stage("response", lambda: waited_for(aside(measured), progress.check).arrays())
+        photometry = Photometry.from_arrays(arrays)
+        atlas = waited_for(atlas_begun, progress.check)
     pose = partial(_problem, config, tracer, photos, parts, adjacency, surface, transport, hidden, observations, field)
     problem = pose(photometry)
     with progress.stage("lights"):
@@ -143,9 +141,7 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
             arrays = checkpoints.stage("joint", lambda: _joint(problem, photometry, lights, gloss, progress))
             lights, joint = Lights.from_arrays(arrays), {"joint": joint_report(arrays)}
     with progress.stage("textures"):
-        result, rerenders = make_result(
-            capture, config, atlas.result(), problem, photos, photometry, lights, gloss, progress
-        )
+        result, rerenders = make_result(capture, config, atlas, problem, photos, photometry, lights, gloss, progress)
         result = result.with_exposures_times(unit)
     result.report.update(
         report_figures(

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from iris_addon.parallel import blocks, over_blocks, over_random_blocks
+from iris_addon.parallel import aside, over_blocks, over_random_blocks, waited_for
 from iris_addon.progress import Cancelled
 from iris_addon.surface.patches import Slots, number_of
 
@@ -23,7 +23,7 @@ def test_blocks_cover_everything_once(n: int, size: int) -> None:
     shares: list[float] = []
     over_blocks(n, size, work, shares.append)
     assert (covered == 1).all()
-    assert shares == sorted(shares) and len(shares) == len(blocks(n, size))
+    assert shares == sorted(shares) and bool(shares) == (n > 0)
     assert not shares or shares[-1] == 1
 
 
@@ -68,6 +68,42 @@ def test_a_cancel_drops_the_blocks_that_have_not_begun() -> None:
     with pytest.raises(Cancelled):
         over_blocks(2000, 1, work, cancel)
     assert len(begun) < 1000
+
+
+def test_blocks_within_blocks_come_to_an_end() -> None:
+    covered = np.zeros((12, 40), int)
+
+    def outer(block: slice) -> None:
+        def inner(columns: slice) -> None:
+            covered[block, columns] += 1
+            time.sleep(0.0005)
+
+        over_blocks(40, 3, inner)
+
+    over_blocks(12, 1, outer)
+    assert (covered == 1).all()
+
+
+def test_work_aside_returns_raises_and_may_be_left() -> None:
+    def fail() -> None:
+        raise TimeoutError("of its own")
+
+    go_on = threading.Event()
+    started = time.monotonic()
+    slow = aside(lambda: go_on.wait(60))
+    checks = iter([None, Cancelled()])
+
+    def check() -> None:
+        if (wish := next(checks)) is not None:
+            raise wish
+
+    assert waited_for(aside(lambda: 7), lambda: None) == 7
+    with pytest.raises(TimeoutError, match="of its own"):
+        waited_for(aside(fail), lambda: None)
+    with pytest.raises(Cancelled):
+        waited_for(slow, check)
+    assert time.monotonic() - started < 30, "a cancel does not wait for the work"
+    go_on.set()
 
 
 @pytest.mark.parametrize("n", [0, 1, 1000])

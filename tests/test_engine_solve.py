@@ -259,7 +259,7 @@ def test_resume_does_not_believe_another_configuration(shoot: Shoot, reference: 
     assert same_results(reference, out)
 
 
-@pytest.mark.parametrize("stage", ["photos", "transport", "lights", "textures"])
+@pytest.mark.parametrize("stage", ["photos", "transport", "response", "lights", "textures"])
 def test_cancelling_stops_at_the_next_update(shoot: Shoot, reference: Path, stage: str) -> None:
     """Into a folder with a finished result, which stays as it was."""
     before = (reference / "report.json").read_text()
