@@ -92,13 +92,8 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         photos = sample_photos(capture, tracer, config.hdr is not None, progress)
     with progress.stage("surface"):
         adjacency = edge_adjacency(capture.mesh)
-        parts, scanned = split_parts(capture.mesh, adjacency, tracer.normals, photos.samples, photos.z)
-        taken_by = [view.camera for view in capture.views]
-        mixed = mixed_pixels(tracer, photos.samples, parts, taken_by, photos.stride)
-        brighter = outshone_by(photos.samples, photos.z, mixed, parts, taken_by, photos.stride)
-        photos = replace(photos, mixed=mixed, outshone_by=brighter)
-        surface = build_surface(capture.mesh, photos.samples, parts, config.max_patches, config.rng(1))
-        field = IrradianceField.build(surface)
+        split = aside(lambda: _surface(capture, config, tracer, adjacency, photos))
+        parts, scanned, photos, surface, field = waited_for(split, progress.check)
     with progress.stage("transport"):
         transport = cached_transport(
             capture, tracer, surface, parts, config.gather_rays, config.seed, config.rng(2), progress
@@ -141,7 +136,8 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
             arrays = checkpoints.stage("joint", lambda: _joint(problem, photometry, lights, gloss, progress))
             lights, joint = Lights.from_arrays(arrays), {"joint": joint_report(arrays)}
     with progress.stage("textures"):
-        result, rerenders = make_result(capture, config, atlas, problem, photos, photometry, lights, gloss, progress)
+        made = aside(lambda: make_result(capture, config, atlas, problem, photos, photometry, lights, gloss, progress))
+        result, rerenders = waited_for(made, progress.check)
         result = result.with_exposures_times(unit)
     result.report.update(
         report_figures(
@@ -153,6 +149,24 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     write_report(result, capture, out, rerenders)
     checkpoints.clear()
     return result
+
+
+def _surface(
+    capture: Capture,
+    config: SolveConfig,
+    tracer: Tracer,
+    adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
+    photos: PhotoSamples,
+) -> tuple[NDArray[np.int32], NDArray[np.bool_], PhotoSamples, Surface, IrradianceField]:
+    """Parts (F,), which faces (F,) are a scan's, the photos with the pixels marked that mix surfaces, patches and the
+    field of their neighbours."""
+    parts, scanned = split_parts(capture.mesh, adjacency, tracer.normals, photos.samples, photos.z)
+    taken_by = [view.camera for view in capture.views]
+    mixed = mixed_pixels(tracer, photos.samples, parts, taken_by, photos.stride)
+    brighter = outshone_by(photos.samples, photos.z, mixed, parts, taken_by, photos.stride)
+    photos = replace(photos, mixed=mixed, outshone_by=brighter)
+    surface = build_surface(capture.mesh, photos.samples, parts, config.max_patches, config.rng(1))
+    return parts, scanned, photos, surface, IrradianceField.build(surface)
 
 
 def _atlas(mesh: Mesh, samples: PixelSamples, size: int) -> NDArray[np.float32]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pytest
@@ -259,7 +260,7 @@ def test_resume_does_not_believe_another_configuration(shoot: Shoot, reference: 
     assert same_results(reference, out)
 
 
-@pytest.mark.parametrize("stage", ["photos", "transport", "response", "lights", "textures"])
+@pytest.mark.parametrize("stage", ["photos", "surface", "transport", "response", "lights", "textures"])
 def test_cancelling_stops_at_the_next_update(shoot: Shoot, reference: Path, stage: str) -> None:
     """Into a folder with a finished result, which stays as it was."""
     before = (reference / "report.json").read_text()
@@ -270,3 +271,23 @@ def test_cancelling_stops_at_the_next_update(shoot: Shoot, reference: Path, stag
         solve(shoot.capture(), replace(FAST, seed=3), reference, progress)
     assert watch.act is None and watch.late == 0
     assert (reference / "report.json").read_text() == before
+
+
+@pytest.mark.parametrize("step", ["_surface", "_atlas", "measure_photometry", "make_result"])
+def test_cancelling_does_not_wait_for_a_step_that_reports_nothing(
+    shoot: Shoot, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    """Minutes, on a mesh of millions of triangles. Its end is waited for here, lest it writes into the next test."""
+    progress, let_go, left = Progress(), Event(), Event()
+
+    def slow(*_arguments: object) -> None:
+        progress.cancel()
+        let_go.wait(60)
+        left.set()
+
+    monkeypatch.setattr(f"iris_addon.solve.{step}", slow)
+    with pytest.raises(Cancelled):
+        solve(shoot.capture(), replace(FAST, seed=4), shoot.folder / f"cancelled in {step}", progress)
+    assert not left.is_set(), "the cancel was raised before the step had ended"
+    let_go.set()
+    assert left.wait(60)
