@@ -108,13 +108,12 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     observations = observe(
         surface.sample_patch, seen.view, seen.pixel, widths, photos.z, photos.mixed, photos.hdr, config.rng(3)
     )
+    # Little of this runs on more than one core, and nobody needs it before there are textures.
+    atlas = aside(lambda: _atlas(capture.mesh, seen, config.atlas_size))
     with progress.stage("response"):
-        # Little of what either does runs on more than one core.
-        atlas_begun = aside(lambda: _atlas(capture.mesh, seen, config.atlas_size))
         measured = partial(measure_photometry, capture, config, observations, photos, config.rng(4))
         arrays = checkpoints.stage("response", lambda: waited_for(aside(measured), progress.check).arrays())
         photometry = Photometry.from_arrays(arrays)
-        atlas = waited_for(atlas_begun, progress.check)
     pose = partial(_problem, config, tracer, photos, parts, adjacency, surface, transport, hidden, observations, field)
     problem = pose(photometry)
     with progress.stage("lights"):
@@ -136,7 +135,8 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
             arrays = checkpoints.stage("joint", lambda: _joint(problem, photometry, lights, gloss, progress))
             lights, joint = Lights.from_arrays(arrays), {"joint": joint_report(arrays)}
     with progress.stage("textures"):
-        made = aside(lambda: make_result(capture, config, atlas, problem, photos, photometry, lights, gloss, progress))
+        uv = waited_for(atlas, progress.check)
+        made = aside(lambda: make_result(capture, config, uv, problem, photos, photometry, lights, gloss, progress))
         result, rerenders = waited_for(made, progress.check)
         result = result.with_exposures_times(unit)
     result.report.update(
