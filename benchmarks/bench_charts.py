@@ -36,7 +36,7 @@ def _scored(records: Sequence[Record]) -> dict[str, list[Record]]:
     for record in records:
         if any(metric in record.get("metrics", {}) for metric in CHARTED):
             by_capture.setdefault(Path(record["run"]["capture"]).name, []).append(record)
-    return by_capture
+    return dict(sorted(by_capture.items()))
 
 
 def _complete(by_capture: dict[str, list[Record]]) -> list[str]:

@@ -57,7 +57,7 @@ def _readme_cell(rows: Rows, metric: str, digits: int) -> str:
 def markdown(records: Sequence[Record]) -> str:
     """All tables."""
     text = [f"{machine_of(records)} Mean ± half the span over seeds where there is more than one.\n"]
-    for capture, rows in tables.group(records, lambda row: row["capture"]).items():
+    for capture, rows in sorted(tables.group(records, lambda row: row["capture"]).items()):
         text += [f"#### {capture}\n", _all_metrics(rows)]
     text += ["#### The response: what each simplification costs\n", _ablation(records)]
     text += ["#### Against Mitsuba\n", *_speed_up(records)]

@@ -22,7 +22,8 @@ IMAGES = ROOT / "docs" / "images" / "benchmarks"
 
 def pack(name: str, records: Iterable[Record], folder: Path = COMMITTED) -> Path:
     """Write ``records`` to ``folder/name.jsonl``, in the order of their runs; those that failed say so."""
-    lines = sorted(json.dumps(record, sort_keys=True) for record in records)
+    ordered = sorted(records, key=lambda record: json.dumps(record["run"], sort_keys=True))
+    lines = [json.dumps(record, sort_keys=True) for record in ordered]
     path = folder / f"{name}.jsonl"
     atomic_write(path, lambda temporary: temporary.write_text("\n".join(lines) + "\n", encoding="utf-8"))
     return path
