@@ -203,9 +203,14 @@ def describe_records(records: Sequence[Record], _images: Path) -> str:
 
 
 def describe(seconds: dict[str, float], counts: Counts, floors: Floors, what: str) -> str:
-    """Every stage against its floor, as Markdown."""
+    """Every stage against its floor, in the order of the solve, as Markdown."""
+    from iris_addon.solve import JOINT_WEIGHT, WEIGHTS
+
     body, total, total_floor = [], 0.0, 0.0
-    for stage, spent in seconds.items():
+    for stage in WEIGHTS | JOINT_WEIGHT:
+        if stage not in seconds:
+            continue
+        spent = seconds[stage]
         floor = counts.floor(stage, floors)
         total, total_floor = total + spent, total_floor + floor
         rays = (counts.closest.get(stage, 0) + counts.occluded.get(stage, 0)) / 1e6

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from .cameras.fit import CameraFit
 from .capture.types import Capture
-from .compute import peak_memory_bytes
 from .config import SolveConfig
 from .emission.backdrop import fit_backdrop
 from .emission.types import LightProblem, Lights
+from .memory import peak_memory_bytes
 from .parallel import BLOCK, over_blocks
 from .photo_samples import PhotoSamples
 from .photometry import Photometry
@@ -27,6 +27,7 @@ from .reflectance.specular import pixel_lobes, subtract_specular
 from .reflectance.textures import make_textures
 from .response.local_exposure import ALIKE
 from .result.types import Emitter, OutsideLight, Result
+from .surface.atlas_texels import Atlas
 from .surface.build import Surface
 from .surface.samples import PixelSamples, as_picture
 from .transport.diffuse import schlick
@@ -45,7 +46,7 @@ Rows = slice | NDArray[np.bool_]
 def make_result(
     capture: Capture,
     config: SolveConfig,
-    uv: NDArray[np.float32],
+    atlas: Atlas,
     problem: MaterialProblem,
     photos: PhotoSamples,
     photometry: Photometry,
@@ -53,11 +54,7 @@ def make_result(
     gloss: Gloss,
     progress: Progress,
 ) -> tuple[Result, dict[str, NDArray[np.float32]]]:
-    """Albedo per pixel, fused on the atlas; the result put together, and a few photos as it explains them.
-
-    Args:
-        uv: (F, 3, 2) the atlas, per corner.
-    """
+    """Albedo per pixel, fused on the atlas; the result put together, and a few photos as it explains them."""
     samples, light = photos.samples, problem.light
     part = light.parts[samples.face]
     shading = problem.shading(lights)
@@ -74,17 +71,12 @@ def make_result(
         progress,
     )
     metallic = gloss.metallic[part]
-    specular = subtract_specular(ls0, ls1, metallic)
-    linear = photometry.linearise_pixels(photos.z, samples.view, samples.pixel)
     view_factor = _view_factor(shading, light.surface.sample_patch, gloss.roughness[part], samples)
     diffuse_light = irradiance * view_factor[:, None]
-    albedo = pixel_albedo(linear.radiance, specular, ls0, diffuse_light, metallic)
-    weight = pixel_weight(samples.cosine, samples.footprint, irradiance, specular, photos.mixed)
-    weight *= linear.open * linear.precision
-    weight /= np.median(weight[weight > 0])
+    albedo, weight = _pixel_albedo(photos, photometry, irradiance, diffuse_light, ls0, ls1, metallic)
     held_out = config.rng(7).random(len(part)) < HELD_OUT
     textures, base_color = make_textures(
-        uv, config.atlas_size, light.parts, lights.mask, gloss, samples, albedo, weight * ~held_out[:, None]
+        atlas, light.parts, lights.mask, gloss, samples, albedo, weight * ~held_out[:, None]
     )
     emission = lights.face_emission(len(light.parts))[samples.face]
 
@@ -98,7 +90,7 @@ def make_result(
     report = {"holdout_psnr": float(-10 * np.log10(np.mean(error**2)))}
     closed = config.refinements.hidden_light is False
     backdrop = None if closed else fit_backdrop(photos.beyond, photometry, capture.mesh, capture.views)
-    mesh = capture.mesh.with_uv(uv)
+    mesh = capture.mesh.with_uv(atlas.uv)
     exposures = {view.name: photometry.exposures[k] for k, view in enumerate(capture.views)}
     result = Result(
         mesh,
@@ -114,6 +106,39 @@ def make_result(
         backdrop,
     )
     return result, _rerenders(capture, samples, explained)
+
+
+def _pixel_albedo(
+    photos: PhotoSamples,
+    photometry: Photometry,
+    irradiance: NDArray[np.floating],
+    diffuse_light: NDArray[np.floating],
+    ls0: NDArray[np.floating],
+    ls1: NDArray[np.floating],
+    metallic: NDArray[np.floating],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(n, 3) base colour of each pixel, and its say per channel in units of the usual one.
+
+    Args:
+        irradiance, diffuse_light: (n, 3) irradiance / pi, and what a white diffuse surface sends to the camera.
+        ls0, ls1: (n, 3) specular lobes.
+        metallic: (n,).
+    """
+    samples = photos.samples
+    usual = float(np.median(samples.footprint)), float(np.median(irradiance))
+    albedo, weight = np.empty(irradiance.shape, np.float32), np.empty(irradiance.shape, np.float32)
+
+    def work(rows: slice) -> None:
+        linear = photometry.linearise_pixels(photos.z[rows], samples.view[rows], samples.pixel[rows])
+        specular = subtract_specular(ls0[rows], ls1[rows], metallic[rows])
+        albedo[rows] = pixel_albedo(linear.radiance, specular, ls0[rows], diffuse_light[rows], metallic[rows])
+        seen = samples.cosine[rows], samples.footprint[rows]
+        say = pixel_weight(*seen, irradiance[rows], specular, photos.mixed[rows], *usual)
+        weight[rows] = say * linear.open * linear.precision
+
+    over_blocks(len(metallic), BLOCK, work)
+    weight /= np.median(weight[weight > 0])
+    return albedo, weight
 
 
 def _view_factor(

@@ -11,6 +11,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from .memory import keep_freed_memory
+
 Item = TypeVar("Item")
 Made = TypeVar("Made")
 
@@ -36,7 +38,12 @@ def blocks(n: int, size: int) -> list[slice]:
 @cache
 def _helpers() -> ThreadPoolExecutor:
     """Threads beside the caller's own, started once: there are hundreds of calls in a solve."""
-    return ThreadPoolExecutor(max(1, cores() - 1), "iris")
+    return _threads(max(1, cores() - 1), "iris")
+
+
+def _threads(count: int, name: str) -> ThreadPoolExecutor:
+    keep_freed_memory()
+    return ThreadPoolExecutor(count, name)
 
 
 if hasattr(os, "register_at_fork"):
@@ -86,6 +93,11 @@ def over_blocks(
         done(1.0)
 
 
+def over_shares(n: int, work: Callable[[slice], None]) -> None:
+    """:func:`over_blocks` with one block for each core: for work that goes through all its input for each of them."""
+    over_blocks(n, -(-n // cores()), work)
+
+
 def over_each(
     items: Sequence[Item], work: Callable[[Item], Made], done: Callable[[float], None] = lambda share: None
 ) -> list[Made]:
@@ -101,7 +113,7 @@ def over_each(
 
 def aside(work: Callable[[], Made]) -> Future[Made]:
     """``work`` begun on a thread of its own; whoever asks for what it returns uses :func:`waited_for`."""
-    thread = ThreadPoolExecutor(1, "iris aside")
+    thread = _threads(1, "iris aside")
     begun = thread.submit(work)
     thread.shutdown(wait=False)
     return begun

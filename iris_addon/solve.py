@@ -22,7 +22,7 @@ from .cameras.fit import fit_cameras
 from .capture.exposures import with_unit_mean
 from .capture.types import Capture, Mesh
 from .checkpoint import Checkpoints, fingerprint
-from .compute import choose_device, keep_freed_memory
+from .compute import choose_device
 from .config import Refinements, SolveConfig
 from .emission.candidates import brightness
 from .emission.given import read_given_emitters
@@ -47,6 +47,7 @@ from .result.io import save_result
 from .result.report_html import write_report
 from .result.types import Result
 from .surface.atlas import build_atlas, texel_density_from_footprint
+from .surface.atlas_texels import Atlas
 from .surface.build import Surface, build_surface
 from .surface.field import IrradianceField
 from .surface.mixed import mixed_pixels, outshone_by
@@ -73,7 +74,6 @@ def solve(
         Cancelled: finished stages stay in ``out`` for ``resume``.
         IrisError: the disk is full.
     """
-    keep_freed_memory()
     # Matrices here are narrow; a linear algebra library that waits for work on threads of its own takes them from ours.
     with sole_writer(out), threadpool_limits(1, "blas"):
         return _solve(capture, config, out, progress or Progress(), resume)
@@ -135,8 +135,8 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
             arrays = checkpoints.stage("joint", lambda: _joint(problem, photometry, lights, gloss, progress))
             lights, joint = Lights.from_arrays(arrays), {"joint": joint_report(arrays)}
     with progress.stage("textures"):
-        uv = waited_for(atlas, progress.check)
-        made = aside(lambda: make_result(capture, config, uv, problem, photos, photometry, lights, gloss, progress))
+        texels = waited_for(atlas, progress.check)
+        made = aside(lambda: make_result(capture, config, texels, problem, photos, photometry, lights, gloss, progress))
         result, rerenders = waited_for(made, progress.check)
         result = result.with_exposures_times(unit)
     result.report.update(
@@ -169,11 +169,13 @@ def _surface(
     return parts, scanned, photos, surface, IrradianceField.build(surface)
 
 
-def _atlas(mesh: Mesh, samples: PixelSamples, size: int) -> NDArray[np.float32]:
-    """(F, 3, 2) the mesh's own UVs, else new ones with texels as large as the pixels of photos."""
-    if mesh.uv is not None:
-        return mesh.uv
-    return build_atlas(mesh, texel_density_from_footprint(samples.face, samples.footprint, len(mesh.faces)), size)
+def _atlas(mesh: Mesh, samples: PixelSamples, size: int) -> Atlas:
+    """By the mesh's own texture coordinates, else by new ones with texels as large as the pixels of photos."""
+    uv = mesh.uv
+    if uv is None:
+        density = texel_density_from_footprint(samples.face, samples.footprint, len(mesh.faces))
+        uv = build_atlas(mesh, density, size)
+    return Atlas.of(uv, samples, size)
 
 
 def _problem(

@@ -28,7 +28,7 @@ from iris_addon.reflectance.specular import ROUGH, rough_lobes
 from iris_addon.reflectance.specular_weights import visible_normal_density
 from iris_addon.reflectance.textures import complete_channels, make_textures
 from iris_addon.surface.atlas import build_atlas
-from iris_addon.surface.atlas_texels import rasterise_atlas
+from iris_addon.surface.atlas_texels import Atlas
 from iris_addon.surface.build import Surface
 from iris_addon.surface.samples import PixelSamples
 from iris_addon.transport.form_factors import emitter_form_factors
@@ -360,7 +360,7 @@ def test_near_head_on_well_lit_pixels_have_the_most_to_say() -> None:
     cosine, footprint = np.array([1, 1, 1, 0.5, 1, 1, 1, 1]), np.array([1, 1, 1, 1, 2, 1, 1, 1]) * 0.01
     irradiance, specular = np.ones((8, 3)), np.full((8, 3), 1e-6)
     irradiance[5], specular[6] = 0.05, 1.0
-    weight = pixel_weight(cosine, footprint, irradiance, specular, np.arange(8) == 7)[:, 0]
+    weight = pixel_weight(cosine, footprint, irradiance, specular, np.arange(8) == 7, 0.01, 1.0)[:, 0]
     assert weight[1:3] == pytest.approx(weight[0]) and (weight[3:] < 0.5 * weight[0]).all()
     assert weight[0] == pytest.approx(4 * weight[4], rel=1e-3)
     assert weight[6] < 0.01 * weight[0] and weight[7] < 0.01 * weight[0]
@@ -408,11 +408,12 @@ def test_unseen_faces_take_their_parts_mean_and_lamps_are_black() -> None:
     samples = PixelSamples(
         np.zeros(n, np.int16), np.zeros(n, np.int32), face, barycentric, empty, empty, empty, np.ones(n, np.float32)
     )
+    atlas = Atlas.of(uv, samples, size)
     color = np.where((face < 2)[:, None], [0.5, 0.25, 0.125], 0.9)
     gloss = Gloss(np.array([0.2, 1.0, 0.5]), np.array([0.0, 1.0, 0.0]), np.full((3, 3), 0.04), np.ones(3, bool))
     lamps = np.arange(8) >= 6
-    textures, at_pixels = make_textures(uv, size, mesh.parts, lamps, gloss, samples, color, np.ones((n, 3)))
-    shown, _ = rasterise_atlas(uv, size)
+    textures, at_pixels = make_textures(atlas, mesh.parts, lamps, gloss, samples, color, np.ones((n, 3)))
+    shown = atlas.face
 
     def base(*faces: int) -> np.ndarray:
         return textures.base_color[np.isin(shown, faces)]

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
+from pathlib import Path
+from subprocess import run
 
 import numpy as np
 import pytest
 
-from iris_addon.parallel import aside, blocks, over_blocks, over_random_blocks, waited_for
+from iris_addon.parallel import aside, blocks, over_blocks, over_random_blocks, over_shares, waited_for
 from iris_addon.progress import Cancelled
 from iris_addon.surface.patches import Slots, number_of
+
+ROOT = Path(__file__).parents[1]
 
 
 @pytest.mark.parametrize(("n", "size"), [(0, 4), (3, 4), (4, 4), (10, 3), (5, 0)])
@@ -25,6 +30,41 @@ def test_blocks_cover_everything_once(n: int, size: int) -> None:
     assert (covered == 1).all()
     assert shares == sorted(shares) and (n > 0) <= len(shares) <= len(blocks(n, size)) + 1
     assert not shares or shares[-1] == 1
+
+
+def test_shares_cover_everything_once_in_no_more_blocks_than_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("iris_addon.parallel.cores", lambda: 3)
+    for n in (0, 1, 3, 10):
+        begun: list[int] = []
+        covered = np.zeros(n, int)
+
+        def work(block: slice, begun: list[int] = begun, covered: np.ndarray = covered) -> None:
+            begun.append(block.start)
+            covered[block] += 1
+
+        over_shares(n, work)
+        assert (covered == 1).all() and len(begun) <= 3
+
+
+MEMORY = """
+import resource
+from iris_addon.parallel import aside
+
+def faults():
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    [bytearray(24 << 20) for _ in range(4)]
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+print(*aside(lambda: [faults(), faults()]).result())
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only GNU's C library is asked to keep memory")
+def test_threads_keep_the_memory_of_arrays_that_are_gone() -> None:
+    """Pages come from the system for the first four arrays and not again for the next four."""
+    answer = run([sys.executable, "-c", MEMORY], capture_output=True, text=True, check=True, cwd=ROOT)
+    first, second = map(int, answer.stdout.split())
+    assert first > 1000 and second < 0.05 * first
 
 
 def test_numbers_do_not_depend_on_who_runs_first() -> None:

@@ -44,7 +44,7 @@ def test_a_second_process_compiles_nothing(tmp_path):
 def test_a_changed_kernel_is_compiled_anew_wherever_it_is_called_from(tmp_path):
     """Numba itself looks at the file of the caller alone."""
     root = tmp_path / "copy"
-    for name in ("grouping.py", "kernels.py", "parallel.py", "user_cache.py"):
+    for name in ("grouping.py", "kernels.py", "memory.py", "parallel.py", "user_cache.py"):
         (root / "iris_addon" / name).parent.mkdir(parents=True, exist_ok=True)
         (root / "iris_addon" / name).write_bytes((ROOT / "iris_addon" / name).read_bytes())
     (root / "iris_addon" / "__init__.py").touch()

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..emission.balance import MAX_ALBEDO
-from ..kernels import kernel
+from ..kernels import Integer, kernel
+from ..parallel import over_shares
 from ..response.observations import MIXED_SAY
 
 DIM = 0.05
@@ -60,6 +61,8 @@ def pixel_weight(
     irradiance: NDArray[np.floating],
     specular: NDArray[np.floating],
     mixed: NDArray[np.bool_],
+    usual_footprint: float,
+    usual_irradiance: float,
 ) -> NDArray[np.float32]:
     """(n, 3) say of a pixel: near and head-on it sees more, in the dark, under a highlight and on an edge less.
 
@@ -69,9 +72,10 @@ def pixel_weight(
         irradiance: (n, 3) irradiance / pi.
         specular: (n, 3) radiance taken off the pixel's.
         mixed: (n,) pixels on an edge.
+        usual_footprint, usual_irradiance: medians over all pixels, which "near" and "dark" are meant by.
     """
-    near = np.median(footprint) / np.maximum(footprint, 1e-6)
-    lit = irradiance / (irradiance + DIM * np.median(irradiance))
+    near = usual_footprint / np.maximum(footprint, 1e-6)
+    lit = irradiance / (irradiance + DIM * usual_irradiance)
     highlight = HIGHLIGHT * specular.mean(1) / np.maximum(irradiance.mean(1), 1e-6)
     sharp = cosine**2 * np.clip(near, 0.05, 20.0) ** 2 * np.where(mixed, np.float32(MIXED_SAY), 1)
     return ((sharp / (1 + highlight**2))[:, None] * lit**2).astype(np.float32)
@@ -94,30 +98,43 @@ def fuse_texels(
     row[texel[weight.any(1)]] = 0
     texels = np.flatnonzero(row == 0)
     row[texels] = np.arange(len(texels), dtype=np.int32)
-    first, fused = np.zeros((2, len(texels), 6), np.float32)
+    fused, norm = np.empty((len(texels), 3), np.float32), np.empty(len(texels), np.float32)
     at = row[texel]
-    _add_up(at, value, weight, first)
-    _add_up_agreeing(at, value, weight, first, fused)
-    norm = first[:, 3:]
-    shown = np.where(norm > 0, fused[:, :3] / np.maximum(fused[:, 3:], TINY), np.nan)
-    return TexelAlbedo(texels, shown, norm.max(1))
+
+    def work(some: slice) -> None:
+        first, agreeing = np.zeros((2, some.stop - some.start, 6), np.float32)
+        _add_up(at, some.start, value, weight, first)
+        _add_up_agreeing(at, some.start, value, weight, first, agreeing)
+        shown = agreeing[:, :3] / np.maximum(agreeing[:, 3:], TINY)
+        fused[some] = np.where(first[:, 3:] > 0, shown, np.nan)
+        norm[some] = first[:, 3:].max(1)
+
+    # Every thread goes through all pixels and adds up those of its own texels: reading them is the lesser part.
+    over_shares(len(texels), work)
+    return TexelAlbedo(texels, fused, norm)
 
 
 @kernel
 def _add_up(
-    row: NDArray[np.int32], value: NDArray[np.floating], weight: NDArray[np.floating], sums: NDArray[np.float32]
+    row: NDArray[np.int32],
+    begin: Integer,
+    value: NDArray[np.floating],
+    weight: NDArray[np.floating],
+    sums: NDArray[np.float32],
 ) -> None:
-    """Weighted values, then weights, of every texel (T, 6); pixels in none of them, -1, have no say."""
+    """Weighted values, then weights, of the texels (T, 6) from ``begin`` on; pixels of no texel are -1."""
     for i in range(len(row)):
-        if row[i] >= 0:
+        t = row[i] - begin
+        if 0 <= t < len(sums):
             for c in range(3):
-                sums[row[i], c] += weight[i, c] * value[i, c]
-                sums[row[i], 3 + c] += weight[i, c]
+                sums[t, c] += weight[i, c] * value[i, c]
+                sums[t, 3 + c] += weight[i, c]
 
 
 @kernel
 def _add_up_agreeing(
     row: NDArray[np.int32],
+    begin: Integer,
     value: NDArray[np.floating],
     weight: NDArray[np.floating],
     first: NDArray[np.float32],
@@ -125,8 +142,8 @@ def _add_up_agreeing(
 ) -> None:
     """The same, pixels counting the less the further they are off the mean of their texel by the ``first`` sums."""
     for i in range(len(row)):
-        t, off, level = row[i], 0.0, DIM_ALBEDO
-        if t < 0:
+        t, off, level = row[i] - begin, 0.0, DIM_ALBEDO
+        if t < 0 or t >= len(sums):
             continue
         for c in range(3):
             mean = first[t, c] / max(first[t, 3 + c], TINY)

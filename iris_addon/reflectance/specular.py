@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..capture.types import Camera
-from ..parallel import BLOCK, over_random_blocks
+from ..parallel import BLOCK, over_blocks, over_random_blocks
 from ..progress import Progress
 from ..surface.samples import PixelSamples
 from .ggx import DIELECTRIC_F0, specular_integrals
@@ -29,8 +29,14 @@ def rough_lobes(
         cosine: (n,) between the normal and the direction to the camera.
         irradiance: (n, 3) irradiance / pi.
     """
-    f0, f1 = specular_integrals(roughness, cosine.astype(np.float64))
-    return (f0[:, None] * irradiance).astype(np.float32), (f1[:, None] * irradiance).astype(np.float32)
+    ls0, ls1 = np.empty(irradiance.shape, np.float32), np.empty(irradiance.shape, np.float32)
+
+    def work(rows: slice) -> None:
+        f0, f1 = specular_integrals(roughness[rows], cosine[rows])
+        ls0[rows], ls1[rows] = f0[:, None] * irradiance[rows], f1[:, None] * irradiance[rows]
+
+    over_blocks(len(cosine), BLOCK, work)
+    return ls0, ls1
 
 
 def specular_lobes(

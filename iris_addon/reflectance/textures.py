@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from ..emission.balance import MAX_ALBEDO
 from ..grouping import group_medians, group_sums
+from ..parallel import BLOCK, over_blocks
 from ..result.types import Textures
-from ..surface.atlas_texels import rasterise_atlas, texel_index
+from ..surface.atlas_texels import Atlas
 from ..surface.samples import PixelSamples
 from ..surface.texel_fill import extend_texels, fill_texels
 from .bake import DIM_ALBEDO, TexelAlbedo, fuse_texels
@@ -25,8 +26,7 @@ FULL_CONFIDENCE = 4.0
 
 
 def make_textures(
-    uv: NDArray[np.floating],
-    size: int,
+    atlas: Atlas,
     parts: NDArray[np.int32],
     lamps: NDArray[np.bool_],
     gloss: Gloss,
@@ -37,7 +37,7 @@ def make_textures(
     """Fuse pixels into texels, fill what no photo saw.
 
     Args:
-        uv: (F, 3, 2) per corner.
+        atlas: with the texels of ``samples``.
         lamps: (F,) bool, emitting faces; they reflect nothing.
         albedo: (n, 3) base colour of each pixel.
         weight: (n, 3) say of each pixel and channel.
@@ -45,9 +45,8 @@ def make_textures(
     Returns:
         The textures, and the fused base colour at every pixel, (n, 3).
     """
-    texel = texel_index(uv, samples.face, samples.barycentric, size)
+    face, texel, size = atlas.face, atlas.texel, atlas.size
     fused = fuse_texels(texel, albedo, weight, size * size)
-    face, _ = rasterise_atlas(uv, size)
     # By the pixels, not by the faces under texel centres: at a chart's border those lie beyond it.
     part = np.empty(size * size, np.int32)
     part[texel] = parts[samples.face]
@@ -102,10 +101,17 @@ def with_expected(
     sure = fused.weight > DOUBT
     plain = _plain(own, colour, part, sure, len(part_mean))[part]
     beside, found = extend_texels(fused.texel, own, sure, part, size, REACH)
-    blend = np.where(found & ~sure, 1 - plain, 0)[:, None]
-    expected = colour + blend * (beside - colour)
-    doubt = DOUBT * np.where(found, 1, plain)
-    return own + (doubt / (fused.weight + doubt))[:, None] * (expected - own)
+    mixed = np.empty_like(own)
+
+    def work(rows: slice) -> None:
+        blend = np.where(found[rows] & ~sure[rows], 1 - plain[rows], 0)[:, None]
+        expected = colour[rows] + blend * (beside[rows] - colour[rows])
+        doubt = DOUBT * np.where(found[rows], 1, plain[rows])
+        share = (doubt / (fused.weight[rows] + doubt))[:, None]
+        mixed[rows] = own[rows] + share * (expected - own[rows])
+
+    over_blocks(len(own), BLOCK, work)
+    return mixed
 
 
 def _plain(
@@ -116,8 +122,15 @@ def _plain(
     n_parts: int,
 ) -> NDArray[np.float32]:
     """(n_parts,) 1 for parts whose texels are of one colour, near 0 for textured ones."""
-    off = np.abs(value[sure] - colour[sure]).mean(1) / (colour[sure].mean(1) + DIM_ALBEDO)
-    spread = group_medians(off[:, None], part[sure], n_parts)[:, 0]
+    rows = np.flatnonzero(sure)
+    off = np.empty(len(rows), value.dtype)
+
+    def work(block: slice) -> None:
+        v, c = value[rows[block]], colour[rows[block]]
+        off[block] = np.abs(v - c).mean(1) / (c.mean(1) + DIM_ALBEDO)
+
+    over_blocks(len(rows), BLOCK, work)
+    spread = group_medians(off[:, None], part[rows], n_parts)[:, 0]
     return (1 / (1 + (spread / NEIGHBOUR_ERROR) ** 4)).astype(np.float32)
 
 
@@ -126,10 +139,16 @@ def complete_channels(value: NDArray[np.floating], colour: NDArray[np.floating])
 
     A yellow cushion whose red is always clipped stays yellow: the ratio between channels is the part's.
     """
-    known = np.isfinite(value)
-    scale = np.where(known, value, 0.0).sum(1) / np.maximum((colour * known).sum(1), 1e-4)
-    guess = np.clip(colour * scale[:, None], 0.0, MAX_ALBEDO)
-    return np.where(known, value, guess).astype(np.float32)
+    completed = np.empty(value.shape, np.float32)
+
+    def work(rows: slice) -> None:
+        known = np.isfinite(value[rows])
+        scale = np.where(known, value[rows], 0.0).sum(1) / np.maximum((colour[rows] * known).sum(1), 1e-4)
+        guess = np.clip(colour[rows] * scale[:, None], 0.0, MAX_ALBEDO)
+        completed[rows] = np.where(known, value[rows], guess)
+
+    over_blocks(len(value), BLOCK, work)
+    return completed
 
 
 def _part_means(

@@ -2,10 +2,39 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
+from ..parallel import BLOCK, over_blocks
 from .rasterise import covered_texels
+from .samples import PixelSamples
+
+
+@dataclass(frozen=True)
+class Atlas:
+    """Where the faces of a mesh and the pixels of photos lie on its textures of N by N texels.
+
+    Attributes:
+        uv: (F, 3, 2) per corner.
+        face: (N, N) int32 face under each texel's centre, -1 outside all charts.
+        texel: (n,) int64 flat index of the texel under each pixel.
+    """
+
+    uv: NDArray[np.floating]
+    face: NDArray[np.int32]
+    texel: NDArray[np.int64]
+
+    @staticmethod
+    def of(uv: NDArray[np.floating], samples: PixelSamples, size: int) -> Atlas:
+        """Of texture coordinates ``uv`` (F, 3, 2) and ``size`` squared texels."""
+        return Atlas(uv, rasterise_atlas(uv, size)[0], texel_index(uv, samples.face, samples.barycentric, size))
+
+    @property
+    def size(self) -> int:
+        """N."""
+        return len(self.face)
 
 
 def interpolate_uv(
@@ -27,10 +56,16 @@ def texel_index(
         face: (n,) face of each point.
         barycentric: (n, 2) weights of corners 1 and 2.
     """
-    point = interpolate_uv(uv, face, barycentric)
-    column = np.clip((point[:, 0] * size).astype(np.int64), 0, size - 1)
-    row = np.clip(((1 - point[:, 1]) * size).astype(np.int64), 0, size - 1)
-    return row * size + column
+    texel = np.empty(len(face), np.int64)
+
+    def work(rows: slice) -> None:
+        point = interpolate_uv(uv, face[rows], barycentric[rows])
+        column = np.clip((point[:, 0] * size).astype(np.int64), 0, size - 1)
+        row = np.clip(((1 - point[:, 1]) * size).astype(np.int64), 0, size - 1)
+        texel[rows] = row * size + column
+
+    over_blocks(len(face), BLOCK, work)
+    return texel
 
 
 def rasterise_atlas(uv: NDArray[np.floating], size: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..grouping import group_sums
-from .transport import radiance_table, table_rows
+from ..kernels import Integer, kernel
+from ..parallel import over_shares
+from .transport import radiance_table
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,30 @@ class SparseRays:
     ) -> NDArray[np.float32]:
         """(N, 3) irradiance / pi to be added to :meth:`iris_addon.transport.transport.Transport.gather_radiance`, whose
         arguments these are."""
-        rows = table_rows(self.target, self.face, emitter_faces)
-        carried = self.weight * radiance_table(radiance, unknown)[rows]
-        return group_sums(carried, self.row, self.n_rows).astype(np.float32)
+        table, dark = radiance_table(radiance, unknown), np.append(emitter_faces, False)
+        sums = np.zeros((self.n_rows, 3))
+        over_shares(
+            self.n_rows,
+            lambda own: _gather(self.row, own.start, self.weight, self.target, self.face, table, dark, sums[own]),
+        )
+        return sums.astype(np.float32)
+
+
+@kernel
+def _gather(
+    row: NDArray[np.integer],
+    begin: Integer,
+    weight: NDArray[np.float32],
+    target: NDArray[np.int32],
+    face: NDArray[np.int32],
+    table: NDArray[np.float32],
+    dark: NDArray[np.bool_],
+    sums: NDArray[np.float64],
+) -> None:
+    """Weighted radiance of the rays of the rows (n, 3) from ``begin`` on; those that meet ``dark`` faces carry none."""
+    last = weight.shape[1] - 1
+    for i in range(len(row)):
+        r = row[i] - begin
+        if 0 <= r < len(sums) and not dark[face[i]]:
+            for c in range(3):
+                sums[r, c] += weight[i, min(c, last)] * table[target[i], c]
