@@ -176,15 +176,14 @@ class OverlapProblem:
         overlaps with the next few only, would take thousands of turns of patch means and view means to agree. Photos
         that share nothing with the rest come out near the mean.
         """
-        log_x, say = np.empty_like(self.z), np.empty_like(self.z)
+        log_x, say, scratch = (np.empty_like(self.z) for _ in range(3))
         data = self.z, self.clipped, self.weight, self.log_gain
         log_exposures(response.samples, response.slopes, *data, log_x, say)
-        log_t, n = np.zeros((self.n_views, 3)), self.n_views
+        log_t, n, channels = np.zeros((self.n_views, 3)), self.n_views, 3 if per_channel else 1
         for trusting in (True, False):
-            laplacian, pull = np.zeros((3, n, n)), np.zeros((3, n))
-            add_links(self._first, self.view, log_x, say, log_t, trusting, laplacian, pull)
-            if not per_channel:
-                laplacian, pull = laplacian.sum(0, keepdims=True), pull.sum(0, keepdims=True)
+            half, pull = np.zeros((channels, n, n)), np.zeros((channels, n))
+            add_links(self._first, self.view, log_x, say, log_t, trusting, scratch, half, pull)
+            laplacian = half + half.transpose(0, 2, 1)
             mean = np.trace(laplacian, axis1=1, axis2=2)[:, None, None] / n
             held = laplacian + np.maximum(UNLINKED * mean, 1e-30) * np.eye(n)
             log_t = np.ascontiguousarray(np.broadcast_to(np.linalg.solve(held, pull[..., None])[..., 0].T, (n, 3)))
@@ -227,8 +226,7 @@ class OverlapProblem:
     def minimise(self, start: list[NDArray[np.float64]], max_steps: int) -> list[NDArray[np.float64]]:
         """Knots of one or three curves; radiance and exposures are eliminated (variable projection)."""
         n_curves = len(start)
-        # Exposures that are looked for too are shared by the channels, and tie the three curves to each other.
-        jacobian: Any = self._jacobian if self.log_t is not None else "2-point"
+        jacobian: Any = self._jacobian
         fit = least_squares(
             self.residual,
             np.concatenate(start),
@@ -241,27 +239,29 @@ class OverlapProblem:
         return list(fit.x.reshape(n_curves, -1))
 
     def _jacobian(self, parameters: NDArray[np.float64], n_curves: int) -> NDArray[np.float64]:
-        """Derivative of :meth:`residual` by forward differences; a knot of all curves is moved at once, as no residual
-        feels more than one of them."""
-        knots = parameters.reshape(n_curves, -1)
-        base = self.residual(parameters, n_curves)
-        of_curve = self._curve_of_residual(len(base), n_curves)
-        jacobian = np.zeros((len(base), *knots.shape))
+        """(n, parameters) derivative of :meth:`residual` by forward differences.
 
-        def move(k: int) -> None:
-            moved = knots.copy()
-            moved[:, k] += DIFFERENCE
-            slope = (self.residual(moved.ravel(), n_curves) - base) / DIFFERENCE
-            for c in range(n_curves):
-                jacobian[:, c, k] = np.where(of_curve == c, slope, 0.0)
+        Under known exposures a knot of all curves is moved at once, as no residual feels more than one of them.
+        Exposures that are looked for too are shared by the channels, and tie the curves to each other.
+        """
+        n, base = parameters.size, self.residual(parameters, n_curves)
+        tied = n_curves == 1 or self.log_t is None
+        together = np.arange(n)[:, None] if tied else np.arange(n).reshape(n_curves, -1).T
+        of_curve = None if tied else self._curve_of_residual(n_curves)
+        jacobian = np.zeros((len(base), n))
 
-        over_each(range(knots.shape[1]), move)
-        return jacobian.reshape(len(base), -1)
+        def move(columns: NDArray[np.int64]) -> None:
+            moved = parameters.copy()
+            moved[columns] += DIFFERENCE
+            slope = (self.residual(moved, n_curves) - base) / DIFFERENCE
+            for c, column in enumerate(columns):
+                jacobian[:, column] = slope if of_curve is None else np.where(of_curve == c, slope, 0.0)
 
-    def _curve_of_residual(self, n: int, n_curves: int) -> NDArray[np.int64]:
-        """(n,) index of the curve on which each residual depends."""
-        if n_curves == 1:
-            return np.zeros(n, np.int64)
+        over_each(list(together), move)
+        return jacobian
+
+    def _curve_of_residual(self, n_curves: int) -> NDArray[np.int64]:
+        """(n,) index of the curve on which each residual depends, of several."""
         data = np.tile(np.arange(3), 2 * len(self.z))
         # Behind the data stand the priors of the curves, then their bends.
         each = [np.repeat(np.arange(n_curves), size) for size in (family.PRIOR_RESIDUALS, family.DOWNHILL_RESIDUALS)]

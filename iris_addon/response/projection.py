@@ -119,18 +119,24 @@ def add_links(
     say: NDArray[np.float64],
     log_t: NDArray[np.float64],
     trusting: bool,
+    share: NDArray[np.float64],
     laplacian: NDArray[np.float64],
     pull: NDArray[np.float64],
 ) -> None:
-    """Normal equations of log exposures whose views of every patch agree: laplacian (3, V, V) and right side (3, V).
+    """Normal equations of log exposures whose views of every patch agree.
 
     Args:
         log_x, say: (m, 3) of :func:`log_exposures`; ``say`` is written over.
         log_t: (V, 3) log exposures; unless ``trusting``, what is an outlier under them counts less.
+        share: (m, 3) written over.
+        laplacian, pull: (3, V, V) and (3, V), or the sums over channels (1, V, V) and (1, V). Of the laplacian a half,
+            on and below the diagonal, that gives the whole once its transpose is added.
     """
+    each = len(pull) == 3
     for p in range(len(first) - 1):
         rows = range(first[p], first[p + 1])
         for c in range(3):
+            k = c if each else 0
             if not trusting:
                 total, norm = 0.0, NO_WEIGHT
                 for j in rows:
@@ -143,12 +149,22 @@ def add_links(
             for j in rows:
                 total += say[j, c] * log_x[j, c]
                 norm += say[j, c]
+            root = math.sqrt(norm)
             for j in rows:
                 a, s = view[j], say[j, c]
-                laplacian[c, a, a] += s
-                pull[c, a] += s * (log_x[j, c] - total / norm)
-                for i in rows:
-                    laplacian[c, a, view[i]] -= s * say[i, c] / norm
+                share[j, c] = s / root
+                laplacian[k, a, a] += 0.5 * (s - share[j, c] * share[j, c])
+                pull[k, a] += s * (log_x[j, c] - total / norm)
+        for j in rows:
+            for i in range(first[p], j):
+                a, b = max(view[i], view[j]), min(view[i], view[j])
+                if each:
+                    for c in range(3):
+                        laplacian[c, a, b] -= share[i, c] * share[j, c]
+                else:
+                    laplacian[0, a, b] -= (
+                        share[i, 0] * share[j, 0] + share[i, 1] * share[j, 1] + share[i, 2] * share[j, 2]
+                    )
 
 
 @inlined
