@@ -175,7 +175,7 @@ def _atlas(mesh: Mesh, samples: PixelSamples, size: int) -> Atlas:
     if uv is None:
         density = texel_density_from_footprint(samples.face, samples.footprint, len(mesh.faces))
         uv = build_atlas(mesh, density, size)
-    return Atlas.of(uv, samples, size)
+    return Atlas.of(uv, size, samples.face, samples.barycentric)
 
 
 def _problem(

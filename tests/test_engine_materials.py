@@ -408,7 +408,7 @@ def test_unseen_faces_take_their_parts_mean_and_lamps_are_black() -> None:
     samples = PixelSamples(
         np.zeros(n, np.int16), np.zeros(n, np.int32), face, barycentric, empty, empty, empty, np.ones(n, np.float32)
     )
-    atlas = Atlas.of(uv, samples, size)
+    atlas = Atlas.of(uv, size, face, barycentric)
     color = np.where((face < 2)[:, None], [0.5, 0.25, 0.125], 0.9)
     gloss = Gloss(np.array([0.2, 1.0, 0.5]), np.array([0.0, 1.0, 0.0]), np.full((3, 3), 0.04), np.ones(3, bool))
     lamps = np.arange(8) >= 6

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from ..parallel import BLOCK, over_blocks
 from .rasterise import covered_texels
-from .samples import PixelSamples
 
 
 @dataclass(frozen=True)
@@ -27,9 +26,10 @@ class Atlas:
     texel: NDArray[np.int64]
 
     @staticmethod
-    def of(uv: NDArray[np.floating], samples: PixelSamples, size: int) -> Atlas:
-        """Of texture coordinates ``uv`` (F, 3, 2) and ``size`` squared texels."""
-        return Atlas(uv, rasterise_atlas(uv, size)[0], texel_index(uv, samples.face, samples.barycentric, size))
+    def of(uv: NDArray[np.floating], size: int, face: NDArray[np.integer], barycentric: NDArray[np.floating]) -> Atlas:
+        """Of texture coordinates ``uv`` (F, 3, 2), ``size`` squared texels, and pixels that show points as those of
+        :func:`texel_index`."""
+        return Atlas(uv, rasterise_atlas(uv, size)[0], texel_index(uv, face, barycentric, size))
 
     @property
     def size(self) -> int:
