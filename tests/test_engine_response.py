@@ -19,6 +19,7 @@ from iris_addon.response.files import read_response
 from iris_addon.response.local_exposure import COLUMNS, ROWS, LocalExposure, LocalSettings
 from iris_addon.response.observations import Observations
 from iris_addon.response.overlap import fit_overlap
+from iris_addon.response.overlap_problem import OverlapProblem
 from iris_addon.response.radiance import group_radiance, linearise, raised_by_clipped
 from tests.engine_room import observe_off_edges
 
@@ -223,6 +224,21 @@ def test_the_times_of_a_real_bracket_come_back(shared: Path) -> None:
     exponent = (found @ seconds) / (found @ found)
     assert np.sqrt(np.mean((exponent * found - seconds) ** 2)) < 0.15
     assert np.sqrt(np.mean((found - seconds) ** 2)) < 0.5
+
+
+@pytest.mark.parametrize("curves", [1, 3])
+@pytest.mark.parametrize("known", [True, False], ids=["known exposures", "unknown exposures"])
+def test_derivatives_of_the_residuals_are_those_of_central_differences(known: bool, curves: int) -> None:
+    """Which residuals feel which knots depends on whether the channels share exposures that are looked for."""
+    rng = np.random.default_rng(21)
+    o, _ = observations_of(response_of(film()), EXPOSURES, rng, n=80)
+    every = np.arange(len(o.view))
+    problem = OverlapProblem.build(doubled(o), every, EXPOSURES if known else None, len(EXPOSURES), None)
+    knots = np.concatenate([family.PRIOR_MEAN + rng.normal(0, 0.05, len(family.PRIOR_MEAN)) for _ in range(curves)])
+    steps = 1e-5 * np.eye(len(knots))
+    central = [(problem.residual(knots + h, curves) - problem.residual(knots - h, curves)) / 2e-5 for h in steps]
+    found, expected = problem.jacobian(knots, curves), np.stack(central, 1)
+    assert np.linalg.norm(found - expected) < 0.02 * np.linalg.norm(expected)
 
 
 def test_exposures_under_a_given_curve() -> None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -226,11 +225,10 @@ class OverlapProblem:
     def minimise(self, start: list[NDArray[np.float64]], max_steps: int) -> list[NDArray[np.float64]]:
         """Knots of one or three curves; radiance and exposures are eliminated (variable projection)."""
         n_curves = len(start)
-        jacobian: Any = self._jacobian
         fit = least_squares(
             self.residual,
             np.concatenate(start),
-            jacobian,
+            self.jacobian,  # type: ignore[arg-type]
             args=(n_curves,),
             max_nfev=max_steps,
             x_scale=0.3,
@@ -238,7 +236,7 @@ class OverlapProblem:
         )
         return list(fit.x.reshape(n_curves, -1))
 
-    def _jacobian(self, parameters: NDArray[np.float64], n_curves: int) -> NDArray[np.float64]:
+    def jacobian(self, parameters: NDArray[np.float64], n_curves: int) -> NDArray[np.float64]:
         """(n, parameters) derivative of :meth:`residual` by forward differences.
 
         Under known exposures a knot of all curves is moved at once, as no residual feels more than one of them.

@@ -119,7 +119,7 @@ def add_links(
     say: NDArray[np.float64],
     log_t: NDArray[np.float64],
     trusting: bool,
-    share: NDArray[np.float64],
+    scaled: NDArray[np.float64],
     laplacian: NDArray[np.float64],
     pull: NDArray[np.float64],
 ) -> None:
@@ -128,7 +128,7 @@ def add_links(
     Args:
         log_x, say: (m, 3) of :func:`log_exposures`; ``say`` is written over.
         log_t: (V, 3) log exposures; unless ``trusting``, what is an outlier under them counts less.
-        share: (m, 3) written over.
+        scaled: (m, 3) written over.
         laplacian, pull: (3, V, V) and (3, V), or the sums over channels (1, V, V) and (1, V). Of the laplacian a half,
             on and below the diagonal, that gives the whole once its transpose is added.
     """
@@ -152,18 +152,18 @@ def add_links(
             root = math.sqrt(norm)
             for j in rows:
                 a, s = view[j], say[j, c]
-                share[j, c] = s / root
-                laplacian[k, a, a] += 0.5 * (s - share[j, c] * share[j, c])
+                scaled[j, c] = s / root
+                laplacian[k, a, a] += 0.5 * (s - scaled[j, c] * scaled[j, c])
                 pull[k, a] += s * (log_x[j, c] - total / norm)
         for j in rows:
             for i in range(first[p], j):
                 a, b = max(view[i], view[j]), min(view[i], view[j])
                 if each:
                     for c in range(3):
-                        laplacian[c, a, b] -= share[i, c] * share[j, c]
+                        laplacian[c, a, b] -= scaled[i, c] * scaled[j, c]
                 else:
                     laplacian[0, a, b] -= (
-                        share[i, 0] * share[j, 0] + share[i, 1] * share[j, 1] + share[i, 2] * share[j, 2]
+                        scaled[i, 0] * scaled[j, 0] + scaled[i, 1] * scaled[j, 1] + scaled[i, 2] * scaled[j, 2]
                     )
 
 
