@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from iris_addon.emission.balance import MAX_ALBEDO
+from iris_addon.evaluate.maps import bilinear
 from iris_addon.progress import Progress
 from iris_addon.reflectance.bake import fuse_texels, pixel_albedo, pixel_weight
 from iris_addon.reflectance.ggx import DIELECTRIC_F0, layered_factor, specular_integrals
@@ -28,7 +29,7 @@ from iris_addon.reflectance.specular import ROUGH, rough_lobes
 from iris_addon.reflectance.specular_weights import visible_normal_density
 from iris_addon.reflectance.textures import complete_channels, make_textures
 from iris_addon.surface.atlas import build_atlas
-from iris_addon.surface.atlas_texels import Atlas
+from iris_addon.surface.atlas_texels import Atlas, interpolate_uv, rasterise_atlas
 from iris_addon.surface.build import Surface
 from iris_addon.surface.samples import PixelSamples
 from iris_addon.transport.form_factors import emitter_form_factors
@@ -413,7 +414,7 @@ def test_unseen_faces_take_their_parts_mean_and_lamps_are_black() -> None:
     gloss = Gloss(np.array([0.2, 1.0, 0.5]), np.array([0.0, 1.0, 0.0]), np.full((3, 3), 0.04), np.ones(3, bool))
     lamps = np.arange(8) >= 6
     textures, at_pixels = make_textures(atlas, mesh.parts, lamps, gloss, samples, color, np.ones((n, 3)))
-    shown = atlas.face
+    shown, _ = rasterise_atlas(uv, size)
 
     def base(*faces: int) -> np.ndarray:
         return textures.base_color[np.isin(shown, faces)]
@@ -424,6 +425,11 @@ def test_unseen_faces_take_their_parts_mean_and_lamps_are_black() -> None:
     assert np.ptp(base(4, 5), axis=0).max() < 1e-6
     assert (textures.confidence[np.isin(shown, [2, 3, 4, 5])] == 0).mean() > 0.9
     assert textures.confidence[np.isin(shown, [0, 1])].mean() > 0.8
+    # A filter at the border of a chart reaches beyond it, and finds the same material there.
+    points = interpolate_uv(uv, face, barycentric)
+    for texture, of_part in ((textures.roughness, gloss.roughness), (textures.metallic, gloss.metallic)):
+        found = bilinear(texture[..., None], points)[:, 0]
+        assert found == pytest.approx(of_part[mesh.parts[face]], abs=1e-6)
     assert (textures.roughness[np.isin(shown, [0, 1, 2, 3])] == np.float32(0.2)).all()
     assert (textures.metallic[np.isin(shown, [4, 5])] == 1).all()
     assert at_pixels[face < 2] == pytest.approx(color[face < 2], abs=1e-3)

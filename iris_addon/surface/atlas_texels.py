@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from ..parallel import BLOCK, over_blocks
 from .rasterise import covered_texels
@@ -17,7 +18,8 @@ class Atlas:
 
     Attributes:
         uv: (F, 3, 2) per corner.
-        face: (N, N) int32 face under each texel's centre, -1 outside all charts.
+        face: (N, N) int32 face under each texel's centre; beside a chart one of its own, since filters reach there;
+            -1 elsewhere.
         texel: (n,) int64 flat index of the texel under each pixel.
     """
 
@@ -29,7 +31,13 @@ class Atlas:
     def of(uv: NDArray[np.floating], size: int, face: NDArray[np.integer], barycentric: NDArray[np.floating]) -> Atlas:
         """Of texture coordinates ``uv`` (F, 3, 2), ``size`` squared texels, and pixels that show points as those of
         :func:`texel_index`."""
-        return Atlas(uv, rasterise_atlas(uv, size)[0], texel_index(uv, face, barycentric, size))
+        shown, _ = rasterise_atlas(uv, size)
+        texel = texel_index(uv, face, barycentric, size)
+        # A sliver may hold no texel's centre, but pixels show it.
+        beyond = shown.ravel()[texel] < 0
+        shown.ravel()[texel[beyond]] = face[beyond]
+        beside = np.asarray(maximum_filter(shown, 3))
+        return Atlas(uv, np.where(shown < 0, beside, shown), texel)
 
     @property
     def size(self) -> int:
