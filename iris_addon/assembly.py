@@ -22,6 +22,7 @@ from .reflectance.bake import pixel_albedo, pixel_weight
 from .reflectance.ggx import DIELECTRIC_F0
 from .reflectance.gloss import Gloss
 from .reflectance.materials import MaterialProblem, scene_of
+from .reflectance.residual_light import residual_light
 from .reflectance.shading import Shading
 from .reflectance.specular import pixel_lobes, subtract_specular
 from .reflectance.textures import make_textures
@@ -56,9 +57,9 @@ def make_result(
 ) -> tuple[Result, dict[str, NDArray[np.float32]]]:
     """Albedo per pixel, fused on the atlas; the result put together, and a few photos as it explains them."""
     samples, light = photos.samples, problem.light
-    part = light.parts[samples.face]
+    part, patch = light.parts[samples.face], light.surface.sample_patch
     shading = problem.shading(lights)
-    irradiance = light.field.at_samples(samples, light.surface.sample_patch, shading.irradiance)
+    irradiance = light.field.at_samples(samples, patch, shading.irradiance)
     ls0, ls1 = pixel_lobes(
         scene_of(light, lights),
         gloss,
@@ -71,9 +72,12 @@ def make_result(
         progress,
     )
     metallic = gloss.metallic[part]
-    view_factor = _view_factor(shading, light.surface.sample_patch, gloss.roughness[part], samples)
+    view_factor = _view_factor(shading, patch, gloss.roughness[part], samples)
     diffuse_light = irradiance * view_factor[:, None]
     albedo, weight = _pixel_albedo(photos, photometry, irradiance, diffuse_light, ls0, ls1, metallic)
+    of_patch = residual_light(light.field, light.surface.part, gloss.metallic < 0.5, patch, albedo, weight)
+    brighter = light.field.at_samples(samples, patch, of_patch)
+    albedo, diffuse_light = albedo / brighter, diffuse_light * brighter
     held_out = config.rng(7).random(len(part)) < HELD_OUT
     textures, base_color = make_textures(
         atlas, light.parts, lights.mask, gloss, samples, albedo, weight * ~held_out[:, None]

@@ -1,0 +1,61 @@
+"""Slow changes of albedo that are errors of the light, and those that are paint."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from iris_addon.reflectance.residual_light import residual_light
+from iris_addon.surface.field import IrradianceField
+
+SIDE, SIZE = 40, 0.1
+ROW, COLUMN = (index.ravel() for index in np.indices((SIDE, SIDE)))
+WALL = np.full((SIDE * SIDE, 3), 0.7)
+BLOTCHES = np.exp(0.025 * np.sin(ROW / 2.5) * np.cos(COLUMN / 3.0))[:, None] * [1.0, 0.99, 1.0]
+
+
+def corrected(seen: np.ndarray, dielectric: bool = True, part: np.ndarray | None = None) -> np.ndarray:
+    """Albedo (P, 3) of a plane of square patches, three pixels each, once divided by what is taken for light."""
+    position = np.stack([ROW * SIZE, COLUMN * SIZE, np.zeros(len(ROW))], 1).astype(np.float32)
+    normal = np.tile(np.float32([0, 0, 1]), (len(ROW), 1))
+    field = IrradianceField.of(position, normal, np.full(len(ROW), SIZE, np.float32))
+    part = np.zeros(len(ROW), np.int32) if part is None else part
+    patch = np.repeat(np.arange(len(ROW)), 3)
+    even = np.full(part.max() + 1, dielectric)
+    return seen / residual_light(field, part, even, patch, seen[patch], np.ones((len(patch), 3)))
+
+
+def spread(albedo: np.ndarray) -> float:
+    return float(np.log(albedo / albedo.mean(0)).std())
+
+
+def test_an_even_wall_loses_its_blotches_and_keeps_its_level() -> None:
+    seen = WALL * BLOTCHES
+    assert spread(corrected(seen)) < 0.35 * spread(seen)
+    assert corrected(seen).mean() == pytest.approx(0.7, rel=0.01)
+
+
+def test_planks_keep_their_difference() -> None:
+    planks = WALL * np.where(ROW // 5 % 2 == 0, 0.8, 1.2)[:, None]
+    assert spread(corrected(planks * BLOTCHES)) > 0.9 * spread(planks)
+
+
+def test_a_stain_on_an_even_wall_stays() -> None:
+    stained = WALL.copy()
+    stain = np.hypot(ROW - 20, COLUMN - 20) < 4
+    stained[stain] = 0.4
+    found = corrected(stained * BLOTCHES)
+    assert found[np.hypot(ROW - 20, COLUMN - 20) < 2].mean() == pytest.approx(0.4, rel=0.05)
+    assert found[np.hypot(ROW - 20, COLUMN - 20) > 7].mean() == pytest.approx(0.7, rel=0.02)
+
+
+def test_fine_detail_of_an_even_part_stays() -> None:
+    weave = WALL * np.where((ROW + COLUMN) % 2 == 0, 0.9, 1.1)[:, None]
+    assert spread(corrected(weave)) > 0.9 * spread(weave)
+
+
+def test_paint_of_two_parts_is_not_mixed_and_metals_are_left_alone() -> None:
+    part = (ROW >= SIDE // 2).astype(np.int32)
+    two = WALL * np.where(part == 0, 1.0, 0.3)[:, None]
+    assert corrected(two, part=part) == pytest.approx(two, rel=1e-6)
+    assert (corrected(WALL * BLOTCHES, dielectric=False) == WALL * BLOTCHES).all()
