@@ -91,7 +91,8 @@ def make_result(
 
     shown = photos.z[held_out]
     error = explained(held_out) - (shown if photos.hdr else np.clip(shown + 0.5 / 255, 0, 1))
-    report = {"holdout_psnr": float(-10 * np.log10(np.mean(error**2)))}
+    psnr, taken_off = -10 * np.log10(np.mean(error**2)), np.log(of_patch).std()
+    report = {"holdout_psnr": float(psnr), "model": {"residual_light": round(float(taken_off), 4)}}
     closed = config.refinements.hidden_light is False
     backdrop = None if closed else fit_backdrop(photos.beyond, photometry, capture.mesh, capture.views)
     mesh = capture.mesh.with_uv(atlas.uv)

@@ -139,12 +139,12 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         made = aside(lambda: make_result(capture, config, texels, problem, photos, photometry, lights, gloss, progress))
         result, rerenders = waited_for(made, progress.check)
         result = result.with_exposures_times(unit)
-    result.report.update(
-        report_figures(
-            config, capture, cameras, tracer, surface, transport, photometry, problem, lights, gloss, progress
-        )
+    figures = report_figures(
+        config, capture, cameras, tracer, surface, transport, photometry, problem, lights, gloss, progress
     )
-    result.report["model"].update(joint)
+    of_textures = result.report["model"]
+    result.report.update(figures)
+    result.report["model"] |= of_textures | joint
     save_result(result, out)
     write_report(result, capture, out, rerenders)
     checkpoints.clear()

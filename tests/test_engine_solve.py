@@ -107,6 +107,7 @@ def test_the_albedo_is_that_of_the_room(shoot: Shoot, found: Result) -> None:
 def test_the_response_and_the_predicted_photos(found: Result) -> None:
     assert np.linalg.norm(found.response.samples - gamma().samples) < 1.4
     assert found.report["holdout_psnr"] > 30
+    assert 0 < found.report["model"]["residual_light"] < 0.1
     assert found.report["rays_traced"] < 1e8
     assert found.report["n_patches"] <= 1.5 * TINY.max_patches
 
