@@ -207,9 +207,7 @@ def describe(seconds: dict[str, float], counts: Counts, floors: Floors, what: st
     from iris_addon.solve import JOINT_WEIGHT, WEIGHTS
 
     body, total, total_floor = [], 0.0, 0.0
-    for stage in WEIGHTS | JOINT_WEIGHT:
-        if stage not in seconds:
-            continue
+    for stage in sorted(seconds, key=list(WEIGHTS | JOINT_WEIGHT).index):
         spent = seconds[stage]
         floor = counts.floor(stage, floors)
         total, total_floor = total + spent, total_floor + floor

@@ -12,6 +12,7 @@ from .cameras.fit import CameraFit
 from .capture.types import Capture
 from .config import SolveConfig
 from .emission.backdrop import fit_backdrop
+from .emission.balance import MAX_ALBEDO
 from .emission.types import LightProblem, Lights
 from .memory import peak_memory_bytes
 from .parallel import BLOCK, over_blocks
@@ -76,8 +77,9 @@ def make_result(
     diffuse_light = irradiance * view_factor[:, None]
     albedo, weight = _pixel_albedo(photos, photometry, irradiance, diffuse_light, ls0, ls1, metallic)
     of_patch = residual_light(light.field, light.surface.part, gloss.metallic < 0.5, patch, albedo, weight)
-    brighter = light.field.at_samples(samples, patch, of_patch)
-    albedo, diffuse_light = albedo / brighter, diffuse_light * brighter
+    # Interpolation reaches over from parts beside a metal, whose base colour is no quotient of irradiance.
+    brighter = np.where(metallic[:, None] > 0.5, np.float32(1), light.field.at_samples(samples, patch, of_patch))
+    albedo, diffuse_light = np.minimum(albedo / brighter, MAX_ALBEDO), diffuse_light * brighter
     held_out = config.rng(7).random(len(part)) < HELD_OUT
     textures, base_color = make_textures(
         atlas, light.parts, lights.mask, gloss, samples, albedo, weight * ~held_out[:, None]

@@ -11,6 +11,7 @@ import pytest
 
 from iris_addon.capture.types import Camera, Capture
 from iris_addon.config import SolveConfig, preset
+from iris_addon.emission.balance import MAX_ALBEDO
 from iris_addon.errors import BadInput, Cancelled
 from iris_addon.imaging import read_image, write_png
 from iris_addon.preview_files import KINDS, preview_path
@@ -108,6 +109,7 @@ def test_the_response_and_the_predicted_photos(found: Result) -> None:
     assert np.linalg.norm(found.response.samples - gamma().samples) < 1.4
     assert found.report["holdout_psnr"] > 30
     assert 0 < found.report["model"]["residual_light"] < 0.1
+    assert found.textures.base_color.max() <= np.float16(MAX_ALBEDO)  # as stored
     assert found.report["rays_traced"] < 1e8
     assert found.report["n_patches"] <= 1.5 * TINY.max_patches
 
