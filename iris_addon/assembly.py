@@ -15,7 +15,7 @@ from .emission.backdrop import fit_backdrop
 from .emission.balance import MAX_ALBEDO
 from .emission.types import LightProblem, Lights
 from .memory import peak_memory_bytes
-from .parallel import BLOCK, over_blocks
+from .parallel import BLOCK, filled, over_blocks
 from .photo_samples import PhotoSamples
 from .photometry import Photometry
 from .progress import Progress
@@ -152,14 +152,12 @@ def _view_factor(
     shading: Shading, patch: NDArray[np.integer], roughness: NDArray[np.floating], samples: PixelSamples
 ) -> NDArray[np.float32]:
     """(n,) factor of the diffuse lobe of ``roughness`` (n,) towards the camera of each pixel."""
-    factor = np.empty(len(patch), np.float32)
 
-    def work(rows: slice) -> None:
+    def factor(rows: slice) -> NDArray[np.floating]:
         angle, toward = schlick(samples.cosine[rows]), samples.direction[rows]
-        factor[rows] = shading.view_factor(patch[rows], roughness[rows], angle, toward)
+        return shading.view_factor(patch[rows], roughness[rows], angle, toward)
 
-    over_blocks(len(patch), BLOCK, work)
-    return factor
+    return filled(np.empty(len(patch), np.float32), factor)
 
 
 def _rerenders(

@@ -10,11 +10,13 @@ from threading import Event, Lock
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .memory import keep_freed_memory
 
 Item = TypeVar("Item")
 Made = TypeVar("Made")
+Number = TypeVar("Number", bound=np.generic)
 
 BLOCK = 1 << 17
 """Rays, or whatever else is counted, of one block: smaller and the threads wait for the interpreter, larger and the
@@ -91,6 +93,16 @@ def over_blocks(
         helper.result()
     if begun:
         done(1.0)
+
+
+def filled(values: NDArray[Number], work: Callable[[slice], NDArray]) -> NDArray[Number]:
+    """``values`` (n, ...), written over with what ``work`` gives for every :data:`BLOCK` of rows."""
+
+    def fill(rows: slice) -> None:
+        values[rows] = work(rows)
+
+    over_blocks(len(values), BLOCK, fill)
+    return values
 
 
 def over_shares(n: int, work: Callable[[slice], None]) -> None:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ..emission.balance import MAX_ALBEDO
 from ..grouping import group_medians, group_sums
-from ..parallel import BLOCK, over_blocks
+from ..parallel import filled
 from ..result.types import Textures
 from ..surface.atlas_texels import Atlas
 from ..surface.samples import PixelSamples
@@ -101,17 +101,15 @@ def with_expected(
     sure = fused.weight > DOUBT
     plain = _plain(own, colour, part, sure, len(part_mean))[part]
     beside, found = extend_texels(fused.texel, own, sure, part, size, REACH)
-    mixed = np.empty_like(own)
 
-    def work(rows: slice) -> None:
+    def mixed(rows: slice) -> NDArray[np.float32]:
         blend = np.where(found[rows] & ~sure[rows], 1 - plain[rows], 0)[:, None]
         expected = colour[rows] + blend * (beside[rows] - colour[rows])
         doubt = DOUBT * np.where(found[rows], 1, plain[rows])
         share = (doubt / (fused.weight[rows] + doubt))[:, None]
-        mixed[rows] = own[rows] + share * (expected - own[rows])
+        return own[rows] + share * (expected - own[rows])
 
-    over_blocks(len(own), BLOCK, work)
-    return mixed
+    return filled(np.empty_like(own), mixed)
 
 
 def _plain(
@@ -123,14 +121,12 @@ def _plain(
 ) -> NDArray[np.float32]:
     """(n_parts,) 1 for parts whose texels are of one colour, near 0 for textured ones."""
     rows = np.flatnonzero(sure)
-    off = np.empty(len(rows), value.dtype)
 
-    def work(block: slice) -> None:
+    def off(block: slice) -> NDArray[np.float32]:
         v, c = value[rows[block]], colour[rows[block]]
-        off[block] = np.abs(v - c).mean(1) / (c.mean(1) + DIM_ALBEDO)
+        return np.abs(v - c).mean(1) / (c.mean(1) + DIM_ALBEDO)
 
-    over_blocks(len(rows), BLOCK, work)
-    spread = group_medians(off[:, None], part[rows], n_parts)[:, 0]
+    spread = group_medians(filled(np.empty(len(rows), value.dtype), off)[:, None], part[rows], n_parts)[:, 0]
     return (1 / (1 + (spread / NEIGHBOUR_ERROR) ** 4)).astype(np.float32)
 
 
@@ -139,16 +135,14 @@ def complete_channels(value: NDArray[np.floating], colour: NDArray[np.floating])
 
     A yellow cushion whose red is always clipped stays yellow: the ratio between channels is the part's.
     """
-    completed = np.empty(value.shape, np.float32)
 
-    def work(rows: slice) -> None:
+    def completed(rows: slice) -> NDArray[np.floating]:
         known = np.isfinite(value[rows])
         scale = np.where(known, value[rows], 0.0).sum(1) / np.maximum((colour[rows] * known).sum(1), 1e-4)
         guess = np.clip(colour[rows] * scale[:, None], 0.0, MAX_ALBEDO)
-        completed[rows] = np.where(known, value[rows], guess)
+        return np.where(known, value[rows], guess)
 
-    over_blocks(len(value), BLOCK, work)
-    return completed
+    return filled(np.empty(value.shape, np.float32), completed)
 
 
 def _part_means(

@@ -18,7 +18,7 @@ from dataclasses import astuple, dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..parallel import BLOCK, over_blocks
+from ..parallel import filled
 from .curve import LUMINANCE, SATURATED, Response
 
 ROWS, COLUMNS = 24, 32
@@ -77,9 +77,8 @@ class LocalExposure:
 
     def at(self, view: NDArray[np.integer], pixel: NDArray[np.integer]) -> NDArray[np.float64]:
         """(n,) factor of the exposure at row-major pixels (n,) of views (n,)."""
-        gain = np.empty(len(view))
 
-        def work(rows: slice) -> None:
+        def gain(rows: slice) -> NDArray[np.float64]:
             height, width = self.sizes[view[rows]].T
             row, column = np.divmod(pixel[rows], width)
             above, down = _between((row + 0.5) / height * ROWS - 0.5, ROWS)
@@ -88,10 +87,9 @@ class LocalExposure:
                 (1 - right) * self.log_gain[view[rows], line, left] + right * self.log_gain[view[rows], line, left + 1]
                 for line in (above, above + 1)
             )
-            gain[rows] = np.exp((1 - down) * upper + down * lower)
+            return np.exp((1 - down) * upper + down * lower)
 
-        over_blocks(len(view), BLOCK, work)
-        return gain
+        return filled(np.empty(len(view)), gain)
 
     def arrays(self) -> dict[str, NDArray]:
         """Plain arrays for a checkpoint."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
-from ..parallel import BLOCK, over_blocks
+from ..parallel import filled
 from .rasterise import covered_texels
 
 
@@ -64,16 +64,14 @@ def texel_index(
         face: (n,) face of each point.
         barycentric: (n, 2) weights of corners 1 and 2.
     """
-    texel = np.empty(len(face), np.int64)
 
-    def work(rows: slice) -> None:
+    def texel(rows: slice) -> NDArray[np.int64]:
         point = interpolate_uv(uv, face[rows], barycentric[rows])
         column = np.clip((point[:, 0] * size).astype(np.int64), 0, size - 1)
         row = np.clip(((1 - point[:, 1]) * size).astype(np.int64), 0, size - 1)
-        texel[rows] = row * size + column
+        return row * size + column
 
-    over_blocks(len(face), BLOCK, work)
-    return texel
+    return filled(np.empty(len(face), np.int64), texel)
 
 
 def rasterise_atlas(uv: NDArray[np.floating], size: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..grouping import group_equal
 from ..kernels import Integer, Real, inlined, kernel
-from ..parallel import BLOCK, over_blocks
+from ..parallel import BLOCK, filled, over_blocks
 from ..progress import Progress
 from ..surface.build import ORIGINS_PER_PATCH, Surface
 from ..surface.patches import PatchGrid, cell_keys, cells
@@ -195,14 +195,12 @@ def _targets(
     point: NDArray[np.float32],
 ) -> NDArray[np.int32]:
     face, point, direction = rays.face.ravel(), point.reshape(-1, 3), rays.direction.reshape(-1, 3)
-    target = np.empty(len(face), np.int32)
 
-    def work(block: slice) -> None:
+    def target(block: slice) -> NDArray[np.int32]:
         along = direction[block].astype(np.float32)
-        target[block] = find_patches(tracer, grid, parts, face[block], point[block], along)
+        return find_patches(tracer, grid, parts, face[block], point[block], along)
 
-    over_blocks(len(face), BLOCK, work)
-    return target.reshape(rays.face.shape)
+    return filled(np.empty(len(face), np.int32), target).reshape(rays.face.shape)
 
 
 def _unseen_patches(
