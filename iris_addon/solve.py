@@ -41,6 +41,7 @@ from .refine.joint import joint_arrays, joint_report, refine_lights
 from .reflectance.diffuse_lobe import choose_diffuse
 from .reflectance.gloss import LEVELS, Gloss, rough_everywhere
 from .reflectance.materials import MaterialProblem, solve_materials
+from .reflectance.turning import mirrored_radiance
 from .response.observations import Observations, observe
 from .response.radiance import group_radiance, linearise
 from .result.io import save_result
@@ -220,6 +221,7 @@ def _problem(
         light,
         observations,
         linear,
+        mirrored_radiance(observations, linear, photos, photometry),
         observed,
         part,
         angle,

@@ -44,6 +44,7 @@ class MaterialProblem:
 
     Attributes:
         light: the light problem, brightness as seen.
+        mirrored: (M, 3) radiance of the pixel of each observation whose reflected rays are traced, see :mod:`.turning`.
         observed: radiance per patch, all of it, without the view factor of rough surfaces.
         part: (M,) part of each observation.
         schlick: (M,) Schlick's S of the direction each observation was made from.
@@ -54,6 +55,7 @@ class MaterialProblem:
     light: LightProblem
     observations: Observations
     linear: Linearised
+    mirrored: NDArray[np.float64]
     observed: GroupRadiance
     part: NDArray[np.int32]
     schlick: NDArray[np.floating]
@@ -229,7 +231,7 @@ class _GlossFit:
             o.patch[self.rows],
             np.minimum(o.count[self.rows], 20.0),
             samples.position[at],
-            problem.linear.radiance[self.rows],
+            problem.mirrored[self.rows],
             local,
             problem.view_factor(shading, levels, self.rows) if lobe == "burley" else np.ones((len(levels), len(at))),
             lobes,
