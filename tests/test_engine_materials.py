@@ -27,7 +27,7 @@ from iris_addon.reflectance.lobes import Scene as LitScene
 from iris_addon.reflectance.lobes import trace_lobes
 from iris_addon.reflectance.specular import ROUGH, rough_lobes
 from iris_addon.reflectance.specular_weights import visible_normal_density
-from iris_addon.reflectance.textures import complete_channels, make_textures
+from iris_addon.reflectance.textures import make_textures
 from iris_addon.surface.atlas import build_atlas
 from iris_addon.surface.atlas_texels import Atlas, interpolate_uv, rasterise_atlas
 from iris_addon.surface.build import Surface
@@ -365,12 +365,6 @@ def test_near_head_on_well_lit_pixels_have_the_most_to_say() -> None:
     assert weight[1:3] == pytest.approx(weight[0]) and (weight[3:] < 0.5 * weight[0]).all()
     assert weight[0] == pytest.approx(4 * weight[4], rel=1e-3)
     assert weight[6] < 0.01 * weight[0] and weight[7] < 0.01 * weight[0]
-
-
-def test_a_clipped_channel_takes_the_colour_of_its_part() -> None:
-    part_colour = np.array([[0.8, 0.6, 0.1]])
-    completed = complete_channels(np.array([[np.nan, 0.3, 0.05]]), part_colour)
-    assert completed[0] == pytest.approx([0.4, 0.3, 0.05], rel=1e-5)  # half as bright, as yellow
 
 
 def test_fusing_is_robust_and_says_which_channel_was_always_clipped() -> None:

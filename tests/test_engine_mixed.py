@@ -7,8 +7,8 @@ import pytest
 
 from iris_addon.capture.types import Camera
 from iris_addon.progress import Progress
-from iris_addon.reflectance.bake import TexelAlbedo
-from iris_addon.reflectance.textures import with_expected
+from iris_addon.reflectance.bake import TexelAlbedo, pixel_weight
+from iris_addon.reflectance.textures import DOUBT, with_expected
 from iris_addon.response.observations import observe
 from iris_addon.surface.mixed import mixed_pixels, outshone_by
 from iris_addon.surface.samples import trace_pixels
@@ -158,3 +158,11 @@ def test_an_edge_without_good_neighbours_takes_the_colour_of_its_part() -> None:
     mean = np.array([[0.3, 0.2, 0.1]], np.float32)
     found = with_expected(fused(value, np.full(16, 1e-4)), np.zeros(16, np.int32), mean, 4)
     assert found == pytest.approx(np.tile(mean, (16, 1)), abs=0.01)
+
+
+def test_a_rim_that_only_edges_show_stays_in_doubt_however_many_photos_do() -> None:
+    one, n = np.ones(1), 500
+    say = pixel_weight(one, 0.01 * one, np.ones((1, 3)), np.zeros((1, 3)), np.array([True]), 0.01, 1.0)
+    assert 0 < n * say.max() < DOUBT
+    sharp = pixel_weight(one, 0.01 * one, np.ones((1, 3)), np.zeros((1, 3)), np.array([False]), 0.01, 1.0)
+    assert sharp.min() > 10 * DOUBT

@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from ..emission.balance import MAX_ALBEDO
 from ..kernels import Integer, kernel
 from ..parallel import over_shares
-from ..response.observations import MIXED_SAY
 
 DIM = 0.05
 """Share of the median irradiance below which a quotient of radiance and irradiance is not worth much."""
 HIGHLIGHT = 20.0
 """Inverse of the specular radiance, in irradiance / pi, from which on errors of the lobe outweigh all others."""
+MIXED_SAY = 1e-5
+"""Say of a pixel on an edge: where all are such, as on a rim, however many they are texels stay in doubt."""
 DIM_ALBEDO = 0.02
 """Added to albedo where it divides: relative differences of black surfaces are noise."""
 TINY = np.float32(1e-12)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..emission.balance import MAX_ALBEDO
 from ..grouping import group_medians, group_sums
 from ..parallel import filled
 from ..result.types import Textures
@@ -13,6 +12,7 @@ from ..surface.atlas_texels import Atlas
 from ..surface.samples import PixelSamples
 from ..surface.texel_fill import extend_texels, fill_texels
 from .bake import DIM_ALBEDO, TexelAlbedo, fuse_texels
+from .clipped_channels import complete_channels
 from .gloss import Gloss
 
 DOUBT = 0.02
@@ -97,7 +97,7 @@ def with_expected(
         part: (T,) part of each texel.
     """
     colour = part_mean[part]
-    own = complete_channels(fused.value, colour)
+    own = complete_channels(fused.value, part, part_mean)
     sure = fused.weight > DOUBT
     plain = _plain(own, colour, part, sure, len(part_mean))[part]
     beside, found = extend_texels(fused.texel, own, sure, part, size, REACH)
@@ -128,21 +128,6 @@ def _plain(
 
     spread = group_medians(filled(np.empty(len(rows), value.dtype), off)[:, None], part[rows], n_parts)[:, 0]
     return (1 / (1 + (spread / NEIGHBOUR_ERROR) ** 4)).astype(np.float32)
-
-
-def complete_channels(value: NDArray[np.floating], colour: NDArray[np.floating]) -> NDArray[np.float32]:
-    """(T, 3) texels with the channels that were clipped in every photo taken from the part's colour.
-
-    A yellow cushion whose red is always clipped stays yellow: the ratio between channels is the part's.
-    """
-
-    def completed(rows: slice) -> NDArray[np.floating]:
-        known = np.isfinite(value[rows])
-        scale = np.where(known, value[rows], 0.0).sum(1) / np.maximum((colour[rows] * known).sum(1), 1e-4)
-        guess = np.clip(colour[rows] * scale[:, None], 0.0, MAX_ALBEDO)
-        return np.where(known, value[rows], guess)
-
-    return filled(np.empty(value.shape, np.float32), completed)
 
 
 def _part_means(

@@ -1,0 +1,91 @@
+"""Colour of texels of which some channels were clipped in every photo.
+
+The white of a rug in the sun is read in blue alone. What red and green it has is told by texels of its part that are as
+blue and were seen whole, in the shade of a table; the mean colour of the part is that of the rug's red pattern too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..emission.balance import MAX_ALBEDO
+from ..grouping import group_equal, group_medians
+from ..parallel import filled
+
+STEPS = 3
+"""Steps per octave of brightness, and of the balance between channels, by which texels count as alike."""
+ENOUGH = 10
+"""Texels seen whole that are asked for, to tell what others like them have."""
+LEAST = 1e-3
+LEVELS = 32
+"""Steps of brightness; so many of the balance too, around even."""
+KNOWN: tuple[Sequence[int], ...] = (*combinations(range(3), 1), *combinations(range(3), 2))
+
+
+def complete_channels(
+    value: NDArray[np.floating], part: NDArray[np.integer], part_mean: NDArray[np.floating]
+) -> NDArray[np.float32]:
+    """(T, 3) texels with the channels that were clipped in every photo as those of their part have them that look alike
+    in the others, and where those are few as the part has them on the mean.
+
+    Args:
+        value: (T, 3) base colour, NaN where clipped; one channel at least is known.
+        part: (T,) part of each texel.
+        part_mean: (n_parts, 3) base colour.
+    """
+    completed = _like_the_part(value, part_mean[part])
+    known = np.isfinite(value)
+    code = known @ np.array([1, 2, 4])
+    lacking = np.zeros(len(part_mean), bool)
+    lacking[part[code < 7]] = True
+    whole = np.flatnonzero((code == 7) & lacking[part])
+    for channels in KNOWN:
+        rows = np.flatnonzero(code == sum(1 << c for c in channels))
+        if len(rows) and len(whole):
+            share, found = _share_of_like(value[rows], part[rows], value[whole], part[whole], channels)
+            guess = value[rows][:, channels].sum(1, keepdims=True) * share
+            guess = np.where(known[rows], value[rows], np.minimum(guess, MAX_ALBEDO))
+            completed[rows[found]] = guess[found]
+    return completed
+
+
+def _like_the_part(value: NDArray[np.floating], colour: NDArray[np.floating]) -> NDArray[np.float32]:
+    """(T, 3) texels completed by the ratio between the channels of ``colour`` (T, 3)."""
+
+    def completed(rows: slice) -> NDArray[np.floating]:
+        known = np.isfinite(value[rows])
+        scale = np.where(known, value[rows], 0.0).sum(1) / np.maximum((colour[rows] * known).sum(1), 1e-4)
+        guess = np.clip(colour[rows] * scale[:, None], 0.0, MAX_ALBEDO)
+        return np.where(known, value[rows], guess)
+
+    return filled(np.empty(value.shape, np.float32), completed)
+
+
+def _share_of_like(
+    value: NDArray[np.floating],
+    part: NDArray[np.integer],
+    whole: NDArray[np.floating],
+    part_of_whole: NDArray[np.integer],
+    channels: Sequence[int],
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Median colour of the texels ``whole`` (w, 3) that look in the ``channels`` like each of ``value`` (n, 3) and are
+    of its part, over their sum in the channels, (n, 3); and where there are enough of them, (n,)."""
+    groups = group_equal(np.concatenate([_look(whole, part_of_whole, channels), _look(value, part, channels)]))
+    told = groups.group[: len(whole)]
+    share = whole / np.maximum(whole[:, channels].sum(1, keepdims=True), LEAST)
+    median = group_medians(share, told, len(groups.keys))
+    enough = np.bincount(told, minlength=len(groups.keys)) >= ENOUGH
+    asked = groups.group[len(whole) :]
+    return median[asked], enough[asked]
+
+
+def _look(value: NDArray[np.floating], part: NDArray[np.integer], channels: Sequence[int]) -> NDArray[np.int64]:
+    """(n,) number that texels of one part have in common which look alike in the ``channels``."""
+    seen = np.log2(np.maximum(value[:, channels], LEAST)) * STEPS
+    level = np.clip(np.rint(seen.mean(1)) + LEVELS - 1, 0, LEVELS - 1)
+    balance = np.clip(np.rint(seen[:, -1] - seen[:, 0]) + LEVELS // 2, 0, LEVELS - 1)
+    return (part.astype(np.int64) * LEVELS + level.astype(np.int64)) * LEVELS + balance.astype(np.int64)
