@@ -140,7 +140,7 @@ def _pixel_albedo(
         specular = subtract_specular(ls0[rows], ls1[rows], metallic[rows])
         albedo[rows] = pixel_albedo(linear.radiance, specular, ls0[rows], diffuse_light[rows], metallic[rows])
         seen = samples.cosine[rows], samples.footprint[rows]
-        say = pixel_weight(*seen, irradiance[rows], specular, photos.mixed[rows], *usual)
+        say = pixel_weight(*seen, irradiance[rows], specular, photos.mixed[rows], photos.scanned[rows], *usual)
         weight[rows] = say * linear.open * linear.precision
 
     over_blocks(len(metallic), BLOCK, work)

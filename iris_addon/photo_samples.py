@@ -52,6 +52,7 @@ class PhotoSamples:
         stride: one pixel of every stride x stride was looked at.
         small: the photos at a small size.
         mixed: (n,) bool pixels on an edge, see :mod:`.surface.mixed`; none before parts are known.
+        scanned: (n,) bool pixels on a scan, whose parts end where its colour changes; none before parts are known.
         outshone_by: (n,) int32 pixel beside each that may have lent it all its light, -1 for none.
     """
 
@@ -62,6 +63,7 @@ class PhotoSamples:
     stride: int
     small: SmallPhotos
     mixed: NDArray[np.bool_]
+    scanned: NDArray[np.bool_]
     outshone_by: NDArray[np.int32]
 
 
@@ -110,5 +112,5 @@ def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progres
     beyond = BeyondMesh(len(columns[0]) / sum(photo.looked for photo in photos), *columns)
     sizes = np.array([(camera.height, camera.width) for camera in cameras])
     shown, clipped = (np.stack(part) for part in zip(*(photo.small for photo in photos), strict=True))
-    mixed, outshone_by = np.zeros(len(z), bool), np.full(len(z), -1, np.int32)
-    return PhotoSamples(samples, z, hdr, beyond, stride, SmallPhotos(shown, clipped, sizes), mixed, outshone_by)
+    no, outshone_by = np.zeros(len(z), bool), np.full(len(z), -1, np.int32)
+    return PhotoSamples(samples, z, hdr, beyond, stride, SmallPhotos(shown, clipped, sizes), no, no, outshone_by)

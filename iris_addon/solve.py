@@ -165,7 +165,7 @@ def _surface(
     taken_by = [view.camera for view in capture.views]
     mixed = mixed_pixels(tracer, photos.samples, parts, taken_by, photos.stride)
     brighter = outshone_by(photos.samples, photos.z, mixed, parts, taken_by, photos.stride)
-    photos = replace(photos, mixed=mixed, outshone_by=brighter)
+    photos = replace(photos, mixed=mixed, scanned=scanned[photos.samples.face], outshone_by=brighter)
     surface = build_surface(capture.mesh, photos.samples, parts, config.max_patches, config.rng(1))
     return parts, scanned, photos, surface, IrradianceField.build(surface)
 

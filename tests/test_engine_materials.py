@@ -361,7 +361,9 @@ def test_near_head_on_well_lit_pixels_have_the_most_to_say() -> None:
     cosine, footprint = np.array([1, 1, 1, 0.5, 1, 1, 1, 1]), np.array([1, 1, 1, 1, 2, 1, 1, 1]) * 0.01
     irradiance, specular = np.ones((8, 3)), np.full((8, 3), 1e-6)
     irradiance[5], specular[6] = 0.05, 1.0
-    weight = pixel_weight(cosine, footprint, irradiance, specular, np.arange(8) == 7, 0.01, 1.0)[:, 0]
+    weight = pixel_weight(cosine, footprint, irradiance, specular, np.arange(8) == 7, np.zeros(8, bool), 0.01, 1.0)[
+        :, 0
+    ]
     assert weight[1:3] == pytest.approx(weight[0]) and (weight[3:] < 0.5 * weight[0]).all()
     assert weight[0] == pytest.approx(4 * weight[4], rel=1e-3)
     assert weight[6] < 0.01 * weight[0] and weight[7] < 0.01 * weight[0]

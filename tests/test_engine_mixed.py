@@ -161,8 +161,8 @@ def test_an_edge_without_good_neighbours_takes_the_colour_of_its_part() -> None:
 
 
 def test_a_rim_that_only_edges_show_stays_in_doubt_however_many_photos_do() -> None:
-    one, n = np.ones(1), 500
-    say = pixel_weight(one, 0.01 * one, np.ones((1, 3)), np.zeros((1, 3)), np.array([True]), 0.01, 1.0)
-    assert 0 < n * say.max() < DOUBT
-    sharp = pixel_weight(one, 0.01 * one, np.ones((1, 3)), np.zeros((1, 3)), np.array([False]), 0.01, 1.0)
-    assert sharp.min() > 10 * DOUBT
+    """Head-on, at the usual distance: on an edge of a model, of a scan, and on none."""
+    one, n = np.ones(3), 500
+    mixed, scanned = np.array([True, True, False]), np.array([False, True, False])
+    say = pixel_weight(one, 0.01 * one, np.ones((3, 3)), np.zeros((3, 3)), mixed, scanned, 0.01, 1.0).max(1)
+    assert 0 < n * say[0] < DOUBT < n * say[1] and say[2] > 10 * DOUBT

@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from ..emission.balance import MAX_ALBEDO
 from ..kernels import Integer, kernel
 from ..parallel import over_shares
+from ..response.observations import MIXED_SAY
 
 DIM = 0.05
 """Share of the median irradiance below which a quotient of radiance and irradiance is not worth much."""
 HIGHLIGHT = 20.0
 """Inverse of the specular radiance, in irradiance / pi, from which on errors of the lobe outweigh all others."""
-MIXED_SAY = 1e-5
-"""Say of a pixel on an edge: where all are such, as on a rim, however many they are texels stay in doubt."""
+RIM_SAY = 1e-5
+"""Say of a pixel on an edge of what was modelled: where all are such, however many they are texels stay in doubt."""
 DIM_ALBEDO = 0.02
 """Added to albedo where it divides: relative differences of black surfaces are noise."""
 TINY = np.float32(1e-12)
@@ -62,6 +63,7 @@ def pixel_weight(
     irradiance: NDArray[np.floating],
     specular: NDArray[np.floating],
     mixed: NDArray[np.bool_],
+    scanned: NDArray[np.bool_],
     usual_footprint: float,
     usual_irradiance: float,
 ) -> NDArray[np.float32]:
@@ -73,12 +75,14 @@ def pixel_weight(
         irradiance: (n, 3) irradiance / pi.
         specular: (n, 3) radiance taken off the pixel's.
         mixed: (n,) pixels on an edge.
+        scanned: (n,) pixels on a scan: an edge is one of colour there, and mixes what is lit alike.
         usual_footprint, usual_irradiance: medians over all pixels, which "near" and "dark" are meant by.
     """
     near = usual_footprint / np.maximum(footprint, 1e-6)
     lit = irradiance / (irradiance + DIM * usual_irradiance)
     highlight = HIGHLIGHT * specular.mean(1) / np.maximum(irradiance.mean(1), 1e-6)
-    sharp = cosine**2 * np.clip(near, 0.05, 20.0) ** 2 * np.where(mixed, np.float32(MIXED_SAY), 1)
+    edge = np.where(mixed, np.where(scanned, np.float32(MIXED_SAY), np.float32(RIM_SAY)), np.float32(1))
+    sharp = cosine**2 * np.clip(near, 0.05, 20.0) ** 2 * edge
     return ((sharp / (1 + highlight**2))[:, None] * lit**2).astype(np.float32)
 
 
