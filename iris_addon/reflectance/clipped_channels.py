@@ -74,13 +74,14 @@ def _share_of_like(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Median colour of the texels ``whole`` (w, 3) that look in the ``channels`` like each of ``value`` (n, 3) and are
     of its part, over their sum in the channels, (n, 3); and where there are enough of them, (n,)."""
-    groups = group_equal(np.concatenate([_look(whole, part_of_whole, channels), _look(value, part, channels)]))
-    told = groups.group[: len(whole)]
-    share = whole / np.maximum(whole[:, channels].sum(1, keepdims=True), LEAST)
-    median = group_medians(share, told, len(groups.keys))
-    enough = np.bincount(told, minlength=len(groups.keys)) >= ENOUGH
-    asked = groups.group[len(whole) :]
-    return median[asked], enough[asked]
+    asked, look = group_equal(_look(value, part, channels)), _look(whole, part_of_whole, channels)
+    at = np.minimum(np.searchsorted(asked.keys, look), len(asked.keys) - 1)
+    alike = np.flatnonzero(asked.keys[at] == look)
+    told, colour = at[alike], whole[alike]
+    share = colour / np.maximum(colour[:, channels].sum(1, keepdims=True), LEAST)
+    median = group_medians(share, told, len(asked.keys))
+    enough = np.bincount(told, minlength=len(asked.keys)) >= ENOUGH
+    return median[asked.group], enough[asked.group]
 
 
 def _look(value: NDArray[np.floating], part: NDArray[np.integer], channels: Sequence[int]) -> NDArray[np.int64]:
