@@ -23,6 +23,8 @@ ENOUGH = 10
 LEAST = 1e-3
 LEVELS = 32
 """Steps of brightness; so many of the balance too, around even."""
+ALL = 7
+"""Bits of the three channels."""
 KNOWN: tuple[Sequence[int], ...] = (*combinations(range(3), 1), *combinations(range(3), 2))
 
 
@@ -39,13 +41,13 @@ def complete_channels(
     """
     completed = _like_the_part(value, part_mean[part])
     known = np.isfinite(value)
-    code = known @ np.array([1, 2, 4])
-    lacking = np.zeros(len(part_mean), bool)
-    lacking[part[code < 7]] = True
-    whole = np.flatnonzero((code == 7) & lacking[part])
+    code = (known * np.array([1, 2, 4], np.uint8)).sum(1, dtype=np.uint8)
     for channels in KNOWN:
         rows = np.flatnonzero(code == sum(1 << c for c in channels))
-        if len(rows) and len(whole):
+        lacking = np.zeros(len(part_mean), bool)
+        lacking[part[rows]] = True
+        whole = np.flatnonzero((code == ALL) & lacking[part])
+        if len(whole):
             share, found = _share_of_like(value[rows], part[rows], value[whole], part[whole], channels)
             guess = value[rows][:, channels].sum(1, keepdims=True) * share
             guess = np.where(known[rows], value[rows], np.minimum(guess, MAX_ALBEDO))
