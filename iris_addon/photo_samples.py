@@ -112,5 +112,5 @@ def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progres
     beyond = BeyondMesh(len(columns[0]) / sum(photo.looked for photo in photos), *columns)
     sizes = np.array([(camera.height, camera.width) for camera in cameras])
     shown, clipped = (np.stack(part) for part in zip(*(photo.small for photo in photos), strict=True))
-    no, outshone_by = np.zeros(len(z), bool), np.full(len(z), -1, np.int32)
-    return PhotoSamples(samples, z, hdr, beyond, stride, SmallPhotos(shown, clipped, sizes), no, no, outshone_by)
+    none, outshone_by = np.zeros(len(z), bool), np.full(len(z), -1, np.int32)
+    return PhotoSamples(samples, z, hdr, beyond, stride, SmallPhotos(shown, clipped, sizes), none, none, outshone_by)

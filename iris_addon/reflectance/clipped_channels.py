@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from ..emission.balance import MAX_ALBEDO
 from ..grouping import group_equal, group_medians
-from ..parallel import filled
 
 STEPS = 3
 """Steps per octave of brightness, and of the balance between channels, by which texels count as alike."""
@@ -39,9 +38,11 @@ def complete_channels(
         part: (T,) part of each texel.
         part_mean: (n_parts, 3) base colour.
     """
-    completed = _like_the_part(value, part_mean[part])
     known = np.isfinite(value)
     code = (known * np.array([1, 2, 4], np.uint8)).sum(1, dtype=np.uint8)
+    clipped = np.flatnonzero(code != ALL)
+    completed = value.astype(np.float32)
+    completed[clipped] = _like_the_part(value[clipped], part_mean[part[clipped]])
     for channels in KNOWN:
         rows = np.flatnonzero(code == sum(1 << c for c in channels))
         lacking = np.zeros(len(part_mean), bool)
@@ -55,16 +56,11 @@ def complete_channels(
     return completed
 
 
-def _like_the_part(value: NDArray[np.floating], colour: NDArray[np.floating]) -> NDArray[np.float32]:
-    """(T, 3) texels completed by the ratio between the channels of ``colour`` (T, 3)."""
-
-    def completed(rows: slice) -> NDArray[np.floating]:
-        known = np.isfinite(value[rows])
-        scale = np.where(known, value[rows], 0.0).sum(1) / np.maximum((colour[rows] * known).sum(1), 1e-4)
-        guess = np.clip(colour[rows] * scale[:, None], 0.0, MAX_ALBEDO)
-        return np.where(known, value[rows], guess)
-
-    return filled(np.empty(value.shape, np.float32), completed)
+def _like_the_part(value: NDArray[np.floating], colour: NDArray[np.floating]) -> NDArray[np.floating]:
+    """(n, 3) texels completed by the ratio between the channels of ``colour`` (n, 3)."""
+    known = np.isfinite(value)
+    scale = np.where(known, value, 0.0).sum(1) / np.maximum((colour * known).sum(1), 1e-4)
+    return np.where(known, value, np.clip(colour * scale[:, None], 0.0, MAX_ALBEDO))
 
 
 def _share_of_like(
