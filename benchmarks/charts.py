@@ -132,8 +132,10 @@ def _speed_panel(axes: Axes, metric: str, methods: Sequence[Points]) -> None:
         )
         for t, (low, high) in zip(method.seconds, method.spread, strict=False):
             axes.plot([t, t], [low, high], color=color, linewidth=2, zorder=2)
-        for t, v, text in zip(method.seconds, method.value, method.labels, strict=False):
-            axes.annotate(text, (t, v), xytext=(-2, 9), textcoords="offset points", ha="right", fontsize=10)
+        for number, (t, v, text) in enumerate(zip(method.seconds, method.value, method.labels, strict=False)):
+            # The first below its point: other methods, nearly as good and as fast, stand above it and to the left.
+            shift = (0, 8) if number else (0, -17)
+            axes.annotate(text, (t, v), xytext=shift, textcoords="offset points", ha="center", fontsize=10)
     if everything:
         seconds, value = (list(column) for column in zip(*everything, strict=True))
         front = pareto_front(seconds, value)
