@@ -33,8 +33,8 @@ SILENT_GAIN, MAX_CLIPPED = 0.01, 8
 tried."""
 GLOWING = 1.25
 """Reflectance it would need from which on such a part emits; below, it is of a light colour."""
-OUTSHONE = 0.9
-"""Share of its pixels that lie beside as bright ones of other things, from which on photos are no proof of a lamp."""
+REFLECTED = 1.0
+"""Reflectance up to which what a lamp's own pixels show may be reflected light."""
 MAX_SIDES = 12
 """A lamp with more sides is round."""
 
@@ -108,7 +108,8 @@ def needed_lamps(
     power = np.array([problem.tracer.areas[f].sum() for f in lights.emitters]) * lights.radiance.mean(1)
     # Mixed pixels at the edge of a real lamp make specks.
     strong = power > NEGLIGIBLE_POWER * (power.sum() + _power_from_outside(problem, lights))
-    certain = (needed >= CERTAIN) & (_outshone(problem, lights.emitters) <= OUTSHONE)
+    # Pixels beside which something else is as bright show nothing: a bar of a frame is no proof of a lamp.
+    certain = (needed >= CERTAIN) & (needed * (1 - _outshone(problem, lights.emitters)) > REFLECTED)
     sure = [lights.emitters[k] for k in np.flatnonzero(strong & certain)]
     lamps = [lights.emitters[k] for k in np.flatnonzero(strong & ~certain)]
     if lamps:
