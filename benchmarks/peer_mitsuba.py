@@ -34,7 +34,7 @@ from iris_addon.surface.parts import initial_parts
 
 from . import machine
 from .mitsuba_scene import ATLAS_SIZE, BASE_COLOR, CLIPPED, ROUGHNESS, SIDES, Problem, load_mitsuba, make_scene
-from .runs import Record, Run, relative, run_isolated, save_record
+from .runs import Record, Run, relative, run_isolated, save_record, standing_record
 
 NAME = "mitsuba-prb"
 SNAPSHOTS = (30, 60, 120, 300, 600, 1200)
@@ -224,6 +224,7 @@ def snapshot_records(capture: Path, folder: Path, limit: float, samples: int, pr
     runs = [snapshot_run(capture, stop, samples) for stop in stops_until(limit)]
     with progress.stage(f"{NAME} on {capture.name}, {limit:.0f} s and scoring"):
         last = folder / f"{runs[-1].key}.json"
+        standing_record(runs[-1], folder)  # removes one of other settings
         error = run_isolated(__name__, last, [relative(capture), "--limit", str(limit), "--samples", str(samples)])
     if error is not None:
         return [{"run": asdict(runs[-1]), "error": error}]

@@ -11,16 +11,16 @@ from iris_addon.capture import load_photo, read_capture
 from iris_addon.capture.types import Capture, View
 from iris_addon.config import preset
 from iris_addon.errors import BadInput
-from iris_addon.imaging import to_codes, write_png
 from iris_addon.json_files import read_json, write_json
 from iris_addon.progress import Progress
+from iris_addon.response.curve import srgb
 from iris_addon.result.edits import SceneEdit
 from iris_addon.result.edits_json import insertion_edits, relight_edit
 from iris_addon.result.types import Result
 from iris_addon.transport.tracer import Tracer
 
 from .outcome import Outcome, summarise
-from .pictures import Developer, FloatArray, photo_exposure
+from .pictures import Developer, FloatArray, photo_exposure, write_picture
 
 CAPTURE = Path(__file__).resolve().parents[1] / "assets" / "demo_room"
 SAMPLES = 48
@@ -43,7 +43,7 @@ def run_demo(out: Path, progress: Progress) -> Outcome:
     with progress.stage("pictures"):
         view = max(capture.views, key=visible_detail)
         shown, rerender = make_pictures(result, capture, view, progress)
-        files = [_write(out / "pictures" / f"{name}.png", image) for name, image in shown.items()]
+        files = [write_picture(out / "pictures" / f"{name}.png", image) for name, image in shown.items()]
     scores = evaluate(result, CAPTURE, progress=progress)
     write_json(out / "evaluation.json", scores)
     gallery = {name.replace("_", " "): shown[name] for name in ("relit", "inserted")}
@@ -65,7 +65,6 @@ def make_pictures(
     from iris_addon.blender.insert import insert_onto_photo
     from iris_addon.blender.render import render_views
     from iris_addon.evaluate.maps import MapRenderer
-    from iris_addon.result.report_pictures import srgb
 
     def rendered(edit: SceneEdit | None) -> FloatArray:
         (radiance,) = render_views(result, [view.camera], edit=edit, samples=SAMPLES)
@@ -125,8 +124,3 @@ def best_seen(edits: Sequence[SceneEdit], views: Sequence[View], tracer: Tracer)
         return area
 
     return max(((edit, view) for edit in edits for view in views), key=lambda pair: seen(*pair))
-
-
-def _write(path: Path, image: FloatArray) -> Path:
-    write_png(path, to_codes(image))
-    return path

@@ -28,6 +28,7 @@ from .reflectance.shading import Shading
 from .reflectance.specular import pixel_lobes, subtract_specular
 from .reflectance.textures import make_textures
 from .response.local_exposure import ALIKE
+from .result.report_pictures import WIDEST
 from .result.types import Emitter, OutsideLight, Result
 from .surface.atlas_texels import Atlas
 from .surface.build import Surface
@@ -163,12 +164,13 @@ def _view_factor(
 def _rerenders(
     capture: Capture, samples: PixelSamples, explained: Callable[[Rows], NDArray[np.float64]]
 ) -> dict[str, NDArray[np.float32]]:
-    """A few photos by name as ``explained``, (H, W, 3)."""
+    """A few photos by name as ``explained``, (H, W, 3), large ones at one of so many rows and columns."""
     pictures = {}
     for index in np.unique(np.linspace(0, len(capture.views) - 1, SHOWN_PHOTOS).astype(int)):
         view = capture.views[index]
         rows = slice(*np.searchsorted(samples.view, [index, index + 1]))
-        pictures[view.name] = as_picture(explained(rows), samples.pixel[rows], view.camera)
+        step = max(1, view.camera.width // WIDEST)
+        pictures[view.name] = as_picture(explained(rows), samples.pixel[rows], view.camera, step)
     return pictures
 
 
@@ -240,5 +242,5 @@ def report_figures(
             "diffuse": {"lobe": problem.diffuse.lobe, "gain_of_burley": round(problem.diffuse.gain, 4)},
             "pixels_per_patch": round(surface.pixels_per_patch, 2),
         },
-        "warnings": [*capture.warnings, *cameras.warnings, *photometry.warnings],
+        "warnings": [*capture.warnings, *cameras.warnings, *photometry.warnings, *lights.warnings],
     }

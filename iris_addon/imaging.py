@@ -127,12 +127,17 @@ def read_image(path: Path) -> NDArray[np.uint8]:
         BadInput: missing, damaged, truncated, too large, or more than 8 bits per channel.
     """
     with _open(path) as image:
-        if image.mode.startswith(("I", "F")):
+        if image.mode.startswith(("I", "F")) or _is_cut_to_8_bits(image):
             raise BadInput("has more than 8 bits per channel", "save it as 8-bit PNG or as linear EXR", path)
         try:
             return np.asarray(image.convert("RGB"))
         except _DECODE_ERRORS as error:
             raise _damaged(path, error) from error
+
+
+def _is_cut_to_8_bits(image: Image.Image) -> bool:
+    """Whether Pillow would drop the lower byte of each channel: it knows 16-bit colour only in the file."""
+    return any("16" in str(tile[3]) for tile in image.tile)
 
 
 def read_map(path: Path) -> NDArray[np.unsignedinteger]:

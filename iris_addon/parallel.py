@@ -53,7 +53,11 @@ if hasattr(os, "register_at_fork"):
 
 
 def over_blocks(
-    n: int, size: int, work: Callable[[slice], None], done: Callable[[float], None] = lambda share: None
+    n: int,
+    size: int,
+    work: Callable[[slice], None],
+    done: Callable[[float], None] = lambda share: None,
+    at_once: int | None = None,
 ) -> None:
     """Call ``work`` on every block of ``range(n)``, on this thread and as many more as there are cores.
 
@@ -62,6 +66,7 @@ def over_blocks(
     Args:
         done: told the share that is done, on the calling thread. What it raises (a cancel) is raised here at once, what
             a block raises as soon as the caller is through with its own; blocks not begun are dropped.
+        at_once: fewer blocks than there are cores, where each takes much memory.
     """
     parts = blocks(n, size)
     left, finished = iter(parts), 0
@@ -84,7 +89,7 @@ def over_blocks(
             stopped.set()
             raise
 
-    helpers = [_helpers().submit(take) for _ in range(min(cores(), len(parts)) - 1)]
+    helpers = [_helpers().submit(take) for _ in range(min(at_once or cores(), cores(), len(parts)) - 1)]
     try:
         take(done)
     finally:
@@ -111,15 +116,18 @@ def over_shares(n: int, work: Callable[[slice], None]) -> None:
 
 
 def over_each(
-    items: Sequence[Item], work: Callable[[Item], Made], done: Callable[[float], None] = lambda share: None
+    items: Sequence[Item],
+    work: Callable[[Item], Made],
+    done: Callable[[float], None] = lambda share: None,
+    at_once: int | None = None,
 ) -> list[Made]:
-    """``work`` of every item, in their order, on all cores; ``done`` as for :func:`over_blocks`."""
+    """``work`` of every item, in their order, on all cores; ``done`` and ``at_once`` as for :func:`over_blocks`."""
     made: dict[int, Made] = {}
 
     def one(part: slice) -> None:
         made[part.start] = work(items[part.start])
 
-    over_blocks(len(items), 1, one, done)
+    over_blocks(len(items), 1, one, done, at_once)
     return [made[index] for index in range(len(items))]
 
 

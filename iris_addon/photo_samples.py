@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .capture import load_photo
+from .capture import load_photo, photos_at_once
 from .capture.types import Capture
 from .errors import BadInput
 from .parallel import over_each
@@ -19,6 +19,8 @@ from .transport.tracer import Tracer
 
 PIXEL_BUDGET = 6_500_000
 """Pixels the solver looks at; beyond, one pixel of every n x n block is taken, another one in every photo."""
+MIDDLE = 0.2
+"""Radiance about which the thresholds of the solver were set: that of photos with exposures around 1."""
 BEYOND_STEP = 7
 """One pixel in so many tells what lies beyond the mesh."""
 
@@ -66,6 +68,14 @@ class PhotoSamples:
     scanned: NDArray[np.bool_]
     outshone_by: NDArray[np.int32]
 
+    @property
+    def unit(self) -> float:
+        """What photos of radiance are divided by, a power of two: what is small must not depend on their unit."""
+        if not self.hdr:
+            return 1.0
+        lit = self.z[self.z > 0]
+        return float(2.0 ** np.round(np.log2(np.median(lit) / MIDDLE))) if len(lit) else 1.0
+
 
 class _Read(NamedTuple):
     """One photo: how many pixels were looked at beyond the mesh, the columns of :class:`BeyondMesh` of those that miss
@@ -99,7 +109,7 @@ def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progres
         columns = np.full(len(missed), index, np.int16), missed, cameras[index].rays(missed)[1], values[missed]
         return _Read(photo.hdr, len(lattice), columns, small_photo(photo.values, photo.valid))
 
-    photos = over_each(range(len(cameras)), read, progress.update)
+    photos = over_each(range(len(cameras)), read, progress.update, photos_at_once(capture.views))
     hdr = hdr or any(photo.hdr for photo in photos)
     if not valid.any():
         raise BadInput(

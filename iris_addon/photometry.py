@@ -151,7 +151,7 @@ class Photometry:
 def measure_photometry(
     capture: Capture, config: SolveConfig, observations: Observations, photos: PhotoSamples, rng: np.random.Generator
 ) -> Photometry:
-    """Response and exposures as the configuration asks for them.
+    """Response and exposures as the configuration asks for them; those of radiance include its unit.
 
     Raises:
         BadInput: the response file cannot be used.
@@ -161,7 +161,8 @@ def measure_photometry(
     n = len(capture.views)
     if photos.hdr:
         factors = np.ones(n) if given is None or config.hdr is not None else given
-        return Photometry(curve.identity(), np.repeat(factors[:, None], 3, 1), np.nan, False, True)
+        exposures = np.repeat(photos.unit * factors[:, None], 3, 1)
+        return Photometry(curve.identity(), exposures, np.nan, False, True)
     fixed = _fixed_response(config)
     fit = fit_overlap(observations, given, n, rng, fixed, config.refinements, photos.small)
     error = 0.0 if given is None else float(np.sqrt(np.mean(np.log2(fit.exposures / given[:, None]) ** 2)))

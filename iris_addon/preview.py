@@ -18,7 +18,8 @@ from .photometry import Photometry
 from .preview_files import KINDS, preview_path
 from .reflectance.materials import MaterialProblem
 from .reflectance.shading import smooth_irradiance
-from .result.report_pictures import ERROR_GAIN, heat, srgb
+from .response.curve import srgb
+from .result.report_pictures import ERROR_GAIN, heat
 from .surface.samples import as_picture
 
 SIDE = 256

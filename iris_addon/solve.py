@@ -139,7 +139,7 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         texels = waited_for(atlas, progress.check)
         made = aside(lambda: make_result(capture, config, texels, problem, photos, photometry, lights, gloss, progress))
         result, rerenders = waited_for(made, progress.check)
-        result = result.with_exposures_times(unit)
+        result = result.with_exposures_times(unit / photos.unit)
     figures = report_figures(
         config, capture, cameras, tracer, surface, transport, photometry, problem, lights, gloss, progress
     )

@@ -58,6 +58,19 @@ def test_few_small_photos_of_a_plain_room_are_no_reason_to_zoom_in(n_views: int,
     assert calibration.correction is None
 
 
+def test_photos_that_share_nothing_do_not_move_the_cameras(painted: tuple[Capture, Tracer]) -> None:
+    """In millimetres no two photos show the same cell of four units, and there is nothing to agree about."""
+    room, _ = painted
+    mesh = replace(room.mesh, vertices=1000 * room.mesh.vertices)
+    poses = [view.camera.c2w * np.array([1, 1, 1, 1000]) for view in room.views]
+    for pose in poses:
+        pose[3, 3] = 1
+    views = [replace(v, camera=replace(v.camera, c2w=pose)) for v, pose in zip(room.views, poses, strict=True)]
+    capture = replace(room, mesh=mesh, views=tuple(views))
+    same, calibration = calibrate(capture, Tracer(mesh), Progress())
+    assert same is capture and calibration.correction is None and calibration.gain == 0
+
+
 def test_a_wrong_focal_length_and_offset_are_found(painted: tuple[Capture, Tracer]) -> None:
     """Cameras given 12 % too long and 4 cm to the left of the true ones come back to within 1.5 % and 3 cm.
 

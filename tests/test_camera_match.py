@@ -37,6 +37,7 @@ def test_the_tables_give_what_response_json_says(tmp_path):
     curve, L = film(), radiance()
     files = write_luts(tmp_path, curve, {"a": EXPOSURE})
     assert [path.name for path in files] == ["camera.cube", "camera_log.cube", "camera_3d.cube", "config.ocio"]
+    assert "Küche_01" in write_luts(tmp_path, curve, {"Küche_01": EXPOSURE})[-1].read_text(encoding="utf-8")
     expected, x = curve.apply(L * EXPOSURE), L * EXPOSURE
 
     kind, size, table = read_cube(tmp_path / "camera.cube")

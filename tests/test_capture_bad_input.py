@@ -46,6 +46,14 @@ def test_missing_photo(layout: str, request: pytest.FixtureRequest) -> None:
     assert "transforms.json" in message and capture.photos[3].stem in message
 
 
+def test_photo_of_another_format(nerfstudio_room: RoomCapture) -> None:
+    photo = nerfstudio_room.photos[2]
+    Image.open(photo).save(photo.with_suffix(".webp"))
+    nerfstudio_room.meta["frames"][2]["file_path"] = f"images/{photo.stem}.webp"
+    message = refused(nerfstudio_room)
+    assert f"{photo.stem}.webp: is no PNG, JPEG or EXR" in message and "save it as one of them" in message
+
+
 def test_photo_size_not_that_of_the_intrinsics(nerfstudio_room: RoomCapture) -> None:
     Image.new("RGB", (64, 48)).save(nerfstudio_room.photos[1])
     message = refused(nerfstudio_room)
@@ -127,6 +135,7 @@ def mirror(pose: np.ndarray) -> None:
         (lambda meta: meta.update(frames=[]), 'no list of "frames"'),
         (lambda meta: meta["frames"][0].pop("file_path"), 'frame 0 has no "file_path"'),
         (lambda meta: meta["frames"][0].update(split="holdout"), "split 'holdout'"),
+        (lambda meta: meta["frames"][0].update(split=["train"]), "split ['train']"),
         (lambda meta: meta["frames"][0].update(exposure_time=-1), "exposure -1"),
         (lambda meta: meta["frames"][0].update(file_path="a" * 5000), "not a usable path"),
         (lambda meta: meta["frames"][0].update(file_path="a\0b"), "not a usable path"),
@@ -218,6 +227,20 @@ def test_poses_in_millimetres(nerfstudio_room: RoomCapture) -> None:
         pose[:3, 3] *= 1000
         frame["transform_matrix"] = pose.tolist()
     assert "poses in millimetres?" in refused(nerfstudio_room)
+
+
+def test_map_coordinates(nerfstudio_room: RoomCapture) -> None:
+    """Single precision has steps of half a metre there."""
+    away = np.array([4.5e5, 5.4e6, 120.0])
+    for frame in nerfstudio_room.meta["frames"]:
+        pose = np.array(frame["transform_matrix"])
+        pose[:3, 3] += away
+        frame["transform_matrix"] = pose.tolist()
+    mesh = nerfstudio_room.mesh
+    trimesh.Trimesh(mesh.vertices + away, mesh.faces, process=False).export(nerfstudio_room.root / "mesh.obj")
+    nerfstudio_room.meta["mesh"] = "mesh.obj"
+    message = refused(nerfstudio_room)
+    assert "mesh.obj: lies" in message and "map coordinates?" in message and "-5400" in message
 
 
 def test_camera_on_a_tripod_and_a_far_backdrop_are_fine(nerfstudio_room: RoomCapture) -> None:

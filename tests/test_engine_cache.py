@@ -97,3 +97,6 @@ def test_the_entries_used_last_are_kept(scene: Scene, folder: Path, monkeypatch:
     scene.transport(seed=2)
     assert first.exists()
     assert len(list(folder.glob("*.npz"))) == 2
+    monkeypatch.setattr(cache, "MAX_BYTES", 1)
+    scene.transport(seed=3)
+    assert len(list(folder.glob("*.npz"))) == 1  # the newest always

@@ -10,7 +10,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from iris_addon.config import Refinements
-from iris_addon.response import curve
+from iris_addon.response import curve, family
 from iris_addon.response.curve import LUMINANCE
 from iris_addon.response.local_exposure import (
     ALIKE,
@@ -23,8 +23,10 @@ from iris_addon.response.local_exposure import (
     shrink,
     small_photo,
 )
+from iris_addon.response.local_search import find_local_exposure
 from iris_addon.response.observations import Observations
 from iris_addon.response.overlap import OverlapFit, fit_overlap
+from iris_addon.response.overlap_problem import OverlapProblem
 from tests.engine_room import observe_off_edges
 
 HEIGHT, WIDTH, N_VIEWS = 72, 96, 16
@@ -140,6 +142,15 @@ def test_both_are_found_together() -> None:
 
 def test_places_exposed_alike_stay_alike() -> None:
     assert fitted(ALIKE).local is None
+
+
+def test_without_held_out_patches_nothing_is_switched_on() -> None:
+    wall, rng = Wall.painted(1), np.random.default_rng(0)
+    photos = wall.photos(LocalSettings(strength=0.5))
+    seen = wall.observations(photos, rng)
+    problem = OverlapProblem.build(seen, np.arange(len(seen.patch)), EXPOSURES, N_VIEWS, False)
+    nothing = problem.restrict(np.zeros(problem.n_patches, bool))
+    assert find_local_exposure(problem, nothing, small(photos), [family.PRIOR_MEAN], forced=False) is None
 
 
 def test_undoing_a_tone_mapping_gives_the_curve_back() -> None:

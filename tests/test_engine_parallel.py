@@ -11,7 +11,8 @@ from subprocess import run
 import numpy as np
 import pytest
 
-from iris_addon.parallel import aside, blocks, over_blocks, over_random_blocks, over_shares, waited_for
+from iris_addon.capture import Camera, View, photos_at_once
+from iris_addon.parallel import aside, blocks, over_blocks, over_each, over_random_blocks, over_shares, waited_for
 from iris_addon.progress import Cancelled
 from iris_addon.surface.patches import Slots, number_of
 
@@ -30,6 +31,13 @@ def test_blocks_cover_everything_once(n: int, size: int) -> None:
     assert (covered == 1).all()
     assert shares == sorted(shares) and (n > 0) <= len(shares) <= len(blocks(n, size)) + 1
     assert not shares or shares[-1] == 1
+
+
+def test_what_takes_much_memory_is_done_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("iris_addon.parallel.cores", lambda: 3)
+    assert set(over_each(range(6), lambda _: threading.get_ident(), at_once=1)) == {threading.get_ident()}
+    camera = Camera(6000, 4000, 5000.0, 5000.0, 3000.0, 2000.0, np.eye(4))
+    assert photos_at_once([View("large", camera, None)]) == 2 and photos_at_once([]) > 1000
 
 
 def test_shares_cover_everything_once_in_no_more_blocks_than_cores(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -393,7 +393,9 @@ def test_curves_are_read_from_files(tmp_path: Path, kind: str, rows: int) -> Non
 
 
 @pytest.mark.parametrize(
-    "content", ["", "not numbers", "1 2 3 4\n5 6 7 8", "0.0\nnan\n1.0", "0\n1\n0.5", "1\n1\n1"], ids=repr
+    "content",
+    ["", "not numbers", "1 2 3 4\n5 6 7 8", "0.0\nnan\n1.0", "0\n1\n0.5", "1\n1\n1", "0 0 0\n1 0 1"],
+    ids=repr,
 )
 def test_a_bad_curve_is_refused_by_name(tmp_path: Path, content: str) -> None:
     path = tmp_path / "curve.txt"

@@ -57,6 +57,20 @@ def test_a_model_is_split_at_its_folds_and_a_scan_at_its_colours(roughness: floa
         assert _purity(parts, light) < 0.6
 
 
+def test_a_scan_is_split_within_the_pages_of_its_texture():
+    mesh = _sheet(0.0015)
+    center = mesh.vertices[mesh.faces].mean(1)
+    page, light = (center[:, 0] > 0.25).astype(np.int32), center[:, 1] > 0.5
+    paged = Mesh(mesh.vertices, mesh.faces, parts=page)
+    samples, z = _seen(mesh)
+    parts, scanned = split_parts(paged, edge_adjacency(mesh), Tracer(mesh).normals, samples, z)
+    assert scanned.all() and _purity(parts, light) > 0.97 and _purity(parts, page == 1) == 1
+    flat = _sheet(0.0)
+    modelled = Mesh(flat.vertices, flat.faces, parts=page)
+    parts, scanned = split_parts(modelled, edge_adjacency(flat), Tracer(flat).normals, *_seen(flat))
+    assert not scanned.any() and np.array_equal(parts, page)
+
+
 def _purity(parts: NDArray[np.integer], side: NDArray[np.bool_]) -> float:
     """Share of the faces that lie on the side on which most of their part does."""
     return float(np.maximum(np.bincount(parts, side), np.bincount(parts, ~side)).sum() / len(parts))

@@ -13,12 +13,11 @@ from iris_addon.capture.types import Camera, Capture
 from iris_addon.config import SolveConfig, preset
 from iris_addon.emission.balance import MAX_ALBEDO
 from iris_addon.errors import BadInput, Cancelled
-from iris_addon.imaging import read_image, write_png
+from iris_addon.imaging import read_image, write_exr, write_png
 from iris_addon.preview_files import KINDS, preview_path
 from iris_addon.progress import Progress, ProgressEvent
-from iris_addon.response.curve import gamma
+from iris_addon.response.curve import gamma, srgb
 from iris_addon.result.io import load_result
-from iris_addon.result.report_pictures import srgb
 from iris_addon.result.types import Result
 from iris_addon.solve import solve
 from iris_addon.surface.atlas_texels import rasterise_atlas
@@ -145,6 +144,26 @@ def test_the_unit_of_the_exposures_is_that_of_the_light(shoot: Shoot, reference:
         assert unit * ours.radiance == pytest.approx(theirs.radiance, rel=1e-3)
     for name, exposure in plain.exposures.items():
         assert result.exposures[name] == pytest.approx(unit * exposure, rel=1e-6)
+
+
+def test_the_unit_of_radiance_is_anybodys(shoot: Shoot) -> None:
+    """Photos of radiance 2²⁰ times less: the same materials to the bit, the same lamps 2²⁰ times dimmer."""
+    capture, unit = shoot.capture(), 2.0**-20
+    pixels = shoot.radiance.reshape(len(capture.views), 36, 48, 3).astype(np.float32)
+
+    def solved(scale: float) -> Result:
+        folder = shoot.folder / f"radiance-{scale:g}"
+        views = [replace(v, photo=folder / f"{v.name}.exr", exposure=None) for v in capture.views]
+        for view, values in zip(views, pixels, strict=True):
+            write_exr(view.photo, np.float32(scale) * values)
+        return solve(replace(capture, views=tuple(views)), FAST, folder / "result")
+
+    plain, dim = solved(1.0), solved(unit)
+    assert len(plain.emitters) == len(dim.emitters) > 0
+    for ours, theirs in zip(dim.emitters, plain.emitters, strict=True):
+        assert np.array_equal(ours.radiance, unit * theirs.radiance)
+    assert np.array_equal(dim.textures.base_color, plain.textures.base_color)
+    assert all((exposure == 1).all() for exposure in dim.exposures.values())
 
 
 @pytest.mark.parametrize("value", [0, 255])

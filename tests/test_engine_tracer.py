@@ -7,7 +7,7 @@ import pytest
 
 from iris_addon.capture.types import Mesh
 from iris_addon.transport.tracer import Tracer, points_on_faces
-from tests.engine_room import assemble, quad
+from tests.engine_room import assemble, furnished_room, quad
 
 
 def triangle_soup(n: int, rng: np.random.Generator) -> Mesh:
@@ -102,6 +102,15 @@ def test_visibility_is_symmetric_and_blocked_by_what_lies_between() -> None:
     clear = np.abs(halfway - 0.5) > 1e-4
     assert (forth == back)[clear].all()
     assert (forth == (halfway > 0.5))[clear].all()
+
+
+def test_a_far_backdrop_does_not_make_the_room_coarse() -> None:
+    """A triangle a kilometre away leaves the origins of rays at tenths of millimetres from their surfaces."""
+    room = furnished_room().mesh
+    far = np.array([[-1e3, 1e3, -1e3], [1e3, 1e3, -1e3], [0, 1e3, 1e3]])
+    n = len(room.vertices)
+    both = Mesh(np.vstack([room.vertices, far]), np.vstack([room.faces, [[n, n + 1, n + 2]]]))
+    assert 2e-5 < Tracer(room).epsilon < Tracer(both).epsilon < 5 * Tracer(room).epsilon
 
 
 def test_a_shade_that_nearly_touches_its_lamp_hides_it() -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +71,16 @@ def test_16_bit_photo_is_refused_rather_than_clipped(tmp_path: Path) -> None:
     imaging.write_png(tmp_path / "m.png", np.full((4, 4), 40_000, np.uint16))
     with pytest.raises(BadInput, match=r"m\.png: has more than 8 bits"):
         imaging.read_image(tmp_path / "m.png")
+    row = b"\0" + bytes(4 * 3 * 2)  # no filter, then four pixels of three channels of two bytes
+    chunks = [
+        (b"IHDR", struct.pack(">IIBBBBB", 4, 2, 16, 2, 0, 0, 0)),
+        (b"IDAT", zlib.compress(2 * row)),
+        (b"IEND", b""),
+    ]
+    packed = [struct.pack(">I", len(c)) + name + c + struct.pack(">I", zlib.crc32(name + c)) for name, c in chunks]
+    (tmp_path / "rgb.png").write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(packed))
+    with pytest.raises(BadInput, match=r"rgb\.png: has more than 8 bits"):
+        imaging.read_image(tmp_path / "rgb.png")
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".exr"])

@@ -9,8 +9,10 @@ import pytest
 from iris_addon.capture import load_photo, read_capture
 from iris_addon.capture.types import Capture
 from iris_addon.imaging import read_image, write_exr
+from iris_addon.response.curve import srgb
+from iris_addon.result import report_html
 from iris_addon.result.report_html import write_report
-from iris_addon.result.report_pictures import heat, srgb
+from iris_addon.result.report_pictures import heat
 from iris_addon.result.types import Result
 from tests.result_room import room
 
@@ -59,6 +61,19 @@ def test_page_stands_alone_and_shows_each_picture(solved, tmp_path):
     assert len(page.sources) == 1 + 3 + 5
     assert all((tmp_path / source).is_file() for source in page.sources)
     assert "31.25 dB" in page.text and "a lamp is guessed" in page.text
+
+
+def test_large_pictures_are_shrunk(solved, tmp_path, monkeypatch):
+    result, capture = solved
+    view = capture.views[0]
+    photo = load_photo(view).values
+    monkeypatch.setattr(report_html, "WIDEST", photo.shape[1] // 2)
+    write_report(result, capture, tmp_path, {view.name: photo[::2, ::2]})
+    pictures = {path.name: read_image(path) for path in (tmp_path / "report").glob("*.png")}
+    assert len(pictures) == 8 and {p.shape for p in pictures.values()} == {
+        (photo.shape[0] // 2, photo.shape[1] // 2, 3)
+    }
+    assert pictures[f"{view.name}-photo.png"].mean() == pytest.approx(255 * photo.mean(), rel=0.05)
 
 
 def test_error_of_a_perfect_render_is_black_and_of_a_wrong_one_is_not(solved, tmp_path):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 from scipy.optimize import minimize
 
-from ..capture import load_photo
+from ..capture import load_photo, photos_at_once
 from ..capture.correction import CameraCorrection
 from ..capture.types import Camera, Capture, View
 from ..grouping import group_equal, group_means
@@ -33,6 +33,8 @@ GAIN_NEEDED = 0.05
 """Relative fall of the disagreement on pixels that were not fitted."""
 CELL = 0.04
 """Metres; about the footprint of the filtered pixels."""
+MIN_SHARED = 1000
+"""Sightings of cells that two photos show; fewer say nothing of five numbers."""
 ROBUST_LOG = 0.2
 FLOOR = 0.05
 """Display value added before the logarithm: shadows are noise."""
@@ -93,7 +95,7 @@ def calibrate(capture: Capture, tracer: Tracer, progress: Progress) -> tuple[Cap
     found = over_each(FOCAL_TRIALS, lambda focal: disagreement(np.array([np.log(focal), 0, 0, 0, 0])), progress.update)
     trials = dict(zip(FOCAL_TRIALS, found, strict=True))
     best = min(trials, key=lambda focal: trials[focal])
-    if trials[best] > PROMISING * trials[1.0]:
+    if not np.isfinite(trials[1.0]) or trials[best] > PROMISING * trials[1.0]:
         return capture, Calibration(None, 0.0)
     start[0] = np.log(best)
     simplex = start + np.concatenate([np.zeros((1, 5)), np.diag(STEP)])
@@ -101,7 +103,7 @@ def calibrate(capture: Capture, tracer: Tracer, progress: Progress) -> tuple[Cap
     found = correction(minimize(watched, start, method="Nelder-Mead", options=options).x)
     tested = _Lattice.of(capture.views, 0.75, progress)
     before, after = (tested.disagreement(capture.views, c, tracer) for c in (CameraCorrection(float(field[0])), found))
-    gain = 1 - after / max(before, 1e-9)
+    gain = 1 - after / max(before, 1e-9) if np.isfinite([before, after]).all() else 0.0
     if gain < GAIN_NEEDED:
         return capture, Calibration(None, gain)
     return replace(capture, views=tuple(found.view(view) for view in capture.views)), Calibration(found, gain)
@@ -132,7 +134,8 @@ class _Lattice:
             smooth = uniform_filter(values, max(1, height // side))
             brightness[index] = np.log(smooth[(j * height).astype(int), (i * width).astype(int)] + FLOOR)
 
-        over_each(range(len(views)), read, lambda share: progress.update(0.5 * share))
+        at_once = photos_at_once(views)
+        over_each(range(len(views)), read, lambda share: progress.update(0.5 * share), at_once)
         return _Lattice(i, j, brightness)
 
     def disagreement(self, views: Sequence[View], correction: CameraCorrection, tracer: Tracer) -> float:
@@ -167,12 +170,13 @@ def _cells(
 
 def _spread(cell: NDArray[np.int64], photo: NDArray[np.int64], value: NDArray[np.floating], n_photos: int) -> float:
     """Cauchy loss of what photos show of the same cell around one mean per cell, with one gain per photo; relative to
-    the loss around one mean of all, or else cameras that see less of the room would seem to agree better."""
+    the loss around one mean of all, or else cameras that see less of the room would seem to agree better.
+    Infinite where photos share too little."""
     seen = group_equal(cell * n_photos + photo)
     value = group_means(value[:, None], seen.group, len(seen.keys))[:, 0]
     photo, cells = seen.keys % n_photos, group_equal(seen.keys // n_photos)
     shared = cells.count[cells.group] >= 2
-    if not shared.any():
+    if np.count_nonzero(shared) < MIN_SHARED:
         return np.inf
     value, photo = value[shared], photo[shared]
     cell = np.cumsum(cells.count >= 2)[cells.group[shared]] - 1

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from ..capture import load_photo
+from ..capture import load_photo, photos_at_once
 from ..capture.alignment import shrink
 from ..capture.correction import PoseCorrections
 from ..capture.rigid import rigid, twist
@@ -127,7 +127,7 @@ def _brightness(views: Sequence[View], progress: Progress) -> list[NDArray[np.fl
         usable = photo.valid & (photo.hdr | (photo.values.max(-1) < CLIPPED))
         return _shrunk(np.stack([np.log(brightness + FLOOR), usable], -1), WIDTHS[-1])
 
-    return over_each(views, read, lambda _share: progress.update(0.0))
+    return over_each(views, read, lambda _share: progress.update(0.0), photos_at_once(views))
 
 
 def _shrunk(image: NDArray[np.floating], width: int) -> NDArray[np.floating]:

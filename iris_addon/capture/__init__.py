@@ -11,12 +11,23 @@ from typing import TYPE_CHECKING, Any
 from .types import Camera, Capture, Distortion, Mesh, Photo, View
 
 if TYPE_CHECKING:
-    from .photos import load_photo
+    from .photos import load_photo, photos_at_once
     from .reader import read_capture, read_views
 
-__all__ = ["Camera", "Capture", "Distortion", "Mesh", "Photo", "View", "load_photo", "read_capture", "read_views"]
+__all__ = [
+    "Camera",
+    "Capture",
+    "Distortion",
+    "Mesh",
+    "Photo",
+    "View",
+    "load_photo",
+    "photos_at_once",
+    "read_capture",
+    "read_views",
+]
 
-_LAZY = {"load_photo": ".photos", "read_capture": ".reader", "read_views": ".reader"}
+_LAZY = {"load_photo": ".photos", "photos_at_once": ".photos", "read_capture": ".reader", "read_views": ".reader"}
 
 
 def __getattr__(name: str) -> Any:

@@ -16,6 +16,8 @@ from .types import FloatArray, Mesh, View
 GRID = 16
 SEES_LITTLE = 0.05
 UNIT_MISMATCH = 100.0
+FAR_AWAY = 50.0
+"""Times its own size from the origin; rays are traced in single precision, whose steps are then felt."""
 
 
 def check_photos(views: Sequence[View]) -> None:
@@ -33,12 +35,13 @@ def check_photos(views: Sequence[View]) -> None:
 
 
 def check_units(views: Sequence[View], mesh: Mesh, path: Path) -> None:
-    """Raise BadInput when the mesh ``path`` and the poses cannot be in one unit.
+    """Raise BadInput when the mesh ``path`` and the poses cannot be in one unit, or lie too far from the origin.
 
     The size of the mesh is the median distance of its vertices from their median: one far backdrop must not count.
     Cameras that only turn on the spot tell nothing about the unit, so a path below half a metre counts as half a metre.
     """
-    extent = float(np.median(np.linalg.norm(mesh.vertices - np.median(mesh.vertices, axis=0), axis=1)))
+    center = np.median(mesh.vertices, axis=0)
+    extent = float(np.median(np.linalg.norm(mesh.vertices - center, axis=1)))
     positions = np.array([view.camera.position for view in views])
     spread = float(np.linalg.norm(np.ptp(positions, axis=0)))
     ratio = extent / max(spread, 0.5)
@@ -52,6 +55,19 @@ def check_units(views: Sequence[View], mesh: Mesh, path: Path) -> None:
         raise BadInput(
             f"is {spread / max(extent, 1e-9):.0f} times smaller than the path of the cameras: poses in millimetres?",
             "bring mesh and poses to metres",
+            path,
+        )
+    _check_origin(center, np.median(positions, axis=0), extent, path)
+
+
+def _check_origin(center: FloatArray, camera: FloatArray, extent: float, path: Path) -> None:
+    distance = float(min(np.linalg.norm(center), np.linalg.norm(camera)))
+    times = distance / max(extent, 1e-9)
+    if times > FAR_AWAY:
+        shift = ", ".join(f"{-round(value):d}" for value in center.tolist())
+        raise BadInput(
+            f"lies {distance:.3g} from the origin, {times:.0f} times its own size: map coordinates?",
+            f"move mesh and poses together to the origin, by ({shift})",
             path,
         )
 

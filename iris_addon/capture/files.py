@@ -59,7 +59,11 @@ def inside(root: Path, named: str, source: Path) -> Path:
 
 
 def find_image(root: Path, named: str, source: Path) -> Path | None:
-    """The image called ``named`` with or without its extension, or None when there is none; raises BadInput."""
+    """The image called ``named`` with or without its extension, or None when there is none.
+
+    Raises:
+        BadInput: it is outside ``root``, or of a format that is not read.
+    """
     path = inside(root, named, source)
     if path.suffix.lower() in IMAGE_SUFFIXES:
         return path if path.is_file() else None
@@ -68,6 +72,8 @@ def find_image(root: Path, named: str, source: Path) -> Path | None:
             with_suffix = path.with_name(path.name + candidate)
             if with_suffix.is_file():
                 return inside(root, str(with_suffix.relative_to(root)), source)
+    if path.suffix and path.is_file():
+        raise BadInput("is no PNG, JPEG or EXR", "save it as one of them", path)
     return None
 
 

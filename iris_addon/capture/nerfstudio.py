@@ -131,7 +131,7 @@ def _split_lists(meta: Mapping[str, Any], source: Path) -> dict[str, Split] | No
 
 def _split(frame: Mapping[str, Any], name: str, lists: Mapping[str, Split] | None, source: Path) -> Split | None:
     if "split" in frame:
-        if frame["split"] not in _SPLITS:
+        if not isinstance(frame["split"], str) or frame["split"] not in _SPLITS:
             raise BadInput(f"{name}: split {frame['split']!r}", "use train, val or test", source)
         return _SPLITS[frame["split"]]
     return "train" if lists is None else lists.get(str(frame["file_path"]))

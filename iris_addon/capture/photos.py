@@ -8,6 +8,8 @@ nerfstudio.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
@@ -15,6 +17,15 @@ from scipy.ndimage import map_coordinates
 from ..errors import BadInput
 from ..imaging import HDR_SUFFIXES, read_exr, read_image
 from .types import Camera, Distortion, FloatArray, Photo, View
+
+PIXELS_AT_ONCE = 50_000_000
+"""Of all photos that are decoded at one time; to undo a lens takes some 125 bytes for each."""
+
+
+def photos_at_once(views: Sequence[View]) -> int:
+    """How many photos of ``views`` may be decoded at one time, at least 1."""
+    largest = max((view.camera.width * view.camera.height for view in views), default=1)
+    return max(1, PIXELS_AT_ONCE // largest)
 
 
 def load_photo(view: View) -> Photo:

@@ -48,6 +48,13 @@ class Lights:
     part_albedo: dict[int, NDArray[np.float64]] = field(default_factory=dict)
     held_out: float = np.inf
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should know."""
+        if self.emitters or self.hidden_radiance.any():
+            return ()
+        return ("no light was found, so the room renders black: add photos that show a lamp or a window",)
+
     def arrays(self) -> dict[str, NDArray]:
         """Plain arrays for a checkpoint."""
         names = ("radiance", "hidden_radiance", "log_std", "form_factors", "mask", "irradiance", "patch_radiance")

@@ -3,7 +3,7 @@
 A wide lobe meets a small lamp with one ray in hundreds, which then stands for all of its light: a matte wall and a
 varnished one look alike in such noise. Rays aimed at the lamps always know of them, and are in turn useless for sharp
 lobes. Both are weighted by the balance heuristic (Veach 1997, eq. 9.8), as light at patches is
-(:mod:`iris_addon.transport.gather`).
+(:mod:`iris_addon.transport.form_factors`).
 """
 
 from __future__ import annotations

@@ -76,6 +76,12 @@ def _at(rows: NDArray[np.float64], x: NDArray[np.floating]) -> NDArray[np.float6
     return left + position * (flat.take(index, mode="clip") - left)
 
 
+def srgb(linear: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Display values in [0, 1] of scene-linear colours by the sRGB transfer curve (IEC 61966-2-1)."""
+    x = np.clip(linear, 0.0, 1.0)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+
 def identity() -> Response:
     """The response of HDR input."""
     return Response(np.tile(np.linspace(0.0, 1.0, N_SAMPLES), (3, 1)), "identity")

@@ -49,6 +49,8 @@ def find_local_exposure(
     """
     search = _Search(training, testing, small)
     fit = _Fit(ALIKE, knots, testing.disagreement(knots))
+    if not np.isfinite(fit.error):  # no patch was held out: nothing could be borne out
+        return None
     untried = list(A_LITTLE)
     while untried:
         ends = {name: search.along((name,), fit, forced) for name in untried}

@@ -58,7 +58,7 @@ def write_luts(folder: Path, response: Response, exposures: Mapping[str, NDArray
         "config.ocio": ocio_config(exposures),
     }
     for name, text in files.items():
-        atomic_write(folder / name, lambda path, text=text: path.write_text(text, encoding="ascii"))
+        atomic_write(folder / name, lambda path, text=text: path.write_text(text, encoding="utf-8"))
     return [folder / name for name in files]
 
 

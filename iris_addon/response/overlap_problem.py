@@ -266,6 +266,11 @@ class OverlapProblem:
         return np.concatenate([data, *each])
 
     def disagreement(self, knots: list[NDArray[np.float64]]) -> float:
-        """Median absolute residual of unclipped observations, display values, each as the robust loss takes it."""
+        """Median absolute residual of unclipped observations, display values, each as the robust loss takes it.
+
+        NaN where all are clipped or there is none.
+        """
+        if self.clipped.all():
+            return np.nan
         mismatch = self.residual(np.concatenate(knots), len(knots))[: self.z.size].reshape(-1, 3) / self.weight[:, None]
         return float(np.median(np.abs(mismatch[~self.clipped])) * ROBUST_SCALE)

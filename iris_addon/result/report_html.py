@@ -14,10 +14,12 @@ import numpy as np
 
 from ..atomic_files import atomic_write
 from ..capture import load_photo
-from ..capture.types import Capture, View
+from ..capture.alignment import shrink, small_camera
+from ..capture.types import Camera, Capture, View
 from ..evaluate.maps import MapRenderer, ViewMaps
 from ..evaluate.metrics import grey_exposure
-from .report_pictures import ERROR_GAIN, FloatArray, Pictures, heat, srgb
+from ..response.curve import srgb
+from .report_pictures import ERROR_GAIN, WIDEST, FloatArray, Pictures, heat
 from .report_style import CSS
 from .types import Result
 
@@ -35,8 +37,9 @@ def write_report(
     """Write ``folder/report.html`` and its pictures.
 
     Args:
-        pictures: re-renders by view name, (H, W, 3), training or held-out views: display values in [0, 1], radiance
-            where the photo is radiance. Without any, maps are shown for a few training views.
+        pictures: re-renders by view name, (H, W, 3) of about the photo's shape, training or held-out views: display
+            values in [0, 1], radiance where the photo is radiance. Without any, maps are shown for a few training
+            views.
         gallery: further pictures by caption (relit, inserted), (H, W, 3) display values.
 
     Returns:
@@ -50,7 +53,7 @@ def write_report(
     shown = shown[:MAX_VIEWS]
     saver = Pictures(folder / "report")
     renderer = MapRenderer(result)
-    maps = {view.name: renderer.maps(view.camera) for view in shown}
+    maps = {view.name: renderer.maps(small_camera(view.camera, WIDEST)) for view in shown}
     sections = [
         _summary(result, capture),
         _gallery(saver, gallery or {}),
@@ -95,12 +98,13 @@ def _photos(saver: Pictures, shown: Sequence[View], pictures: Mapping[str, Float
         if view.photo is None or view.name not in pictures:
             continue
         photo = load_photo(view)
-        theirs, ours = photo.values, pictures[view.name]
+        valid = np.repeat(photo.valid[..., None].astype(np.float32), 3, -1)
+        theirs, ours, valid = (_shown(image, view.camera) for image in (photo.values, pictures[view.name], valid))
         if photo.hdr:  # radiance is looked at with its median at middle grey
-            exposure = grey_exposure(theirs[photo.valid])
+            exposure = grey_exposure(photo.values[photo.valid])
             theirs, ours = srgb(theirs * exposure), srgb(ours * exposure)
         theirs, ours = np.clip(theirs, 0.0, 1.0), np.clip(ours, 0.0, 1.0)
-        error = np.abs(ours - theirs).mean(-1) * photo.valid
+        error = (np.abs(ours - theirs) * valid).mean(-1)
         kind = "held out" if view.split == "val" else "used"
         rows.append(
             '<div class="triple">'
@@ -110,6 +114,13 @@ def _photos(saver: Pictures, shown: Sequence[View], pictures: Mapping[str, Float
             + "</div>"
         )
     return f"<section><h2>Photo, re-render, error</h2>{''.join(rows)}</section>" if rows else ""
+
+
+def _shown(image: FloatArray, camera: Camera) -> FloatArray:
+    """``image`` (H, W, 3) of the view of ``camera`` at the size it has on the page."""
+    small = small_camera(camera, WIDEST)
+    same = image.shape[:2] == (small.height, small.width)
+    return image if same else shrink(image, small.height, small.width)
 
 
 def _maps(saver: Pictures, shown: Sequence[View], maps: Mapping[str, ViewMaps]) -> str:

@@ -12,6 +12,8 @@ from ..imaging import to_codes, write_png
 from ..parallel import over_each
 
 FloatArray = NDArray[np.floating]
+WIDEST = 1280
+"""Pixels in a row of a picture of the report; larger ones are shrunk."""
 ERROR_GAIN = 4.0
 """By which differences of display values are shown."""
 
@@ -38,12 +40,6 @@ class Pictures:
     def save(self) -> None:
         """Write all pictures."""
         over_each(list(self._codes), lambda stem: write_png(self._folder / f"{stem}.png", self._codes[stem]))
-
-
-def srgb(linear: FloatArray) -> FloatArray:
-    """Display values of scene-linear colours by the sRGB transfer curve (IEC 61966-2-1)."""
-    x = np.clip(linear, 0.0, 1.0)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
 
 def heat(values: FloatArray) -> FloatArray:

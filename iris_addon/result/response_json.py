@@ -59,6 +59,16 @@ def read_response(folder: Path) -> tuple[Response, dict[str, NDArray[np.float64]
     return response, exposures, _read_local(local, path)
 
 
+def exposure_of(photo: str, exposures: Mapping[str, NDArray[np.floating]]) -> NDArray[np.floating]:
+    """(3,) exposure × white balance of ``photo``, or the median of the photos where it is none of them."""
+    return exposures[photo] if photo in exposures else median_exposure(exposures)
+
+
+def median_exposure(exposures: Mapping[str, NDArray[np.floating]]) -> NDArray[np.float64]:
+    """(3,) exposure × white balance that is typical of the photos; 1 where none is known."""
+    return np.median(np.stack(list(exposures.values())), axis=0) if exposures else np.ones(3)
+
+
 def _read_local(content: Mapping[str, Any], path: Path) -> LocalSettings:
     """Settings of local exposure; those that are missing are none."""
     settings = {**asdict(ALIKE), **content}

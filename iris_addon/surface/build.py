@@ -25,7 +25,7 @@ class Surface:
         grid: surface point to patch.
         sample_patch: (n,) int32 patch of every pixel sample.
         position, normal: (P, 3) float32 mean over the patch's pixels; the normal has unit length.
-        footprint: (P,) float32 metres, median pixel footprint.
+        footprint: (P,) float32 metres, that of one of its pixels.
         part: (P,) int32.
         count: (P,) int64 pixels.
         origins: points on each patch from which rays start.

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..capture.types import Mesh
 from ..grouping import group_means
-from .parts import initial_parts, pieces_between_edges, smooth_edges
+from .parts import component_labels, pieces_between_edges, smooth_edges
 from .samples import PixelSamples
 
 SCAN_FACES = 20_000
@@ -41,15 +41,15 @@ def split_parts(
 ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
     """(F,) part per face: the capture's own, else components, the large ones split; and which faces were scanned.
 
+    The capture's own parts of a scan may be no more than pages of its texture: they are split by colour as well.
+
     Args:
         normals: (F, 3) unit.
         z: (n, 3) display values of the pixels.
     """
-    parts = initial_parts(mesh, adjacency)
-    if mesh.parts is not None:
-        return parts, np.zeros(len(parts), bool)
-    scanned = scanned_faces(parts, adjacency, normals, samples)
-    parts = split_creases(parts, adjacency, normals, samples, scanned)
+    components = component_labels(len(mesh.faces), *adjacency)
+    scanned = scanned_faces(components, adjacency, normals, samples)
+    parts = mesh.parts if mesh.parts is not None else split_creases(components, adjacency, normals, samples, scanned)
     return split_scan(parts, adjacency, normals, samples, z, scanned) if scanned.any() else parts, scanned
 
 
@@ -102,7 +102,7 @@ def split_scan(
     seen = samples.seen_faces(n_faces)
     colour = np.log(group_means(z, samples.face, n_faces) + 0.03)
     a, b = adjacency
-    inside = scanned[a] & scanned[b]
+    inside = scanned[a] & scanned[b] & (parts[a] == parts[b])
     a, b = a[inside], b[inside]
     step = np.abs(colour[a] - colour[b]).max(1) + 0.3 * (1 - np.abs((normals[a] * normals[b]).sum(1)))
     step[~(seen[a] & seen[b])] = UNSEEN_STEP

@@ -23,7 +23,7 @@ from .tracer import Tracer
 from .transport import Transport, build_transport
 
 FORMAT = 4
-MAX_ENTRIES = 6
+MAX_ENTRIES, MAX_BYTES = 6, 4 << 30
 ABANDONED_SECONDS = 3600
 
 
@@ -72,7 +72,9 @@ def _prune(folder: Path) -> None:
     """Keep the entries used last; remove what processes that were killed had begun to write."""
     entries = sorted(folder.glob("transport-*.npz"), key=lambda path: path.stat().st_mtime, reverse=True)
     begun = [path for path in folder.glob(".transport-*.npz") if time.time() - path.stat().st_mtime > ABANDONED_SECONDS]
-    for path in entries[MAX_ENTRIES:] + begun:
+    total = np.cumsum([path.stat().st_size for path in entries])
+    old = [path for k, path in enumerate(entries) if k >= MAX_ENTRIES or (k and total[k] > MAX_BYTES)]
+    for path in old + begun:
         path.unlink(missing_ok=True)
 
 

@@ -17,14 +17,6 @@ from ..progress import Progress
 from .sampling import cosine_direction, grazing, r2_sequence, vector
 from .tracer import Tracer
 
-POINT_SETS = 1024
-"""Sets of points on an emitter, of which every patch takes one at random. Drawing points anew for each patch costs as
-much as its rays; of patches near each other, over which noise is averaged, hardly two share a set."""
-
-
-MIN_COSINE = 1e-4
-"""At either end of a ray to a point on a light source."""
-
 
 @dataclass(frozen=True)
 class Origins:

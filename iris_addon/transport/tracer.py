@@ -60,8 +60,7 @@ class Tracer:
         self.normals = np.where(length[:, None] > 2 * DEGENERATE_AREA, unit, 0.0).astype(np.float32)
         self._kept = np.flatnonzero(self.areas > DEGENERATE_AREA).astype(np.int32)
         self.corners = corners
-        extent = np.ptp(corners[self._kept].reshape(-1, 3), axis=0)
-        self.epsilon = 2e-5 * float(np.linalg.norm(extent))
+        self.epsilon = 2e-5 * _size(corners[self._kept])
         self.rays_traced = 0
         self._scene = EmbreeScene()
         self._geometry = TriangleMesh(self._scene, corners[self._kept].astype(np.float32))
@@ -128,6 +127,13 @@ class Tracer:
         with self._counting:
             self.rays_traced += len(o)
         over_blocks(len(o), CHUNK, lambda part: trace(part, o[part], d[part]))
+
+
+def _size(corners: NDArray[np.floating]) -> float:
+    """Metres across triangles (F, 3, 3), or four times what most of them fill: a far backdrop is not the room."""
+    most = np.percentile(corners[:, 0], (1, 99), axis=0)
+    whole = np.ptp(corners.reshape(-1, 3), axis=0)
+    return min(float(np.linalg.norm(whole)), 4 * float(np.linalg.norm(most[1] - most[0])))
 
 
 def points_on_faces(
