@@ -112,10 +112,18 @@ def _run(job: Job, line: Line, progress: Progress) -> None:
         line.status, line.error = "failed", str(error)
     except Exception as error:  # whatever it is, the other jobs must not suffer for it
         line.status, line.error = "failed", f"{type(error).__name__}: {error}"
-        job.out.mkdir(parents=True, exist_ok=True)
-        (job.out / "traceback.txt").write_text(traceback.format_exc(), encoding="utf-8")
+        _keep_traceback(job.out / "traceback.txt", line)
     finally:
         line.wall_seconds = round(time.monotonic() - begin, 2)
+
+
+def _keep_traceback(path: Path, line: Line) -> None:
+    """Write the error that is handled to ``path``; on a full disk the summary says that there is none."""
+    text = traceback.format_exc()
+    try:
+        atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    except IrisError as unwritten:
+        line.error += f"; {unwritten}"
 
 
 def solve_job(job: Job, progress: Progress) -> Result:

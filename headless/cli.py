@@ -63,8 +63,7 @@ def main(argv: list[str]) -> int:
     except Exception as error:
         if args.debug:
             traceback.print_exc()
-        what = f"{type(error).__name__}: {' '.join(str(error).split()) or 'no message'}"
-        return _fail(IrisError(what, "run again with --debug and report what it prints"), lines)
+        return _fail(_unforeseen(error), lines)
     if lines:
         from iris_addon.json_files import plain
 
@@ -72,6 +71,15 @@ def main(argv: list[str]) -> int:
     else:
         print(outcome.text, flush=True)
     return outcome.exit_code
+
+
+def _unforeseen(error: Exception) -> IrisError:
+    """What to tell of an error that no room has put into words: the file it is about, or else how to report it."""
+    if isinstance(error, OSError) and error.filename is not None:
+        fix = "check the path, its permissions and the space on the disk"
+        return IrisError(f"cannot be used ({error.strerror})", fix, Path(error.filename))
+    what = f"{type(error).__name__}: {' '.join(str(error).split()) or 'no message'}"
+    return IrisError(what, "run again with --debug and report what it prints")
 
 
 def _fail(error: IrisError, lines: bool) -> int:
@@ -83,6 +91,10 @@ def _fail(error: IrisError, lines: bool) -> int:
 
 
 # ---- arguments -----------------------------------------------------------------------------------------------------
+
+
+Add = Callable[..., _Parser]
+"""(name, text, parents) to the parser of a new command."""
 
 
 def make_parser() -> _Parser:
@@ -98,6 +110,14 @@ def make_parser() -> _Parser:
     def add(name: str, text: str, *parents: _Parser) -> _Parser:
         return commands.add_parser(name, help=text, description=text, parents=list(parents or (common, lines)))
 
+    _add_solving(add)
+    _add_rendering(add)
+    _add_scoring(add, common)
+    return parser
+
+
+def _add_solving(add: Add) -> None:
+    """From photos to a result and its files."""
     demo = add("demo", "the whole job on the bundled capture: solve, .blend, relit, inserted, report")
     demo.add_argument("--out", type=Path, default=Path("out/demo"))
 
@@ -124,6 +144,12 @@ def make_parser() -> _Parser:
     apply.add_argument("--usd", type=Path)
     apply.add_argument("--views", type=Path, metavar="CAPTURE", help="add the cameras of a transforms.json or capture")
 
+    batch = add("batch", "many jobs, one summary; a job that fails does not stop the rest")
+    batch.add_argument("jobs", type=Path, metavar="JOBS.toml")
+
+
+def _add_rendering(add: Add) -> None:
+    """From a result to pictures."""
     render = add("render", "novel views in Cycles, as the photo's camera would see them, or linear EXR")
     relight = add("relight", "recovered lights off, scaled or recoloured, new lights added")
     relight.add_argument("--lights", type=Path, required=True, metavar="FILE")
@@ -166,6 +192,9 @@ def make_parser() -> _Parser:
     camera.add_argument("result", type=Path)
     camera.add_argument("--out", type=Path, required=True)
 
+
+def _add_scoring(add: Add, common: _Parser) -> None:
+    """Ground truth made and used."""
     evaluate = add("evaluate", "the metrics of a result against ground truth or held-out photos", common)
     evaluate.add_argument("result", type=Path)
     evaluate.add_argument("--gt", type=Path, required=True, metavar="CAPTURE")
@@ -183,10 +212,6 @@ def make_parser() -> _Parser:
     synth.add_argument("--response", default="film", metavar="film|gamma|linear|FILE")
     synth.add_argument("--compact", action="store_true", help="leave out what no metric needs, compress with loss")
     _add_sampling(synth, default=256)
-
-    batch = add("batch", "many jobs, one summary; a job that fails does not stop the rest")
-    batch.add_argument("jobs", type=Path, metavar="JOBS.toml")
-    return parser
 
 
 def _add_sampling(parser: argparse.ArgumentParser, default: int = 64) -> None:

@@ -12,6 +12,7 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
+from iris_addon.blender.worker import worker_environment
 from iris_addon.errors import IrisError, SolverEnvironmentMissing
 
 from .signals import put_back
@@ -57,15 +58,15 @@ def delegate(argv: list[str], missing: list[str]) -> int:
     """
     python = os.environ.get("IRIS_PYTHON")
     if not python:
+        by_hand = "run make setup and use .venv/bin/python, or name a Python that has everything in IRIS_PYTHON"
+        from_blender = "press Create Environment in the preferences of the extension"
         raise SolverEnvironmentMissing(
             f"this Python ({sys.executable}) lacks {', '.join(missing)}",
-            "run make setup and use .venv/bin/python, or name a Python that has everything in IRIS_PYTHON",
+            from_blender if "--stop-with-stdin" in argv else by_hand,
         )
-    # Without IRIS_PYTHON, so that a Python that lacks the same says so instead of starting itself for ever; without
-    # PYTHON*, because Blender's PYTHONHOME would make another Python load Blender's library.
-    environment = {k: v for k, v in os.environ.items() if k != "IRIS_PYTHON" and not k.startswith("PYTHON")}
     try:
-        process = subprocess.Popen([python, str(RUN), *argv], env=environment)
+        # Without IRIS_PYTHON a Python that lacks the same says so, instead of starting itself for ever.
+        process = subprocess.Popen([python, str(RUN), *argv], env=worker_environment())
     except OSError as error:
         raise SolverEnvironmentMissing(
             f"{python}: cannot be started ({error.strerror})", "correct IRIS_PYTHON"
@@ -82,5 +83,6 @@ def delegate(argv: list[str], missing: list[str]) -> int:
     finally:
         put_back(before)
     if code < 0:
-        raise IrisError(f"the solver was killed by signal {-code}", "run again with --resume")
+        fix = "run again with --resume" if argv[0] == "solve" else "run again"
+        raise IrisError(f"the solver was killed by signal {-code}", fix)
     return code

@@ -68,9 +68,10 @@ def open_frames(folder: Path, length: int, suffix: str, job: Mapping[str, Any]) 
     text = json.dumps([plain(job), length, suffix], sort_keys=True)
     fingerprint = hashlib.sha256(text.encode()).hexdigest()
     facts = read_json(folder / RECORD) if (folder / RECORD).is_file() else {}
-    unknown = not facts and any(folder.glob("frame_*"))
-    if unknown or (facts and facts.get("fingerprint") != fingerprint):
-        raise BadInput("holds frames of another job", "choose another --out, or delete the folder", folder)
+    if facts.get("fingerprint") != fingerprint:
+        if any(folder.glob("frame_*")):
+            raise BadInput("holds frames of another job", "choose another --out, or delete the folder", folder)
+        facts = {}  # those of a job that ended before its first frame
     frames = Frames(folder, length, suffix, facts)
     if not facts:
         frames.remember(fingerprint=fingerprint)

@@ -19,7 +19,10 @@ from typing import Any, NoReturn
 
 HERE = Path(__file__).resolve().parent
 REQUIREMENTS = HERE / "solver_requirements.txt"
-IMPORTS = ("numpy", "scipy", "torch", "trimesh", "embreex.rtcore_scene", "OpenEXR", "PIL.Image", "numba")
+IMPORTS = (
+    *("numpy", "scipy", "torch", "trimesh", "embreex.rtcore_scene", "OpenEXR", "PIL.Image", "numba"),
+    *("filelock", "threadpoolctl"),
+)
 FAILED, CANCELLED = 1, 130
 
 _child: subprocess.Popen[str] | None = None

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from iris_addon.capture.types import View
 from iris_addon.evaluate.metrics import grey_exposure
 from iris_addon.imaging import to_codes, write_exr, write_png
+from iris_addon.result.response_json import median_exposure
 from iris_addon.result.types import Result
 
 FloatArray = NDArray[np.floating]
@@ -26,9 +27,7 @@ def known_exposure(result: Result, view: View) -> FloatArray | None:
 def photo_exposure(result: Result, view: View) -> FloatArray:
     """(3,) the exposure of ``view``'s photo: as recovered, as recorded, or the median of the recovered ones."""
     known = known_exposure(result, view)
-    if known is None and result.exposures:
-        return np.median(np.stack(list(result.exposures.values())), axis=0)
-    return np.ones(3) if known is None else known
+    return median_exposure(result.exposures) if known is None else known
 
 
 @dataclass(frozen=True)

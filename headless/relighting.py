@@ -42,22 +42,20 @@ def camera(args: argparse.Namespace, progress: Progress) -> Outcome:
 
 def composite(args: argparse.Namespace, progress: Progress) -> Outcome:
     """What an artist put into the room of a .blend, onto the photo."""
-    from iris_addon.blender.camera_match import median_exposure
     from iris_addon.blender.photo_composite import RENDERS, composite_file
-    from iris_addon.result.response_json import read_response
+    from iris_addon.result.response_json import exposure_of, read_response
 
     response, exposures, local = read_response(args.result)
     if response.family == "identity":
         what, fix = "was solved from radiance, so the response of photos is not known", "solve the photos"
         raise BadInput(what, fix, args.result)
-    exposure = exposures[args.view] if args.view in exposures else median_exposure(exposures)
     with progress.stage("composite"):
         composite_file(
             args.blend,
             args.photo,
             args.out,
             response,
-            exposure,
+            exposure_of(args.view, exposures),
             local,
             **_sampling(args),
             on_step=lambda done: progress.update(done / RENDERS),
@@ -70,6 +68,7 @@ def render(args: argparse.Namespace, progress: Progress) -> Outcome:
     result, views = _read(args)
     if args.light_shares:
         _without_frames(args, "--light-shares")
+        _without_exposure(args, "--light-shares")
         return _render_shares(args, progress, result, views)
     job = {"camera": {"path": "all"}}
     return _render_edited(args, progress, result, views, job, lambda _time: None)
@@ -110,6 +109,8 @@ def insert(args: argparse.Namespace, progress: Progress) -> Outcome:
     twice = [index for index in shown if shown.count(index) > 1]
     if twice:
         raise BadInput(f"names view {twice[0]} twice", "put all objects of a view into one entry", args.objects)
+    if args.onto_photos:
+        _without_exposure(args, "--onto-photos")
     if args.onto_photos and "camera" in job:
         raise BadInput("moves the camera, but a photo stays where it is", "leave out 'camera'", args.objects)
     if args.frames is not None and len(edits) != 1:
@@ -251,6 +252,11 @@ def _read(args: argparse.Namespace) -> tuple[Result, tuple[View, ...]]:
 def _without_frames(args: argparse.Namespace, option: str) -> None:
     if args.frames is not None:
         raise BadInput(f"{option} makes one picture per view, --frames makes many", f"leave out {option} or --frames")
+
+
+def _without_exposure(args: argparse.Namespace, option: str) -> None:
+    if args.exposure != "photo":
+        raise BadInput(f"{option} leaves no exposure to choose", f"leave out {option} or --exposure")
 
 
 def _developer(args: argparse.Namespace, result: Result) -> Developer:

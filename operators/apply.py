@@ -66,8 +66,12 @@ class IRIS_OT_restore(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Restore."""
+        try:
+            count = restore(context.scene)
+        except IrisError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
         context.scene.iris.lamps.clear()
-        count = restore(context.scene)
         self.report({"INFO"}, f"Restored {count} objects")
         return {"FINISHED"}
 
@@ -80,10 +84,14 @@ def face_runs(scene: bpy.types.Scene) -> list[FaceRun]:
 
 
 def capture_cameras(scene: bpy.types.Scene) -> dict[str, bpy.types.Object]:
-    """Cameras of an imported capture by photo; those of Use This Scene are the user's and stay where they are."""
+    """Cameras of an imported capture by photo, but those that have become another kind of camera since.
+
+    Those of Use This Scene are the user's and stay where they are.
+    """
     if scene.iris.source == "SCENE":
         return {}
-    return {view.name: view.camera for view in scene.iris.views if view.camera is not None}
+    cameras = {view.name: view.camera for view in scene.iris.views if view.camera is not None}
+    return {name: camera for name, camera in cameras.items() if camera.data.type == "PERSP"}
 
 
 def show_the_room(context: bpy.types.Context) -> None:

@@ -91,15 +91,21 @@ class IRIS_OT_use_scene(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blende
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Write the scene as a capture and check it."""
         settings = context.scene.iris
-        if settings.source != "SCENE":
-            if settings.views:  # the folder is that of the capture which was imported
-                settings.result = ""
-            settings.source, settings.capture, settings.room = "SCENE", "", None
-            for thing in context.scene.objects:  # cameras are solved where they stand now
-                forget_given(thing)
-            # Kept by name: saving the file elsewhere, or under another name, must not lose the result.
-            settings.result = str(own_folder(context.scene))
-        return start_import(self, context)
+        if settings.source == "SCENE":
+            return start_import(self, context)
+        before = {name: getattr(settings, name) for name in ("source", "capture", "room", "result")}
+        if settings.views:  # the folder is that of the capture which was imported
+            settings.result = ""
+        settings.source, settings.capture, settings.room = "SCENE", "", None
+        # Kept by name: saving the file elsewhere, or under another name, must not lose the result.
+        settings.result = str(own_folder(context.scene))
+        if not write_scene(self, context):
+            for name, value in before.items():
+                setattr(settings, name, value)
+            return {"CANCELLED"}
+        for thing in context.scene.objects:  # cameras are solved where they stand now
+            forget_given(thing)
+        return start_check(self, context)
 
 
 class IRIS_OT_add_capture(bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -115,26 +121,32 @@ class IRIS_OT_add_capture(bpy.types.Operator):  # noqa: N801 - Blender's naming
         settings = scene.iris
         try:
             inspected = read_inspected(inspection_folder(scene))
-            objects = read_view_cameras(folder(scene)) if settings.source == "SCENE" else {}
+            cameras = self._cameras(scene, inspected)
         except IrisError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
+        _fill(settings, inspected, cameras)
+        self.report({"INFO"}, f"{inspected.name}: {len(inspected.views)} photos")
+        return {"FINISHED"}
+
+    def _cameras(self, scene: bpy.types.Scene, inspected: Inspected) -> list[bpy.types.Object | None]:
+        """The camera of each photo: the artist's own, those of the room that is there, or of one that is added."""
+        settings = scene.iris
         if settings.source == "SCENE":
-            cameras = [scene.objects.get(objects.get(view.name, "")) for view in inspected.views]
-        elif _is_of(settings.room, settings.capture, scene):
-            present = {view.name: view.camera for view in settings.views if view.camera is not None}
-            present = {name: camera for name, camera in present.items() if camera.name in scene.objects}
-            cameras = refresh_capture(inspected, scene, settings.room, present)
-            if APPLIED not in scene:  # a result of another mesh was taken off
-                settings.lamps.clear()
-        else:
+            objects = read_view_cameras(folder(scene))
+            return [scene.objects.get(objects.get(view.name, "")) for view in inspected.views]
+        if not _is_of(settings.room, settings.capture, scene):
             if settings.room is not None:
                 _put_away(settings.room)
             settings.room, cameras = add_capture(inspected, scene)
             settings.room[CAPTURE] = settings.capture
-        _fill(settings, inspected, cameras)
-        self.report({"INFO"}, f"{inspected.name}: {len(inspected.views)} photos")
-        return {"FINISHED"}
+            return [*cameras]
+        present = {view.name: view.camera for view in settings.views if view.camera is not None}
+        present = {name: camera for name, camera in present.items() if camera.name in scene.objects}
+        cameras = refresh_capture(inspected, scene, settings.room, present)
+        if APPLIED not in scene:  # a result of another mesh was taken off
+            settings.lamps.clear()
+        return [*cameras]
 
 
 def choose_capture(settings: bpy.types.PropertyGroup, path: Path) -> None:
@@ -159,16 +171,19 @@ def _put_away(room: bpy.types.Object) -> None:
 
 
 def start_import(operator: bpy.types.Operator, context: bpy.types.Context) -> set[str]:
+    """Write the scene as a capture if need be, then :func:`start_check`; returns what the operator returns."""
+    return start_check(operator, context) if write_scene(operator, context) else {"CANCELLED"}
+
+
+def start_check(operator: bpy.types.Operator, context: bpy.types.Context) -> set[str]:
     """Let the worker read and check the capture of the scene, then add it; returns what the operator returns."""
     scene, name = context.scene, context.scene.name
     target = inspection_folder(scene)
-    if not write_scene(operator, context):
-        return {"CANCELLED"}
 
     def ended(record: jobs.Record) -> None:
         # The file that was open may be another one by now; it finds the check again by its folder.
-        scene = bpy.data.scenes.get(name)
-        if record.state == "done" and scene is not None and inspection_folder(scene) == target:
+        scene = bpy.data.scenes.get(name) if record.state == "done" else None
+        if scene is not None and inspection_folder(scene) == target:
             try:
                 with bpy.context.temp_override(**_window_of(scene)):
                     bpy.ops.iris.add_capture("EXEC_DEFAULT", True)

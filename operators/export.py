@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import bpy
@@ -41,14 +42,28 @@ class IRIS_OT_export(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
+    def check(self, _context: bpy.types.Context) -> bool:
+        """Complete the name while it is chosen, so that the browser asks before it replaces that very file."""
+        typed = self.filepath
+        self.filepath = self._named()
+        return self.filepath != typed
+
+    def _named(self) -> str:
+        """The path with the suffix of the format; one that names no file stays."""
+        name = Path(self.filepath).name if self.filepath and not self.filepath.endswith(("/", os.sep)) else ""
+        return bpy.path.ensure_ext(self.filepath, SUFFIX[self.format]) if name else self.filepath
+
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Write it."""
+        if not self.filepath:
+            self.report({"ERROR"}, "no file is named — give a file path")
+            return {"CANCELLED"}
+        self.filepath = self._named()
         path, source = Path(bpy.path.abspath(self.filepath)), folder(context.scene)
         try:
             if self.format == "TEXTURES":
                 export_textures(source, path)
             else:
-                path = path.with_suffix(SUFFIX[self.format])
                 blend, glb, usd = (path if self.format == kind else None for kind in ("BLEND", "GLB", "USD"))
                 apply(load_result(source, read_image=read_image), blend, glb=glb, usd=usd)
         except IrisError as error:

@@ -5,10 +5,13 @@
 from __future__ import annotations
 
 import bpy
+import numpy as np
+from numpy.typing import NDArray
 
 from ..iris_addon.blender.light_mixing import start_mixing, stop_mixing
 from ..iris_addon.blender.photo_look import MATCHED, match_photo, stop_matching
 from ..iris_addon.errors import IrisError
+from ..iris_addon.response.curve import Response
 from ..iris_addon.result.response_json import read_response
 from .polls import NeedsApplied
 from .project import folder
@@ -30,7 +33,7 @@ class IRIS_OT_match_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Ble
             stop_matching(context.scene)
             return {"FINISHED"}
         try:
-            match_shown_photo(context.scene)
+            match_photo(context.scene, *shown_look(context.scene))
         except IrisError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -49,27 +52,31 @@ class IRIS_OT_mix_lights(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Take the lamps apart, or put them back; the recovered camera stays last."""
-        scene = context.scene
-        matched = MATCHED in scene
-        stop_matching(scene)
         try:
-            if self.on:
-                names = start_mixing(scene)
-                self.report({"INFO"}, f"{len(names)} lights: render (F12), then turn them")
-            else:
-                stop_mixing(scene)
-            if matched:
-                match_shown_photo(scene)
+            names = self._mixed(context.scene)
         except IrisError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         if self.on:  # Blender composites again by itself only where that can be seen
+            self.report({"INFO"}, f"{len(names)} lights: render (F12), then turn them")
             show_in_editor(context, "NODE_EDITOR", "tree_type", "CompositorNodeTree")
         return {"FINISHED"}
 
+    def _mixed(self, scene: bpy.types.Scene) -> list[str]:
+        look = shown_look(scene) if MATCHED in scene else None  # read before anything changes: it may be missing
+        stop_matching(scene)
+        try:
+            if self.on:
+                return start_mixing(scene)
+            stop_mixing(scene)
+            return []
+        finally:
+            if look is not None:
+                match_photo(scene, *look)
 
-def match_shown_photo(scene: bpy.types.Scene) -> None:
-    """Let renders of ``scene`` look like the photo that is looked at; raises BadInput without a response."""
+
+def shown_look(scene: bpy.types.Scene) -> tuple[Response, dict[str, NDArray[np.float64]], str]:
+    """What makes renders of ``scene`` look like the photo that is looked at; raises BadInput without a response."""
     response, exposures, _local = read_response(folder(scene))
     views = scene.iris.views
-    match_photo(scene, response, exposures, views[scene.iris.view_index].name if views else "")
+    return response, exposures, views[scene.iris.view_index].name if views else ""

@@ -12,6 +12,7 @@ from ..iris_addon.blender import jobs
 from ..iris_addon.blender.capture_in import photo_of, show_instead
 from ..iris_addon.blender.commands import composite_command
 from ..iris_addon.blender.photo_composite import write_copy
+from ..iris_addon.blender.whole_files import write_whole
 from ..iris_addon.errors import IrisError
 from .check import look_at_photo
 from .polls import NeedsApplied
@@ -48,27 +49,43 @@ class IRIS_OT_onto_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
             return {"CANCELLED"}
         look_at_photo(context, scene.iris.view_index)
         copy, picture = out / "onto-photo.blend", out / "onto-photos" / f"{view.name}.png"
-        photo = Path(bpy.path.abspath(image.filepath, library=image.library))
         try:
             write_copy(scene, copy)
+            photo, packed = _photo_file(image, copy)
         except IrisError as error:
+            copy.unlink(missing_ok=True)
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         name, view_name = scene.name, view.name
 
         def ended(record: jobs.Record) -> None:
-            copy.unlink(missing_ok=True)
-            shown = bpy.data.scenes.get(name)  # the file that was open may be another one by now
-            if record.state == "done" and shown is not None and folder(shown) == out:
+            for spare in (copy, *packed):
+                spare.unlink(missing_ok=True)
+            # The file that was open may be another one by now.
+            shown = bpy.data.scenes.get(name) if record.state == "done" else None
+            if shown is not None and folder(shown) == out:
                 _show(shown, view_name, picture)
 
         command = composite_command(bpy.app.binary_path, copy, out, photo, view_name, picture, self.samples)
         return run(self, "composite", out, command, ended)
 
 
+def _photo_file(image: bpy.types.Image, beside: Path) -> tuple[Path, list[Path]]:
+    """The file of a photo, and that it is to be removed where a packed one was written ``beside`` another file."""
+    path = Path(bpy.path.abspath(image.filepath, library=image.library))
+    if image.packed_file is None:
+        return path, []
+    written = beside.with_suffix(path.suffix)
+    write_whole(written, lambda part: part.write_bytes(image.packed_file.data))
+    return written, [written]
+
+
 def _show(scene: bpy.types.Scene, view: str, picture: Path) -> None:
     """The finished picture over the camera's view, and in the Image Editor where one is open."""
-    image = bpy.data.images.load(str(picture), check_existing=True)
+    try:
+        image = bpy.data.images.load(str(picture), check_existing=True)
+    except RuntimeError as error:
+        raise IrisError(f"cannot be shown ({error})", "press Onto Photo again", picture) from error
     image.name = f"IRIS Onto {view}"
     image.reload()
     index = scene.iris.views.find(view)

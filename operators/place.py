@@ -14,6 +14,12 @@ from .settings import PLACEABLE, SELECTED
 
 NOTCH, NOTCH_DEGREES = 1.1, 15.0
 """A notch of the wheel: factor on the size, and turn."""
+NAVIGATION = (
+    *("MIDDLEMOUSE", "TRACKPADPAN", "TRACKPADZOOM", "MOUSEROTATE", "MOUSESMARTZOOM", "NDOF_MOTION", "ACCENT_GRAVE"),
+    *(f"NUMPAD_{key}" for key in (*range(10), "PERIOD", "PLUS", "MINUS", "SLASH")),
+    *("LEFT_ALT", "RIGHT_ALT", "LEFT_CTRL", "RIGHT_CTRL", "LEFT_SHIFT", "RIGHT_SHIFT", "HOME", "TIMER"),
+)
+"""Events that go on to the view."""
 HELP = "Click: leave it there    Wheel: size (× {size:.2f})    Shift Wheel: turn ({turn:.0f}°)    Esc: cancel"
 
 
@@ -80,10 +86,15 @@ class IRIS_OT_place(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's
             self._notch(up=event.type == "WHEELUPMOUSE", turn=event.shift)
             self._say(context)
         elif event.type != "MOUSEMOVE":
-            return {"PASS_THROUGH"}  # the view can be turned meanwhile
+            # The view can be turned meanwhile; undo or delete would take away what is carried.
+            return {"PASS_THROUGH"} if event.type in NAVIGATION else {"RUNNING_MODAL"}
         if inside:
             self._follow(x, y)
         return {"RUNNING_MODAL"}
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Blender ends it: another file is opened, or the window closes."""
+        context.workspace.status_text_set(None)
 
     # ---- pieces ------------------------------------------------------------------------------------------------------
 

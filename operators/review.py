@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..iris_addon.blender.capture_in import show_instead
+from ..iris_addon.blender.capture_in import photo_of, show_instead
 from ..iris_addon.blender.review import curve_image, review_image, reviewed_views, show_confidence
 from ..iris_addon.errors import IrisError
 from ..iris_addon.result.response_json import read_response
@@ -37,6 +37,10 @@ class IRIS_OT_review(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's
         try:
             if self.kind == "curve":
                 image = curve_image(read_response(out)[0].samples)
+            elif self.kind == "photo" and (looked_at := _photo_looked_at(settings)) is not None:
+                camera, image = looked_at
+                show_instead(camera, None)
+                settings.overlay = 1.0
             else:
                 shown = reviewed_views(out)
                 name = settings.views[settings.view_index].name if settings.views else ""
@@ -59,6 +63,13 @@ class IRIS_OT_review(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's
         show_instead(settings.views[index].camera, None if self.kind == "photo" else image)
         settings.overlay = 1.0
         settings.view_index = index
+
+
+def _photo_looked_at(settings: bpy.types.PropertyGroup) -> tuple[bpy.types.Object, bpy.types.Image] | None:
+    """The photo that is looked at with its camera, if both are still there."""
+    camera = settings.views[settings.view_index].camera if settings.views else None
+    image = None if camera is None else photo_of(camera)
+    return None if image is None else (camera, image)
 
 
 class IRIS_OT_confidence(bpy.types.Operator):  # noqa: N801 - Blender's naming

@@ -7,6 +7,7 @@ from __future__ import annotations
 import atexit
 from collections.abc import Callable
 from pathlib import Path
+from typing import get_args
 
 import bpy
 
@@ -23,10 +24,14 @@ def run(
     command: list[str],
     on_end: Callable[[jobs.Record], None] = lambda record: None,
 ) -> set[str]:
-    """Start a job for ``operator`` and return what the operator returns: at once with a window, after it without."""
+    """Start a job for ``operator`` and return what the operator returns: at once with a window, after it without.
+
+    ``on_end`` is told once in any case, also of a job that cannot start.
+    """
     try:
         job = jobs.start(name, folder, command, on_end)
     except IrisError as error:
+        on_end(jobs.Record("failed", error.what, error.fix))
         operator.report({"ERROR"}, str(error))
         return {"CANCELLED"}
     if not bpy.app.background:
@@ -82,7 +87,7 @@ def unregister() -> None:
 
 KEPT_AREAS = ("VIEW_3D", "OUTLINER", "PREFERENCES")
 """Editors that do not turn into another."""
-JOB_NAMES = tuple((name, name.title(), "") for name in ("solve", "inspect", "composite", "environment", "test"))
+JOB_NAMES = tuple((name, name.title(), "") for name in get_args(jobs.JobName))
 
 
 class IRIS_OT_cancel(bpy.types.Operator):  # noqa: N801 - Blender's naming

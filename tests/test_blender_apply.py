@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from iris_addon.blender.apply import apply
+from iris_addon.blender.camera import read_camera
 from iris_addon.blender.insert import insert_onto_photo
 from iris_addon.blender.render import render_linear, render_views
-from iris_addon.blender.scene_in import read_cameras, read_mesh
+from iris_addon.blender.scene_in import read_scene_mesh
 from iris_addon.blender.scene_out import build_scene
 from iris_addon.capture.types import View
 from iris_addon.errors import BadInput, IrisError
@@ -152,17 +153,16 @@ def test_a_scene_is_read_as_cycles_sees_it():
     hidden.hide_render = True
     for thing in (tile, hidden):
         scene.collection.objects.link(thing)
-    mesh, names = read_mesh(bpy.context.evaluated_depsgraph_get())
-    assert names == ["tile / oak"]
+    room = read_scene_mesh(bpy.context.evaluated_depsgraph_get())
+    mesh = room.mesh
+    assert room.part_names == ["tile / oak"]
     assert len(mesh.faces) == 4
     assert mesh.vertices[:, 0].min() == 5
     assert mesh.vertices[:, 0].max() == pytest.approx(9)
-    with pytest.raises(BadInput, match="no camera"):
-        read_cameras(scene)
     for kind, ortho in (("flat", "ORTHO"), ("round", "PANO")):
         eye = bpy.data.objects.new(kind, bpy.data.cameras.new(kind))
         eye.data.type = ortho
         scene.collection.objects.link(eye)
         with pytest.raises(BadInput, match=f"'{kind}' is of type {ortho}"):
-            read_cameras(scene)
+            read_camera(scene, eye)
         bpy.data.objects.remove(eye)

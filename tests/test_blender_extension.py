@@ -187,13 +187,20 @@ def test_from_capture_to_files_and_back(package, tmp_path, worker, nerfstudio_ro
     bpy.ops.iris.export(format="GLB", filepath=str(home / "room.glb"))
     bpy.ops.iris.export(format="BLEND", filepath=str(home / "room.blend"))
     bpy.ops.iris.export(format="TEXTURES", filepath=str(home / "textures"))
-    assert (home / "room.glb").is_file() and (home / "room.blend").is_file()
+    bpy.ops.iris.export(format="BLEND", filepath=str(home / "room.v2"))
+    assert all((home / name).is_file() for name in ("room.glb", "room.blend", "room.v2.blend"))
+    fails(bpy.ops.iris.export, "no file is named", format="GLB")
     assert (home / "textures" / "base_color.exr").is_file()
 
     bpy.ops.wm.save_as_mainfile(filepath=str(home / "mine.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(home / "mine.blend"))
     scene = bpy.context.scene
     assert scene.iris.lamps[0].strength == 5 and len(scene.iris.views) == 6
+    bpy.context.view_layer.objects.active = scene.iris.room
+    bpy.ops.object.mode_set(mode="EDIT")
+    fails(bpy.ops.iris.restore, "leave edit mode")
+    assert len(scene.iris.lamps) == 1
+    bpy.ops.object.mode_set(mode="OBJECT")
     bpy.ops.iris.restore()
     assert scene.iris.room.data.name == plain and not scene.iris.lamps
     """
@@ -282,6 +289,11 @@ def test_a_scene_is_solved_on_its_own_objects(package, tmp_path, worker, nerfstu
         if thing.name in ("Cube", "Light", "Camera"):
             bpy.data.objects.remove(thing)
     room = scene.iris.room
+    was = [getattr(scene.iris, name) for name in ("source", "capture", "room", "result")]
+    scene.render.resolution_x *= 2
+    fails(bpy.ops.iris.use_scene, "another shape")
+    assert [getattr(scene.iris, name) for name in ("source", "capture", "room", "result")] == was
+    scene.render.resolution_x //= 2
     bpy.ops.iris.use_scene()
     assert scene.iris.source == "SCENE" and len(scene.iris.views) == 6
     assert (Path(scene.iris.result) / "capture" / "transforms.json").is_file()
@@ -376,7 +388,15 @@ def test_what_was_added_goes_onto_the_photo_and_lights_are_mixed(package, tmp_pa
     shown[0].image.pixels.foreach_get(photo)
     shown[1].image.pixels.foreach_get(changed)
     assert 0.001 < (np.abs(changed - photo) > 0.05).mean() < 0.9
-    assert not (home / "onto-photo.blend").exists()
+    out = Path({str(nerfstudio_room.root)!r} + "-iris")
+    assert not list(out.glob("onto-photo.*")) and (out / "onto-photos").is_dir()
+    at = scene.iris.view_index
+    bpy.ops.iris.review(kind="photo")
+    assert len(shown) == 1 and shown[0].show_background_image and scene.iris.view_index == at
+    shown[0].image.pack()
+    Path(bpy.path.abspath(shown[0].image.filepath)).unlink()
+    assert bpy.ops.iris.onto_photo(samples=4) == {{"FINISHED"}}
+    assert len(shown) == 2 and not list(out.glob("onto-photo.*"))
 
     bpy.ops.iris.match_photo(on=True)
     assert bpy.ops.iris.mix_lights(on=True) == {{"FINISHED"}}

@@ -56,12 +56,12 @@ def alive(pid: int) -> bool:
 # ---- worker --------------------------------------------------------------------------------------------------------
 
 
-def test_a_worker_reports_progress_its_result_and_all_it_says(tmp_path):
+def test_a_worker_reports_progress_and_all_it_says(tmp_path):
     done = json.dumps({"type": "done", "result": {"photos": 3}})
     worker = Worker(python(f"print('chatter'); {SPEAK}; print({done!r})"), tmp_path / "deep" / "a.log")
     ended(worker).raise_if_failed()
     assert (worker.stage, worker.fraction, worker.overall, worker.seconds_left) == ("tracing", 0.5, 0.25, 9.0)
-    assert worker.result == {"photos": 3} and not worker.running
+    assert not worker.running
     assert set(worker.log) == {"chatter", "tracing"}
     assert set((tmp_path / "deep" / "a.log").read_text().split()) == {"chatter", "tracing"}
 

@@ -89,6 +89,20 @@ def test_a_lamp_is_rendered_with_exactly_its_radiance():
     np.testing.assert_allclose(image[5:7, 7:9].reshape(-1, 3), np.tile(radiance, (4, 1)), rtol=1e-5)
 
 
+def test_an_output_that_is_set_to_film_does_not_matter():
+    result = room(emission={1: (3.0, 2.0, 1.0)})
+    built = build_scene(result)
+    settings = built.scene.render.image_settings
+    if bpy.app.version >= (5, 0, 0):
+        settings.media_type = "VIDEO"
+    settings.file_format = "FFMPEG"
+    set_cycles(built.scene, **QUICK, seed=0, max_bounces=0)
+    look_through(built.scene, camera(), add_camera(camera(), "eye", built.scene.collection))
+    (expected,) = render_views(result, [camera()], **QUICK, max_bounces=0)
+    np.testing.assert_array_equal(render_linear(built.scene), expected)
+    built.free()
+
+
 def test_radiance_in_a_uniform_furnace():
     """In a closed box that emits Le and reflects the share a of what arrives everywhere, L = Le / (1 - a)."""
     albedo = np.array([0.5, 0.25, 0.0])

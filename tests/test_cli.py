@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from headless import cli, environment
+from headless import cli, environment, make_environment
 from headless.batch import read_jobs
 from headless.run import arguments
 from headless.signals import put_back
@@ -179,6 +179,26 @@ def test_an_unforeseen_failure_is_one_line_and_exits_1(fipt_room, tmp_path, stub
     assert error.startswith("error: ValueError: no light at all — ")
 
 
+def test_a_path_that_is_in_the_way_is_named(fipt_room, tmp_path, capsys):
+    (tmp_path / "file").write_text("mine")
+    assert cli.main(["inspect", str(fipt_room.root), "--out", str(tmp_path / "file")]) == 1
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.startswith(f"error: {tmp_path / 'file'}: cannot be used") and "check the path" in error
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_a_worker_of_blender_is_mended_in_blender(tmp_path):
+    bare = (sys.executable, "-S")
+    by_hand = run("inspect", tmp_path, "--out", tmp_path, python=bare)
+    in_blender = run("inspect", tmp_path, "--out", tmp_path, "--json", "--stop-with-stdin", python=bare)
+    assert by_hand.returncode == in_blender.returncode == 4
+    assert "make setup" in by_hand.stderr and "Create Environment" in in_blender.stderr
+
+
+def test_the_test_of_an_environment_imports_all_that_a_solve_needs():
+    assert {name.partition(".")[0] for name in make_environment.IMPORTS} == {*environment.NEEDS["solve"]}
+
+
 def test_interrupting_cancels_and_exits_130(fipt_room, tmp_path, stub_solve, capsys):
     fipt_room.root.rename(tmp_path / "interrupted")
     handler = signal.getsignal(signal.SIGINT)
@@ -222,6 +242,16 @@ def test_a_failing_job_is_reported_and_the_rest_go_on(tmp_path, stub_solve, caps
     assert load_result(tmp_path / "elsewhere").report["preset"] == "balanced"
     out = capsys.readouterr().out
     assert all(word in out for word in ("again", "failed", "no light", "summary.csv"))
+
+
+def test_a_traceback_that_cannot_be_written_does_not_stop_the_rest(tmp_path, stub_solve):
+    for name in ("broken", "good"):
+        write_truth_room(tmp_path / name)
+    (tmp_path / "file").write_text("")
+    jobs = write_jobs(tmp_path / "jobs.toml", {"capture": "broken", "out": "file/out"}, {"capture": "good"})
+    assert cli.main(["batch", str(jobs)]) == 1
+    failed, done = json.loads((tmp_path / "jobs" / "summary.json").read_text())["jobs"]
+    assert "no light" in failed["error"] and "cannot be written" in failed["error"] and done["status"] == "done"
 
 
 def test_batch_exits_0_when_all_is_done(fipt_room, tmp_path, stub_solve):

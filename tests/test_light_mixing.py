@@ -90,6 +90,27 @@ def test_restoring_the_originals_ends_mixing(scene):
     assert not scene.view_layers[0].lightgroups
 
 
+def test_an_object_that_is_being_edited_keeps_what_it_has(scene):
+    """Blender takes no other mesh for it and says nothing: the original would be lost."""
+    bpy.context.view_layer.objects.active = scene.objects["box"]
+
+    def refused(change):
+        before = snapshot(scene)
+        bpy.ops.object.mode_set(mode="EDIT")
+        with pytest.raises(BadInput, match=r"'box' is being edited — leave edit mode"):
+            change(scene)
+        bpy.ops.object.mode_set(mode="OBJECT")
+        assert snapshot(scene) == before
+
+    refused(start_mixing)
+    refused(restore)
+    start_mixing(scene)
+    refused(stop_mixing)
+    refused(restore)
+    restore(scene)
+    assert len(scene.objects["box"].data.polygons) == 6 and mixer(scene) is None
+
+
 def test_a_compositing_that_is_there_gets_the_mix(scene):
     blur = blurred(scene)
     layers = blur.inputs["Image"].links[0].from_node

@@ -72,6 +72,11 @@ def test_half_written_frames_are_not_finished_and_other_jobs_are_kept_out(tmp_pa
         open_frames(tmp_path, 10, ".png", {"lights": 1})
 
 
+def test_a_job_that_made_no_frame_is_in_nobodys_way(tmp_path):
+    open_frames(tmp_path, 10, ".png", {"lights": "wrong"}).remember(exposure=3.0)
+    assert "exposure" not in open_frames(tmp_path, 10, ".png", {"lights": 2}).facts
+
+
 def test_the_film_appears_whole_or_not_at_all(tmp_path, monkeypatch):
     frames = open_frames(tmp_path / "out", 2, ".png", {})
     write_png(frames.path(1), np.zeros((3, 3, 3), np.uint8))
@@ -183,6 +188,8 @@ def test_photos_that_hold_radiance_are_changed_in_their_own_unit(solved):
     [
         ("render", ["--light-shares", "--frames", "1-2"], None, "leave out --light-shares or --frames"),
         ("relight", ["--shares", "shares", "--frames", "1-2"], {}, "leave out --shares or --frames"),
+        ("render", ["--light-shares", "--exposure", "2"], None, "leave out --light-shares or --exposure"),
+        ("insert", ["--onto-photos", "--exposure", "auto"], {}, "leave out --onto-photos or --exposure"),
         ("insert", [], {"views": [{"view": 1}, {"view": 0}, {"view": 1}]}, "names view 1 twice"),
         ("insert", ["--onto-photos", "--frames", "1-2"], {"camera": {"view": 1}}, "a photo stays where it is"),
     ],

@@ -18,10 +18,10 @@ from mathutils import Vector
 from ..capture.types import View
 from ..errors import IrisError
 from ..result.edits import SceneEdit
+from ..result.response_json import median_exposure
 from ..result.types import Result
 from .backdrop import add_backdrop, is_backdrop
 from .camera import add_camera, look_through
-from .camera_match import median_exposure
 from .compositing import add_compositing
 from .diffuse_nodes import remove_burley
 from .images import srgb_image

@@ -10,8 +10,6 @@ table of response.json within 1/255 (see the tests). Exposures beyond 1 clip, as
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import bpy
 import numpy as np
 from numpy.typing import NDArray
@@ -91,11 +89,6 @@ def show_through_camera(
 def set_photo(node: bpy.types.Node, exposure: NDArray[np.floating]) -> None:
     """Expose the camera ``node`` like the photo with the (3,) factors ``exposure``."""
     node.inputs["Exposure"].default_value = (*(float(factor) for factor in exposure), 1.0)
-
-
-def median_exposure(exposures: Mapping[str, NDArray[np.floating]]) -> NDArray[np.float64]:
-    """(3,) exposure and white balance that is typical of the photos; 1 where none is known."""
-    return np.median(np.stack(list(exposures.values())), axis=0) if exposures else np.ones(3)
 
 
 def _set_curves(mapping: bpy.types.CurveMapping, response: Response) -> None:

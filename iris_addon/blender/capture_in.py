@@ -23,6 +23,7 @@ from .camera import add_camera, look_through, set_lens
 from .onto_objects import APPLIED, ORIGINAL_MESH, restore
 from .photo_cameras import forget_given
 from .scene_out import plain_mesh
+from .scene_state import require_object_mode
 
 MEND = "check the capture again"
 COLLECTION = "IRIS Capture"
@@ -41,7 +42,6 @@ class InspectedView:
     camera: Camera
     exposure: float | None
     saturated: float
-    black: float
     histogram: tuple[float, ...]
     seen: float
     score: float
@@ -88,7 +88,6 @@ def _view(row: dict[str, Any], path: Path) -> InspectedView:
             camera=camera,
             exposure=None if row["exposure"] is None else float(row["exposure"]),
             saturated=float(row["saturated"]),
-            black=float(row["black"]),
             histogram=tuple(float(value) for value in row["histogram"]),
             seen=float(row["seen"]),
             score=float(alignment["score"]),
@@ -139,7 +138,11 @@ def refresh_capture(
 
     Args:
         present: cameras by view. Those that are gone are made again.
+
+    Raises:
+        BadInput: the room is being edited.
     """
+    require_object_mode([room])
     spare = plain_mesh(inspected.mesh, room.name)
     if _content(room.get(ORIGINAL_MESH, room.data)) != _content(spare):
         if APPLIED in scene:

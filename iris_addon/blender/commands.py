@@ -15,11 +15,9 @@ def inspect_command(python: str, capture: Path, out: Path) -> list[str]:
     return [*_program(python), "inspect", str(capture), "--out", str(out), *JSON_LINES]
 
 
-def solve_command(
-    python: str, capture: Path, out: Path, preset: str, device: str = "auto", seed: int = 0, resume: bool = True
-) -> list[str]:
-    """A solve of ``capture`` into ``out``, by default one that goes on where an earlier one stopped."""
-    options = ["--preset", preset, "--device", device, "--seed", str(seed), *(["--resume"] if resume else [])]
+def solve_command(python: str, capture: Path, out: Path, preset: str, device: str = "auto", seed: int = 0) -> list[str]:
+    """A solve of ``capture`` into ``out`` that goes on where an earlier one stopped."""
+    options = ["--preset", preset, "--device", device, "--seed", str(seed), "--resume"]
     return [*_program(python), "solve", str(capture), "--out", str(out), *options, *JSON_LINES]
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
+from ..response.curve import srgb
 
 LINEAR = "Linear Rec.709"
 DATA = "Non-Color"
@@ -71,6 +72,4 @@ def srgb_image(linear: bpy.types.Image) -> bpy.types.Image:
     width, height = linear.size
     pixels = np.empty((height, width, 4), np.float32)
     linear.pixels.foreach_get(pixels.ravel())
-    color = np.clip(pixels[::-1, :, :3], 0.0, 1.0)
-    codes = np.where(color <= 0.0031308, 12.92 * color, 1.055 * color ** (1 / 2.4) - 0.055)
-    return image_from_array(linear.name, codes, colorspace="sRGB")
+    return image_from_array(linear.name, srgb(pixels[::-1, :, :3]), colorspace="sRGB")

@@ -10,7 +10,6 @@ nothing runs is that of a Blender which was killed.
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import Literal
 
 from ..errors import Cancelled, IrisError
+from ..json_files import write_json
 from .worker import Worker
 
 JobName = Literal["inspect", "solve", "composite", "environment", "test"]
@@ -117,20 +117,26 @@ def wait(job: Job) -> None:
 
 
 def stop_all() -> None:
-    """End everything within about a second; finished stages stay on disk."""
+    """End everything within about a second; finished stages stay on disk. Nobody is left to take a result."""
     for job in all_running():
         job.worker.interrupt()
     for key, job in list(_running.items()):
         del _running[key]
         _end(job)
+        _tell(job, CANCELLED)
 
 
 def _finish(job: Job) -> None:
-    ended = _end(job)
+    _tell(job, _end(job))
+
+
+def _tell(job: Job, ended: Record) -> None:
     try:
         job.on_end(ended)
     except IrisError as error:
         _note(job, Record("failed", error.what, error.fix))
+    except Exception as error:  # a timer that raises is gone, and with it the news of every other job
+        _note(job, Record("failed", f"{type(error).__name__}: {error}", "report this, with the log"))
 
 
 def _end(job: Job) -> Record:
@@ -160,13 +166,7 @@ def _path(name: JobName, folder: Path) -> Path:
 
 def _write(name: JobName, folder: Path, content: Record) -> None:
     path = _path(name, folder)
-    temporary = path.with_suffix(f".{os.getpid()}.tmp")
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        text = json.dumps({**asdict(content), "time": time.time()}, indent=1)
-        temporary.write_text(text + "\n", encoding="utf-8")
-        os.replace(temporary, path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        fix = "free some disk space, or choose another folder for the result"
-        raise IrisError(f"cannot be written ({error.strerror})", fix, path) from error
+        write_json(path, {**asdict(content), "time": time.time()})
+    except IrisError as error:
+        raise IrisError(error.what, "free some disk space, or choose another folder for the result") from error

@@ -20,6 +20,7 @@ from ..result.edits import OUTSIDE
 from .light_groups import MIX_GROUP, group_lights, mixed_picture
 from .materials import LAMP_ID
 from .node_groups import remove_nodes
+from .scene_state import require_object_mode
 from .version import (
     composites,
     compositor_output,
@@ -41,8 +42,9 @@ def start_mixing(scene: bpy.types.Scene) -> list[str]:
     Renders must not pass through the recovered camera meanwhile (:func:`.photo_look.stop_matching`): that comes last.
 
     Raises:
-        BadInput: nothing in the scene gives light.
+        BadInput: nothing in the scene gives light, or an object that does is being edited.
     """
+    require_object_mode(thing for thing in scene.objects if _has_lamps(thing))
     stop_mixing(scene)
     layer, render = scene.view_layers[0], scene.render
     before: dict[str, Any] = {
@@ -67,9 +69,14 @@ def start_mixing(scene: bpy.types.Scene) -> list[str]:
 
 
 def stop_mixing(scene: bpy.types.Scene) -> None:
-    """Give ``scene`` back its compositing, its light groups and its whole objects; nothing where it was not changed."""
+    """Give ``scene`` back its compositing, its light groups and its whole objects; nothing where it was not changed.
+
+    Raises:
+        BadInput: one of the objects is being edited. Nothing was changed then.
+    """
     if MIXED not in scene:
         return
+    require_object_mode(thing for thing in scene.objects if is_taken_apart(thing))
     before, tree = json.loads(scene[MIXED]), compositor_tree(scene)
     if tree is not None and "made" in before:
         _out_of_compositing(tree, before)
@@ -86,6 +93,11 @@ def stop_mixing(scene: bpy.types.Scene) -> None:
         remove_lightgroup(scene, layer, name)
     _put_lamps_back(scene)
     del scene[MIXED]
+
+
+def is_taken_apart(thing: bpy.types.Object) -> bool:
+    """Whether ``thing`` is an object without its lamps, or one of these, while lights are mixed."""
+    return WHOLE_MESH in thing or APART in thing
 
 
 def mixer(scene: bpy.types.Scene) -> bpy.types.Node | None:

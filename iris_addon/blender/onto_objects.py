@@ -23,12 +23,12 @@ from ..errors import BadInput
 from ..result.edits import SceneEdit
 from ..result.types import Result
 from .backdrop import add_backdrop
-from .light_mixing import stop_mixing
+from .light_mixing import is_taken_apart, stop_mixing
 from .materials import UV_MAP, add_confidence
 from .photo_cameras import go_back
 from .photo_look import stop_matching
 from .scene_out import face_materials, plain_mesh
-from .scene_state import forget_scene, keep_scene, restore_scene, show_like_the_photos
+from .scene_state import forget_scene, keep_scene, require_object_mode, restore_scene, show_like_the_photos
 from .world import make_world
 
 ORIGINAL_MESH, ORIGINAL, SLOT, MADE = "iris_original_mesh", "iris_original", "iris_slot_", "iris_made"
@@ -68,6 +68,7 @@ def apply_to_objects(result: Result, runs: Sequence[FaceRun], scene: bpy.types.S
     if is_applied(scene, runs, key):
         return False
     objects = [_find(run, scene) for run in runs]
+    require_object_mode(objects)
     if runs and runs[-1].stop != len(result.mesh.faces):
         raise BadInput("the result has other faces than the objects of this scene", "undo the edit, or solve again")
     restore(scene)
@@ -102,7 +103,12 @@ def is_applied(scene: bpy.types.Scene, runs: Sequence[FaceRun], key: str) -> boo
 
 
 def restore(scene: bpy.types.Scene) -> int:
-    """Give the objects of ``scene`` back what they had and remove what was made; returns the number of objects."""
+    """Give the objects of ``scene`` back what they had and remove what was made; returns the number of objects.
+
+    Raises:
+        BadInput: one of them is being edited. Nothing was changed then.
+    """
+    require_object_mode(thing for thing in scene.objects if ORIGINAL in thing or is_taken_apart(thing))
     stop_matching(scene)
     stop_mixing(scene)
     kept = [thing for thing in scene.objects if ORIGINAL in thing]
@@ -128,8 +134,6 @@ def _find(run: FaceRun, scene: bpy.types.Scene) -> bpy.types.Object:
         raise BadInput(
             f"the object '{run.object}' is linked from another file", "make it local: Object > Relations > Make Local"
         )
-    if thing.mode == "EDIT":
-        raise BadInput(f"the object '{run.object}' is being edited", "leave edit mode (Tab)")
     return thing
 
 

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..response.curve import Response
-from .camera_match import CAMERA_GROUP, median_exposure, set_photo, show_through_camera
+from ..result.response_json import exposure_of
+from .camera_match import CAMERA_GROUP, set_photo, show_through_camera
 from .node_groups import remove_nodes
 from .version import composites, compositor_output, compositor_tree, leave_compositor_tree, own_compositor_tree
 
@@ -50,7 +51,7 @@ def match_photo(
         layers = tree.nodes.new("CompositorNodeRLayers")
         layers.scene, layers.location = scene, (-300.0, 0.0)
         picture = layers.outputs["Image"]
-    camera = show_through_camera(scene, picture, response, _exposure_of(photo, exposures))
+    camera = show_through_camera(scene, picture, response, exposure_of(photo, exposures))
     x, y = output.node.location
     for step, node in enumerate((camera, camera.outputs["Image"].links[0].to_node, output.node)):
         node.location = (x + 200.0 * step, y)
@@ -64,7 +65,7 @@ def follow_photo(scene: bpy.types.Scene, photo: str) -> None:
     camera = None if tree is None else tree.nodes.get(CAMERA_GROUP)
     if camera is not None:
         listed = json.loads(scene[MATCHED])["exposures"]
-        set_photo(camera, _exposure_of(photo, {name: np.array(exposure) for name, exposure in listed.items()}))
+        set_photo(camera, exposure_of(photo, {name: np.array(exposure) for name, exposure in listed.items()}))
 
 
 def stop_matching(scene: bpy.types.Scene) -> None:
@@ -81,10 +82,6 @@ def stop_matching(scene: bpy.types.Scene) -> None:
     for name, value in before["view"].items():
         setattr(scene.view_settings, name, value)
     del scene[MATCHED]
-
-
-def _exposure_of(photo: str, exposures: Mapping[str, NDArray[np.floating]]) -> NDArray[np.floating]:
-    return exposures[photo] if photo in exposures else median_exposure(exposures)
 
 
 def _take_out(tree: bpy.types.NodeTree, made: Sequence[str], source: tuple[str, str] | None) -> None:

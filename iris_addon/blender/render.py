@@ -17,7 +17,7 @@ from ..result.types import Result
 from .camera import add_camera, look_through
 from .images import read_pixels
 from .scene_out import BuiltScene, build_scene
-from .version import can_denoise, enable_gpu
+from .version import can_denoise, enable_gpu, single_layer_exr
 
 PIXEL_FILTER = "BOX"  # one pixel wide: neighbours stay independent, and a mean over the pixel is what a sensor takes
 
@@ -113,8 +113,8 @@ def render_coverage(scene: bpy.types.Scene) -> NDArray[np.float32]:
 def _render(scene: bpy.types.Scene, color_mode: str) -> NDArray[np.float32]:
     # Through a 32-bit EXR, which no view transform touches, and the same way in background and with a window.
     settings = scene.render.image_settings
-    settings.file_format = "OPEN_EXR"
-    settings.color_depth, settings.color_mode, settings.exr_codec = "32", color_mode, "NONE"
+    single_layer_exr(settings)
+    settings.color_mode = color_mode
     with tempfile.TemporaryDirectory(prefix="iris-") as folder:
         path = Path(folder) / "render.exr"
         bpy.ops.render.render(scene=scene.name)

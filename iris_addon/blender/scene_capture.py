@@ -12,7 +12,6 @@ What comes back is put onto the same objects by the face runs of scene_map.json.
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from pathlib import Path
@@ -23,10 +22,10 @@ import numpy as np
 
 from ..capture.types import Camera, Mesh
 from ..errors import BadInput, IrisError
-from ..json_files import json_object, numbers, read_json
+from ..json_files import dump_json, json_object, numbers, read_json
 from .camera import read_camera
 from .capture_in import photo_of
-from .onto_objects import FaceRun, triangles_of
+from .onto_objects import ORIGINAL_MESH, FaceRun, triangles_of
 from .scene_in import SceneMesh, read_scene_mesh
 from .version import compositor_tree
 
@@ -62,8 +61,8 @@ def write_scene_capture(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, 
             frames.append(_frame(target / "photos" / stem, *view))
             cameras[stem] = view[0]
         _write_obj(target / "mesh.obj", room, scale)
-        _write_json(folder / "scene_map.json", {"runs": [_run_json(run) for run in runs], "cameras": cameras})
-        _write_json(target / "transforms.json", {"mesh": "mesh.obj", "frames": frames})
+        dump_json(folder / "scene_map.json", {"runs": [_run_json(run) for run in runs], "cameras": cameras})
+        dump_json(target / "transforms.json", {"mesh": "mesh.obj", "frames": frames})
     except OSError as error:
         raise IrisError(
             f"cannot be written ({error.strerror})", "free some disk space, or choose another folder", folder
@@ -99,7 +98,7 @@ def whole_object(room: bpy.types.Object | None) -> list[FaceRun]:
     """The face run of an imported capture, whose mesh is one object in the capture's own space; raises BadInput."""
     if room is None or room.type != "MESH":
         raise BadInput("the mesh of the capture is not in this scene any more", "import the capture again")
-    original = room.get("iris_original_mesh", room.data)
+    original = room.get(ORIGINAL_MESH, room.data)
     return [FaceRun(room.name, 0, len(triangles_of(original)[0]), False, np.eye(4))]
 
 
@@ -207,7 +206,3 @@ def _write_obj(path: Path, room: SceneMesh, scale: float) -> None:
             at = 3 * face + 1
             lines.append(f"f {corner.format(a, at)} {corner.format(b, at + 1)} {corner.format(c, at + 2)}")
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def _write_json(path: Path, content: object) -> None:
-    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

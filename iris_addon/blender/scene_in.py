@@ -1,4 +1,4 @@
-"""A Blender scene as the solver's input: its mesh objects as one mesh with parts, its cameras as pinholes."""
+"""A Blender scene as the solver's input: its mesh objects as one mesh with parts."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ..capture.types import Camera, Mesh
+from ..capture.types import Mesh
 from ..errors import BadInput
 from .backdrop import is_backdrop
-from .camera import read_camera
 from .onto_objects import FaceRun
 
 
@@ -28,14 +27,6 @@ class SceneMesh:
     mesh: Mesh
     part_names: list[str]
     runs: list[FaceRun]
-
-
-def read_mesh(
-    depsgraph: bpy.types.Depsgraph, objects: Iterable[bpy.types.Object] | None = None
-) -> tuple[Mesh, list[str]]:
-    """Mesh and part names of :func:`read_scene_mesh`."""
-    room = read_scene_mesh(depsgraph, objects)
-    return room.mesh, room.part_names
 
 
 def read_scene_mesh(depsgraph: bpy.types.Depsgraph, objects: Iterable[bpy.types.Object] | None = None) -> SceneMesh:
@@ -84,18 +75,6 @@ def read_scene_mesh(depsgraph: bpy.types.Depsgraph, objects: Iterable[bpy.types.
     uv = None if any(layer is None for layer in uvs) else np.concatenate(uvs).astype(np.float32)
     mesh = Mesh(np.concatenate(vertices), np.concatenate(faces), uv, np.concatenate(parts).astype(np.int32))
     return SceneMesh(mesh, names, runs)
-
-
-def read_cameras(scene: bpy.types.Scene) -> dict[str, Camera]:
-    """The cameras of ``scene`` by object name; each with the frame size of the scene.
-
-    Raises:
-        BadInput: one of them is orthographic or panoramic, or there is none.
-    """
-    cameras = {thing.name: read_camera(scene, thing) for thing in scene.objects if thing.type == "CAMERA"}
-    if not cameras:
-        raise BadInput("the scene has no camera", "add one camera per photo")
-    return cameras
 
 
 def _triangles(data: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray]:

@@ -1,16 +1,26 @@
-"""What applying a result changes about a scene itself, kept on the scene so that it can be given back."""
+"""What applying a result changes about a scene itself, kept on the scene so that it can be given back; and whether
+its objects take changes now."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 
 import bpy
 import numpy as np
 
+from ..errors import BadInput
 from ..result.types import Result
 from .version import set_engine
 
 STATE, WORLD = "iris_original_scene", "iris_original_world"
+
+
+def require_object_mode(objects: Iterable[bpy.types.Object]) -> None:
+    """Raise :class:`BadInput` if one is being edited: Blender then leaves it its mesh, and says nothing."""
+    for thing in objects:
+        if thing.mode == "EDIT":
+            raise BadInput(f"the object '{thing.name}' is being edited", "leave edit mode (Tab)")
 
 
 def keep_scene(scene: bpy.types.Scene) -> None:

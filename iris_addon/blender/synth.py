@@ -30,6 +30,7 @@ from .synth_scene import prepare, read_geometry, write_ply
 from .synth_writer import CaptureWriter, Shot
 
 LEVELS = (0.25, 0.5, 1.0, 2.0, 4.0)
+"""Exposures; the brightest views get the lowest."""
 STAGE_WEIGHTS = {"maps": 0.03, "views": 0.7, "references": 0.27}
 
 
@@ -40,7 +41,6 @@ def synth(
     cameras: Sequence[str] | None = None,
     resolution: tuple[int, int] = (320, 240),
     response: str | Path = "film",
-    levels: Sequence[float] = LEVELS,
     samples: int = 256,
     seed: int = 0,
     compact: bool = False,
@@ -55,7 +55,6 @@ def synth(
             with "val" or whose custom property ``iris_split`` is "val" give the validation views.
         resolution: width and height in pixels.
         response: 'film', 'gamma', 'linear' or a file (see :func:`~iris_addon.blender.synth_photos.read_response`).
-        levels: exposure levels; the brightest views get the lowest.
         samples: per pixel, before denoising.
         compact: leave out what no metric needs (constant exposure, radiance of training views, maps of validation
             views, BaseCol, Depth, Normal) and store pictures with lossy compression.
@@ -94,7 +93,7 @@ def synth(
     write_ply(partial / "scene.ply", geometry.mesh)
     writer.split("train", train, radiance[: len(train)], maps[: len(train)])
     writer.split("val", val, radiance[len(train) :], maps[len(train) :])
-    scale = writer.photos(radiance, maps, len(train), levels)
+    scale = writer.photos(radiance, maps, len(train), LEVELS)
     writer.scene(geometry)
     writer.meta(Path(scene_blend).stem, train, val, scene, scale=scale, samples=samples, seed=seed)
     if val:

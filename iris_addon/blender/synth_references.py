@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from ..capture.types import Camera
 from ..imaging import write_exr, write_png
+from ..json_files import write_json
 from ..progress import Progress
 from ..response.curve import LUMINANCE
 from ..result.edits import Quad, Sphere
 from .synth_render import Studio
 from .synth_scene import SceneGeometry
-from .synth_writer import write_json
 
 FloatArray = NDArray[np.floating]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from .. import imaging
 from ..array_files import write_arrays
 from ..atomic_files import atomic_write
 from ..capture.types import Camera
+from ..json_files import write_json
 from ..reflectance.ggx import DIELECTRIC_F0
 from ..response.curve import Response
 from . import synth_photos as photos
@@ -36,12 +36,6 @@ class Shot:
 
     thing: bpy.types.Object
     camera: Camera
-
-
-def write_json(path: Path, content: Any) -> None:
-    """Write indented JSON."""
-    text = json.dumps(content, indent=1)
-    atomic_write(path, lambda temporary: temporary.write_text(text + "\n"))
 
 
 def write_npy(path: Path, array: NDArray) -> None:

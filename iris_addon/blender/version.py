@@ -22,18 +22,24 @@ def node_tree(owner: bpy.types.Material | bpy.types.World) -> bpy.types.NodeTree
 
 @contextmanager
 def multilayer_exr(settings: bpy.types.ImageFormatSettings) -> Iterator[None]:
-    """Renders written inside hold every pass in one 32-bit EXR; since 5.0 that is a media type besides a format."""
-    typed = bpy.app.version >= (5, 0, 0)
-    if typed:
-        settings.media_type = "MULTI_LAYER_IMAGE"
-    settings.file_format = "OPEN_EXR_MULTILAYER"
-    settings.color_depth, settings.exr_codec = "32", "NONE"
+    """Renders written inside hold every pass in one 32-bit EXR."""
+    _exr(settings, "MULTI_LAYER_IMAGE", "OPEN_EXR_MULTILAYER")
     try:
         yield
     finally:
-        if typed:
-            settings.media_type = "IMAGE"
-        settings.file_format = "OPEN_EXR"
+        single_layer_exr(settings)
+
+
+def single_layer_exr(settings: bpy.types.ImageFormatSettings) -> None:
+    """Pictures are saved as a 32-bit EXR, whatever the artist's output was set to."""
+    _exr(settings, "IMAGE", "OPEN_EXR")
+
+
+def _exr(settings: bpy.types.ImageFormatSettings, media_type: str, file_format: str) -> None:
+    if bpy.app.version >= (5, 0, 0):  # formats are those of a media type, and a film has no pictures
+        settings.media_type = media_type
+    settings.file_format = file_format
+    settings.color_depth, settings.exr_codec = "32", "NONE"
 
 
 def compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:

@@ -35,7 +35,6 @@ class Worker:
     Attributes:
         stage, fraction, overall, seconds_left: the latest progress (see :class:`iris_addon.progress.ProgressEvent`).
         log: the last lines of what it said, stages included.
-        result: what its message "done" carried.
 
     Args:
         command: program and arguments.
@@ -49,7 +48,6 @@ class Worker:
         self.stage, self.fraction, self.overall = "", 0.0, 0.0
         self.seconds_left: float | None = None
         self.log: deque[str] = deque(maxlen=LOG_LINES)
-        self.result: dict[str, Any] = {}
         self._error: IrisError | None = None
         self._kill_at = float("inf")
         self._cancelled = False
@@ -165,8 +163,6 @@ class Worker:
                 self._say(f"{message['stage']} {message.get('message', '')}".rstrip())
             self.stage, self.fraction = message["stage"], message["fraction"]
             self.overall, self.seconds_left = message["overall"], message["seconds_left"]
-        elif kind == "done":
-            self.result = message.get("result") or {}
         elif kind == "error":
             self._error = IrisError(str(message.get("what")), str(message.get("fix")))
 
