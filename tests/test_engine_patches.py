@@ -107,6 +107,15 @@ def test_patches_do_not_depend_on_the_unit_of_length(room: Room, patched: tuple[
     assert 500 < len(surface.part) <= 4000
 
 
+def test_a_far_backdrop_leaves_the_room_its_patches(room: Room, patched: tuple[PixelSamples, Surface]) -> None:
+    samples, surface = patched
+    far = np.array([[-1e3, 1e3, -1e3], [1e3, 1e3, -1e3], [0, 1e3, 1e3]])
+    n = len(room.mesh.vertices)
+    both = Mesh(np.vstack([room.mesh.vertices, far]), np.vstack([room.mesh.faces, [[n, n + 1, n + 2]]]))
+    beside = build_surface(both, samples, room.parts, 4000, np.random.default_rng(0))
+    assert len(beside.part) == pytest.approx(len(surface.part), rel=0.1)
+
+
 # Parts and pixels ----------------------------------------------------------------------------------------------------
 
 

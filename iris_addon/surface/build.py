@@ -52,7 +52,9 @@ def build_surface(
         parts: (F,) part per face.
     """
     used = mesh.vertices[np.unique(mesh.faces)]
-    extent = float(np.ptp(used, axis=0).max())
+    # Of what most pixels show: a backdrop far away is no sign of another unit of length.
+    some = samples.position[:: 1 + len(samples.position) // 100_000]
+    extent = float(np.ptp(np.percentile(some, (2, 98), axis=0), axis=0).max())
     scale = max(extent / 300.0, 1e-6) if extent > 300.0 else 1.0
     origin = used.min(0) - scale * np.array([0.1234, 0.2345, 0.3456])
     part = parts[samples.face]
