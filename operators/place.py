@@ -14,12 +14,8 @@ from .settings import PLACEABLE, SELECTED
 
 NOTCH, NOTCH_DEGREES = 1.1, 15.0
 """A notch of the wheel: factor on the size, and turn."""
-NAVIGATION = (
-    *("MIDDLEMOUSE", "TRACKPADPAN", "TRACKPADZOOM", "MOUSEROTATE", "MOUSESMARTZOOM", "NDOF_MOTION", "ACCENT_GRAVE"),
-    *(f"NUMPAD_{key}" for key in (*range(10), "PERIOD", "PLUS", "MINUS", "SLASH")),
-    *("LEFT_ALT", "RIGHT_ALT", "LEFT_CTRL", "RIGHT_CTRL", "LEFT_SHIFT", "RIGHT_SHIFT", "HOME", "TIMER"),
-)
-"""Events that go on to the view."""
+TAKING_AWAY = ("Z", "X", "DEL")
+"""Keys that undo or delete what is carried; all others go on to the view, which can be turned meanwhile."""
 HELP = "Click: leave it there    Wheel: size (× {size:.2f})    Shift Wheel: turn ({turn:.0f}°)    Esc: cancel"
 
 
@@ -76,6 +72,13 @@ class IRIS_OT_place(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """One event of mouse or keys."""
+        try:
+            return self._take(context, event)
+        except ReferenceError:  # a menu has undone or deleted what is carried
+            self.cancel(context)
+            return {"CANCELLED"}
+
+    def _take(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         x, y = event.mouse_x - self._region.x, event.mouse_y - self._region.y
         inside = 0 <= x < self._region.width and 0 <= y < self._region.height
         if event.type in ("ESC", "RIGHTMOUSE"):
@@ -86,8 +89,7 @@ class IRIS_OT_place(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's
             self._notch(up=event.type == "WHEELUPMOUSE", turn=event.shift)
             self._say(context)
         elif event.type != "MOUSEMOVE":
-            # The view can be turned meanwhile; undo or delete would take away what is carried.
-            return {"PASS_THROUGH"} if event.type in NAVIGATION else {"RUNNING_MODAL"}
+            return {"RUNNING_MODAL"} if event.type in TAKING_AWAY else {"PASS_THROUGH"}
         if inside:
             self._follow(x, y)
         return {"RUNNING_MODAL"}
