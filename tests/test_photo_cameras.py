@@ -29,9 +29,7 @@ def imported(tmp_path: Path):
     bpy.types.Camera.iris_exposure = bpy.props.FloatProperty()  # of the add-on, which is not enabled here
     write_png(tmp_path / "photo.png", np.zeros((12, 16, 3), np.uint8))
     views = tuple(
-        InspectedView(
-            name, tmp_path / "photo.png", camera(position=(x, 0.1, 0.5)), None, 0, 0, (1.0,), 1, 1, 0, "aligned"
-        )
+        InspectedView(name, tmp_path / "photo.png", camera(position=(x, 0.1, 0.5)), None, 0, (1.0,), 1, 1, 0, "aligned")
         for name, x in (("a", 0.0), ("b", 0.4))
     )
     inspected = Inspected("room", (0.0, 1.0, 0.0), (), views, room().mesh)

@@ -131,8 +131,9 @@ class Tracer:
 
 def _size(corners: NDArray[np.floating]) -> float:
     """Metres across triangles (F, 3, 3), or four times what most of them fill: a far backdrop is not the room."""
-    most = np.percentile(corners[:, 0], (1, 99), axis=0)
-    whole = np.ptp(corners.reshape(-1, 3), axis=0)
+    points = corners.reshape(-1, 3)
+    most = np.percentile(points[:: 1 + len(points) // 300_000], (1, 99), axis=0)
+    whole = np.ptp(points, axis=0)
     return min(float(np.linalg.norm(whole)), 4 * float(np.linalg.norm(most[1] - most[0])))
 
 
