@@ -73,14 +73,6 @@ def pieces_between_edges(
     return component_labels(len(normals), a[joined], b[joined])
 
 
-def initial_parts(
-    mesh: Mesh, adjacency: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
-) -> NDArray[np.int32]:
-    """(F,) part per face: the capture's own, else connected components.
-
-    Args:
-        adjacency: that of :func:`edge_adjacency` if it is known.
-    """
-    if mesh.parts is not None:
-        return mesh.parts
-    return component_labels(len(mesh.faces), *(adjacency or edge_adjacency(mesh)))
+def initial_parts(mesh: Mesh) -> NDArray[np.int32]:
+    """(F,) part per face: the capture's own, else connected components; nothing is split yet."""
+    return mesh.parts if mesh.parts is not None else component_labels(len(mesh.faces), *edge_adjacency(mesh))
