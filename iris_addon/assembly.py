@@ -237,6 +237,8 @@ def report_figures(
             "lamps": len(lights.emitters),
             "unseen_lamps": int(_unseen(problem.light, lights).sum()),
             "outside_directions": len(problem.light.hidden.directions),
+            "parts": len(problem.light.material),
+            "materials": len(np.unique(problem.light.material)),
             "glossy_parts": int(((gloss.roughness < 1) & (gloss.metallic < 0.5)).sum()),
             "metallic_parts": int((gloss.metallic > 0.5).sum()),
             "diffuse": {"lobe": problem.diffuse.lobe, "gain_of_burley": round(problem.diffuse.gain, 4)},

@@ -18,7 +18,7 @@ from .array_files import read_arrays, write_arrays
 from .capture.types import Capture
 from .config import SolveConfig
 
-FORMAT = 3
+FORMAT = 4
 Arrays = Mapping[str, NDArray]
 
 

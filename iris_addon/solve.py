@@ -118,12 +118,13 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     pose = partial(_problem, config, tracer, photos, parts, adjacency, surface, transport, hidden, observations, field)
     problem = pose(photometry)
     with progress.stage("lights"):
-        arrays = checkpoints.stage("lights", lambda: _lights(pose, problem, photometry, config.refinements, progress))
+        searched = partial(_lights, pose, problem, scanned, photometry, config.refinements, progress)
+        arrays = checkpoints.stage("lights", searched)
         lights, exponent = Lights.from_arrays(arrays), float(arrays["exponent"])
         if exponent != 1.0:
             photometry = photometry.raised(exponent)
             problem = pose(photometry)
-        problem = problem.with_outside(int(arrays["directions"]))
+        problem = problem.with_materials(arrays["material"]).with_outside(int(arrays["directions"]))
         write_previews(out, capture, photos.z, photometry, problem, lights)
     with progress.stage("materials"):
         solved = checkpoints.stage("materials", lambda: _materials(problem, lights, config.rounds, progress))
@@ -205,6 +206,7 @@ def _problem(
         surface,
         transport,
         parts,
+        np.arange(int(parts.max()) + 1, dtype=np.int32),
         adjacency,
         brightness(observations, linear, n),
         photos.outshone_by,
@@ -236,19 +238,26 @@ def _problem(
 def _lights(
     pose: Callable[[Photometry], MaterialProblem],
     problem: MaterialProblem,
+    scanned: NDArray[np.bool_],
     photometry: Photometry,
     forced: Refinements,
     progress: Progress,
 ) -> dict[str, NDArray]:
-    """The lamps, and the exponent of ``photometry`` under which they balance where photos leave it open."""
+    """The lamps, the parts of a scan that turn out to be one material under their light, and the exponent of
+    ``photometry`` under which lamps balance where photos leave it open."""
     exponent, all_directions = 1.0, forced.hidden_light is True
     light, lights = choose_outside(problem.light, problem.observed, progress, all_directions)
+    material = problem.materials_under(lights, scanned)
+    if (material != problem.light.material).any():
+        problem = problem.with_materials(material)
+        light, lights = choose_outside(problem.light, problem.observed, progress, all_directions)
     if photometry.exponent_open and forced.exponent is not False:
         exponent = choose_exponent(light, problem.observed, lights, progress)
     if exponent != 1.0:
-        problem = pose(photometry.raised(exponent))
+        problem = pose(photometry.raised(exponent)).with_materials(material)
         light, lights = choose_outside(problem.light, problem.observed, progress, all_directions)
-    return {**lights.arrays(), "directions": np.array(len(light.hidden.directions)), "exponent": np.array(exponent)}
+    directions = np.array(len(light.hidden.directions))
+    return {**lights.arrays(), "directions": directions, "exponent": np.array(exponent), "material": material}
 
 
 def _joint(

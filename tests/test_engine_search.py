@@ -34,6 +34,7 @@ def problem(floor: tuple[float, float, float], clipped: tuple[bool, bool, bool])
         samples=SimpleNamespace(face=PATCH_FACE, seen_faces=lambda n: np.ones(n, bool)),
         tracer=SimpleNamespace(areas=np.array([2.0, 0.2, 10.0]), normals=np.eye(3)),
         parts=np.arange(3, dtype=np.int32),
+        material=np.arange(3, dtype=np.int32),
         adjacency=(nothing, nothing),
         brightness=Brightness(value, np.where(bound > 0, np.nan, value), bound),
         outshone_by=np.full(N_PATCHES, -1),

@@ -33,7 +33,10 @@ from .solve import (
 from .types import LightProblem, Lights
 
 OUTSIDE_GAIN = 0.02
-"""Fall of the held-out loss that each step from no light outside to constant to directional must bring."""
+"""Fall of the held-out loss that light from outside must bring."""
+DIRECTION_GAIN = 0.0025
+"""Fall that its directions must bring where there is such light: about twice the standard error. That light from beyond
+a mesh is the same from everywhere was never likely."""
 OPEN_SHARE = 0.15
 """Share of escaping rays from which a mesh is no closed room."""
 SELECTIONS = 2
@@ -66,8 +69,9 @@ def choose_outside(
 ) -> tuple[LightProblem, Lights]:
     """Lamps, with as much light from outside the mesh as earns its place: none, constant, or by direction.
 
-    Each hypothesis is scored by the light balance of patches that it was not fitted to. The next larger one is taken
-    only if it lowers that score by OUTSIDE_GAIN; ``forced`` takes the largest at once.
+    Each hypothesis is scored by the light balance of patches that it was not fitted to. Light from outside is taken
+    only if it lowers that score by OUTSIDE_GAIN, its directions by DIRECTION_GAIN; ``forced`` takes the largest at
+    once.
     """
     directions = len(problem.hidden.directions)
     best: tuple[LightProblem, Lights] | None = None
@@ -82,7 +86,9 @@ def choose_outside(
             dim = mean_radiance(best[1].patch_radiance, tried)
             start = replace(best[1], hidden_radiance=np.tile(dim, (count, 1)))
             lights = solve_lights(tried, observed, start.emitters, start, progress, start.form_factors)
-        if best is None or lights.held_out < (1 - OUTSIDE_GAIN) * best[1].held_out:
+        from_outside = best is not None and bool(best[1].hidden_radiance.any())
+        gain = DIRECTION_GAIN if from_outside else OUTSIDE_GAIN
+        if best is None or lights.held_out < (1 - gain) * best[1].held_out:
             best = tried, lights
     assert best is not None
     return best

@@ -76,7 +76,7 @@ def with_silent(problem: LightProblem, observed: GroupRadiance, lights: Lights, 
 def _glows(problem: LightProblem, lights: Lights, faces: NDArray[np.int64]) -> bool:
     """Whether a lamp is brighter than it could be by reflection of the light that reaches its part."""
     radiance = next(r for lamp, r in zip(lights.emitters, lights.radiance, strict=True) if np.array_equal(lamp, faces))
-    own = problem.transport.part == problem.parts[faces[0]]
+    own = problem.transport.part == problem.material[problem.parts[faces[0]]]
     return bool(radiance.mean() > GLOWING * lights.irradiance[own].mean())
 
 

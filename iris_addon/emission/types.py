@@ -90,7 +90,8 @@ class LightProblem:
     """All that does not change while lamps are searched for.
 
     Attributes:
-        parts: (F,) part per face.
+        parts: (F,) part per face; patches, and observations of them, are told apart by it.
+        material: (n_parts,) label that parts of one material share, and patches have as their part.
         adjacency: pairs of faces that share an edge.
         brightness: how bright each seen patch was.
         outshone_by: (n,) sample beside each that may have lent it all its light, -1 for none.
@@ -107,6 +108,7 @@ class LightProblem:
     surface: Surface
     transport: Transport
     parts: NDArray[np.int32]
+    material: NDArray[np.int32]
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]]
     brightness: Brightness
     outshone_by: NDArray[np.int32]

@@ -64,6 +64,11 @@ class Gloss:
     decided: NDArray[np.bool_]
     layered: bool = False
 
+    def of_parts(self, material: NDArray[np.integer]) -> Gloss:
+        """The same for parts, each with the gloss of its ``material``, (n_parts,)."""
+        m = material
+        return Gloss(self.roughness[m], self.metallic[m], self.specular[m], self.decided[m], self.layered)
+
     def arrays(self) -> dict[str, NDArray]:
         """Plain arrays for a checkpoint."""
         return {

@@ -12,12 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..emission.candidates import brightness
+from ..emission.screens import Shown, with_screens
 from ..emission.search import reconsider_lamps
 from ..emission.solve import mean_radiance
 from ..emission.types import LightProblem, Lights
+from ..grouping import group_means
 from ..progress import Progress
 from ..response.observations import Observations
 from ..response.radiance import GroupRadiance, Linearised, group_radiance, raised_by_clipped
+from ..surface.rejoin import joined_parts
 from ..transport.bright import aim_at_bright
 from ..transport.diffuse import grazing_gain
 from ..transport.light_moments import LightMoments
@@ -85,6 +88,27 @@ class MaterialProblem:
         light = replace(self.light, transport=replace(transport, kappa=kappa, moments=moments))
         return replace(self, light=light, diffuse=self.diffuse.under(gloss.layered))
 
+    def materials_under(self, lights: Lights, scanned: NDArray[np.bool_]) -> NDArray[np.int32]:
+        """(n_parts,) label of each part, the same for parts of a scan (F,) that are one material under ``lights``."""
+        light, seen = self.light, self.observed
+        if not scanned.any():
+            return light.material
+        n, n_faces = len(seen.radiance), len(light.parts)
+        albedo = np.maximum(seen.radiance, 1e-6) / np.maximum(lights.irradiance[:n], 1e-6)
+        patch, face = light.surface.sample_patch, light.samples.face
+        known = seen.known.all(1)[patch]
+        log_albedo = group_means(np.log(albedo)[patch[known]], face[known], n_faces)
+        pixels = np.bincount(face[known], minlength=n_faces)
+        return joined_parts(light.parts, light.adjacency, log_albedo, pixels, scanned)
+
+    def with_materials(self, material: NDArray[np.int32]) -> MaterialProblem:
+        """The same problem with parts of one material (n_parts,) joined: patches and observations have its label."""
+        light = self.light
+        surface = replace(light.surface, part=material[light.surface.part])
+        transport = replace(light.transport, part=material[light.transport.part])
+        light = replace(light, material=material, surface=surface, transport=transport)
+        return replace(self, light=light, part=material[self.part])
+
     def with_outside(self, directions: int) -> MaterialProblem:
         """The same problem with so many directions of outside light."""
         return replace(self, light=replace(self.light, hidden=self.light.hidden.with_directions(directions)))
@@ -126,6 +150,9 @@ def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progr
         say = _say(problem, gloss, diffuse)
         cast = _cast_radiance(problem, gloss, diffuse, view_factor)
         lights = reconsider_lamps(light_problem, cast, lights, say, diffuse.radiance, progress)
+        if round_ == rounds - 1:
+            shown = Shown(o, problem.linear, specular)
+            lights = with_screens(light_problem, cast, lights, shown, say, diffuse.radiance, progress)
         shading = problem.shading(lights)
         gloss = fit.gloss(problem, lights, shading)
         progress.update((round_ + 1) / rounds)
@@ -237,4 +264,5 @@ class _GlossFit:
             lobes,
             None if lobe == "burley" else layered_factor(levels, samples.cosine[at]),
         )
-        return fit_gloss(observed, int(problem.light.parts.max()) + 1, problem.gloss)
+        material = problem.light.material
+        return fit_gloss(observed, len(material), problem.gloss).of_parts(material)
