@@ -61,7 +61,6 @@ class SolveConfig:
         specular_rays: rays per glossy observation; half as many per glossy pixel, whose neighbours serve it too.
         atlas_size: side of the texture atlas in texels.
         rounds: passes of emission and reflectance, each with the materials of the one before.
-        joint: whether lamps are refined at the end under the loss of the photos, by what glossy surfaces show of them.
     """
 
     preset: PresetName = "balanced"
@@ -78,7 +77,6 @@ class SolveConfig:
     specular_rays: int = 12
     atlas_size: int = 2048
     rounds: int = 2
-    joint: bool = False
 
     def rng(self, stage: int) -> np.random.Generator:
         """A generator per stage: a stage draws the same numbers whether those before it ran or were read back."""
@@ -97,7 +95,6 @@ PRESETS: dict[PresetName, SolveConfig] = {
         shadow_rays=128,
         specular_rays=32,
         atlas_size=4096,
-        joint=True,
     ),
 }
 

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +24,7 @@ from .checkpoint import Checkpoints, fingerprint
 from .compute import choose_device
 from .config import Refinements, SolveConfig
 from .emission.candidates import brightness
+from .emission.exponent import choose_exponent
 from .emission.given import read_given_emitters
 from .emission.hidden import HiddenSources, find_hidden, nothing_hidden
 from .emission.search import choose_outside
@@ -36,8 +36,6 @@ from .photo_samples import PhotoSamples, sample_photos
 from .photometry import Photometry, measure_photometry
 from .preview import write_previews
 from .progress import Progress
-from .refine.exponent import choose_exponent
-from .refine.joint import joint_arrays, joint_report, refine_lights
 from .reflectance.diffuse_lobe import choose_diffuse
 from .reflectance.gloss import LEVELS, Gloss, rough_everywhere
 from .reflectance.materials import MaterialProblem, solve_materials
@@ -62,7 +60,6 @@ from .transport.transport import Transport
 
 WEIGHTS = {"photos": 3, "surface": 3, "transport": 8, "response": 6, "lights": 15, "materials": 20, "textures": 20}
 """Expected seconds per stage, for the overall progress bar."""
-JOINT_WEIGHT = {"joint": 20}
 
 
 def solve(
@@ -81,7 +78,7 @@ def solve(
 
 
 def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress, resume: bool) -> Result:
-    progress.expect(WEIGHTS | JOINT_WEIGHT if config.joint else WEIGHTS)
+    progress.expect(WEIGHTS)
     checkpoints = Checkpoints(out / "checkpoints", fingerprint(capture, config), resume)
     unit = 1.0
     if config.hdr is None:
@@ -131,11 +128,6 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         lights, gloss = Lights.from_arrays(solved), Gloss.from_arrays(solved)
         problem = problem.with_gloss(gloss)
         write_previews(out, capture, photos.z, photometry, problem, lights)
-    joint: dict[str, Any] = {}
-    if config.joint:
-        with progress.stage("joint"):
-            arrays = checkpoints.stage("joint", lambda: _joint(problem, photometry, lights, gloss, progress))
-            lights, joint = Lights.from_arrays(arrays), {"joint": joint_report(arrays)}
     with progress.stage("textures"):
         texels = waited_for(atlas, progress.check)
         made = aside(lambda: make_result(capture, config, texels, problem, photos, photometry, lights, gloss, progress))
@@ -146,7 +138,7 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     )
     of_textures = result.report["model"]
     result.report.update(figures)
-    result.report["model"] |= of_textures | joint
+    result.report["model"] |= of_textures
     save_result(result, out)
     write_report(result, capture, out, rerenders)
     checkpoints.clear()
@@ -258,13 +250,6 @@ def _lights(
         light, lights = choose_outside(problem.light, problem.observed, progress, all_directions)
     directions = np.array(len(light.hidden.directions))
     return {**lights.arrays(), "directions": directions, "exponent": np.array(exponent), "material": material}
-
-
-def _joint(
-    problem: MaterialProblem, photometry: Photometry, lights: Lights, gloss: Gloss, progress: Progress
-) -> dict[str, NDArray]:
-    lit = problem.with_gloss(gloss, problem.shading(lights).moments)
-    return joint_arrays(*refine_lights(lit, photometry, lights, gloss, progress))
 
 
 def _materials(problem: MaterialProblem, lights: Lights, rounds: int, progress: Progress) -> dict[str, NDArray]:

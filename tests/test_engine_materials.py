@@ -10,6 +10,7 @@ import pytest
 from iris_addon.emission.balance import MAX_ALBEDO
 from iris_addon.evaluate.maps import bilinear
 from iris_addon.progress import Progress
+from iris_addon.reflectance import gloss as gloss_module
 from iris_addon.reflectance.bake import fuse_texels, pixel_albedo, pixel_weight
 from iris_addon.reflectance.ggx import DIELECTRIC_F0, layered_factor, specular_integrals
 from iris_addon.reflectance.gloss import (
@@ -334,6 +335,17 @@ def test_observations_are_chosen_by_whole_patches() -> None:
     chosen, count = np.unique(patch[rows], return_counts=True)
     whole = np.bincount(patch, weight)[chosen]
     assert (count == whole).sum() >= len(chosen) - 1  # the last one may be cut
+
+
+def test_many_parts_share_what_the_memory_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Small parts keep all, large ones are cut to the same size, and as much as allowed is used."""
+    monkeypatch.setattr(gloss_module, "ALL_OBSERVATIONS", 1000)
+    size = np.array([5, 30, 100, 400, 700, 900])
+    part = np.repeat(np.arange(len(size)), size)
+    rows = choose_observations(part, np.arange(len(part)), np.ones(len(part)), np.random.default_rng(0))
+    assert np.bincount(part[rows]).tolist() == [5, 30, 100, 288, 288, 288]
+    none = choose_observations(part, np.arange(len(part)), np.zeros(len(part)), np.random.default_rng(0))
+    assert len(none) == 0
 
 
 # Textures ------------------------------------------------------------------------------------------------------------

@@ -28,6 +28,8 @@ MIN_COST = 0.02
 """Cost below which the rough dielectric explains a part but for the noise of the photos."""
 MAX_OBSERVATIONS = 2000
 """Of one part. With a quarter of them large matte walls passed for glossy in one draw and not in the next."""
+ALL_OBSERVATIONS = 500_000
+"""Of all parts: each has 88 rays, and thousands of parts would fill the memory. redkitchen has 330,000."""
 ERRORS_NEEDED = 1.5
 """Standard errors by which a gloss must fit better than the rough dielectric."""
 ERRORS_NEEDED_ALONE = 2.0
@@ -95,12 +97,22 @@ def rough_everywhere(n_parts: int) -> Gloss:
 def choose_observations(
     part: NDArray[np.integer], patch: NDArray[np.integer], weight: NDArray[np.floating], rng: np.random.Generator
 ) -> NDArray[np.int64]:
-    """Indices of the observations to fit on: per part up to MAX_OBSERVATIONS, whole patches with all their views."""
+    """Indices of the observations to fit on, whole patches with all their views: per part up to MAX_OBSERVATIONS, and
+    of many parts up to as many of each as keep all within ALL_OBSERVATIONS."""
     shuffle = rng.permutation(int(patch.max()) + 1)
     usable = np.flatnonzero(weight > 0)
     order = usable[np.lexsort((shuffle[patch[usable]], part[usable]))]
     rank = np.arange(len(order)) - np.searchsorted(part[order], part[order])
-    return np.sort(order[rank < MAX_OBSERVATIONS])
+    most = min(MAX_OBSERVATIONS, _even_share(np.bincount(part[usable]), ALL_OBSERVATIONS))
+    return np.sort(order[rank < most])
+
+
+def _even_share(counts: NDArray[np.integer], total: int) -> int:
+    """How many each may have at most, so that those who have ``counts`` (n,) have ``total`` together or less."""
+    ascending = np.sort(counts)
+    left = total - np.concatenate([[0], np.cumsum(ascending)[:-1]])
+    share = left // np.arange(len(ascending), 0, -1)
+    return int(share[np.argmax(share < ascending)]) if (share < ascending).any() else total
 
 
 @dataclass(frozen=True)

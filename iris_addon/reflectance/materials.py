@@ -144,7 +144,7 @@ def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progr
         view_factor = problem.view_factor(shading, gloss.roughness[problem.part])
         diffuse = group_radiance(problem.linear, o.patch, o.count, n_patches, specular, view_factor)
         seen = brightness(o, problem.linear, n_patches, specular)
-        bounce = continued_paths(problem, gloss, round_)
+        bounce = _continued_paths(problem, gloss, round_)
         aimed = _aimed_rays(problem, lights, round_)
         light_problem = replace(problem.light, brightness=seen, bounce=bounce, aimed=aimed)
         say = _say(problem, gloss, diffuse)
@@ -177,7 +177,7 @@ def _cast_radiance(
     return replace(problem.observed, radiance=np.where(passes, own, matte))
 
 
-def continued_paths(problem: MaterialProblem, gloss: Gloss, round_: int) -> GlossyBounce:
+def _continued_paths(problem: MaterialProblem, gloss: Gloss, round_: int) -> GlossyBounce:
     """Continued paths under the materials of this round."""
     rng = np.random.default_rng([problem.seed, 37, round_])
     light = problem.light

@@ -12,12 +12,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ..emission.balance import EFFECTIVE_PATCHES, ROBUST_LOG
-from ..emission.candidates import Brightness
-from ..emission.solve import solve_lights
-from ..emission.types import LightProblem, Lights
 from ..progress import Progress
 from ..response.radiance import GroupRadiance
+from .balance import EFFECTIVE_PATCHES, ROBUST_LOG
+from .candidates import Brightness
+from .solve import solve_lights
+from .types import LightProblem, Lights
 
 LOG_EXPONENTS = np.linspace(-1.2, 1.2, 13)
 """Tried; between them the loss is smooth."""
