@@ -204,10 +204,10 @@ def describe_records(records: Sequence[Record], _images: Path) -> str:
 
 def describe(seconds: dict[str, float], counts: Counts, floors: Floors, what: str) -> str:
     """Every stage against its floor, in the order of the solve, as Markdown."""
-    from iris_addon.solve import JOINT_WEIGHT, WEIGHTS
+    from iris_addon.solve import WEIGHTS
 
     body, total, total_floor = [], 0.0, 0.0
-    for stage in sorted(seconds, key=list(WEIGHTS | JOINT_WEIGHT).index):
+    for stage in sorted(seconds, key=list(WEIGHTS).index):
         spent = seconds[stage]
         floor = counts.floor(stage, floors)
         total, total_floor = total + spent, total_floor + floor
