@@ -113,6 +113,15 @@ def test_specks_far_apart_or_out_of_plane_are_no_screen() -> None:
     assert find_screens(problem(), lit(), shown(with_pictures(CHANGING, specks))) == []
 
 
+def test_a_drift_of_white_balance_makes_no_screens() -> None:
+    """Every photo has a tint of its own: what is bright changes as everything does."""
+    tint = np.exp(np.random.default_rng(2).normal(0, 0.3, (VIEWS, 3)))
+    radiance = with_pictures([WHITE] * VIEWS) * tint
+    assert find_screens(problem(), lit(), shown(radiance)) == []
+    radiance[ON_SCREEN, ::2] *= np.array([0.1, 1, 3])
+    assert len(find_screens(problem(), lit(), shown(radiance))) == 1
+
+
 def test_a_lamp_is_not_found_a_second_time() -> None:
     lights = replace(lit(), mask=ON_SCREEN)
     assert find_screens(problem(), lights, shown(with_pictures(CHANGING))) == []

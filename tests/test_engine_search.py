@@ -11,7 +11,7 @@ import trimesh
 
 from iris_addon.capture.types import Mesh
 from iris_addon.emission import search, selection, solve
-from iris_addon.emission.candidates import CERTAIN, Brightness
+from iris_addon.emission.candidates import CERTAIN, MAX_LAMPS, Brightness
 from iris_addon.emission.hidden import HiddenSources
 from iris_addon.emission.types import LightProblem, Lights
 from iris_addon.progress import Progress
@@ -255,3 +255,11 @@ def test_without_a_lamp_surfaces_keep_the_light_that_is_not_its_own() -> None:
     for faces, shares in expected.items():
         kept = solve._light_kept(room, both, [np.array([face]) for face in faces])
         np.testing.assert_allclose(kept, np.array(shares)[PATCH_FACE][:, None].repeat(3, 1), rtol=1e-5)
+
+
+def test_a_user_is_told_of_no_light_and_of_more_lamps_than_are_told_apart() -> None:
+    none = lights([], (1.0, 1.0, 1.0))
+    assert "no light" in none.warnings[0]
+    assert lights([(WINDOW, 5.0)], (1.0, 1.0, 1.0)).warnings == ()
+    many = replace(none, emitters=[np.array([k]) for k in range(MAX_LAMPS)], radiance=np.ones((MAX_LAMPS, 3)))
+    assert str(MAX_LAMPS) in many.warnings[0]

@@ -25,6 +25,8 @@ from .types import LightProblem, Lights
 CHANGE = 0.2
 """Median departure of a patch's colour from its median over views (norm of two log ratios of channels) from which on it
 changes. Of redkitchen's screens half the patches exceed it, of magazines and grain that views see shifted few."""
+BEYOND_OTHERS = 3.0
+"""And times by which it changes more than half of the room does: where white balance drifts, everything changes."""
 BRIGHT = 1.2
 """Reflectance needed in a quarter of the views."""
 BRIGHT_QUANTILE = 0.75
@@ -74,8 +76,8 @@ def with_screens(
     What decides is the held-out loss of the light balance over the patches on none of them. A screen hardly moves it;
     what took the light of a lamp would.
     """
-    screens = find_screens(problem, lights, shown)
-    if not screens or problem.given is not None:
+    screens = find_screens(problem, lights, shown) if problem.given is None else []
+    if not screens:
         return lights
     mask = lights.mask.copy()
     mask[np.concatenate(screens)] = True
@@ -102,15 +104,16 @@ def find_screens(problem: LightProblem, lights: Lights, shown: Shown) -> list[ND
         return []
     near = cKDTree(surface.position[at]).sparse_distance_matrix(cKDTree(surface.position[at]), REACH)
     _, label = connected_components(near, directed=False)
-    screens = []
+    screens, taken = [], lights.mask.copy()
     for k in np.flatnonzero(np.bincount(label) >= MIN_PATCHES):
         outline = Outline.around(surface.position[at[label == k]].astype(np.float64))
         if outline is None:
             continue
         inside = outline.holds(surface.position, surface.normal)
-        faces = _faces_on(problem, inside, outline) & ~lights.mask
+        faces = _faces_on(problem, inside, outline) & ~taken
         if np.mean(changing[inside]) > MIN_SHARE and faces.any():
             screens.append(np.flatnonzero(faces))
+            taken |= faces
     return screens
 
 
@@ -141,7 +144,9 @@ def changing_patches(shown: Shown, irradiance: NDArray[np.floating]) -> NDArray[
     value = np.maximum(np.where(linear.open, linear.radiance, linear.bound) - shown.specular, 0.0)
     needed = (value / np.maximum(irradiance[o.patch], 1e-6)).max(1)
     bright = _quantile(needed, o.patch, n) > BRIGHT
-    return bright & (change > CHANGE) & (np.bincount(patch, minlength=n) >= MIN_VIEWS)
+    often = np.bincount(patch, minlength=n) >= MIN_VIEWS
+    usual = float(np.median(change[often])) if often.any() else 0.0
+    return bright & often & (change > max(CHANGE, BEYOND_OTHERS * usual))
 
 
 def _quantile(values: NDArray[np.float64], group: NDArray[np.integer], n: int) -> NDArray[np.float64]:

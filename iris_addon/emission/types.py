@@ -16,7 +16,7 @@ from ..transport.sparse_rays import SparseRays
 from ..transport.tracer import Tracer
 from ..transport.transport import Transport
 from .balance import ROBUST_LOG
-from .candidates import Brightness
+from .candidates import MAX_LAMPS, Brightness
 from .hidden import HiddenSources
 
 
@@ -51,6 +51,9 @@ class Lights:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a user should know."""
+        if len(self.emitters) >= MAX_LAMPS:
+            what = f"no more than {MAX_LAMPS} lamps are told apart, those with most pixels"
+            return (f"{what}: give lamps that belong together one material",)
         if self.emitters or self.hidden_radiance.any():
             return ()
         return ("no light was found, so the room renders black: add photos that show a lamp or a window",)
