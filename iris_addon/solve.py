@@ -242,7 +242,7 @@ def _lights(
     material = problem.materials_under(lights, scanned)
     if (material != problem.light.material).any():
         problem = problem.with_materials(material)
-        light, lights = choose_outside(problem.light, problem.observed, progress, all_directions)
+        light, lights = choose_outside(problem.light, problem.observed, progress, all_directions, lights)
     if photometry.exponent_open and forced.exponent is not False:
         exponent = choose_exponent(light, problem.observed, lights, progress)
     if exponent != 1.0:

@@ -263,3 +263,40 @@ def test_a_user_is_told_of_no_light_and_of_more_lamps_than_are_told_apart() -> N
     assert lights([(WINDOW, 5.0)], (1.0, 1.0, 1.0)).warnings == ()
     many = replace(none, emitters=[np.array([k]) for k in range(MAX_LAMPS)], radiance=np.ones((MAX_LAMPS, 3)))
     assert str(MAX_LAMPS) in many.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("lamps", "by_direction", "chosen"),
+    [
+        (0, 1.999, 1),  # less than twice the error
+        (0, 1.98, 12),
+        (0, 2.1, 1),
+        (1, 1.98, 1),  # a lamp gives the room its shadows
+        (1, 1.9, 12),
+    ],
+)
+def test_light_from_outside_is_chosen_anew_for_lamps_that_are_known(
+    monkeypatch: pytest.MonkeyPatch, lamps: int, by_direction: float, chosen: int
+) -> None:
+    """A closed room: without a lamp, nothing is explained before there is light from outside."""
+    directions = np.eye(3)[np.zeros(12, int)]
+    posed = problem((1.0, 1.0, 1.0), (False, False, False))
+    outside = HiddenSources((), directions, np.ones((N_PATCHES, 12, 2), np.float32))
+    posed = SimpleNamespace(**{**vars(posed), "hidden": outside})
+    posed.transport.target = np.zeros((N_PATCHES, 4), int)
+    lit = lights([(WINDOW, 5.0)] * lamps, (1.0, 1.0, 1.0))
+    known, losses = replace(lit, hidden_radiance=np.ones((1, 3)), held_out=0.1), {0: 3.0, 1: 2.0, 12: by_direction}
+
+    def solve(_problem, _observed, emitters, before, *_args):
+        count = len(before.hidden_radiance)
+        return replace(before, held_out=losses[count]) if len(emitters) or count else before
+
+    def renewed(it, **new):
+        return replace(it, **new) if isinstance(it, Lights) else SimpleNamespace(**{**vars(it), **new})
+
+    monkeypatch.setattr(search, "replace", renewed)
+    monkeypatch.setattr(search, "mean_radiance", lambda *_: np.ones(3))
+    monkeypatch.setattr(search, "solve_lights", solve)
+    monkeypatch.setattr(search, "find_lights", lambda *_: pytest.fail("lamps were searched for again"))
+    _, found = search.choose_outside(posed, OBSERVED, Progress(), known=known)  # type: ignore[arg-type]
+    assert len(found.hidden_radiance) == chosen

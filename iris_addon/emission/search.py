@@ -33,10 +33,10 @@ from .solve import (
 from .types import LightProblem, Lights
 
 OUTSIDE_GAIN = 0.02
-"""Fall of the held-out loss that light from outside must bring."""
-DIRECTION_GAIN = 0.0025
-"""Fall that its directions must bring where there is such light: about twice the standard error. That light from beyond
-a mesh is the same from everywhere was never likely."""
+"""Fall of the held-out loss that each step from no light outside to constant to directional must bring."""
+ALONE_GAIN = 0.0025
+"""Fall that directions must bring where there are no lamps, about twice the standard error: that all light of a room
+is the same from everywhere was never likely. Beside lamps, directions would make up for what those get wrong."""
 OPEN_SHARE = 0.15
 """Share of escaping rays from which a mesh is no closed room."""
 SELECTIONS = 2
@@ -65,13 +65,17 @@ def find_lights(problem: LightProblem, observed: GroupRadiance, progress: Progre
 
 
 def choose_outside(
-    problem: LightProblem, observed: GroupRadiance, progress: Progress, forced: bool = False
+    problem: LightProblem,
+    observed: GroupRadiance,
+    progress: Progress,
+    forced: bool = False,
+    known: Lights | None = None,
 ) -> tuple[LightProblem, Lights]:
     """Lamps, with as much light from outside the mesh as earns its place: none, constant, or by direction.
 
-    Each hypothesis is scored by the light balance of patches that it was not fitted to. Light from outside is taken
-    only if it lowers that score by OUTSIDE_GAIN, its directions by DIRECTION_GAIN; ``forced`` takes the largest at
-    once.
+    Each hypothesis is scored by the light balance of patches that it was not fitted to. The next larger one is taken
+    only if it lowers that score by OUTSIDE_GAIN, or ALONE_GAIN; ``forced`` takes the largest at once. The lamps are
+    those of ``known``; without it they are searched for.
     """
     directions = len(problem.hidden.directions)
     best: tuple[LightProblem, Lights] | None = None
@@ -80,14 +84,16 @@ def choose_outside(
     hypotheses = sorted({min(1, directions), directions} | (set() if is_open else {0}))
     for count in hypotheses[-1:] if forced else hypotheses:
         tried = replace(problem, hidden=problem.hidden.with_directions(count))
-        if best is None:
+        before = known if best is None else best[1]
+        if before is None:
             lights = find_lights(tried, observed, progress)
         else:
-            dim = mean_radiance(best[1].patch_radiance, tried)
-            start = replace(best[1], hidden_radiance=np.tile(dim, (count, 1)))
+            dim = mean_radiance(before.patch_radiance, tried)
+            # Where there is nothing to solve for, it comes back as it is, and explains nothing.
+            start = replace(before, hidden_radiance=np.tile(dim, (count, 1)), held_out=np.inf)
             lights = solve_lights(tried, observed, start.emitters, start, progress, start.form_factors)
-        from_outside = best is not None and bool(best[1].hidden_radiance.any())
-        gain = DIRECTION_GAIN if from_outside else OUTSIDE_GAIN
+        alone = best is not None and bool(best[1].hidden_radiance.any()) and not best[1].emitters
+        gain = ALONE_GAIN if alone else OUTSIDE_GAIN
         if best is None or lights.held_out < (1 - gain) * best[1].held_out:
             best = tried, lights
     assert best is not None
