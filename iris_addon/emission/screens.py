@@ -32,7 +32,7 @@ BRIGHT = 1.2
 BRIGHT_QUANTILE = 0.75
 MIN_VIEWS = 4
 MIN_PATCHES = 20
-"""Patches that change and are bright; elsewhere, in seven captures, three at most lay together."""
+"""Patches that change and are bright; elsewhere, in five captures, three at most lay together."""
 REACH = 0.15
 """Metres between bright places of one picture."""
 FLAT = 0.03
