@@ -90,14 +90,31 @@ def group_means(values: NDArray[np.floating], group: NDArray[np.integer], n_grou
 
 def group_medians(values: NDArray[np.floating], group: NDArray[np.integer], n_groups: int) -> NDArray[np.float64]:
     """(n_groups, C) median of ``values`` (n, C) per group; zero where a group is empty."""
-    count = np.bincount(group, minlength=n_groups)
-    some = count > 0
-    start, count = (np.cumsum(count) - count)[some], count[some]
+    some, start, count = _spans(group, n_groups)
     medians = np.zeros((n_groups, values.shape[1]))
     for channel, column in enumerate(values.T):
         ordered = column[order_in_groups(column, group)]
         medians[some, channel] = (ordered[start + (count - 1) // 2] + ordered[start + count // 2]) / 2
     return medians
+
+
+def group_quantiles(
+    values: NDArray[np.floating], group: NDArray[np.integer], n_groups: int, share: float
+) -> NDArray[np.float64]:
+    """(n_groups, C) lower quantile ``share`` of ``values`` (n, C) per group; zero where a group is empty."""
+    some, start, count = _spans(group, n_groups)
+    quantiles = np.zeros((n_groups, values.shape[1]))
+    for channel, column in enumerate(values.T):
+        at = start + np.floor(share * (count - 1)).astype(np.int64)
+        quantiles[some, channel] = column[order_in_groups(column, group)[at]]
+    return quantiles
+
+
+def _spans(group: NDArray[np.integer], n_groups: int) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]]:
+    """(n_groups,) groups that are not empty; of those, where each begins among sorted rows, and its rows."""
+    count = np.bincount(group, minlength=n_groups)
+    some = count > 0
+    return some, (np.cumsum(count) - count)[some], count[some]
 
 
 def entries_of(table: NDArray[np.integer], wanted: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

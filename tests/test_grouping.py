@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from iris_addon.grouping import group_equal, order_in_groups, stable_order
+from iris_addon.grouping import group_equal, group_quantiles, order_in_groups, stable_order
 
 
 @pytest.mark.parametrize("dtype", [np.uint64, np.int64])
@@ -40,3 +40,13 @@ def test_one_sort_orders_values_within_their_groups() -> None:
     order = order_in_groups(values, group)
     assert np.array_equal(group[order], np.sort(group))
     assert np.array_equal(values[order], values[np.lexsort((values, group))])
+
+
+def test_quantiles_of_groups_are_those_of_each_alone() -> None:
+    rng = np.random.default_rng(3)
+    group, values = rng.choice([0, 1, 3], 200), rng.normal(size=(200, 2)).astype(np.float32)
+    found = group_quantiles(values, group, 4, 0.75)
+    for k in (0, 1, 3):
+        expected = np.quantile(values[group == k], 0.75, axis=0, method="lower")
+        assert found[k] == pytest.approx(expected)
+    assert not found[2].any()

@@ -12,13 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
 
-from ..grouping import group_medians, order_in_groups
+from ..grouping import group_medians, group_quantiles
 from ..progress import Progress
 from ..response.observations import Observations
 from ..response.radiance import GroupRadiance, Linearised
+from ..surface.parts import component_labels
+from .candidates import least_radiance
 from .solve import form_factors_of, patches_on, solve_lights
 from .types import LightProblem, Lights
 
@@ -102,8 +103,8 @@ def find_screens(problem: LightProblem, lights: Lights, shown: Shown) -> list[ND
     at = np.flatnonzero(changing & ~patches_on(problem, lights.mask)[: len(changing)])
     if len(at) < MIN_PATCHES:
         return []
-    near = cKDTree(surface.position[at]).sparse_distance_matrix(cKDTree(surface.position[at]), REACH)
-    _, label = connected_components(near, directed=False)
+    near = cKDTree(surface.position[at]).query_pairs(REACH, output_type="ndarray")
+    label = component_labels(len(at), near[:, 0], near[:, 1])
     screens, taken = [], lights.mask.copy()
     for k in np.flatnonzero(np.bincount(label) >= MIN_PATCHES):
         outline = Outline.around(surface.position[at[label == k]].astype(np.float64))
@@ -141,23 +142,11 @@ def changing_patches(shown: Shown, irradiance: NDArray[np.floating]) -> NDArray[
     colour = log[:, [0, 2]] - log[:, [1]]
     off = np.abs(colour - group_medians(colour, patch, n)[patch])
     change = np.linalg.norm(group_medians(off, patch, n), axis=1)
-    value = np.maximum(np.where(linear.open, linear.radiance, linear.bound) - shown.specular, 0.0)
-    needed = (value / np.maximum(irradiance[o.patch], 1e-6)).max(1)
-    bright = _quantile(needed, o.patch, n) > BRIGHT
+    needed = (least_radiance(linear, shown.specular) / np.maximum(irradiance[o.patch], 1e-6)).max(1)
+    bright = group_quantiles(needed[:, None], o.patch, n, BRIGHT_QUANTILE)[:, 0] > BRIGHT
     often = np.bincount(patch, minlength=n) >= MIN_VIEWS
     usual = float(np.median(change[often])) if often.any() else 0.0
     return bright & often & (change > max(CHANGE, BEYOND_OTHERS * usual))
-
-
-def _quantile(values: NDArray[np.float64], group: NDArray[np.integer], n: int) -> NDArray[np.float64]:
-    """(n,) value at BRIGHT_QUANTILE of each group, 0 of an empty one."""
-    order, size = order_in_groups(values, group), np.bincount(group, minlength=n)
-    first = np.cumsum(size) - size
-    at = first + np.floor(BRIGHT_QUANTILE * (size - 1)).astype(np.int64)
-    some = size > 0
-    result = np.zeros(n)
-    result[some] = values[order[at[some]]]
-    return result
 
 
 @dataclass(frozen=True)
