@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from .cameras.fit import CameraFit
 from .capture.types import Capture
 from .config import SolveConfig
-from .emission.backdrop import fit_backdrop
 from .emission.balance import MAX_ALBEDO
 from .emission.types import LightProblem, Lights
 from .memory import peak_memory_bytes
@@ -22,7 +21,7 @@ from .progress import Progress
 from .reflectance.bake import pixel_albedo, pixel_weight
 from .reflectance.ggx import DIELECTRIC_F0
 from .reflectance.gloss import Gloss
-from .reflectance.materials import MaterialProblem, scene_of
+from .reflectance.materials import MaterialProblem
 from .reflectance.residual_light import residual_light
 from .reflectance.shading import Shading
 from .reflectance.specular import pixel_lobes, subtract_specular
@@ -63,7 +62,7 @@ def make_result(
     shading = problem.shading(lights)
     irradiance = light.field.at_samples(samples, patch, shading.irradiance)
     ls0, ls1 = pixel_lobes(
-        scene_of(light, lights),
+        problem.scene(lights),
         gloss,
         samples,
         irradiance,
@@ -96,8 +95,6 @@ def make_result(
     error = explained(held_out) - (shown if photos.hdr else np.clip(shown + 0.5 / 255, 0, 1))
     psnr, taken_off = -10 * np.log10(np.mean(error**2)), np.log(of_patch).std()
     report = {"holdout_psnr": float(psnr), "model": {"residual_light": round(float(taken_off), 4)}}
-    closed = config.refinements.hidden_light is False
-    backdrop = None if closed else fit_backdrop(photos.beyond, photometry, capture.mesh, capture.views)
     mesh = capture.mesh.with_uv(atlas.uv)
     exposures = {view.name: photometry.exposures[k] for k, view in enumerate(capture.views)}
     result = Result(
@@ -111,7 +108,7 @@ def make_result(
         report,
         capture.up,
         ALIKE if photometry.local is None else photometry.local.settings,
-        backdrop,
+        problem.beyond.backdrop,
     )
     return result, _rerenders(capture, samples, explained)
 

@@ -23,6 +23,7 @@ from .capture.types import Capture, Mesh
 from .checkpoint import Checkpoints, fingerprint
 from .compute import choose_device
 from .config import Refinements, SolveConfig
+from .emission.backdrop import fit_backdrop
 from .emission.candidates import brightness
 from .emission.exponent import choose_exponent
 from .emission.given import read_given_emitters
@@ -36,6 +37,7 @@ from .photo_samples import PhotoSamples, sample_photos
 from .photometry import Photometry, measure_photometry
 from .preview import write_previews
 from .progress import Progress
+from .reflectance.beyond import Beyond
 from .reflectance.diffuse_lobe import choose_diffuse
 from .reflectance.gloss import LEVELS, Gloss, rough_everywhere
 from .reflectance.materials import MaterialProblem, solve_materials
@@ -112,7 +114,8 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         measured = partial(measure_photometry, capture, config, observations, photos, config.rng(4))
         arrays = checkpoints.stage("response", lambda: waited_for(aside(measured), progress.check).arrays())
         photometry = Photometry.from_arrays(arrays)
-    pose = partial(_problem, config, tracer, photos, parts, adjacency, surface, transport, hidden, observations, field)
+    scene = partial(_problem, capture, config, tracer, photos, parts, adjacency)
+    pose = partial(scene, surface, transport, hidden, observations, field)
     problem = pose(photometry)
     with progress.stage("lights"):
         searched = partial(_lights, pose, problem, scanned, photometry, config.refinements, progress)
@@ -173,6 +176,7 @@ def _atlas(mesh: Mesh, samples: PixelSamples, size: int) -> Atlas:
 
 
 def _problem(
+    capture: Capture,
     config: SolveConfig,
     tracer: Tracer,
     photos: PhotoSamples,
@@ -209,6 +213,8 @@ def _problem(
         given=read_given_emitters(config.emitters, tracer.areas) if isinstance(config.emitters, Path) else None,
     )
     part = parts[photos.samples.face[observations.sample]]
+    closed = forced.hidden_light is False
+    beyond = Beyond(None if closed else fit_backdrop(photos.beyond, photometry, capture.mesh, capture.views))
     view_factor = 1 + grazing_gain(diffuse.lobe, np.array(LEVELS[-1])) * angle
     observed = group_radiance(linear, observations.patch, observations.count, n, view_factor=view_factor)
     problem = MaterialProblem(
@@ -220,6 +226,7 @@ def _problem(
         part,
         angle,
         diffuse,
+        beyond,
         config.specular_rays,
         config.seed,
         forced.gloss,

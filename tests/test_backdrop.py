@@ -156,7 +156,7 @@ def inward(shell: Mesh) -> np.ndarray:
 
 
 @pytest.mark.bpy
-def test_cameras_see_it_through_the_hole_with_parallax_and_it_lights_nothing() -> None:
+def test_cameras_see_it_through_the_hole_with_parallax_and_it_lights_nothing_diffuse() -> None:
     result = open_room()
     view = camera(position=(0.5, 0.3, 0.6))
     origin, direction = view.rays()
@@ -169,21 +169,21 @@ def test_cameras_see_it_through_the_hole_with_parallax_and_it_lights_nothing() -
     assert (through & side).sum() > 20
     np.testing.assert_allclose(image[through & side], expected[through & side], atol=0.01)
     wall = (np.abs(origin + direction * ((-0.9 - 0.6) / direction[:, 2])[:, None])[:, :2] > 1.1).any(1)
-    assert wall.sum() > 20 and not image[wall].any()
+    assert wall.sum() > 20 and image[wall].mean() < 0.05  # what a varnish of 4 % reflects
     (half,) = render_views(result, [view], edit=SceneEdit(outside_scale=0.5), **QUICK)
     np.testing.assert_allclose(half.reshape(-1, 3)[through & side], 0.5 * expected[through & side], atol=0.01)
 
 
 @pytest.mark.bpy
-@pytest.mark.parametrize("roughness", [0.0, 0.5])
-def test_a_mirror_shows_it_and_a_dull_metal_the_light_from_outside(roughness: float) -> None:
+@pytest.mark.parametrize("roughness", [0.0, 0.25])
+def test_reflections_show_it_sharp_or_blurred_and_not_the_light_from_outside(roughness: float) -> None:
     """A ball before the camera reflects what is behind it, through the open side the camera looks in by."""
     ball = Sphere(np.zeros(3), 0.5, np.ones(3), roughness, 1.0)
     view = camera(position=(0, 0, 3), fx=60.0, fy=60.0)
     result = replace(open_room(), outside=OutsideLight(np.array([[0.2, 0.2, 0.2]]) / sh_basis(np.eye(3)[2:], 1)))
     (image,) = render_views(result, [view], edit=SceneEdit(spheres=(ball,)), **QUICK)
-    middle = image[view.height // 2, view.width // 2]
-    np.testing.assert_allclose(middle, [0.5, 0.5, 0.9] if roughness == 0 else [0.2] * 3, atol=0.05)
+    middle = image[view.height // 2 - 1 : view.height // 2 + 2, view.width // 2 - 1 : view.width // 2 + 2].mean((0, 1))
+    np.testing.assert_allclose(middle, [0.5, 0.5, 0.88], atol=0.05)
 
 
 @pytest.mark.bpy

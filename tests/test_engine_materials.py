@@ -12,6 +12,7 @@ from iris_addon.evaluate.maps import bilinear
 from iris_addon.progress import Progress
 from iris_addon.reflectance import gloss as gloss_module
 from iris_addon.reflectance.bake import fuse_texels, pixel_albedo, pixel_weight
+from iris_addon.reflectance.beyond import Beyond
 from iris_addon.reflectance.ggx import DIELECTRIC_F0, layered_factor, specular_integrals
 from iris_addon.reflectance.gloss import (
     LEVELS,
@@ -66,7 +67,7 @@ class Scene:
         """The room under its lamps."""
         return LitScene(
             self.tracer, self.transport, self.room.parts, self.surface.sample_patch, self.patch_radiance,
-            self.face_emission, np.full(3, 0.1), aim or LampAim.nowhere(self.tracer),
+            self.face_emission, np.full(3, 0.1), Beyond(None), aim or LampAim.nowhere(self.tracer),
         )  # fmt: skip
 
     def aim(self) -> LampAim:

@@ -35,9 +35,27 @@ def test_an_even_wall_loses_its_blotches_and_keeps_its_level() -> None:
     assert corrected(seen).mean() == pytest.approx(0.7, rel=0.01)
 
 
-def test_planks_keep_their_difference() -> None:
-    planks = WALL * np.where(ROW // 5 % 2 == 0, 0.8, 1.2)[:, None]
-    assert spread(corrected(planks * BLOTCHES)) > 0.9 * spread(planks)
+HALVES = (ROW >= SIDE // 2).astype(np.int32)
+GRADIENT = np.exp(0.25 * (COLUMN / SIDE - 0.5))[:, None]
+
+
+def test_planks_keep_their_difference_beside_an_even_wall() -> None:
+    planks = WALL * np.where((HALVES == 1) & (ROW // 5 % 2 == 0), 0.7, 1.0)[:, None]
+    floor = HALVES == 1
+    assert spread(corrected(planks * BLOTCHES, part=HALVES)[floor]) > 0.9 * spread(planks[floor])
+
+
+def test_a_gradient_that_no_surface_is_without_is_light() -> None:
+    two = WALL * np.where(HALVES == 0, 1.0, 0.3)[:, None]
+    found = corrected(two * GRADIENT, part=HALVES)
+    for half in (HALVES == 0, HALVES == 1):
+        assert spread(found[half]) < 0.35 * spread(GRADIENT[half])
+
+
+def test_a_gradient_beside_an_even_wall_is_paint() -> None:
+    painted = WALL * np.where((HALVES == 1)[:, None], GRADIENT, 1.0)
+    found = corrected(painted, part=HALVES)[HALVES == 1]
+    assert spread(found) > 0.8 * spread(GRADIENT[HALVES == 1])
 
 
 def test_a_stain_on_an_even_wall_stays() -> None:

@@ -1,9 +1,10 @@
 """What cameras see where the mesh has holes: the surfaces that a scan missed, not the light that comes through.
 
 Light from outside the mesh stands for everything beyond it together, lamps among it. To a camera that looks through a
-hole under a table it would be a glaring patch. The photos show what is there, but not how far away. Most of what a scan
-misses stands at its walls or close to them, so pixels that miss the mesh are painted onto a convex shell around it:
-from wherever one looks, what is missing on a wall is then where it belongs, and what was further in is moved a little.
+hole under a table it would be a glaring patch, and so it would be mirrored by a varnished front. The photos show what
+is there, but not how far away. Most of what a scan misses stands at its walls or close to them, so pixels that miss
+the mesh are painted onto a convex shell around it: from wherever one looks, what is missing on a wall is then where it
+belongs, and what was further in is moved a little.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ class LobeRays(NamedTuple):
     """Reflected rays of n points at one roughness each.
 
     Attributes:
-        target: (n, S) int32 patch hit, UNKNOWN or ESCAPED.
+        target: (n, S) int32 patch hit, N and on for the texels of what lies beyond the mesh, UNKNOWN or ESCAPED.
         face: (n, S) int32 face hit, -1 where escaped.
         weight0, weight1: (n, S) float32, what the radiance each ray meets counts for in either lobe.
         schlick: (n, S) float32, S of the angle at which each ray arrives.
@@ -38,7 +38,7 @@ class LobeRays(NamedTuple):
 
     def radiance(
         self,
-        patch_radiance: NDArray[np.floating],
+        met: NDArray[np.floating],
         kappa: NDArray[np.floating],
         face_emission: NDArray[np.floating],
         unknown: NDArray[np.floating],
@@ -46,13 +46,14 @@ class LobeRays(NamedTuple):
         """``Ls0`` and ``Ls1``, (n, 3) each.
 
         Args:
-            patch_radiance: (N, 3) reflected radiance of every patch, and ``kappa`` (N,) of its diffuse lobe.
+            met: (N + T, 3) reflected radiance of every patch, and radiance of every texel beyond the mesh.
+            kappa: (N + T,) of their diffuse lobes.
             face_emission: (F, 3).
             unknown: (3,) for hits without a patch.
         """
         n, samples = self.target.shape
         lobes = np.empty((2, n, 3), np.float32)
-        table = radiance_table(patch_radiance, unknown)
+        table = radiance_table(met, unknown)
         own = np.append(kappa, [0.0, 0.0])  # the last two for ESCAPED and UNKNOWN
         emitted, emits = face_emission.astype(np.float32), face_emission.any(1)
         over_blocks(

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ from ..transport.patch_hits import find_patch
 from ..transport.sampling import Vector, ggx_direction, grazing, r2_sequence, vector
 from ..transport.tracer import Tracer
 from ..transport.transport import Transport
+from .beyond import Beyond
 from .ggx import ray_alpha
 from .lamp_aim import LampAim, aimed_density, lamp_after, point_on_lamp
 from .lobe_rays import LobeRays
@@ -44,6 +46,7 @@ class Scene:
         patch_radiance: (N, 3) reflected radiance.
         face_emission: (F, 3).
         unknown: (3,) radiance of surfaces without a patch.
+        beyond: what is met by rays that escape.
         aim: where rays are aimed at lamps.
     """
 
@@ -54,11 +57,19 @@ class Scene:
     patch_radiance: NDArray[np.floating]
     face_emission: NDArray[np.floating]
     unknown: NDArray[np.floating]
+    beyond: Beyond
     aim: LampAim
 
     def lobes(self, rays: LobeRays) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """``Ls0`` and ``Ls1`` (n, 3) of the points whose reflected rays these are."""
-        return rays.radiance(self.patch_radiance, self.transport.kappa, self.face_emission, self.unknown)
+        return rays.radiance(*self._met, self.face_emission, self.unknown)
+
+    @cached_property
+    def _met(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """(N + T, 3) radiance of what rays meet, patches and texels beyond them, and (N + T,) kappa of their lobes."""
+        beyond = self.beyond.radiance
+        radiance = np.concatenate([self.patch_radiance, beyond])
+        return radiance, np.concatenate([self.transport.kappa, np.zeros(len(beyond))])
 
 
 def trace_lobes(
@@ -115,6 +126,7 @@ def _trace_block(
     cast = rows_of(cast, slice(count))
     hits = scene.tracer.closest(cast.start, cast.along)
     _arrive(points, cast, hits.face, hits.distance, meets, scene.aim, n_drawn, n_aimed, rays)
+    _escape(rows_of(cast, hits.face < 0), scene, rays)
     if n_aimed:
         cast = _Cast.empty(n * n_aimed)
         u = rng.random((n, n_aimed, 4), np.float32)
@@ -216,6 +228,12 @@ def _arrive(
             rays.schlick[i, j] = grazing(abs(cosine))
         rays.weight0[i, j] *= share
         rays.weight1[i, j] *= share
+
+
+def _escape(cast: _Cast, scene: Scene, rays: LobeRays) -> None:
+    texel = scene.beyond.texels(cast.start, cast.along)
+    met = texel >= 0
+    rays.target[cast.row[met], cast.column[met]] = texel[met] + scene.transport.n_patches
 
 
 @kernel

@@ -25,6 +25,7 @@ from ..transport.bright import aim_at_bright
 from ..transport.diffuse import grazing_gain
 from ..transport.light_moments import LightMoments
 from ..transport.sparse_rays import SparseRays
+from .beyond import Beyond
 from .diffuse_lobe import DiffuseChoice
 from .ggx import layered_factor
 from .gloss import FIT_RAYS, LEVELS, Gloss, GlossObservations, choose_observations, fit_gloss
@@ -52,6 +53,7 @@ class MaterialProblem:
         part: (M,) part of each observation.
         schlick: (M,) Schlick's S of the direction each observation was made from.
         diffuse: the lobe of every diffuse surface.
+        beyond: what photos show where the mesh has holes.
         gloss: None lets every part earn its gloss, True takes the best fit, False leaves all rough.
     """
 
@@ -63,6 +65,7 @@ class MaterialProblem:
     part: NDArray[np.int32]
     schlick: NDArray[np.floating]
     diffuse: DiffuseChoice
+    beyond: Beyond
     specular_rays: int
     seed: int
     gloss: bool | None = None
@@ -109,26 +112,25 @@ class MaterialProblem:
         light = replace(light, material=material, surface=surface, transport=transport)
         return replace(self, light=light, part=material[self.part])
 
+    def scene(self, lights: Lights) -> Scene:
+        """What reflected rays meet under ``lights``."""
+        light = self.light
+        seen = light.transport.n_seen
+        return Scene(
+            light.tracer,
+            light.transport,
+            light.parts,
+            light.surface.sample_patch,
+            lights.patch_radiance,
+            lights.face_emission(len(light.parts)),
+            mean_radiance(lights.patch_radiance, light),
+            self.beyond,
+            LampAim.at(light.tracer, lights.emitters, lights.radiance, lights.form_factors[:seen, :, 0]),
+        )
+
     def with_outside(self, directions: int) -> MaterialProblem:
         """The same problem with so many directions of outside light."""
         return replace(self, light=replace(self.light, hidden=self.light.hidden.with_directions(directions)))
-
-
-def scene_of(problem: LightProblem, lights: Lights) -> Scene:
-    """What reflected rays meet under ``lights``."""
-    emission = lights.face_emission(len(problem.parts))
-    unknown = mean_radiance(lights.patch_radiance, problem)
-    seen = problem.transport.n_seen
-    return Scene(
-        problem.tracer,
-        problem.transport,
-        problem.parts,
-        problem.surface.sample_patch,
-        lights.patch_radiance,
-        emission,
-        unknown,
-        LampAim.at(problem.tracer, lights.emitters, lights.radiance, lights.form_factors[:seen, :, 0]),
-    )
 
 
 def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progress: Progress) -> tuple[Lights, Gloss]:
@@ -209,7 +211,7 @@ def _observed_specular(
     """(M, 3) specular radiance of every observation."""
     rng = np.random.default_rng([problem.seed, 31, round_])
     ls0, ls1 = specular_lobes(
-        scene_of(problem.light, lights),
+        problem.scene(lights),
         gloss,
         problem.light.samples,
         problem.observations.sample,
@@ -235,7 +237,7 @@ class _GlossFit:
         rng = np.random.default_rng([problem.seed, 29])
         usable = problem.linear.open.all(1) & ~lights.mask[light.samples.face[o.sample]]
         rows = choose_observations(problem.part, o.patch, np.where(usable, o.count, 0), rng)
-        scene, at = scene_of(light, lights), o.sample[rows]
+        scene, at = problem.scene(lights), o.sample[rows]
         rays = [
             [trace_lobes(scene, light.samples, at, np.full(len(at), level), n_rays // 2, rng) for _ in range(2)]
             for level, n_rays in zip(LEVELS, FIT_RAYS, strict=False)
@@ -245,7 +247,7 @@ class _GlossFit:
     def gloss(self, problem: MaterialProblem, lights: Lights, shading: Shading) -> Gloss:
         """Roughness and metallic per part under ``lights``."""
         o, samples = problem.observations, problem.light.samples
-        scene = scene_of(problem.light, lights)
+        scene = problem.scene(lights)
         at = o.sample[self.rows]
         local = problem.light.field.at_samples(samples.take(at), o.patch[self.rows], shading.irradiance)
         lobes = [[scene.lobes(half) for half in halves] for halves in self.rays]

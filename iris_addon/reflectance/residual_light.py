@@ -2,7 +2,8 @@
 
 Traced irradiance is right to a few percent, with errors that change slowly over a surface; divided by it, a wall has
 blotches of light for paint. Paint is even over a part or has detail, so a slow change of a few percent is taken for an
-error of the light, as far as the part shows no larger ones (after the retinex of Land and McCann, JOSA 1971).
+error of the light, as far as the part shows no larger ones (after the retinex of Land and McCann, JOSA 1971). Where
+lamps stand outside the mesh the light is further off than that: by how much, the evenest surfaces tell.
 """
 
 from __future__ import annotations
@@ -14,12 +15,15 @@ from ..grouping import group_medians, group_sums
 from ..surface.field import IrradianceField
 from .bake import DIM_ALBEDO
 
-LIGHT_ERROR = 0.03
-"""Standard deviation of the log irradiance of patches."""
+LIGHT_ERROR, WORST_ERROR = 0.03, 0.15
+"""Standard deviation of the log irradiance of patches, at least and at most."""
+EVENEST, OVER_EVENEST = 0.1, 1.6
+"""The error is so many times the spread of the part that this share of the patches lie on or on a more even one: the
+ratio that it has where lamps are known."""
 SLOW = 3.0
 """Patch sizes over which errors of the irradiance change."""
-FEATURE = 0.1
-"""Slow difference in log albedo that is rather a stain than light."""
+FEATURE = 10 / 3
+"""Errors of the light from which a slow difference in log albedo is rather a stain."""
 MAD = 1.4826
 """Standard deviations of a normal distribution in its median absolute deviation."""
 
@@ -51,5 +55,12 @@ def residual_light(
     # Twice, or detail as fine as a patch would be in the average of ten of them.
     slow = (around @ (around @ (say * off))) / np.maximum(around @ (around @ say), 1e-12)
     spread = MAD * group_medians(np.abs(slow[seen]), part[seen], n_parts).mean(1)
-    share = even / np.maximum(spread / LIGHT_ERROR, 1.0) ** 2
-    return np.exp(share[part][:, None] * slow / (1 + (slow / FEATURE) ** 4))
+    error = _light_error(spread[part[seen & even[part]]])
+    share = even / np.maximum(spread / error, 1.0) ** 2
+    return np.exp(share[part][:, None] * slow / (1 + (slow / (FEATURE * error)) ** 4))
+
+
+def _light_error(spread: NDArray[np.floating]) -> float:
+    """Standard deviation of the log irradiance, from the slow spread (n,) within the part of each patch."""
+    evenest = float(np.quantile(spread, EVENEST)) if len(spread) else 0.0
+    return float(np.clip(OVER_EVENEST * evenest, LIGHT_ERROR, WORST_ERROR))

@@ -50,7 +50,7 @@ class OutsideLight:
 class Backdrop:
     """What cameras see through holes of the mesh: a convex shell around the room with a picture on its inner side.
 
-    It stands for surfaces that a scan missed. To everything but cameras it is not there.
+    It stands for surfaces that a scan missed. Cameras and reflections show it; to diffuse surfaces it is not there.
 
     Attributes:
         vertices: (V, 3) float64 of the shell, metres, in the capture's world space.

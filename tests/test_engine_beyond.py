@@ -1,0 +1,87 @@
+"""What reflected rays meet beyond the mesh: the texel of the backdrop in their way, or the light from outside."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from iris_addon.capture.types import Mesh
+from iris_addon.reflectance.beyond import Beyond
+from iris_addon.reflectance.ggx import specular_integrals
+from iris_addon.reflectance.lamp_aim import LampAim
+from iris_addon.reflectance.lobes import Scene, trace_lobes
+from iris_addon.result.panorama import equirect_directions
+from iris_addon.result.types import Backdrop
+from iris_addon.surface.samples import PixelSamples
+from tests.engine_room import cameras, furnished_room, patched
+
+FLOOR = 4
+SIDE = 6.0
+
+
+def shell(picture: np.ndarray) -> Backdrop:
+    """A cube about the origin whose sides are SIDE away."""
+    corners = SIDE * np.array([[x, y, z] for x in (-1.0, 1) for y in (-1.0, 1) for z in (-1.0, 1)])
+    quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+    faces = np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]])
+    return Backdrop(corners, faces, picture.astype(np.float32))
+
+
+def test_a_ray_meets_what_is_painted_where_it_ends_and_not_where_it_points() -> None:
+    picture = equirect_directions(256, 128)
+    beyond = Beyond(shell(picture))
+    rng = np.random.default_rng(0)
+    origin = rng.uniform(-1, 1, (200, 3))
+    direction = rng.normal(size=(200, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    reach = ((SIDE - np.sign(direction) * origin) / np.abs(direction)).min(1)
+    end = origin + reach[:, None] * direction
+    met = beyond.radiance[beyond.texels(origin, direction)]
+    assert np.abs(met - end / np.linalg.norm(end, axis=1, keepdims=True)).max() < 0.04
+    assert np.abs(met - direction).max() > 0.1
+
+
+def test_without_holes_nothing_is_met() -> None:
+    beyond = Beyond(None)
+    assert len(beyond.radiance) == 0
+    assert (beyond.texels(np.zeros((3, 3)), np.eye(3)) == -1).all()
+
+
+@pytest.fixture(scope="module")
+def floor() -> tuple[Scene, PixelSamples]:
+    """The floor of the furnished room alone: every ray that it reflects escapes."""
+    room = furnished_room()
+    on_floor = room.parts == FLOOR
+    mesh = Mesh(room.mesh.vertices, room.mesh.faces[on_floor], None, np.zeros(on_floor.sum(), np.int32))
+    seen = patched(replace(room, mesh=mesh), cameras(4), 300, 16)
+    n, n_faces = seen.transport.n_patches, len(mesh.faces)
+    scene = Scene(
+        seen.tracer,
+        seen.transport,
+        np.zeros(n_faces, np.int32),
+        seen.surface.sample_patch,
+        np.zeros((n, 3)),
+        np.zeros((n_faces, 3)),
+        np.zeros(3),
+        Beyond(None),
+        LampAim.nowhere(seen.tracer),
+    )
+    return scene, seen.samples
+
+
+@pytest.mark.parametrize("roughness", [0.15, 0.5])
+def test_a_uniform_backdrop_is_mirrored_by_the_integrals_of_the_model(
+    floor: tuple[Scene, PixelSamples], roughness: float
+) -> None:
+    scene, samples = floor
+    rows = np.arange(0, len(samples.face), max(1, len(samples.face) // 400))
+    lit = replace(scene, beyond=Beyond(shell(np.full((8, 16, 3), 0.3))))
+    rays = trace_lobes(lit, samples, rows, np.full(len(rows), roughness), 128, np.random.default_rng(1))
+    s0, s1 = lit.lobes(rays)
+    f0, f1 = specular_integrals(np.full(len(rows), roughness), samples.cosine[rows].astype(np.float64))
+    assert s0.mean() == pytest.approx(0.3 * f0.mean(), rel=0.02)
+    assert s1.mean() == pytest.approx(0.3 * f1.mean(), abs=0.005)
+    dark = trace_lobes(scene, samples, rows, np.full(len(rows), roughness), 16, np.random.default_rng(1))
+    assert not scene.lobes(dark)[0].any()
