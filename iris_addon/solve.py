@@ -114,8 +114,7 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         measured = partial(measure_photometry, capture, config, observations, photos, config.rng(4))
         arrays = checkpoints.stage("response", lambda: waited_for(aside(measured), progress.check).arrays())
         photometry = Photometry.from_arrays(arrays)
-    scene = partial(_problem, capture, config, tracer, photos, parts, adjacency)
-    pose = partial(scene, surface, transport, hidden, observations, field)
+    pose = partial(_problem, config, tracer, photos, parts, adjacency, surface, transport, hidden, observations, field)
     problem = pose(photometry)
     with progress.stage("lights"):
         searched = partial(_lights, pose, problem, scanned, photometry, config.refinements, progress)
@@ -125,6 +124,9 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
             photometry = photometry.raised(exponent)
             problem = pose(photometry)
         problem = problem.with_materials(arrays["material"]).with_outside(int(arrays["directions"]))
+        if config.refinements.hidden_light is not False:
+            backdrop = fit_backdrop(photos.beyond, photometry, capture.mesh, capture.views)
+            problem = replace(problem, beyond=Beyond(backdrop))
         write_previews(out, capture, photos.z, photometry, problem, lights)
     with progress.stage("materials"):
         solved = checkpoints.stage("materials", lambda: _materials(problem, lights, config.rounds, progress))
@@ -176,7 +178,6 @@ def _atlas(mesh: Mesh, samples: PixelSamples, size: int) -> Atlas:
 
 
 def _problem(
-    capture: Capture,
     config: SolveConfig,
     tracer: Tracer,
     photos: PhotoSamples,
@@ -213,8 +214,6 @@ def _problem(
         given=read_given_emitters(config.emitters, tracer.areas) if isinstance(config.emitters, Path) else None,
     )
     part = parts[photos.samples.face[observations.sample]]
-    closed = forced.hidden_light is False
-    beyond = Beyond(None if closed else fit_backdrop(photos.beyond, photometry, capture.mesh, capture.views))
     view_factor = 1 + grazing_gain(diffuse.lobe, np.array(LEVELS[-1])) * angle
     observed = group_radiance(linear, observations.patch, observations.count, n, view_factor=view_factor)
     problem = MaterialProblem(
@@ -226,7 +225,6 @@ def _problem(
         part,
         angle,
         diffuse,
-        beyond,
         config.specular_rays,
         config.seed,
         forced.gloss,

@@ -1,4 +1,4 @@
-"""What reflected rays meet beyond the mesh: the texel of the backdrop in their way, or the light from outside."""
+"""What reflected rays meet beyond the mesh: the texel of the backdrop in their way, or nothing."""
 
 from __future__ import annotations
 

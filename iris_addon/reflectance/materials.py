@@ -40,6 +40,7 @@ PASSED_ON = 0.6
 GLOSSY = 0.5
 GLOSSY_SAY = 0.3
 """Glossy parts keep this say in the light balance: what is left of their highlights is a bias, not noise."""
+NOTHING_BEYOND = Beyond(None)
 
 
 @dataclass(frozen=True)
@@ -53,8 +54,8 @@ class MaterialProblem:
         part: (M,) part of each observation.
         schlick: (M,) Schlick's S of the direction each observation was made from.
         diffuse: the lobe of every diffuse surface.
-        beyond: what photos show where the mesh has holes.
         gloss: None lets every part earn its gloss, True takes the best fit, False leaves all rough.
+        beyond: what photos show where the mesh has holes, once the response is settled; only reflections ask.
     """
 
     light: LightProblem
@@ -65,10 +66,10 @@ class MaterialProblem:
     part: NDArray[np.int32]
     schlick: NDArray[np.floating]
     diffuse: DiffuseChoice
-    beyond: Beyond
     specular_rays: int
     seed: int
     gloss: bool | None = None
+    beyond: Beyond = NOTHING_BEYOND
 
     def shading(self, lights: Lights) -> Shading:
         """The light of ``lights`` at the seen patches."""
