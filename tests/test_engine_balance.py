@@ -211,6 +211,17 @@ def test_patches_of_no_weight_have_no_say(shading: Shading) -> None:
     assert balance.radiance == pytest.approx(shading.truth, rel=0.02)
 
 
+def test_patches_whose_light_is_badly_known_make_lamps_dim_unless_they_say_less(shading: Shading) -> None:
+    """Errors of the regressors, as where the normals of a mesh are noise."""
+    rng = np.random.default_rng(6)
+    shaken = rng.random(len(shading.part)) < 0.6
+    off = np.exp(np.where(shaken, rng.normal(0, 0.5, shaken.shape), 0.0))[:, None]
+    noisy = replace(shading, form_factors=shading.form_factors * off)
+    assert (noisy.solve().radiance < 0.9 * shading.truth).all()
+    knowing = replace(noisy, weight=1 / (1 + (np.where(shaken, 0.5, 0.0) / ROBUST_LOG) ** 2))
+    assert knowing.solve().radiance == pytest.approx(shading.truth, rel=0.05)
+
+
 def test_the_held_out_loss_rises_with_what_the_model_cannot_explain(shading: Shading) -> None:
     rng = np.random.default_rng(5)
     texture = np.exp(rng.normal(0, 0.3, (len(shading.part), 1)))

@@ -10,7 +10,7 @@ import trimesh
 
 from iris_addon.capture.types import Mesh
 from iris_addon.progress import Progress
-from iris_addon.surface.build import Surface, build_surface
+from iris_addon.surface.build import Surface, build_surface, normal_spread
 from iris_addon.surface.parts import edge_adjacency, initial_parts
 from iris_addon.surface.samples import PixelSamples, pixel_lattice, stride_for_budget, trace_pixels
 from iris_addon.transport.tracer import Tracer
@@ -52,6 +52,27 @@ def test_patches_mix_neither_parts_nor_orientations(room: Room, patched: tuple[P
     samples, surface = patched
     assert (room.parts[samples.face] == surface.part[surface.sample_patch]).all()
     assert ((samples.normal * surface.normal[surface.sample_patch]).sum(1) > 0.8).all()
+
+
+def test_normals_spread_as_they_do_in_closed_form() -> None:
+    rng = np.random.default_rng(0)
+    ball = rng.standard_normal((40_000, 3))
+    ball /= np.linalg.norm(ball, axis=1, keepdims=True)
+    sheet = np.tile([[0.0, 0.6, 0.8]], (50, 1)) * np.where(np.arange(50) % 2, 1, -1)[:, None]
+    edge = np.eye(3)[np.arange(60) % 2]
+    group = np.repeat([0, 1, 2], [len(ball), len(sheet), len(edge)])
+    spread = normal_spread(np.concatenate([ball, sheet, edge]), group)
+    assert spread == pytest.approx([np.sqrt(2 / 3), 0.0, np.sqrt(1 / 2)], abs=0.01)
+
+
+def test_walls_are_flat_until_their_vertices_are_shaken(patched: tuple[PixelSamples, Surface]) -> None:
+    _, surface = patched
+    wall = surface.part < 6
+    assert surface.spread[wall].max() < 1e-3
+    fine = furnished_room(0.08)
+    moved = fine.mesh.vertices + np.random.default_rng(0).normal(0, 0.01, fine.mesh.vertices.shape)
+    _, shaken = surface_of(replace(fine, mesh=replace(fine.mesh, vertices=moved)))
+    assert np.median(shaken.spread[shaken.part < 6]) > 0.15
 
 
 def test_a_thin_board_has_two_sides() -> None:

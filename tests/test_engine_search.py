@@ -11,6 +11,7 @@ import trimesh
 
 from iris_addon.capture.types import Mesh
 from iris_addon.emission import search, selection, solve
+from iris_addon.emission.balance import ROBUST_LOG
 from iris_addon.emission.candidates import CERTAIN, MAX_LAMPS, Brightness
 from iris_addon.emission.hidden import HiddenSources
 from iris_addon.emission.types import LightProblem, Lights
@@ -30,7 +31,9 @@ def problem(floor: tuple[float, float, float], clipped: tuple[bool, bool, bool])
     nothing = np.zeros(0, np.int64)
     return SimpleNamespace(  # type: ignore[return-value]
         transport=SimpleNamespace(n_seen=N_PATCHES, n_patches=N_PATCHES, kappa=np.zeros(N_PATCHES), part=PATCH_FACE),
-        surface=SimpleNamespace(sample_patch=np.arange(N_PATCHES), count=np.ones(N_PATCHES)),
+        surface=SimpleNamespace(
+            sample_patch=np.arange(N_PATCHES), count=np.ones(N_PATCHES), spread=np.zeros(N_PATCHES)
+        ),
         samples=SimpleNamespace(face=PATCH_FACE, seen_faces=lambda n: np.ones(n, bool)),
         tracer=SimpleNamespace(areas=np.array([2.0, 0.2, 10.0]), normals=np.eye(3)),
         parts=np.arange(3, dtype=np.int32),
@@ -40,6 +43,7 @@ def problem(floor: tuple[float, float, float], clipped: tuple[bool, bool, bool])
         outshone_by=np.full(N_PATCHES, -1),
         hidden=HiddenSources((), np.zeros((0, 3)), np.zeros((N_PATCHES, 0, 2), np.float32)),
         given=None,
+        robust_log=ROBUST_LOG,
     )
 
 
@@ -230,6 +234,14 @@ def test_a_lamp_that_specks_stood_in_for_is_found_when_they_are_gone(monkeypatch
     monkeypatch.setattr(search, "_candidates", lambda *_: [speck])
     result = search.find_lights(room, OBSERVED, Progress())  # type: ignore[arg-type]
     assert [int(faces[0]) for faces in result.emitters] == [WINDOW]
+
+
+def test_a_patch_says_less_of_the_light_the_less_its_normal_is_known() -> None:
+    asked = problem((1.0, 1.0, 1.0), (False, False, False))
+    assert solve.say_of(asked, OBSERVED) == pytest.approx(1.0)
+    # Where light is off by as much as the balance scatters anyway, the variance is twice that of a plane.
+    asked.surface.spread[:] = ROBUST_LOG / solve.TURNED
+    assert solve.say_of(asked, OBSERVED) == pytest.approx(0.5)
 
 
 def test_a_lamp_has_a_side_between_any_two_sharp_edges() -> None:

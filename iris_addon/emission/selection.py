@@ -45,13 +45,14 @@ def with_silent(problem: LightProblem, observed: GroupRadiance, lights: Lights, 
     Of a part that clips all over they say too little to need emission, of one that none shows nothing. A part that
     takes the place of a lamp which is a piece of it may cost nothing; one beside it must gain.
     """
-    proposed = [*promising(problem, observed, lights, say_of(observed)), *_clipped_parts(problem, lights)]
+    proposed = [*promising(problem, observed, lights, say_of(problem, observed)), *_clipped_parts(problem, lights)]
     if not proposed:
         return lights
     mask = lights.mask.copy()
     mask[np.concatenate(proposed)] = True
     n = problem.transport.n_seen
-    say, asked = np.where(patches_on(problem, mask)[:n], 0.0, say_of(observed)), np.arange(n) % SILENT_EVERY == 0
+    say = np.where(patches_on(problem, mask)[:n], 0.0, say_of(problem, observed))
+    asked = np.arange(n) % SILENT_EVERY == 0
     if np.count_nonzero(say * asked * observed.known.all(1)) < LEAST_ASKED:
         return lights
 
@@ -103,7 +104,7 @@ def needed_lamps(
     Whether it does is asked of the same patches with and without the lamp, and so not of those on any: what is textured
     and taken for a lamp would seem needed because its texture then does not count.
     """
-    say = np.where(patches_on(problem, lights.mask)[: problem.transport.n_seen], 0.0, say_of(observed))
+    say = np.where(patches_on(problem, lights.mask)[: problem.transport.n_seen], 0.0, say_of(problem, observed))
     needed = certainty(problem, lights, lamp_of_patch(problem, lights.emitters))
     power = np.array([problem.tracer.areas[f].sum() for f in lights.emitters]) * lights.radiance.mean(1)
     # Mixed pixels at the edge of a real lamp make specks.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..emission.candidates import brightness
 from ..emission.screens import Shown, with_screens
 from ..emission.search import reconsider_lamps
-from ..emission.solve import mean_radiance
+from ..emission.solve import mean_radiance, say_of
 from ..emission.types import LightProblem, Lights
 from ..grouping import group_means
 from ..progress import Progress
@@ -203,7 +203,7 @@ def _say(problem: MaterialProblem, gloss: Gloss, diffuse: GroupRadiance) -> NDAr
     matte = np.where(gloss.roughness[part] < GLOSSY, GLOSSY_SAY, 1.0) * (gloss.metallic[part] < 0.5)
     # Where nearly all light was specular the remainder is what a wrong lobe leaves.
     mostly_diffuse = diffuse.radiance.min(1) > 0.1 * problem.observed.radiance.min(1)
-    return np.sqrt(np.minimum(diffuse.weight, 50.0)) * matte * mostly_diffuse
+    return say_of(problem.light, diffuse) * matte * mostly_diffuse
 
 
 def _observed_specular(

@@ -15,6 +15,8 @@ from .samples import PixelSamples
 
 FIRST_PIXELS_PER_PATCH = 3.0
 ORIGINS_PER_PATCH = 8
+AROUND = 0.1
+"""Metres over which normals are compared."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,7 @@ class Surface:
         footprint: (P,) float32 metres, that of one of its pixels.
         part: (P,) int32.
         count: (P,) int64 pixels.
+        spread: (P,) how the part's normals differ around each patch: 0 in a plane, at most sqrt(2/3).
         origins: points on each patch from which rays start.
         pixels_per_patch: edge length of a patch in pixels that met the patch budget.
     """
@@ -39,6 +42,7 @@ class Surface:
     footprint: NDArray[np.float32]
     part: NDArray[np.int32]
     count: NDArray[np.int64]
+    spread: NDArray[np.float64]
     origins: Origins
     pixels_per_patch: float
 
@@ -77,14 +81,31 @@ def build_surface(
     pick = order[start[:, None] + (rng.random((n, ORIGINS_PER_PATCH)) * count[:, None]).astype(np.int64)]
     normal = group_means(samples.normal, patch, n)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+    position = group_means(samples.position, patch, n).astype(np.float32)
+    part_of_patch = part[order[start]]
+    cell = np.floor((position - origin) / (AROUND * scale)).astype(np.int64)
+    around = np.unique(np.column_stack([cell, part_of_patch]), axis=0, return_inverse=True)[1].reshape(-1)
     return Surface(
         grid,
         patch,
-        group_means(samples.position, patch, n).astype(np.float32),
+        position,
         normal.astype(np.float32),
         samples.footprint[order[start + count // 2]],
-        part[order[start]],
+        part_of_patch,
         count,
+        normal_spread(samples.normal, around[patch])[around],
         Origins(samples.position[pick], samples.normal[pick]),
         pixels_per_patch,
     )
+
+
+def normal_spread(normal: NDArray[np.floating], group: NDArray[np.integer]) -> NDArray[np.float64]:
+    """(m,) root mean square sine of the angle between the unit normals (n, 3) of each group and their common axis.
+
+    The axis is the direction that has most of their second moment, so the two sides of a sheet agree.
+    """
+    m = int(group.max()) + 1
+    products = np.concatenate([normal * np.roll(normal, -k, axis=1) for k in (0, 1)], 1)
+    xx, yy, zz, xy, yz, zx = (group_means(products, group, m)).T
+    moment = np.stack([xx, xy, zx, xy, yy, yz, zx, yz, zz], 1).reshape(m, 3, 3)
+    return np.sqrt(np.clip(1 - np.linalg.eigvalsh(moment)[:, -1], 0.0, None))
