@@ -152,6 +152,33 @@ def test_gradient_is_that_of_the_loss(shading: Shading) -> None:
     assert gradient == pytest.approx(np.array(numeric), rel=1e-4, abs=1e-7)
 
 
+def test_unknowns_are_measured_in_what_the_loss_feels(shading: Shading) -> None:
+    """At the solution the loss curves alike in all of them, a large wall and the smallest part."""
+    rng = np.random.default_rng(8)
+    part = shading.part + np.where(rng.random(len(shading.part)) < 0.03, 10, 0)  # a small piece off every wall
+    _, label = np.unique(part, return_inverse=True)
+    problem = _Problem(
+        np.log(shading.radiance).T,
+        shading.indirect.T,
+        shading.form_factors.T,
+        np.full(len(label), 1 / len(label)),
+        label,
+        int(label.max()) + 1,
+        DirectEvidence.of(shading.nothing_known, 2),
+        ROBUST_LOG,
+    )
+    x = problem.joined(np.log(shading.truth))
+    unit, h = problem.units(x), 1e-4
+
+    def curvature(k: int) -> float:
+        step = h * unit[k] * np.eye(len(x))[k]
+        return ((problem.loss(x + step)[1] - problem.loss(x - step)[1]) / (2 * h))[k] * unit[k]
+
+    # The curvature of log(1 + r^2) is 2; the rest is what is expected of lamps and rooms.
+    assert np.array([curvature(k) for k in range(len(x))]) == pytest.approx(2 / ROBUST_LOG**2, rel=0.3)
+    assert unit.max() > 10 * unit.min()
+
+
 def test_saturation_is_a_lower_bound(shading: Shading) -> None:
     below, above = shading.truth * 0.5, shading.truth * 1.4
     assert shading.solve(replace(shading.nothing_known, bound=below)).radiance == pytest.approx(shading.truth, rel=0.03)

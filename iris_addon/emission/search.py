@@ -88,10 +88,12 @@ def choose_outside(
         if before is None:
             lights = find_lights(tried, observed, progress)
         else:
-            dim = mean_radiance(before.patch_radiance, tried)
+            # Directions begin at the constant that they refine, and so can only explain more.
+            refined = len(before.hidden_radiance) == 1 and count > 1
+            outside = before.hidden_radiance[0] if refined else mean_radiance(before.patch_radiance, tried)
             # Where there is nothing to solve for, it comes back as it is, and explains nothing.
-            start = replace(before, hidden_radiance=np.tile(dim, (count, 1)), held_out=np.inf)
-            lights = solve_lights(tried, observed, start.emitters, start, progress, start.form_factors)
+            start = replace(before, hidden_radiance=np.tile(outside, (count, 1)), held_out=np.inf)
+            lights = solve_lights(tried, observed, start.emitters, start, progress, start.form_factors, near=refined)
         alone = best is not None and bool(best[1].hidden_radiance.any()) and not best[1].emitters
         gain = ALONE_GAIN if alone else OUTSIDE_GAIN
         if best is None or lights.held_out < (1 - gain) * best[1].held_out:
