@@ -186,6 +186,24 @@ def test_saturation_is_a_lower_bound(shading: Shading) -> None:
     assert (forced > 0.9 * above).all()
 
 
+def test_a_clipped_speck_whose_light_nobody_feels_stays_near_what_is_expected(shading: Shading) -> None:
+    """The room's other errors would have it glow a hundred times as bright, if it only fitted them a little."""
+    rng = np.random.default_rng(9)
+    speck = 1e-5 * rng.random((len(shading.part), 1))
+    error = np.exp(rng.normal(0, 0.05, (len(shading.part), 1)) + 500 * speck)
+    beside = replace(
+        shading,
+        form_factors=np.concatenate([shading.form_factors, speck], 1),
+        radiance=shading.radiance * error,
+        truth=np.concatenate([shading.truth, np.zeros((1, 3))]),
+    )
+    clipped = replace(beside.nothing_known, bound=np.array([[0.0] * 3, [0.0] * 3, [1.0] * 3]))
+    start = np.concatenate([shading.truth, np.full((1, 3), 2.0)])
+    told = replace(clipped, expected=np.array([[np.nan] * 3, [np.nan] * 3, [2.0] * 3]))
+    assert beside.solve(told, start).radiance[2] == pytest.approx(2.0, abs=2.0)
+    assert beside.solve(clipped, start).radiance[2].max() > 20
+
+
 def test_a_measurement_pulls(shading: Shading) -> None:
     measured = np.full_like(shading.truth, np.nan)
     measured[1] = shading.truth[1] * 1.2

@@ -23,6 +23,8 @@ direct light look less reliable than indirect, lamps too dim and walls too white
 TURNED = 0.5
 """Change of log irradiance per sine of the angle that a surface is turned by: light from one side as order 1 of
 spherical harmonics has it, E (1 + TURNED cos)."""
+BEYOND_BOUND = 2.0
+"""What a lamp that photos clip is expected to be, in bounds. A speck of which the room says nothing stays about there."""
 WHOLLY_ON = 0.8
 """Quantile of a lamp's patches at which its radiance is read: where its edge or a blind shows too, they are darker."""
 
@@ -72,7 +74,7 @@ def solve_lights(
         direct += problem.bounce.form_factors(emitters, n_faces)
     all_factors = np.concatenate([direct, under_lobe(hidden.form_factors, kappa)], 1)
     level = noticeable(observed.radiance, all_factors[: problem.transport.n_seen])
-    start = _first_finite(evidence.measured, 2.0 * evidence.bound, evidence.expected, level)
+    start = _first_finite(evidence.measured, evidence.expected, level)
     if near:
         known = _columns(emitters, before.emitters)
         start[np.flatnonzero(known >= 0)] = before.radiance[known[known >= 0]]
@@ -225,7 +227,8 @@ def _lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> 
             open_ = values >= 0.98 * bound[index, channel]
             if open_.mean() > 0.3:
                 measured[index, channel] = np.quantile(values[open_], WHOLLY_ON)
-    return Evidence(bound, measured, tie_fixtures(emitters, problem.tracer.areas), np.full_like(bound, np.nan))
+    expected = np.where((bound > 0) & np.isnan(measured), BEYOND_BOUND * bound, np.nan)
+    return Evidence(bound, measured, tie_fixtures(emitters, problem.tracer.areas), expected)
 
 
 def patches_on(problem: LightProblem, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
