@@ -24,7 +24,7 @@ TURNED = 0.5
 """Change of log irradiance per sine of the angle that a surface is turned by: light from one side as order 1 of
 spherical harmonics has it, E (1 + TURNED cos)."""
 BEYOND_BOUND = 2.0
-"""What a lamp that photos clip is expected to be, in bounds. A speck of which the room says nothing stays about there."""
+"""What a lamp that photos clip is expected to be, in bounds; a speck whose light nobody feels stays about there."""
 WHOLLY_ON = 0.8
 """Quantile of a lamp's patches at which its radiance is read: where its edge or a blind shows too, they are darker."""
 
