@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 TINT_STD = 0.25
 MEASURED_STD = 0.03
 BOUND_STD = 0.02
-EXPECTED_STD = 1.5
+EXPECTED_STD, CLIPPED_STD = 1.5, 4.0
+"""Of log radiance about what is expected: of a source nobody saw, and of a lamp that is clipped. The light of all but a
+speck says more than the latter."""
+NOTHING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ class DirectEvidence:
     @staticmethod
     def of(evidence: Evidence, n_tied: int) -> DirectEvidence:
         """What lamps that share one radiance have been seen to be, together."""
-        bound = np.full((n_tied, 3), 1e-6)
+        bound = np.full((n_tied, 3), NOTHING)
         np.maximum.at(bound, evidence.tie, evidence.bound)
         measured = np.full((n_tied, 3), np.nan)
         for k in range(n_tied):
@@ -57,6 +60,7 @@ class DirectEvidence:
         below = np.clip((self.log_bound - log_e) / BOUND_STD, 0.0, None)
         off = np.nan_to_num((log_e - self.log_measured) / MEASURED_STD)
         tint = (log_e - log_e.mean(1, keepdims=True)) / TINT_STD
-        surprise = np.nan_to_num((log_e - self.log_expected) / EXPECTED_STD)
+        doubt = np.where(self.log_bound > np.log(NOTHING), CLIPPED_STD, EXPECTED_STD)
+        surprise = np.nan_to_num((log_e - self.log_expected) / doubt)
         value = float((below**2).sum() + (off**2).sum() + (tint**2).sum() + (surprise**2).sum())
-        return value, 2 * (off / MEASURED_STD - below / BOUND_STD + tint / TINT_STD + surprise / EXPECTED_STD)
+        return value, 2 * (off / MEASURED_STD - below / BOUND_STD + tint / TINT_STD + surprise / doubt)
