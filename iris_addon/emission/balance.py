@@ -139,8 +139,8 @@ def _first_guess(problem: _Problem, log_e: NDArray[np.float64], levels: Sequence
 def _minimise(problem: _Problem, unknowns: NDArray[np.float64], iterations: int) -> NDArray[np.float64]:
     """Unknowns of least loss near ``unknowns``.
 
-    Each is measured in the change that the loss feels: a wall counts ten thousand times as much as a book, and without
-    that L-BFGS would be at the walls for hundreds of steps before it came to the books.
+    Each is measured in the change that the loss feels: a wall counts far more than a book, and without that L-BFGS
+    would be at the walls for hundreds of steps before it came to the books.
     """
     unit = problem.units(unknowns)
 
