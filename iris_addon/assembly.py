@@ -75,7 +75,8 @@ def make_result(
     metallic = gloss.metallic[part]
     view_factor = _view_factor(shading, patch, gloss.roughness[part], samples)
     diffuse_light = irradiance * view_factor[:, None]
-    albedo, weight = _pixel_albedo(photos, photometry, irradiance, diffuse_light, ls0, ls1, metallic)
+    expected = problem.observed.radiance[patch]
+    albedo, weight = _pixel_albedo(photos, photometry, expected, irradiance, diffuse_light, ls0, ls1, metallic)
     of_patch = residual_light(light.field, light.surface.part, gloss.metallic < 0.5, patch, albedo, weight)
     # Interpolation reaches over from parts beside a metal, whose base colour is no quotient of irradiance.
     brighter = np.where(metallic[:, None] > 0.5, np.float32(1), light.field.at_samples(samples, patch, of_patch))
@@ -116,6 +117,7 @@ def make_result(
 def _pixel_albedo(
     photos: PhotoSamples,
     photometry: Photometry,
+    expected: NDArray[np.floating],
     irradiance: NDArray[np.floating],
     diffuse_light: NDArray[np.floating],
     ls0: NDArray[np.floating],
@@ -125,6 +127,7 @@ def _pixel_albedo(
     """(n, 3) base colour of each pixel, and its say per channel in units of the usual one.
 
     Args:
+        expected: (n, 3) radiance of the patch of each.
         irradiance, diffuse_light: (n, 3) irradiance / pi, and what a white diffuse surface sends to the camera.
         ls0, ls1: (n, 3) specular lobes.
         metallic: (n,).
@@ -135,6 +138,7 @@ def _pixel_albedo(
 
     def work(rows: slice) -> None:
         linear = photometry.linearise_pixels(photos.z[rows], samples.view[rows], samples.pixel[rows])
+        linear = linear.agreeing_with(expected[rows])
         specular = subtract_specular(ls0[rows], ls1[rows], metallic[rows])
         albedo[rows] = pixel_albedo(linear.radiance, specular, ls0[rows], diffuse_light[rows], metallic[rows])
         seen = samples.cosine[rows], samples.footprint[rows]

@@ -20,7 +20,7 @@ from .response.files import read_response
 from .response.local_exposure import LocalExposure
 from .response.observations import Observations
 from .response.overlap import fit_overlap
-from .response.radiance import MODEL_NOISE, Linearised, quantisation_noise
+from .response.radiance import MODEL_NOISE, Linearised, darkest, exposed, radiance_itself
 
 
 @dataclass(frozen=True)
@@ -92,19 +92,20 @@ class Photometry:
     ) -> Linearised:
         """Radiance of pixels (n, 3) with their precision; a single pixel is clipped or it is not."""
         if self.hdr:
-            return Linearised(z / self.exposures[view], np.ones(z.shape, bool), np.zeros(z.shape), np.ones(z.shape))
-        clipped = z >= SATURATED
-        radiance, bound, precision = np.empty(z.shape), np.empty(z.shape), np.empty(z.shape)
+            return radiance_itself(z / self.exposures[view])
+        clipped, black = z >= SATURATED, z <= 0
+        radiance, bound, ceiling, precision = (np.empty(z.shape) for _ in range(4))
 
         def work(rows: slice) -> None:
             t = self.exposure_at(view[rows], pixel[rows])
-            x = self.response.invert(np.clip(z[rows] + 0.5 / 255, 0, 1))
+            x, noise = exposed(self.response, z[rows], black[rows].astype(np.float32))
             radiance[rows] = x / t
             bound[rows] = np.where(clipped[rows], 1 / t, 0.0)
-            precision[rows] = MODEL_NOISE**2 / (MODEL_NOISE**2 + quantisation_noise(self.response, x) ** 2)
+            ceiling[rows] = np.where(black[rows], darkest(self.response) / t, np.inf)
+            precision[rows] = 1 / (MODEL_NOISE**2 + noise**2)
 
         over_blocks(len(z), BLOCK, work)
-        return Linearised(radiance, ~clipped, bound, precision)
+        return Linearised(radiance, ~clipped, bound, ceiling, precision)
 
     def develop(
         self, radiance: NDArray[np.floating], view: NDArray[np.integer], pixel: NDArray[np.integer]

@@ -220,7 +220,7 @@ def _problem(
         light,
         observations,
         linear,
-        mirrored_radiance(observations, linear, photos, photometry),
+        mirrored_radiance(observations, linear, observed, photos, photometry),
         observed,
         part,
         angle,

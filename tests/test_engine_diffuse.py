@@ -15,7 +15,7 @@ from iris_addon.progress import Progress
 from iris_addon.reflectance.diffuse_lobe import choose_diffuse
 from iris_addon.reflectance.shading import light_moments
 from iris_addon.response.observations import Observations
-from iris_addon.response.radiance import Linearised
+from iris_addon.response.radiance import radiance_itself
 from iris_addon.surface.field import IrradianceField
 from iris_addon.transport.diffuse import MEAN_SCHLICK, albedo_gain, grazing_gain, schlick, under_lobe
 from iris_addon.transport.form_factors import emitter_form_factors
@@ -195,9 +195,9 @@ def test_the_lobe_is_chosen_from_the_views(lobe: str) -> None:
     zeros = np.zeros((m, 3), np.float32)
     observations = Observations(
         patch, np.tile(np.arange(views), patches).astype(np.int16), np.full(m, 9, np.float32),
-        rgb.astype(np.float32), zeros, zeros, np.arange(m), np.zeros(m, np.int32), np.arange(m, dtype=np.int32),
+        rgb.astype(np.float32), zeros, zeros, zeros, np.arange(m), np.zeros(m, np.int32), np.arange(m, dtype=np.int32),
     )  # fmt: skip
-    linear = Linearised(rgb, np.ones((m, 3), bool), np.zeros((m, 3)), np.ones((m, 3)))
+    linear = radiance_itself(rgb)
     chosen = choose_diffuse(observations, linear, s)
     assert chosen.lobe == lobe
     assert (chosen.gain > 0.2) == (lobe == "burley")

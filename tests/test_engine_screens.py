@@ -12,7 +12,7 @@ from iris_addon.emission import screens
 from iris_addon.emission.screens import BRIGHT, Shown, find_screens, with_screens
 from iris_addon.emission.types import LightProblem, Lights
 from iris_addon.progress import Progress
-from iris_addon.response.radiance import GroupRadiance, Linearised
+from iris_addon.response.radiance import GroupRadiance, radiance_itself
 from iris_addon.transport.tracer import Tracer
 from tests.engine_room import assemble, quad
 
@@ -55,7 +55,7 @@ def shown(radiance: np.ndarray, specular: np.ndarray | float = 0.0) -> Shown:
     flat = radiance.reshape(-1, 3)
     flat = flat * np.random.default_rng(0).normal(1, 0.02, flat.shape)
     patch = np.repeat(np.arange(N), VIEWS)
-    linear = Linearised(flat, np.ones(flat.shape, bool), np.zeros(flat.shape), np.ones(flat.shape))
+    linear = radiance_itself(flat)
     mirrored = np.broadcast_to(np.asarray(specular), radiance.shape).reshape(-1, 3)
     return Shown(SimpleNamespace(patch=patch), linear, mirrored)  # type: ignore[arg-type]
 

@@ -13,7 +13,7 @@ from iris_addon.photometry import Photometry
 from iris_addon.reflectance.turning import mirrored_radiance, turning
 from iris_addon.response import curve
 from iris_addon.response.observations import Observations
-from iris_addon.response.radiance import Linearised
+from iris_addon.response.radiance import Linearised, group_radiance, radiance_itself
 
 VIEWS, PIXELS = 3, 4
 
@@ -32,9 +32,9 @@ def _observed(turn: float) -> tuple[Observations, Linearised, PhotoSamples]:
     sample = np.arange(m) * PIXELS  # the first pixel of each
     observations = Observations(
         np.tile(np.arange(2, dtype=np.int32), VIEWS), view[::PIXELS], np.full(m, PIXELS, np.float32), mean,
-        0 * mean, 0 * mean, sample, np.zeros(m, np.int32), group,
+        0 * mean, 0 * mean, 0 * mean, sample, np.zeros(m, np.int32), group,
     )  # fmt: skip
-    linear = Linearised(mean.astype(np.float64), np.ones((m, 3), bool), np.zeros((m, 3)), np.ones((m, 3)))
+    linear = radiance_itself(mean.astype(np.float64))
     samples = SimpleNamespace(normal=normal, view=view, pixel=np.zeros(n, np.int32))
     return observations, linear, cast(PhotoSamples, SimpleNamespace(samples=samples, z=z))
 
@@ -49,9 +49,10 @@ def test_what_turns_is_told_by_its_normals(turn: float) -> None:
 
 def test_a_curved_mirror_shows_what_its_one_pixel_shows() -> None:
     observations, linear, photos = _observed(20.0)
+    observed = group_radiance(linear, observations.patch, observations.count, 2)
     exposures = np.array([1.0, 2.0, 4.0])[:, None].repeat(3, 1)
     photometry = Photometry(curve.identity(), exposures, np.nan, False, True)
-    radiance = mirrored_radiance(observations, linear, photos, photometry)
+    radiance = mirrored_radiance(observations, linear, observed, photos, photometry)
     np.testing.assert_array_equal(radiance[::2], linear.radiance[::2])
     own = photos.z[observations.sample[1::2]]
     np.testing.assert_allclose(radiance[1::2], own / exposures)

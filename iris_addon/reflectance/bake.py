@@ -25,6 +25,8 @@ RIM_SAY = 1e-5
 """Say of a pixel on an edge of what was modelled: where all are such, however many they are texels stay in doubt."""
 DIM_ALBEDO = 0.02
 """Added to albedo where it divides: relative differences of black surfaces are noise."""
+UNTOLD = 0.01
+"""Share of a texel's weight from which on a channel counts as seen: where every photo has a byte of 0, it is less."""
 TINY = np.float32(1e-12)
 OUTLIER = 0.25
 """Relative distance from a texel's mean at which a photo loses half its say."""
@@ -32,11 +34,11 @@ OUTLIER = 0.25
 
 @dataclass(frozen=True)
 class TexelAlbedo:
-    """Albedo fused in the texels that some photo shows, unclipped in one channel at least.
+    """Albedo fused in the texels that some photo shows, neither clipped nor black in one channel at least.
 
     Attributes:
         texel: (T,) int64 flat index of each, ascending.
-        value: (T, 3) float32; NaN where no photo shows the channel unclipped.
+        value: (T, 3) float32; NaN where all photos that show the channel are clipped or black.
         weight: (T,) float32 total weight.
     """
 
@@ -111,8 +113,8 @@ def fuse_texels(
         _add_up(at, some.start, value, weight, first)
         _add_up_agreeing(at, some.start, value, weight, first, agreeing)
         shown = agreeing[:, :3] / np.maximum(agreeing[:, 3:], TINY)
-        fused[some] = np.where(first[:, 3:] > 0, shown, np.nan)
         norm[some] = first[:, 3:].max(1)
+        fused[some] = np.where(first[:, 3:] > UNTOLD * norm[some, None], shown, np.nan)
 
     # Every thread goes through all pixels and adds up those of its own texels: reading them is the lesser part.
     over_shares(len(texels), work)

@@ -14,21 +14,30 @@ from ..grouping import group_sums
 from ..photo_samples import PhotoSamples
 from ..photometry import Photometry
 from ..response.observations import Observations
-from ..response.radiance import Linearised
+from ..response.radiance import GroupRadiance, Linearised
 
 TURN = np.cos(np.radians(5.0))
 """Cosine between the normal of the one pixel and the mean normal of all, from which on they show different things."""
 
 
 def mirrored_radiance(
-    observations: Observations, linear: Linearised, photos: PhotoSamples, photometry: Photometry
+    observations: Observations,
+    linear: Linearised,
+    observed: GroupRadiance,
+    photos: PhotoSamples,
+    photometry: Photometry,
 ) -> NDArray[np.float64]:
     """(M, 3) radiance of the pixel whose reflected rays stand for each observation: its own where the surface turns,
-    elsewhere the mean ``linear``, which has less noise. Meaningless where that is not open."""
+    elsewhere the mean ``linear``, which has less noise. Meaningless where that is not open.
+
+    What is black is as bright as its patch is ``observed`` to be in other photos, as far as black allows.
+    """
+    expected = observed.radiance[observations.patch]
+    radiance = linear.agreeing_with(expected).radiance.copy()
     at = np.flatnonzero(turning(observations, photos.samples.normal))
     pixel, samples = observations.sample[at], photos.samples
-    radiance = linear.radiance.copy()
-    radiance[at] = photometry.linearise_pixels(photos.z[pixel], samples.view[pixel], samples.pixel[pixel]).radiance
+    alone = photometry.linearise_pixels(photos.z[pixel], samples.view[pixel], samples.pixel[pixel])
+    radiance[at] = alone.agreeing_with(expected[at]).radiance
     return radiance
 
 

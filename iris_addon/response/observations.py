@@ -29,6 +29,7 @@ class Observations:
         z: (M, 3) float32 mean display value in [0, 1] (HDR input: radiance).
         spread: (M, 3) float32 standard deviation of the display value over the pixels.
         saturated: (M, 3) float32 share of pixels clipped.
+        black: (M, 3) float32 share of pixels whose byte is 0.
         sample: (M,) int64 one pixel of the observation, not on an edge if it has such; index into the pixel samples.
         pixel: (M,) int32 the middle of its pixels in the photo, row-major.
         sample_to_observation: (n,) int32 observation of every pixel sample.
@@ -40,6 +41,7 @@ class Observations:
     z: NDArray[np.float32]
     spread: NDArray[np.float32]
     saturated: NDArray[np.float32]
+    black: NDArray[np.float32]
     sample: NDArray[np.int64]
     pixel: NDArray[np.int32]
     sample_to_observation: NDArray[np.int32]
@@ -79,14 +81,19 @@ def observe(
     norm = np.bincount(group, say[:, 0], m)[:, None]
     mean = group_sums(say * z, group, m) / norm
     square = group_sums(say * z.astype(np.float64) ** 2, group, m) / norm
-    clipped = np.zeros((m, 3)) if hdr else group_sums(np.where(z >= SATURATED, say, 0), group, m) / norm
+
+    def share(pixels: NDArray[np.bool_]) -> NDArray[np.float32]:
+        return (group_sums(np.where(pixels, say, 0), group, m) / norm).astype(np.float32)
+
+    neither = np.zeros((m, 3), np.float32)
     return Observations(
         (unique // n_views).astype(np.int32),
         (unique % n_views).astype(np.int16),
         count.astype(np.float32),
         mean.astype(np.float32),
         np.sqrt(np.maximum(square - mean**2, 0.0)).astype(np.float32),
-        clipped.astype(np.float32),
+        neither if hdr else share(z >= SATURATED),
+        neither if hdr else share(z <= 0),
         order[groups.order[groups.start]],
         _middle(pixel, widths[view], group, widths[unique % n_views], count),
         group,

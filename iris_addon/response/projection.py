@@ -75,7 +75,8 @@ def project(
                 found[j, c] = x / t
                 # Quantisation noise is uniform in z, so the precision of x / t is (f'(x) t)^2.
                 rate = _at(slope, c, x) * t
-                say[j, c] = (0.0 if clipped[j] else weight[j] * rate * rate) + NO_WEIGHT
+                silent = clipped[j] or z[j, c] < BLACK
+                say[j, c] = (0.0 if silent else weight[j] * rate * rate) + NO_WEIGHT
                 total += say[j, c] * found[j, c]
                 norm += say[j, c]
             radiance[p, c] = total / norm

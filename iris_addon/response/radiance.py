@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,8 @@ from .observations import Observations
 
 MODEL_NOISE = 0.03
 """Relative noise of an observation that no photo byte explains: interpolation, misregistration."""
+SURE = 1 / MODEL_NOISE**2
+"""Precision of an observation that has no noise but that."""
 OUTLIER_LOG = 0.2
 """Log distance from a patch's mean at which a view loses half its say (a highlight that only it sees)."""
 MOST_PIXELS = 25.0
@@ -29,13 +31,23 @@ class Linearised:
         radiance: (M, 3) float64; meaningless where not ``open``.
         open: (M, 3) bool, no pixel of the observation is clipped in that channel.
         bound: (M, 3) float64 lower bound on radiance where clipped, else 0.
+        ceiling: (M, 3) float64 upper bound on radiance where black, else infinite.
         precision: (M, 3) float64 inverse relative variance.
     """
 
     radiance: NDArray[np.float64]
     open: NDArray[np.bool_]
     bound: NDArray[np.float64]
+    ceiling: NDArray[np.float64]
     precision: NDArray[np.float64]
+
+    def agreeing_with(self, expected: NDArray[np.floating]) -> Linearised:
+        """The same, black ones as bright as is ``expected`` (M, 3) of them, or as their ceiling where that is lower.
+
+        Those below what is expected are sure that less was there, the others know nothing.
+        """
+        radiance = np.where(np.isfinite(self.ceiling), np.minimum(self.ceiling, expected), self.radiance)
+        return replace(self, radiance=radiance, precision=np.where(self.ceiling < expected, SURE, self.precision))
 
 
 @dataclass(frozen=True)
@@ -62,21 +74,45 @@ def linearise(observations: Observations, response: Response, t: NDArray[np.floa
         t: (M, 3) exposure factor of each.
     """
     o = observations
-    hdr = response.family == "identity"
     z = o.z.astype(np.float64)
-    if hdr:
-        shape = z.shape
-        return Linearised(z / t, np.ones(shape, bool), np.zeros(shape), np.full(shape, 1 / MODEL_NOISE**2))
-    x = response.invert(np.clip(z + 0.5 / 255, 0, 1))
+    if response.family == "identity":
+        return radiance_itself(z / t)
     # Pixels of one observation dither the quantisation step only where they differ; count it once.
-    precision = 1.0 / (MODEL_NOISE**2 + quantisation_noise(response, x) ** 2)
-    clipped = o.saturated > CLIPPED_SHARE
-    return Linearised(x / t, o.saturated == 0, np.where(clipped, 1.0 / t, 0.0), precision)
+    x, noise = exposed(response, z, o.black)
+    bound = np.where(o.saturated > CLIPPED_SHARE, 1.0 / t, 0.0)
+    ceiling = np.where(o.black > CLIPPED_SHARE, darkest(response) / t, np.inf)
+    return Linearised(x / t, o.saturated == 0, bound, ceiling, 1.0 / (MODEL_NOISE**2 + noise**2))
 
 
-def quantisation_noise(response: Response, x: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Relative standard deviation of relative exposures ``x`` (n, 3) that were kept as bytes."""
-    return (1 / 255 / np.sqrt(12)) / (np.maximum(response.slope(x), 1e-3) * np.maximum(x, 1e-5))
+def radiance_itself(radiance: NDArray[np.float64]) -> Linearised:
+    """Observations (M, 3) of HDR photos: open from end to end."""
+    shape = radiance.shape
+    return Linearised(radiance, np.ones(shape, bool), np.zeros(shape), np.full(shape, np.inf), np.full(shape, SURE))
+
+
+def darkest(response: Response) -> NDArray[np.float64]:
+    """(1, 3) relative exposure up to which a byte is 0."""
+    return response.invert(np.full((1, 3), 1 / 255))
+
+
+def exposed(
+    response: Response, z: NDArray[np.floating], black: NDArray[np.floating]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Relative exposure behind display values that were kept as bytes, and its relative standard deviation.
+
+    A byte of 0 says only that less was exposed than the next byte takes. Of a curve that crushes the shadows that is a
+    wide range, and its end, where the curve begins to rise, would pass for a sharp value.
+
+    Args:
+        z: (n, 3) display values, means over pixels.
+        black: (n, 3) share of those pixels whose byte is 0.
+    """
+    lit = 1.0 - black
+    x = response.invert(np.clip(z / np.maximum(lit, 1e-6) + 0.5 / 255, 0, 1))
+    step = (1 / 255) / np.maximum(response.slope(x), 1e-3)
+    first = darkest(response)
+    mean = lit * x + black * first / 2
+    return mean, np.hypot(lit * step, black * first) / np.sqrt(12) / np.maximum(mean, 1e-5)
 
 
 def group_radiance(
@@ -96,22 +132,66 @@ def group_radiance(
         view_factor: (M,) of the diffuse lobe in each observation's direction, divided out; None for Lambert.
     """
     radiance = linear.radiance if subtract is None else np.maximum(linear.radiance - subtract, 0.02 * linear.radiance)
+    ceiling = linear.ceiling if subtract is None else np.maximum(linear.ceiling - subtract, 0.02 * linear.ceiling)
     lower = linear.bound
     if view_factor is not None:
-        radiance, lower = radiance / view_factor[:, None], lower / view_factor[:, None]
+        radiance, lower, ceiling = (column / view_factor[:, None] for column in (radiance, lower, ceiling))
     weight = linear.open * linear.precision * np.minimum(count, MOST_PIXELS)[:, None]
 
-    def mean(w: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        norm = group_sums(w, group, n_groups)
-        return group_sums(w * radiance, group, n_groups) / np.maximum(norm, 1e-12), norm
-
-    first, norm = mean(weight)
-    distance = np.log(np.maximum(radiance, 1e-6) / np.maximum(first[group], 1e-6)).mean(1, keepdims=True)
-    robust, _ = mean(weight / (1 + (distance / OUTLIER_LOG) ** 2))
+    norm = group_sums(weight, group, n_groups)
+    robust = _robust(radiance, weight, _mean(radiance, weight, group, n_groups), group)
+    if np.isfinite(ceiling).any():
+        robust = _under_ceilings(robust, radiance, weight, ceiling, count, group)
     bound = np.zeros((n_groups, 3))
     np.maximum.at(bound, group, lower)
     known = norm > 0
     return GroupRadiance(np.where(known, robust, bound), known, bound, norm.min(1) * MODEL_NOISE**2)
+
+
+def _mean(
+    radiance: NDArray[np.float64], weight: NDArray[np.float64], group: NDArray[np.integer], n_groups: int
+) -> NDArray[np.float64]:
+    """(P, 3) weighted means over groups of observations (M, 3)."""
+    norm = group_sums(weight, group, n_groups)
+    return group_sums(weight * radiance, group, n_groups) / np.maximum(norm, 1e-12)
+
+
+def _robust(
+    radiance: NDArray[np.float64], weight: NDArray[np.float64], mean: NDArray[np.float64], group: NDArray[np.integer]
+) -> NDArray[np.float64]:
+    """(P, 3) means over groups without what is far from ``mean``."""
+    distance = np.log(np.maximum(radiance, 1e-6) / np.maximum(mean[group], 1e-6)).mean(1, keepdims=True)
+    return _mean(radiance, weight / (1 + (distance / OUTLIER_LOG) ** 2), group, len(mean))
+
+
+def _under_ceilings(
+    mean: NDArray[np.float64],
+    radiance: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    ceiling: NDArray[np.float64],
+    count: NDArray[np.floating],
+    group: NDArray[np.integer],
+) -> NDArray[np.float64]:
+    """(P, 3) ``mean``, lowered where black observations contradict it.
+
+    Black agrees with any mean below its ceiling, and pulls a higher one there: of a dark surface that only its
+    highlights lift above black, the photos that show it black say more than those that show it.
+    """
+    n = len(mean)
+    black = np.isfinite(ceiling)
+    lit = np.where(black, 0.0, weight)
+    lowest = np.full(mean.shape, np.inf)
+    np.minimum.at(lowest, group, ceiling)
+    start = np.where(group_sums(lit, group, n) > 0, _mean(radiance, lit, group, n), np.minimum(lowest / 2, 1e30))
+    say = np.where(black, SURE * np.minimum(count, MOST_PIXELS)[:, None], lit)
+
+    def agreeing(about: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.where(black, np.minimum(ceiling, about[group]), radiance)
+
+    found = _mean(agreeing(start), say, group, n)
+    for _ in range(2):
+        found = _robust(agreeing(found), say, found, group)
+    return np.where(np.isfinite(lowest), found, mean)
 
 
 def raised_by_clipped(
