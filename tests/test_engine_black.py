@@ -100,3 +100,11 @@ def test_a_channel_that_is_black_in_every_photo_is_unknown() -> None:
     weight[:, 2] = np.repeat([0.003, 0.02], 10)
     fused = fuse_texels(texel, value, weight, 2)
     assert np.isnan(fused.value).tolist() == [[False, False, True], [False] * 3]
+
+
+def test_what_is_black_does_not_tell() -> None:
+    """A dark floor: its short exposures are black and do not tell of it, the long ones do."""
+    rng = np.random.default_rng(2)
+    radiance = np.repeat(rng.uniform(0.1, 0.2, (200, 1)), 8, 1)
+    linear, _, _ = photographed(radiance, np.tile([0.25, 4.0], 4))
+    assert linear.told.reshape(200, 8)[:, 1::2].all() and not linear.told.reshape(200, 8)[:, ::2].any()

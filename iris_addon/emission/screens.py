@@ -136,7 +136,7 @@ def changing_patches(shown: Shown, irradiance: NDArray[np.floating]) -> NDArray[
         irradiance: (P, 3) irradiance / pi.
     """
     o, linear, n = shown.observations, shown.linear, len(irradiance)
-    known = linear.open.all(1)
+    known = linear.told
     own = np.maximum(linear.radiance - shown.specular, 0.02 * linear.radiance)[known]
     log, patch = np.log(np.maximum(own, 1e-9)), o.patch[known]
     colour = log[:, [0, 2]] - log[:, [1]]

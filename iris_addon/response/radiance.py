@@ -41,6 +41,11 @@ class Linearised:
     ceiling: NDArray[np.float64]
     precision: NDArray[np.float64]
 
+    @property
+    def told(self) -> NDArray[np.bool_]:
+        """(M,) observations that are neither clipped nor black in any channel."""
+        return (self.open & np.isinf(self.ceiling)).all(1)
+
     def agreeing_with(self, expected: NDArray[np.floating]) -> Linearised:
         """The same, black ones as bright as is ``expected`` (M, 3) of them, or as their ceiling where that is lower.
 
