@@ -204,6 +204,33 @@ def test_a_clipped_speck_whose_light_nobody_feels_stays_near_what_is_expected(sh
     assert beside.solve(clipped, start).radiance[2].max() > 20
 
 
+def test_a_yellow_speck_that_photos_measured_leaves_the_lamps_alone(shading: Shading) -> None:
+    """A lemon in the sun, taken for a lamp: what is known of it is far sharper than what the room says of the
+    lamps, and unlike any tint. Steps in units of the room alone ended at lamps a fifth too dim."""
+    speck = 1e-5 * np.random.default_rng(9).random((len(shading.part), 1))
+    beside = replace(
+        shading,
+        form_factors=np.concatenate([shading.form_factors, speck], 1),
+        truth=np.concatenate([shading.truth, np.zeros((1, 3))]),
+    )
+    lemon = np.array([2.1, 2.1, 0.15])
+    evidence = replace(beside.nothing_known, measured=np.array([[np.nan] * 3, [np.nan] * 3, lemon]))
+    found = beside.solve(evidence, np.concatenate([np.ones((2, 3)), lemon[None]])).radiance
+    assert found[:2] == pytest.approx(shading.truth, rel=0.01)
+    assert found[2] == pytest.approx(lemon, rel=0.1)
+
+
+def test_what_is_known_of_lamps_is_as_precise_as_its_penalty_curves() -> None:
+    """Half the second derivative of the penalty, by central differences: bound, measured, expected, and tint alone."""
+    nan, log_e, h = np.nan, np.zeros((4, 3)), 1e-4
+    bound, measured, expected = (np.full((4, 3), value) for value in (np.log(1e-6), nan, nan))
+    bound[0], measured[1], expected[2] = 0.5, 0.3, -0.2
+    direct = DirectEvidence(bound, measured, expected)
+    each = np.eye(12).reshape(12, 4, 3)
+    slopes = [(direct.penalty(log_e + h * e)[1] - direct.penalty(log_e - h * e)[1])[e > 0][0] / (2 * h) for e in each]
+    assert direct.precision(log_e).ravel() == pytest.approx(np.array(slopes) / 2, rel=1e-6)
+
+
 def test_a_measurement_pulls(shading: Shading) -> None:
     measured = np.full_like(shading.truth, np.nan)
     measured[1] = shading.truth[1] * 1.2

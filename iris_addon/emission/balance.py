@@ -252,7 +252,10 @@ class _Problem:
 
     def units(self, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
         """For each unknown the change that matters to the loss, from the diagonal of its curvature without outliers."""
-        curvature = np.concatenate([self._share_of_light(self.split(unknowns)[0]).ravel(), self.share.repeat(3)])
+        log_e = self.split(unknowns)[0]
+        evident = self.direct.precision(log_e) * (self.scale**2 / self.n_effective)
+        of_light = self._share_of_light(log_e) + evident
+        curvature = np.concatenate([of_light.ravel(), self.share.repeat(3)])
         return 1.0 / np.sqrt(curvature + LEAST_CURVATURE)
 
     def log_std(self, log_e: NDArray[np.float64]) -> NDArray[np.float64]:

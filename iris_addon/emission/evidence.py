@@ -60,7 +60,19 @@ class DirectEvidence:
         below = np.clip((self.log_bound - log_e) / BOUND_STD, 0.0, None)
         off = np.nan_to_num((log_e - self.log_measured) / MEASURED_STD)
         tint = (log_e - log_e.mean(1, keepdims=True)) / TINT_STD
-        doubt = np.where(self.log_bound > np.log(NOTHING), CLIPPED_STD, EXPECTED_STD)
+        doubt = self._doubt
         surprise = np.nan_to_num((log_e - self.log_expected) / doubt)
         value = float((below**2).sum() + (off**2).sum() + (tint**2).sum() + (surprise**2).sum())
         return value, 2 * (off / MEASURED_STD - below / BOUND_STD + tint / TINT_STD + surprise / doubt)
+
+    def precision(self, log_e: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(E', 3) inverse variance that all of it leaves to each log radiance: half the penalty's curvature."""
+        below = np.where(log_e <= self.log_bound, 1 / BOUND_STD**2, 0.0)
+        measured = np.where(np.isfinite(self.log_measured), 1 / MEASURED_STD**2, 0.0)
+        expected = np.where(np.isfinite(self.log_expected), 1 / self._doubt**2, 0.0)
+        return below + measured + expected + 2 / 3 / TINT_STD**2
+
+    @property
+    def _doubt(self) -> NDArray[np.float64]:
+        """(E', 3) standard deviation about what is expected."""
+        return np.where(self.log_bound > np.log(NOTHING), CLIPPED_STD, EXPECTED_STD)
