@@ -33,7 +33,7 @@ def mirrored_radiance(
     What is black is as bright as its patch is ``observed`` to be in other photos, as far as black allows.
     """
     expected = observed.radiance[observations.patch]
-    radiance = linear.agreeing_with(expected).radiance.copy()
+    radiance = linear.agreeing_with(expected).radiance
     at = np.flatnonzero(turning(observations, photos.samples.normal))
     pixel, samples = observations.sample[at], photos.samples
     alone = photometry.linearise_pixels(photos.z[pixel], samples.view[pixel], samples.pixel[pixel])
