@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from .response.files import read_response
 from .response.local_exposure import LocalExposure
 from .response.observations import Observations
 from .response.overlap import fit_overlap
-from .response.radiance import MODEL_NOISE, Linearised, darkest, exposed, radiance_itself
+from .response.radiance import Linearised, linearise_bytes, radiance_itself
 
 
 @dataclass(frozen=True)
@@ -93,19 +93,18 @@ class Photometry:
         """Radiance of pixels (n, 3) with their precision; a single pixel is clipped or it is not."""
         if self.hdr:
             return radiance_itself(z / self.exposures[view])
-        clipped, black = z >= SATURATED, z <= 0
-        radiance, bound, ceiling, precision = (np.empty(z.shape) for _ in range(4))
+        empty = [np.empty(z.shape) for _ in range(4)]
+        whole = Linearised(empty[0], np.empty(z.shape, bool), *empty[1:])
 
         def work(rows: slice) -> None:
-            t = self.exposure_at(view[rows], pixel[rows])
-            x, noise = exposed(self.response, z[rows], black[rows].astype(np.float32))
-            radiance[rows] = x / t
-            bound[rows] = np.where(clipped[rows], 1 / t, 0.0)
-            ceiling[rows] = np.where(black[rows], darkest(self.response) / t, np.inf)
-            precision[rows] = 1 / (MODEL_NOISE**2 + noise**2)
+            t, some = self.exposure_at(view[rows], pixel[rows]), z[rows]
+            clipped, black = (some >= SATURATED).astype(np.float32), (some <= 0).astype(np.float32)
+            part = linearise_bytes(self.response, some, t, clipped, black)
+            for column in fields(Linearised):
+                getattr(whole, column.name)[rows] = getattr(part, column.name)
 
         over_blocks(len(z), BLOCK, work)
-        return Linearised(radiance, ~clipped, bound, ceiling, precision)
+        return whole
 
     def develop(
         self, radiance: NDArray[np.floating], view: NDArray[np.integer], pixel: NDArray[np.integer]

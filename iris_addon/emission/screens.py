@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
 from ..grouping import group_medians, group_quantiles
 from ..progress import Progress
 from ..response.observations import Observations
-from ..response.radiance import GroupRadiance, Linearised
+from ..response.radiance import GroupRadiance, Linearised, without_specular
 from ..surface.parts import component_labels
 from .candidates import least_radiance
 from .solve import form_factors_of, patches_on, solve_lights
@@ -137,7 +137,7 @@ def changing_patches(shown: Shown, irradiance: NDArray[np.floating]) -> NDArray[
     """
     o, linear, n = shown.observations, shown.linear, len(irradiance)
     known = linear.told
-    own = np.maximum(linear.radiance - shown.specular, 0.02 * linear.radiance)[known]
+    own = without_specular(linear.radiance, shown.specular)[known]
     log, patch = np.log(np.maximum(own, 1e-9)), o.patch[known]
     colour = log[:, [0, 2]] - log[:, [1]]
     off = np.abs(colour - group_medians(colour, patch, n)[patch])

@@ -20,7 +20,7 @@ OUTLIER_LOG = 0.2
 MOST_PIXELS = 25.0
 """Pixels of one observation beyond which it says no more: they err together."""
 CLIPPED_SHARE = 0.5
-"""From this share of clipped pixels on, an observation is a lower bound."""
+"""From this share of clipped pixels on, an observation is a lower bound, of black ones an upper bound."""
 
 
 @dataclass(frozen=True)
@@ -82,11 +82,27 @@ def linearise(observations: Observations, response: Response, t: NDArray[np.floa
     z = o.z.astype(np.float64)
     if response.family == "identity":
         return radiance_itself(z / t)
-    # Pixels of one observation dither the quantisation step only where they differ; count it once.
-    x, noise = exposed(response, z, o.black)
-    bound = np.where(o.saturated > CLIPPED_SHARE, 1.0 / t, 0.0)
-    ceiling = np.where(o.black > CLIPPED_SHARE, darkest(response) / t, np.inf)
-    return Linearised(x / t, o.saturated == 0, bound, ceiling, 1.0 / (MODEL_NOISE**2 + noise**2))
+    # Pixels of one observation dither the quantisation step only where they differ; it counts once.
+    return linearise_bytes(response, z, t, o.saturated, o.black)
+
+
+def linearise_bytes(
+    response: Response,
+    z: NDArray[np.floating],
+    t: NDArray[np.floating],
+    saturated: NDArray[np.floating],
+    black: NDArray[np.floating],
+) -> Linearised:
+    """Radiance behind display values (n, 3) that were kept as bytes, means over pixels or single ones.
+
+    Args:
+        t: (n, 3) exposure factors.
+        saturated, black: (n, 3) share of the pixels that are clipped, and whose byte is 0.
+    """
+    x, noise = exposed(response, z, black)
+    bound = np.where(saturated > CLIPPED_SHARE, 1.0 / t, 0.0)
+    ceiling = np.where(black > CLIPPED_SHARE, darkest(response) / t, np.inf)
+    return Linearised(x / t, saturated == 0, bound, ceiling, 1.0 / (MODEL_NOISE**2 + noise**2))
 
 
 def radiance_itself(radiance: NDArray[np.float64]) -> Linearised:
@@ -136,9 +152,9 @@ def group_radiance(
         subtract: (M, 3) specular radiance to take off first, or None.
         view_factor: (M,) of the diffuse lobe in each observation's direction, divided out; None for Lambert.
     """
-    radiance = linear.radiance if subtract is None else np.maximum(linear.radiance - subtract, 0.02 * linear.radiance)
-    ceiling = linear.ceiling if subtract is None else np.maximum(linear.ceiling - subtract, 0.02 * linear.ceiling)
-    lower = linear.bound
+    radiance, ceiling, lower = linear.radiance, linear.ceiling, linear.bound
+    if subtract is not None:
+        radiance, ceiling = without_specular(radiance, subtract), without_specular(ceiling, subtract)
     if view_factor is not None:
         radiance, lower, ceiling = (column / view_factor[:, None] for column in (radiance, lower, ceiling))
     weight = linear.open * linear.precision * np.minimum(count, MOST_PIXELS)[:, None]
@@ -151,6 +167,11 @@ def group_radiance(
     np.maximum.at(bound, group, lower)
     known = norm > 0
     return GroupRadiance(np.where(known, robust, bound), known, bound, norm.min(1) * MODEL_NOISE**2)
+
+
+def without_specular(radiance: NDArray[np.floating], specular: NDArray[np.floating]) -> NDArray[np.float64]:
+    """What is left of ``radiance`` without ``specular``; never nothing, since the latter is uncertain."""
+    return np.maximum(radiance - specular, 0.02 * radiance)
 
 
 def _mean(
@@ -187,7 +208,7 @@ def _under_ceilings(
     lit = np.where(black, 0.0, weight)
     lowest = np.full(mean.shape, np.inf)
     np.minimum.at(lowest, group, ceiling)
-    start = np.where(group_sums(lit, group, n) > 0, _mean(radiance, lit, group, n), np.minimum(lowest / 2, 1e30))
+    start = np.where(group_sums(lit, group, n) > 0, _mean(radiance, lit, group, n), lowest / 2)
     say = np.where(black, SURE * np.minimum(count, MOST_PIXELS)[:, None], lit)
 
     def agreeing(about: NDArray[np.float64]) -> NDArray[np.float64]:
