@@ -1,6 +1,6 @@
 # Everything runs from the repository root through .venv; nothing is installed into the system.
 
-.PHONY: help setup demo gallery test test-all lint format clean bench stability scaling profile figures
+.PHONY: help setup demo gallery test test-all lint format clean bench stability curves scaling profile figures
 .DEFAULT_GOAL := help
 
 VENV := .venv
@@ -18,6 +18,7 @@ help:
 	@echo "make test-blender  real Blenders 4.3 and 5.2 by mouse, as root on Debian;  make test-wheels  bpy 4.5 and 5.2"
 	@echo "make bench      speed against accuracy with peers, 1½ hours;  make profile  where the time goes, minutes"
 	@echo "make stability  every perturbation, 1½ hours;  make scaling  cost against size, 20 minutes"
+	@echo "make curves     measured responses, exposures known and withheld, half an hour"
 	@echo "make figures    charts and tables out of what was measured; nothing is measured"
 	@echo "make lint       ruff and pyright;  make format  let ruff format"
 
@@ -75,7 +76,7 @@ $(VENV)/.bench: $(STAMP)
 	@$(VENV)/bin/python -m pip install -qq --disable-pip-version-check -r $(VENV)/requirements-bench.txt
 	@touch $@
 
-bench stability scaling: $(VENV)/.bench
+bench stability curves scaling: $(VENV)/.bench
 	@$(VENV)/bin/python -m benchmarks.$@
 
 profile: $(VENV)/.bench

@@ -83,6 +83,7 @@ AXIS_NAMES = {
     "kd_psnr_all_valid": "diffuse albedo, PSNR in dB",
     "relight_psnr": "relit room, PSNR in dB",
     "emission_log_l2": "emission, log L2 error",
+    "crf_l2": "response, L2 error",
 }
 
 
@@ -240,6 +241,21 @@ def scaling(panels: Mapping[str, Mapping[str, tuple[Sequence[float], Sequence[fl
             axes.set_xlabel("size: triangles, photos or pixels")
             axes.set_ylabel(quantity)
             axes.legend(fontsize=9, loc="upper center", bbox_to_anchor=(0.5, -0.16))
+        figure.suptitle(title, fontsize=13)
+    return figure
+
+
+def responses(panels: Mapping[str, Mapping[str, tuple[Sequence[int], Sequence[float]]]], *, title: str) -> Figure:
+    """One panel per metric over the ranks of curves by their distance from the mean of all."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(6.4 * len(panels), 4.6), layout="constrained")
+        for column, (metric, lines) in enumerate(panels.items()):
+            axes = figure.add_subplot(1, len(panels), column + 1)
+            for index, (name, (ranks, value)) in enumerate(lines.items()):
+                axes.plot(ranks, value, color=OKABE_ITO[index], marker=MARKERS[index], label=name)
+            axes.set_xlabel("curve, by its distance from the mean of all")
+            axes.set_ylabel(AXIS_NAMES.get(metric, metric))
+        figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
         figure.suptitle(title, fontsize=13)
     return figure
 

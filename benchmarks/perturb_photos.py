@@ -189,11 +189,20 @@ def odd_response(root: Path, _truth: Path, deviations: float, rng: np.random.Gen
 
 def measured_response(root: Path, _truth: Path, percentile: float, rng: np.random.Generator) -> str:
     """A measured response, chosen near ``percentile`` of the distances from the mean of all."""
-    curves = measured_curves()
-    order = np.argsort(np.linalg.norm(curves - curves.mean(0), axis=1))
-    near = round(percentile / 100 * (len(order) - 1)) - int(rng.integers(0, 3))
-    samples = curves[order[np.clip(near, 0, len(order) - 1)]]
+    curves = curves_by_distance()
+    near = round(percentile / 100 * (len(curves) - 1)) - int(rng.integers(0, 3))
+    return take_with_curve(root, curves[np.clip(near, 0, len(curves) - 1)], rng)
+
+
+def take_with_curve(root: Path, samples: FloatArray, rng: np.random.Generator) -> str:
+    """All photos taken with the response ``samples`` (1024,) in every channel, which becomes the true one."""
     return _take_with(root, Response(np.tile(samples, (3, 1)), "file"), rng)
+
+
+def curves_by_distance() -> FloatArray:
+    """(n, 1024) measured responses, the nearest to their mean first; raises BadInput where the file is missing."""
+    curves = measured_curves()
+    return curves[np.argsort(np.linalg.norm(curves - curves.mean(0), axis=1))]
 
 
 def measured_curves() -> FloatArray:

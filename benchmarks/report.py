@@ -14,7 +14,7 @@ from pathlib import Path
 
 from iris_addon.atomic_files import atomic_write
 
-from . import bench, bench_tables, profile_floor, scaling, stability
+from . import bench, bench_tables, curves, profile_floor, scaling, stability
 from .machine import ROOT
 from .measured import COMMITTED, IMAGES, unpack
 from .runs import Record
@@ -25,6 +25,7 @@ Section = Callable[[Sequence[Record], Path], str]
 SECTIONS: Mapping[str, Section] = {
     "bench": bench.describe,
     "stability": stability.describe,
+    "curves": curves.describe,
     "scaling": scaling.describe,
     "profile": profile_floor.describe_records,
 }

@@ -287,6 +287,23 @@ def test_scaling_prints_slopes_and_the_limiting_stage(tmp_path):
     assert "Limiting stage at 10⁷ triangles: textures." in text and "| textures | 100.0 | 1.00 | 1000 |" in text
 
 
+def test_curves_are_spread_to_both_ends_and_summed_up_by_percentile(tmp_path):
+    curves = pytest.importorskip("benchmarks.curves", reason="matplotlib is not installed")
+    ranks = curves.spread(94, 5)
+    assert ranks[0] == 0 and ranks[-1] == 93 and np.ptp(np.diff(ranks)) <= 1
+    assert curves.spread(3, 24) == [0, 1, 2]
+    measured = [
+        {
+            "run": {"rank": rank, "exposures": "known", "preset": "draft"},
+            "metrics": {"crf_l2": 0.1 * number, "kd_psnr": 30.0 + number},
+        }
+        for number, rank in enumerate(ranks)
+    ]  # fmt: skip
+    text = curves.describe(measured[::-1], tmp_path)
+    assert "| known | 5 | 0.20 | 0.36 | 0.40 | 32.0 | 30.4 | 30.0 |" in text and "withheld" not in text
+    assert (tmp_path / "curves.png").stat().st_size > 10_000
+
+
 def test_axes_start_at_the_capture_and_have_five_levels():
     for axis in AXES.values():
         assert len(axis.levels) >= 5 and len(set(axis.levels)) == len(axis.levels)
