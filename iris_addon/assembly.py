@@ -22,6 +22,7 @@ from .reflectance.bake import pixel_albedo, pixel_weight
 from .reflectance.ggx import DIELECTRIC_F0
 from .reflectance.gloss import Gloss
 from .reflectance.materials import MaterialProblem
+from .reflectance.paint import light_error
 from .reflectance.residual_light import residual_light
 from .reflectance.shading import Shading
 from .reflectance.specular import pixel_lobes, subtract_specular
@@ -82,8 +83,9 @@ def make_result(
     brighter = np.where(metallic[:, None] > 0.5, np.float32(1), light.field.at_samples(samples, patch, of_patch))
     albedo, diffuse_light = np.minimum(albedo / brighter, MAX_ALBEDO), diffuse_light * brighter
     held_out = config.rng(7).random(len(part)) < HELD_OUT
+    error = light_error(light.field.spread(shading.irradiance))[patch]
     textures, base_color = make_textures(
-        atlas, light.parts, lights.mask, gloss, samples, albedo, weight * ~held_out[:, None]
+        atlas, light.parts, lights.mask, gloss, samples, albedo, weight * ~held_out[:, None], error
     )
     emission = lights.face_emission(len(light.parts))[samples.face]
 

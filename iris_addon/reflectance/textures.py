@@ -14,6 +14,7 @@ from ..surface.texel_fill import extend_texels, fill_texels
 from .bake import DIM_ALBEDO, TexelAlbedo, fuse_texels
 from .clipped_channels import complete_channels
 from .gloss import Gloss
+from .paint import find_paint
 
 DOUBT = 0.02
 """Weight (in head-on pixels) that what is expected of a texel counts for."""
@@ -33,14 +34,16 @@ def make_textures(
     samples: PixelSamples,
     albedo: NDArray[np.floating],
     weight: NDArray[np.floating],
+    light_error: NDArray[np.floating],
 ) -> tuple[Textures, NDArray[np.float32]]:
-    """Fuse pixels into texels, fill what no photo saw.
+    """Fuse pixels into texels, even out what is paint of one colour, fill what no photo saw.
 
     Args:
         atlas: with the texels of ``samples``.
         lamps: (F,) bool, emitting faces; they reflect nothing.
         albedo: (n, 3) base colour of each pixel.
         weight: (n, 3) say of each pixel and channel.
+        light_error: (n,) standard deviation of the log irradiance at each pixel.
 
     Returns:
         The textures, and the fused base colour at every pixel, (n, 3).
@@ -48,9 +51,10 @@ def make_textures(
     face, texel, size = atlas.face, atlas.texel, atlas.size
     fused = fuse_texels(texel, albedo, weight, size * size)
     # By the pixels, not by the faces under texel centres: at a chart's border those lie beyond it.
-    part = np.empty(size * size, np.int32)
-    part[texel] = parts[samples.face]
-    base_color = _fill(fused, part[fused.texel], face, parts, samples, albedo, weight, size)
+    part, error = np.empty(size * size, np.int32), np.empty(size * size, np.float32)
+    part[texel], error[texel] = parts[samples.face], light_error
+    part, error, even = part[fused.texel], error[fused.texel], gloss.metallic < 0.5
+    base_color = _fill(fused, part, error, even, face, parts, samples, albedo, weight, size)
     # A last entry stands for texels of no face, -1.
     base_color[np.append(lamps, False)[face]] = 0.0
     roughness = np.append(gloss.roughness[parts], 1.0).astype(np.float32)[face]
@@ -64,6 +68,8 @@ def make_textures(
 def _fill(
     fused: TexelAlbedo,
     part: NDArray[np.int32],
+    error: NDArray[np.float32],
+    even: NDArray[np.bool_],
     face: NDArray[np.int32],
     parts: NDArray[np.int32],
     samples: PixelSamples,
@@ -71,17 +77,19 @@ def _fill(
     weight: NDArray[np.floating],
     size: int,
 ) -> NDArray[np.float32]:
-    """(size, size, 3) base colour everywhere: seen texels as they are, faces seen in part from their own texels,
-    faces never seen from the mean of their part; ``part`` (T,) of the seen texels."""
+    """(size, size, 3) base colour everywhere: seen texels as they are unless they are paint, faces seen in part from
+    their own texels, faces never seen as is expected of their part; ``part`` and ``error`` (T,) of the seen texels."""
     known = np.zeros((size, size), bool)
     known.flat[fused.texel] = True
     count = np.bincount(samples.face, minlength=len(parts))
     part_mean = _part_means(parts[samples.face], albedo, weight, int(parts.max()) + 1).astype(np.float32)
     value = np.zeros((size * size, 3), np.float32)
-    value[fused.texel] = with_expected(fused, part, part_mean, size)
+    seen, sure = with_expected(fused, part, part_mean, size), fused.weight > DOUBT
+    paint = find_paint(seen[sure], error[sure], part[sure], even)
+    value[fused.texel] = paint.evened(seen, error, part)
     filled = fill_texels(value.reshape(size, size, 3), known)
     unseen = np.append(count == 0, False)[face] & ~known
-    filled[unseen] = part_mean[parts[face[unseen]]]
+    filled[unseen] = paint.colour(part_mean)[parts[face[unseen]]]
     return filled
 
 

@@ -94,6 +94,13 @@ class IrradianceField:
         over_blocks(len(table), BLOCK // NEIGHBOURS, work)
         return mean
 
+    def spread(self, irradiance: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(P,) standard deviation of log ``irradiance`` (P, 3) over the neighbours of each patch, however they are lit:
+        large in corners, beside mouldings and close to lamps."""
+        lit, around = _log_level(irradiance), self.kernel(DENOISED)
+        mean = around @ lit
+        return np.sqrt(np.maximum(around @ lit**2 - mean**2, 0.0))
+
     def at_samples(
         self, samples: PixelSamples, patch: NDArray[np.int32], values: NDArray[np.floating]
     ) -> NDArray[np.float32]:
