@@ -251,7 +251,7 @@ def write_snapshots(folder: Path, capture: Path, stops: Sequence[float], rates: 
         run = snapshot_run(capture, stop, samples)
         scores = evaluate(shot.result, capture, render=None)
         scores.pop("per_view")
-        scores |= relight_scores(shot.result, capture, run.views, samples, run.seed)
+        scores |= relight_scores(shot.result, capture, capture, run.views, samples, run.seed)
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
         record = {
             "run": asdict(run),

@@ -75,13 +75,21 @@ def score(result: Result, run: Run, truth: Path) -> dict[str, Any]:
         return evaluate(result, truth, render=render_views, samples=run.samples, seed=run.seed)
     scores = evaluate(result, truth, render=None)
     if run.scored == "relight":
-        scores |= relight_scores(result, truth, run.views, run.samples, run.seed)
+        scores |= relight_scores(result, truth, Path(run.capture), run.views, run.samples, run.seed)
         scores["left_out"] = {k: v for k, v in scores["left_out"].items() if k not in scores}
     return scores
 
 
-def relight_scores(result: Result, truth: Path, views: int, samples: int, seed: int) -> dict[str, float]:
-    """The relighting metrics alone, over the first ``views`` held-out views, 0 for all.
+def relight_scores(
+    result: Result, truth: Path, developed_as: Path, views: int, samples: int, seed: int
+) -> dict[str, float]:
+    """The relighting metrics alone.
+
+    Args:
+        developed_as: capture through whose response pictures and references are compared. Where a sweep gives the
+            photos another one, that of the capture as it is: a curve that is flat in the shadows hides errors there,
+            and decibels through one curve say nothing beside those through another.
+        views: how many of the held-out views, 0 for all.
 
     Raises:
         BadInput: the capture has no ground truth.
@@ -91,10 +99,10 @@ def relight_scores(result: Result, truth: Path, views: int, samples: int, seed: 
     from iris_addon.evaluate.metrics import combine
     from iris_addon.evaluate.relighting import relit_views, score_pictures
 
-    ground = read_ground_truth(truth)
-    if ground is None:
+    ground, as_captured = read_ground_truth(truth), read_ground_truth(developed_as)
+    if ground is None or as_captured is None:
         raise BadInput("has no ground truth", "use a capture that has it", truth)
-    ground = replace(ground, val_views=ground.val_views[: views or None])
+    ground = replace(ground, val_views=ground.val_views[: views or None], response=as_captured.response)
     pictures = relit_views(result, ground, render_views, samples, seed, Progress())
     return {name: combine(list(values.values())) for name, values in score_pictures(pictures).items()}
 

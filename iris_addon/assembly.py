@@ -84,7 +84,7 @@ def make_result(
     albedo, diffuse_light = np.minimum(albedo / brighter, MAX_ALBEDO), diffuse_light * brighter
     held_out = config.rng(7).random(len(part)) < HELD_OUT
     error = light_error(light.field.spread(shading.irradiance))[patch]
-    textures, base_color = make_textures(
+    textures, base_color, paint = make_textures(
         atlas, light.parts, lights.mask, gloss, samples, albedo, weight * ~held_out[:, None], error
     )
     emission = lights.face_emission(len(light.parts))[samples.face]
@@ -97,7 +97,8 @@ def make_result(
     shown = photos.z[held_out]
     error = explained(held_out) - (shown if photos.hdr else np.clip(shown + 0.5 / 255, 0, 1))
     psnr, taken_off = -10 * np.log10(np.mean(error**2)), np.log(of_patch).std()
-    report = {"holdout_psnr": float(psnr), "model": {"residual_light": round(float(taken_off), 4)}}
+    spent = {"residual_light": round(float(taken_off), 4), "parts_of_one_colour": paint.plain_parts}
+    report = {"holdout_psnr": float(psnr), "model": spent}
     mesh = capture.mesh.with_uv(atlas.uv)
     exposures = {view.name: photometry.exposures[k] for k, view in enumerate(capture.views)}
     result = Result(

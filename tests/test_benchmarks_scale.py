@@ -78,7 +78,18 @@ def test_constant_grey_scores_as_badly_as_it_should(root):
 
 def test_relighting_alone_agrees_with_all_metrics(root):
     both = [
-        worker.score(grey_result(), Run("room", scored=scored, samples=1), root)["relight_psnr"]
+        worker.score(grey_result(), Run(str(root), scored=scored, samples=1), root)["relight_psnr"]
         for scored in ("all", "relight")
     ]
     assert both[0] == pytest.approx(both[1])
+
+
+def test_another_response_does_not_move_the_decibels_of_relighting(root, tmp_path):
+    """A sweep of responses changes the photos; what the room is like is asked through one curve throughout."""
+    other = write_truth_room(tmp_path / "other")
+    write_references(other, RADIANCE)
+    dark = np.linspace(0, 1, identity().samples.shape[1]) ** 3
+    np.save(other / "gt" / "cam" / "crf_gt.npy", np.tile(dark, (3, 1)))
+    run = Run(str(root), scored="relight", axis="response", level=3, samples=1)
+    scored = [worker.score(grey_result(), run, truth)["relight_psnr"] for truth in (root, other)]
+    assert scored[0] == pytest.approx(scored[1])

@@ -422,7 +422,7 @@ def test_unseen_faces_take_their_parts_mean_and_lamps_are_black() -> None:
     color = np.where((face < 2)[:, None], [0.5, 0.25, 0.125], 0.9)
     gloss = Gloss(np.array([0.2, 1.0, 0.5]), np.array([0.0, 1.0, 0.0]), np.full((3, 3), 0.04), np.ones(3, bool))
     lamps = np.arange(8) >= 6
-    textures, at_pixels = make_textures(
+    textures, at_pixels, paint = make_textures(
         atlas, mesh.parts, lamps, gloss, samples, color, np.ones((n, 3)), np.full(n, 0.02)
     )
     shown, _ = rasterise_atlas(uv, size)
@@ -443,5 +443,6 @@ def test_unseen_faces_take_their_parts_mean_and_lamps_are_black() -> None:
         assert found == pytest.approx(of_part[mesh.parts[face]], abs=1e-6)
     assert (textures.roughness[np.isin(shown, [0, 1, 2, 3])] == np.float32(0.2)).all()
     assert (textures.metallic[np.isin(shown, [4, 5])] == 1).all()
+    assert paint.plain_parts == 2, "the wall that nobody saw says nothing"
     assert at_pixels[face < 2] == pytest.approx(color[face < 2], abs=1e-3)
     assert np.isfinite(textures.base_color).all()

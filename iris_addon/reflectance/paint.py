@@ -30,6 +30,7 @@ LEAST_DETAIL = 0.05
 ENOUGH, MOST = 20, 4000
 """Texels of a part from which on it is asked, and how many of them are."""
 ROUNDS = 12
+PLAIN = 0.05
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,11 @@ class Paint:
     level: NDArray[np.float64]
     detail: NDArray[np.float64]
     spread: NDArray[np.float64]
+
+    @property
+    def plain_parts(self) -> int:
+        """Parts that are paint but for a share of PLAIN: a colour is all that is to be said of them."""
+        return int((self.detail < PLAIN).sum())
 
     def departure(self, log_albedo: NDArray[np.floating], part: NDArray[np.integer]) -> NDArray[np.floating]:
         """(n,) squared distance of log albedo (n, 3) from the paint, in colour as in brightness: the mean over the

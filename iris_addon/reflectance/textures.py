@@ -14,7 +14,7 @@ from ..surface.texel_fill import extend_texels, fill_texels
 from .bake import DIM_ALBEDO, TexelAlbedo, fuse_texels
 from .clipped_channels import complete_channels
 from .gloss import Gloss
-from .paint import find_paint
+from .paint import Paint, find_paint
 
 DOUBT = 0.02
 """Weight (in head-on pixels) that what is expected of a texel counts for."""
@@ -35,7 +35,7 @@ def make_textures(
     albedo: NDArray[np.floating],
     weight: NDArray[np.floating],
     light_error: NDArray[np.floating],
-) -> tuple[Textures, NDArray[np.float32]]:
+) -> tuple[Textures, NDArray[np.float32], Paint]:
     """Fuse pixels into texels, even out what is paint of one colour, fill what no photo saw.
 
     Args:
@@ -46,7 +46,7 @@ def make_textures(
         light_error: (n,) standard deviation of the log irradiance at each pixel.
 
     Returns:
-        The textures, and the fused base colour at every pixel, (n, 3).
+        The textures, the fused base colour at every pixel (n, 3), and what each part is painted with.
     """
     face, texel, size = atlas.face, atlas.texel, atlas.size
     fused = fuse_texels(texel, albedo, weight, size * size)
@@ -54,7 +54,7 @@ def make_textures(
     part, error = np.empty(size * size, np.int32), np.empty(size * size, np.float32)
     part[texel], error[texel] = parts[samples.face], light_error
     part, error, even = part[fused.texel], error[fused.texel], gloss.metallic < 0.5
-    base_color = _fill(fused, part, error, even, face, parts, samples, albedo, weight, size)
+    base_color, paint = _fill(fused, part, error, even, face, parts, samples, albedo, weight, size)
     # A last entry stands for texels of no face, -1.
     base_color[np.append(lamps, False)[face]] = 0.0
     roughness = np.append(gloss.roughness[parts], 1.0).astype(np.float32)[face]
@@ -62,7 +62,7 @@ def make_textures(
     confidence = np.zeros((size, size), np.float32)
     confidence.flat[fused.texel] = np.clip(fused.weight / FULL_CONFIDENCE, 0, 1)
     textures = Textures(base_color, roughness, metallic, confidence)
-    return textures, base_color.reshape(-1, 3)[texel]
+    return textures, base_color.reshape(-1, 3)[texel], paint
 
 
 def _fill(
@@ -76,7 +76,7 @@ def _fill(
     albedo: NDArray[np.floating],
     weight: NDArray[np.floating],
     size: int,
-) -> NDArray[np.float32]:
+) -> tuple[NDArray[np.float32], Paint]:
     """(size, size, 3) base colour everywhere: seen texels as they are unless they are paint, faces seen in part from
     their own texels, faces never seen as is expected of their part; ``part`` and ``error`` (T,) of the seen texels."""
     known = np.zeros((size, size), bool)
@@ -90,7 +90,7 @@ def _fill(
     filled = fill_texels(value.reshape(size, size, 3), known)
     unseen = np.append(count == 0, False)[face] & ~known
     filled[unseen] = paint.colour(part_mean)[parts[face[unseen]]]
-    return filled
+    return filled, paint
 
 
 def with_expected(
