@@ -82,10 +82,13 @@ def make_result(
     # Interpolation reaches over from parts beside a metal, whose base colour is no quotient of irradiance.
     brighter = np.where(metallic[:, None] > 0.5, np.float32(1), light.field.at_samples(samples, patch, of_patch))
     albedo, diffuse_light = np.minimum(albedo / brighter, MAX_ALBEDO), diffuse_light * brighter
+    # The base colour of a metal is no quotient of irradiance, and a piece of a scan is what looked alike, not a thing.
+    painted = gloss.metallic < 0.5
+    painted[part[photos.scanned]] = False
     held_out = config.rng(7).random(len(part)) < HELD_OUT
     error = light_error(light.field.spread(shading.irradiance))[patch]
     textures, base_color, paint = make_textures(
-        atlas, light.parts, lights.mask, gloss, samples, albedo, weight * ~held_out[:, None], error
+        atlas, light.parts, lights.mask, gloss, samples, albedo, weight * ~held_out[:, None], error, painted
     )
     emission = lights.face_emission(len(light.parts))[samples.face]
 

@@ -422,9 +422,8 @@ def test_unseen_faces_take_their_parts_mean_and_lamps_are_black() -> None:
     color = np.where((face < 2)[:, None], [0.5, 0.25, 0.125], 0.9)
     gloss = Gloss(np.array([0.2, 1.0, 0.5]), np.array([0.0, 1.0, 0.0]), np.full((3, 3), 0.04), np.ones(3, bool))
     lamps = np.arange(8) >= 6
-    textures, at_pixels, paint = make_textures(
-        atlas, mesh.parts, lamps, gloss, samples, color, np.ones((n, 3)), np.full(n, 0.02)
-    )
+    light = np.full(n, 0.02), gloss.metallic < 0.5
+    textures, at_pixels, paint = make_textures(atlas, mesh.parts, lamps, gloss, samples, color, np.ones((n, 3)), *light)
     shown, _ = rasterise_atlas(uv, size)
 
     def base(*faces: int) -> np.ndarray:

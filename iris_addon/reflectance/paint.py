@@ -99,7 +99,7 @@ def find_paint(
     albedo: NDArray[np.floating],
     error: NDArray[np.floating],
     part: NDArray[np.integer],
-    even: NDArray[np.bool_],
+    painted: NDArray[np.bool_],
 ) -> Paint:
     """The paint of every part that has enough texels.
 
@@ -107,11 +107,11 @@ def find_paint(
         albedo: (T, 3) of texels that photos show well.
         error: (T,) standard deviation of the log irradiance behind each.
         part: (T,) part of each.
-        even: (n_parts,) parts that may have one: no metals, whose base colour is no quotient of irradiance.
+        painted: (n_parts,) parts that may have one; the others are all detail.
     """
-    n_parts = len(even)
+    n_parts = len(painted)
     count = np.bincount(part, minlength=n_parts)
-    asked = even & (count >= ENOUGH)
+    asked = painted & (count >= ENOUGH)
     rows = _some_of_each(part, count)
     rows = rows[asked[part[rows]]]
     log_albedo = np.log(albedo[rows].astype(np.float64) + DIM_ALBEDO)

@@ -35,6 +35,7 @@ def make_textures(
     albedo: NDArray[np.floating],
     weight: NDArray[np.floating],
     light_error: NDArray[np.floating],
+    painted: NDArray[np.bool_],
 ) -> tuple[Textures, NDArray[np.float32], Paint]:
     """Fuse pixels into texels, even out what is paint of one colour, fill what no photo saw.
 
@@ -44,6 +45,7 @@ def make_textures(
         albedo: (n, 3) base colour of each pixel.
         weight: (n, 3) say of each pixel and channel.
         light_error: (n,) standard deviation of the log irradiance at each pixel.
+        painted: (n_parts,) bool, parts that may be of one colour.
 
     Returns:
         The textures, the fused base colour at every pixel (n, 3), and what each part is painted with.
@@ -53,8 +55,8 @@ def make_textures(
     # By the pixels, not by the faces under texel centres: at a chart's border those lie beyond it.
     part, error = np.empty(size * size, np.int32), np.empty(size * size, np.float32)
     part[texel], error[texel] = parts[samples.face], light_error
-    part, error, even = part[fused.texel], error[fused.texel], gloss.metallic < 0.5
-    base_color, paint = _fill(fused, part, error, even, face, parts, samples, albedo, weight, size)
+    part, error = part[fused.texel], error[fused.texel]
+    base_color, paint = _fill(fused, part, error, painted, face, parts, samples, albedo, weight, size)
     # A last entry stands for texels of no face, -1.
     base_color[np.append(lamps, False)[face]] = 0.0
     roughness = np.append(gloss.roughness[parts], 1.0).astype(np.float32)[face]
@@ -69,7 +71,7 @@ def _fill(
     fused: TexelAlbedo,
     part: NDArray[np.int32],
     error: NDArray[np.float32],
-    even: NDArray[np.bool_],
+    painted: NDArray[np.bool_],
     face: NDArray[np.int32],
     parts: NDArray[np.int32],
     samples: PixelSamples,
@@ -85,7 +87,7 @@ def _fill(
     part_mean = _part_means(parts[samples.face], albedo, weight, int(parts.max()) + 1).astype(np.float32)
     value = np.zeros((size * size, 3), np.float32)
     seen, sure = with_expected(fused, part, part_mean, size), fused.weight > DOUBT
-    paint = find_paint(seen[sure], error[sure], part[sure], even)
+    paint = find_paint(seen[sure], error[sure], part[sure], painted)
     value[fused.texel] = paint.evened(seen, error, part)
     filled = fill_texels(value.reshape(size, size, 3), known)
     unseen = np.append(count == 0, False)[face] & ~known
