@@ -25,12 +25,13 @@ Of surfaces of one colour in four rooms, log albedo departs by 0.012 to 0.019 wh
 0.08 to 0.10 where it is 0.2 to 0.4."""
 COLOUR = 0.5
 """Departure in colour over that in brightness, of both kinds: in those rooms 0.2 to 0.6."""
-LEAST_DETAIL = 0.05
-"""Standard deviation of the log albedo of detail, at least."""
+LEAST_DETAIL, FIRST_DETAIL = 0.05, 0.3
+"""Standard deviation of the log albedo of detail, at least and as it is first taken to be."""
 ENOUGH, MOST = 20, 4000
 """Texels of a part from which on it is asked, and how many of them are."""
 ROUNDS = 12
 PLAIN = 0.05
+"""Share of detail below which a part is of one colour."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class Paint:
 
     @property
     def plain_parts(self) -> int:
-        """Parts that are paint but for a share of PLAIN: a colour is all that is to be said of them."""
+        """How many parts are paint but for a share of PLAIN: a colour is all that is to be said of them."""
         return int((self.detail < PLAIN).sum())
 
     def departure(self, log_albedo: NDArray[np.floating], part: NDArray[np.integer]) -> NDArray[np.floating]:
@@ -117,9 +118,8 @@ def find_paint(
     log_albedo = np.log(albedo[rows].astype(np.float64) + DIM_ALBEDO)
     error, part = error[rows].astype(np.float64), part[rows]
     sure = error <= group_medians(error[:, None], part, n_parts)[part, 0]
-    paint = Paint(
-        group_medians(log_albedo[sure], part[sure], n_parts), np.where(asked, 0.5, 1.0), np.full(n_parts, 0.3)
-    )
+    level = group_medians(log_albedo[sure], part[sure], n_parts)
+    paint = Paint(level, np.where(asked, 0.5, 1.0), np.full(n_parts, FIRST_DETAIL))
     total = np.bincount(part, minlength=n_parts)
     for _ in range(ROUNDS):
         paint = _refined(paint, log_albedo, error, part, asked, total)

@@ -55,8 +55,12 @@ def make_textures(
     # By the pixels, not by the faces under texel centres: at a chart's border those lie beyond it.
     part, error = np.empty(size * size, np.int32), np.empty(size * size, np.float32)
     part[texel], error[texel] = parts[samples.face], light_error
-    part, error = part[fused.texel], error[fused.texel]
-    base_color, paint = _fill(fused, part, error, painted, face, parts, samples, albedo, weight, size)
+    part, error, sure = part[fused.texel], error[fused.texel], fused.weight > DOUBT
+    part_mean = _part_means(parts[samples.face], albedo, weight, len(painted)).astype(np.float32)
+    seen = with_expected(fused, part, part_mean, size)
+    paint = find_paint(seen[sure], error[sure], part[sure], painted)
+    evened, expected = paint.evened(seen, error, part), paint.colour(part_mean)[parts]
+    base_color = _fill(fused.texel, evened, face, samples.seen_faces(len(parts)), expected)
     # A last entry stands for texels of no face, -1.
     base_color[np.append(lamps, False)[face]] = 0.0
     roughness = np.append(gloss.roughness[parts], 1.0).astype(np.float32)[face]
@@ -68,31 +72,22 @@ def make_textures(
 
 
 def _fill(
-    fused: TexelAlbedo,
-    part: NDArray[np.int32],
-    error: NDArray[np.float32],
-    painted: NDArray[np.bool_],
+    texel: NDArray[np.integer],
+    value: NDArray[np.float32],
     face: NDArray[np.int32],
-    parts: NDArray[np.int32],
-    samples: PixelSamples,
-    albedo: NDArray[np.floating],
-    weight: NDArray[np.floating],
-    size: int,
-) -> tuple[NDArray[np.float32], Paint]:
-    """(size, size, 3) base colour everywhere: seen texels as they are unless they are paint, faces seen in part from
-    their own texels, faces never seen as is expected of their part; ``part`` and ``error`` (T,) of the seen texels."""
-    known = np.zeros((size, size), bool)
-    known.flat[fused.texel] = True
-    count = np.bincount(samples.face, minlength=len(parts))
-    part_mean = _part_means(parts[samples.face], albedo, weight, int(parts.max()) + 1).astype(np.float32)
-    value = np.zeros((size * size, 3), np.float32)
-    seen, sure = with_expected(fused, part, part_mean, size), fused.weight > DOUBT
-    paint = find_paint(seen[sure], error[sure], part[sure], painted)
-    value[fused.texel] = paint.evened(seen, error, part)
-    filled = fill_texels(value.reshape(size, size, 3), known)
-    unseen = np.append(count == 0, False)[face] & ~known
-    filled[unseen] = paint.colour(part_mean)[parts[face[unseen]]]
-    return filled, paint
+    seen_faces: NDArray[np.bool_],
+    expected: NDArray[np.floating],
+) -> NDArray[np.float32]:
+    """(size, size, 3) base colour everywhere: ``value`` (T, 3) at ``texel`` (T,), faces seen in part filled from their
+    own texels, faces never seen as is ``expected`` (F, 3) of them."""
+    known = np.zeros(face.shape, bool)
+    known.flat[texel] = True
+    base_color = np.zeros((*face.shape, 3), np.float32)
+    base_color.reshape(-1, 3)[texel] = value
+    filled = fill_texels(base_color, known)
+    unseen = np.append(~seen_faces, False)[face] & ~known
+    filled[unseen] = expected[face[unseen]]
+    return filled
 
 
 def with_expected(
