@@ -23,7 +23,7 @@ from iris_addon.progress import Progress, console
 from . import charts, tables
 from .measured import OUT, machine_of, pack
 from .perturb_photos import curves_by_distance
-from .runs import BUNDLED, Record, read_records, relative, run_isolated
+from .runs import BUNDLED, Record, read_records, relative, run_each
 
 EXPOSURES = ("known", "withheld")
 COLUMNS = (
@@ -83,15 +83,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BadInput as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
-    todo = [(rank, exposures) for exposures in EXPOSURES for rank in ranks]
-    with progress.stage("runs"):
-        for index, (rank, exposures) in enumerate(todo):
-            name = f"{args.capture.name}.{rank:03d}.{exposures}.{args.preset}"
-            progress.update(index / len(todo), f"{name}, {len(todo) - index} to go")
-            given = [relative(args.capture), str(rank), exposures, args.preset]
-            error = run_isolated("benchmarks.curves_worker", folder / f"{name}.json", given)
-            if error is not None:
-                progress.update(index / len(todo), f"{name}: {error}")
+    todo = {
+        f"{args.capture.name}.{rank:03d}.{exposures}.{args.preset}": [
+            relative(args.capture),
+            str(rank),
+            exposures,
+            args.preset,
+        ]
+        for exposures in EXPOSURES
+        for rank in ranks
+    }
+    run_each("benchmarks.curves_worker", todo, folder, progress)
     if not args.no_report:
         from .report import write
 

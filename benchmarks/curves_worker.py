@@ -14,14 +14,13 @@ import numpy as np
 
 from iris_addon.capture import read_capture
 from iris_addon.config import PresetName, preset
-from iris_addon.errors import IrisError
 from iris_addon.evaluate import evaluate
-from iris_addon.json_files import write_json
 from iris_addon.progress import Progress
 
 from . import machine
 from .perturb_cameras import misreport_exposures
 from .perturb_photos import copy_capture, curves_by_distance, take_with_curve
+from .runs import write_record
 
 SCORES = ("kd_psnr", "kd_psnr_all", "crf_l2", "exposure_log2_rmse")
 
@@ -53,13 +52,7 @@ def measure(source: Path, rank: int, exposures: str, preset_name: PresetName) ->
 def main(arguments: list[str]) -> int:
     """Command line of the worker."""
     path, capture, rank, exposures, preset_name = arguments
-    try:
-        record = measure(Path(capture), int(rank), exposures, preset_name)  # type: ignore[arg-type]
-    except IrisError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
-    write_json(Path(path), record)
-    return 0
+    return write_record(Path(path), lambda: measure(Path(capture), int(rank), exposures, preset_name))  # type: ignore[arg-type]
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iris_addon.errors import IrisError
-from iris_addon.json_files import read_json
+from iris_addon.json_files import read_json, write_json
 from iris_addon.progress import Progress
 from iris_addon.response.curve import Response
 from iris_addon.result.types import Emitter, Result, Textures
@@ -34,7 +34,7 @@ from iris_addon.surface.parts import initial_parts
 
 from . import machine
 from .mitsuba_scene import ATLAS_SIZE, BASE_COLOR, CLIPPED, ROUGHNESS, SIDES, Problem, load_mitsuba, make_scene
-from .runs import Record, Run, relative, run_isolated, save_record, standing_record
+from .runs import Record, Run, relative, run_isolated, standing_record
 
 NAME = "mitsuba-prb"
 SNAPSHOTS = (30, 60, 120, 300, 600, 1200)
@@ -264,7 +264,7 @@ def write_snapshots(folder: Path, capture: Path, stops: Sequence[float], rates: 
             "rates": asdict(rates),
             "metrics": scores,
         }
-        save_record(folder / f"{run.key}.json", record)
+        write_json(folder / f"{run.key}.json", record)
 
 
 def tune(capture: Path) -> Rates:

@@ -11,13 +11,14 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import fmean
 from typing import Any, Literal
 
+from iris_addon.errors import IrisError
 from iris_addon.json_files import read_json, write_json
 from iris_addon.parallel import cores
 from iris_addon.progress import Progress
@@ -156,6 +157,26 @@ def run_isolated(module: str, path: Path, arguments: Sequence[str], jobs: int = 
     return said[-1].removeprefix("error: ") if said else f"ended with code {process.returncode}"
 
 
+def run_each(module: str, todo: Mapping[str, Sequence[str]], folder: Path, progress: Progress) -> None:
+    """Let ``module`` write the record ``folder/NAME.json`` of every name that has none, one after the other."""
+    with progress.stage("runs"):
+        for index, (name, arguments) in enumerate(todo.items()):
+            progress.update(index / len(todo), f"{name}, {len(todo) - index} to go")
+            error = run_isolated(module, folder / f"{name}.json", arguments)
+            if error is not None:
+                progress.update(index / len(todo), f"{name}: {error}")
+
+
+def write_record(path: Path, measure: Callable[[], Record]) -> int:
+    """What a worker does: the record of ``measure`` at ``path``, or what is wrong on stderr; the exit code."""
+    try:
+        write_json(path, measure())
+    except IrisError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
+    return 0
+
+
 def read_records(folder: Path) -> list[Record]:
     """All records of a folder, by name."""
     return [read_json(path) for path in sorted(folder.glob("*.json"))]
@@ -189,8 +210,3 @@ def write_csv(path: Path, records: Iterable[Record]) -> None:
         writer = csv.DictWriter(file, columns)
         writer.writeheader()
         writer.writerows(rows)
-
-
-def save_record(path: Path, record: Record) -> None:
-    """Write a record in one step."""
-    write_json(path, record)

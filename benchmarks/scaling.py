@@ -18,7 +18,7 @@ from iris_addon.progress import Progress, console
 
 from . import charts, tables
 from .measured import OUT, machine_of, pack
-from .runs import BUNDLED, Record, read_records, relative, run_isolated
+from .runs import BUNDLED, Record, read_records, relative, run_each
 
 SWEEPS: dict[str, tuple[str, tuple[int, ...]]] = {
     "triangles": ("triangles", (10_000, 30_000, 100_000, 300_000, 1_000_000)),
@@ -88,15 +88,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = parser.parse_args(arguments)
     sizes = [(sweep, size) for sweep in args.sweeps for size in SWEEPS[sweep][1] if size <= args.largest]
     progress, folder = Progress(console()), args.out / "records"
-    with progress.stage("runs"):
-        for index, (sweep, size) in enumerate(sizes):
-            progress.update(index / len(sizes), f"{size} {sweep}, {len(sizes) - index} to go")
-            path = folder / f"{args.capture.name}.{sweep}.{size}.{args.preset}.json"
-            error = run_isolated(
-                "benchmarks.scaling_worker", path, [relative(args.capture), sweep, str(size), args.preset]
-            )
-            if error is not None:
-                progress.update(index / len(sizes), f"{size} {sweep}: {error}")
+    todo = {
+        f"{args.capture.name}.{sweep}.{size}.{args.preset}": [relative(args.capture), sweep, str(size), args.preset]
+        for sweep, size in sizes
+    }
+    run_each("benchmarks.scaling_worker", todo, folder, progress)
     if not args.no_report:
         from .report import write
 

@@ -24,7 +24,6 @@ from iris_addon.capture import read_capture
 from iris_addon.capture.fipt import read_fipt, read_fipt_views
 from iris_addon.capture.meshes import read_mesh
 from iris_addon.config import PresetName, preset
-from iris_addon.errors import IrisError
 from iris_addon.imaging import read_image, write_png
 from iris_addon.json_files import write_json
 from iris_addon.progress import Progress
@@ -33,6 +32,7 @@ from . import machine
 from .meshes import cluster, subdivide_edges
 from .perturb_geometry import write_obj
 from .perturb_photos import copy_capture, save_array
+from .runs import write_record
 
 JITTER = 0.05
 """Metres around its original that a repeated photo is moved."""
@@ -120,13 +120,7 @@ def measure(source: Path, sweep: str, size: int, preset_name: PresetName) -> dic
 def main(arguments: list[str]) -> int:
     """Command line of the worker."""
     path, capture, sweep, size, preset_name = arguments
-    try:
-        record = measure(Path(capture), sweep, int(size), preset_name)  # type: ignore[arg-type]
-    except IrisError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
-    write_json(Path(path), record)
-    return 0
+    return write_record(Path(path), lambda: measure(Path(capture), sweep, int(size), preset_name))  # type: ignore[arg-type]
 
 
 if __name__ == "__main__":

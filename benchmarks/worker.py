@@ -11,14 +11,14 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from iris_addon.errors import BadInput, IrisError
+from iris_addon.errors import BadInput
 from iris_addon.progress import Progress
 from iris_addon.result.types import Result
 
 from . import machine
 from .configurations import CONFIGURATIONS
 from .perturb import Perturbed, perturb
-from .runs import Run, save_record
+from .runs import Run, write_record
 
 
 def measure(run: Run, cache: Path) -> dict[str, Any]:
@@ -110,12 +110,7 @@ def relight_scores(
 def main(arguments: list[str]) -> int:
     """Command line of the worker."""
     path, run = Path(arguments[0]), Run(**json.loads(arguments[1]))
-    try:
-        save_record(path, measure(run, path.parent / "cache"))
-    except IrisError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
-    return 0
+    return write_record(path, lambda: measure(run, path.parent / "cache"))
 
 
 if __name__ == "__main__":
