@@ -88,7 +88,15 @@ def make_result(
     held_out = config.rng(7).random(len(part)) < HELD_OUT
     error = light_error(light.field.spread(shading.irradiance))[patch]
     textures, base_color, paint = make_textures(
-        atlas, light.parts, lights.mask, gloss, samples, albedo, weight * ~held_out[:, None], error, painted
+        atlas,
+        light.parts,
+        lights.mask,
+        gloss,
+        samples,
+        albedo,
+        weight * ~held_out[:, None],
+        error,
+        painted,
     )
     emission = lights.face_emission(len(light.parts))[samples.face]
 

@@ -22,6 +22,9 @@ from .response.observations import Observations
 from .response.overlap import fit_overlap
 from .response.radiance import Linearised, linearise_bytes, radiance_itself
 
+EXPONENT_SURE = 0.015
+"""Standard deviation of the log exponent up to which records are better than what light transport says of it."""
+
 
 @dataclass(frozen=True)
 class Photometry:
@@ -69,8 +72,23 @@ class Photometry:
 
     @property
     def exponent_open(self) -> bool:
-        """Whether photos fix response, exposures and radiance only up to a common exponent."""
-        return self.response.family == FITTED and not self.known_exposures
+        """Whether photos and what was recorded with them leave a common exponent of response, exposures and radiance
+        open."""
+        return self.exponent_error > EXPONENT_SURE
+
+    @property
+    def exponent_error(self) -> float:
+        """Standard deviation of the logarithm of that exponent, infinite where no exposures are recorded.
+
+        Wrong records leave a slope between them and the true ones that is off by their error, over their spread and
+        the root of their number (a linear regression).
+        """
+        if self.response.family != FITTED:
+            return 0.0
+        spread = float(np.log2(self.exposures).mean(1).std())
+        if not self.known_exposures or spread == 0:
+            return np.inf
+        return self.exposure_error / (spread * len(self.exposures) ** 0.5)
 
     def raised(self, exponent: float) -> Photometry:
         """The same photos explained by radiance to the power ``exponent``."""

@@ -54,7 +54,7 @@ from .surface.field import IrradianceField
 from .surface.mixed import mixed_pixels, outshone_by
 from .surface.parts import edge_adjacency, pieces_between_edges
 from .surface.samples import PixelSamples
-from .surface.segment import split_parts
+from .surface.segment import Split, split_parts
 from .transport.cache import cached_transport
 from .transport.diffuse import grazing_gain, schlick
 from .transport.tracer import Tracer
@@ -92,8 +92,9 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         photos = sample_photos(capture, tracer, config.hdr is not None, progress)
     with progress.stage("surface"):
         adjacency = edge_adjacency(capture.mesh)
-        split = aside(lambda: _surface(capture, config, tracer, adjacency, photos))
-        parts, scanned, photos, surface, field = waited_for(split, progress.check)
+        built = aside(lambda: _surface(capture, config, tracer, adjacency, photos))
+        split, photos, surface, field = waited_for(built, progress.check)
+        parts, scanned = split.parts, split.scanned
     with progress.stage("transport"):
         transport = cached_transport(
             capture, tracer, surface, parts, config.gather_rays, config.seed, config.rng(2), progress
@@ -114,7 +115,7 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         measured = partial(measure_photometry, capture, config, observations, photos, config.rng(4))
         arrays = checkpoints.stage("response", lambda: waited_for(aside(measured), progress.check).arrays())
         photometry = Photometry.from_arrays(arrays)
-    pose = partial(_problem, config, tracer, photos, parts, adjacency, surface, transport, hidden, observations, field)
+    pose = partial(_problem, config, tracer, photos, split, adjacency, surface, transport, hidden, observations, field)
     problem = pose(photometry)
     with progress.stage("lights"):
         searched = partial(_lights, pose, problem, scanned, photometry, config.refinements, progress)
@@ -156,16 +157,17 @@ def _surface(
     tracer: Tracer,
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
     photos: PhotoSamples,
-) -> tuple[NDArray[np.int32], NDArray[np.bool_], PhotoSamples, Surface, IrradianceField]:
-    """Parts (F,), which faces (F,) are a scan's, the photos with the pixels marked that mix surfaces, patches and the
-    field of their neighbours."""
-    parts, scanned = split_parts(capture.mesh, adjacency, tracer.normals, photos.samples, photos.z)
+) -> tuple[Split, PhotoSamples, Surface, IrradianceField]:
+    """The faces in parts, the photos with the pixels marked that mix surfaces, patches and the field of their
+    neighbours."""
+    split = split_parts(capture.mesh, adjacency, tracer.normals, photos.samples, photos.z)
     taken_by = [view.camera for view in capture.views]
+    parts = split.parts
     mixed = mixed_pixels(tracer, photos.samples, parts, taken_by, photos.stride)
     brighter = outshone_by(photos.samples, photos.z, mixed, parts, taken_by, photos.stride)
-    photos = replace(photos, mixed=mixed, scanned=scanned[photos.samples.face], outshone_by=brighter)
+    photos = replace(photos, mixed=mixed, scanned=split.scanned[photos.samples.face], outshone_by=brighter)
     surface = build_surface(capture.mesh, photos.samples, parts, config.max_patches, config.rng(1))
-    return parts, scanned, photos, surface, IrradianceField.build(surface)
+    return split, photos, surface, IrradianceField.build(surface)
 
 
 def _atlas(mesh: Mesh, samples: PixelSamples, size: int) -> Atlas:
@@ -181,7 +183,7 @@ def _problem(
     config: SolveConfig,
     tracer: Tracer,
     photos: PhotoSamples,
-    parts: NDArray[np.int32],
+    split: Split,
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
     surface: Surface,
     transport: Transport,
@@ -194,7 +196,7 @@ def _problem(
     linear = linearise(observations, photometry.response, exposure)
     if not linear.open.all(1).any():
         raise BadInput("every pixel of the photos is clipped in one channel or another", "add darker photos")
-    n, forced = len(surface.part), config.refinements
+    n, parts, forced = len(surface.part), split.parts, config.refinements
     angle = schlick(photos.samples.cosine[observations.sample].astype(np.float64))
     diffuse = choose_diffuse(observations, linear, angle)
     light = LightProblem(
@@ -228,6 +230,7 @@ def _problem(
         config.specular_rays,
         config.seed,
         forced.gloss,
+        split.given,
     )
     return problem.with_gloss(rough_everywhere(int(parts.max()) + 1))
 
@@ -249,7 +252,7 @@ def _lights(
         problem = problem.with_materials(material)
         light, lights = choose_outside(problem.light, problem.observed, progress, all_directions, lights)
     if photometry.exponent_open and forced.exponent is not False:
-        exponent = choose_exponent(light, problem.observed, lights, progress)
+        exponent = choose_exponent(light, problem.observed, lights, photometry.exponent_error, progress)
     if exponent != 1.0:
         problem = pose(photometry.raised(exponent)).with_materials(material)
         light, lights = choose_outside(problem.light, problem.observed, progress, all_directions)

@@ -201,6 +201,31 @@ def test_a_part_is_not_outvoted_by_neighbours_of_its_colour(odd_one_is_polished:
     assert (roughness[~glossy] == 1).all()
 
 
+@pytest.mark.parametrize("kin", [True, False])
+def test_pieces_of_one_part_of_the_capture_shine_alike(kin: bool) -> None:
+    """A knob that mirrors nothing bright, ten metres from the drawer whose lacquer it has."""
+    rng = np.random.default_rng(11)
+    patches, views = np.array([60, 3]), 5
+    part = np.repeat([0, 1], patches * views)
+    n = len(part)
+    zero = np.zeros((n, 3))
+    highlight = np.where(part == 0, 0.1, 0.0)[:, None] * (rng.random((n, 1)) < 0.3) * np.ones(3)
+    observed = GlossObservations(
+        part,
+        np.repeat(np.arange(patches.sum()), views),
+        np.ones(n),
+        np.where(part == 0, 0.0, 10.0)[:, None] * np.ones(3),
+        0.5 * (1 + 0.01 * rng.normal(size=(n, 1))) + highlight,
+        np.ones((n, 3)),
+        np.ones((len(LEVELS), n)),
+        [[lobe] * 2 for lobe in (*((zero, highlight) for _ in LEVELS[:-2]), (zero, zero), (zero, zero))],
+        given=np.zeros(2, int) if kin else np.arange(2),
+    )
+    roughness = fit_gloss(observed, 2).roughness
+    assert roughness[0] < 0.6
+    assert (roughness[1] < 0.6) == kin
+
+
 def test_gloss_by_chance_alone_is_rare() -> None:
     """Lobes that have nothing to do with what was seen are found in about the share of parts that 1.5 standard errors
     of a normal distribution leave (7 %), for each of the four levels that are traced; not in a third of them."""

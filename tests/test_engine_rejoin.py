@@ -14,6 +14,7 @@ from iris_addon.response.curve import gamma
 from iris_addon.solve import solve
 from iris_addon.surface.parts import edge_adjacency
 from iris_addon.surface.rejoin import APART, STEP, joined_parts
+from iris_addon.surface.segment import Split
 from iris_addon.transport.tracer import Tracer
 from tests.engine_room import SIZE, assemble, cameras, furnished_room, photograph, quad, render
 
@@ -79,7 +80,7 @@ def test_walls_that_a_scan_split_in_halves_are_whole_again(tmp_path: Path, monke
     capture = photograph(room, views, radiance, exposures, gamma(), tmp_path / "photos")
     halves = room.parts + len(room.albedo) * (room.mesh.vertices[room.mesh.faces].mean(1)[:, 0] > SIZE[0] / 2)
     split = np.unique(halves, return_inverse=True)[1].astype(np.int32)
-    monkeypatch.setattr(iris_addon.solve, "split_parts", lambda *_: (split, np.ones(len(split), bool)))
+    monkeypatch.setattr(iris_addon.solve, "split_parts", lambda *_: Split(split, np.ones(len(split), bool), None))
     joined_to: list[np.ndarray] = []
     with_materials = MaterialProblem.with_materials
 

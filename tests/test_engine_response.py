@@ -182,6 +182,20 @@ def test_wrongly_recorded_exposures_are_put_right(drift: str) -> None:
         assert exponent == pytest.approx(1.0, abs=0.3)
 
 
+def test_wrong_records_leave_the_exponent_open_by_as_much_as_their_slope_is_off() -> None:
+    rng = np.random.default_rng(6)
+    stops, records_off, draws = np.log2(EXPOSURES), 0.6, 4000
+    records = stops + rng.normal(0, records_off, (draws, len(stops)))
+    slope = (records - records.mean(1, keepdims=True)) @ (stops - stops.mean()) / np.sum((stops - stops.mean()) ** 2)
+    taken = np.repeat(EXPOSURES[:, None], 3, 1)
+    measured = Photometry(curve.gamma(), taken, 0.0, False, True, records_off)
+    assert measured.exponent_error == 0, "a curve that is given has its exponent"
+    fitted = replace(measured, response=replace(measured.response, family=family.FITTED))
+    assert fitted.exponent_error == pytest.approx(slope.std(), rel=0.05)
+    assert fitted.exponent_open and not replace(fitted, exposure_error=0.0).exponent_open
+    assert replace(fitted, known_exposures=False).exponent_error == np.inf
+
+
 @pytest.mark.parametrize("name", ["gamma 2.2", "film"])
 def test_unknown_exposures_come_back_up_to_an_exponent(name: str) -> None:
     rng = np.random.default_rng(4)

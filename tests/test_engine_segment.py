@@ -48,8 +48,8 @@ def _seen(mesh: Mesh) -> tuple[PixelSamples, NDArray[np.float32]]:
 def test_a_model_is_split_at_its_folds_and_a_scan_at_its_colours(roughness: float):
     mesh = _sheet(roughness)
     samples, z = _seen(mesh)
-    parts, scanned = split_parts(mesh, edge_adjacency(mesh), Tracer(mesh).normals, samples, z)
-    assert (scanned == (roughness > 0)).all()
+    parts, scanned, given = split_parts(mesh, edge_adjacency(mesh), Tracer(mesh).normals, samples, z)
+    assert (scanned == (roughness > 0)).all() and given is None
     center = mesh.vertices[mesh.faces].mean(1)
     upright, light = center[:, 2] > 0.005, center[:, 1] > 0.5
     assert _purity(parts, upright if roughness == 0 else light) > 0.97
@@ -63,12 +63,36 @@ def test_a_scan_is_split_within_the_pages_of_its_texture():
     page, light = (center[:, 0] > 0.25).astype(np.int32), center[:, 1] > 0.5
     paged = Mesh(mesh.vertices, mesh.faces, parts=page)
     samples, z = _seen(mesh)
-    parts, scanned = split_parts(paged, edge_adjacency(mesh), Tracer(mesh).normals, samples, z)
+    parts, scanned, given = split_parts(paged, edge_adjacency(mesh), Tracer(mesh).normals, samples, z)
     assert scanned.all() and _purity(parts, light) > 0.97 and _purity(parts, page == 1) == 1
+    assert given is not None and np.array_equal(given[parts], page)
     flat = _sheet(0.0)
     modelled = Mesh(flat.vertices, flat.faces, parts=page)
-    parts, scanned = split_parts(modelled, edge_adjacency(flat), Tracer(flat).normals, *_seen(flat))
-    assert not scanned.any() and np.array_equal(parts, page)
+    parts, scanned, given = split_parts(modelled, edge_adjacency(flat), Tracer(flat).normals, *_seen(flat))
+    assert not scanned.any() and given is not None and np.array_equal(given[parts], page)
+    upright = flat.vertices[flat.faces].mean(1)[:, 2] > 0.005
+    assert _purity(parts, upright) > 0.97, "one of the pages is folded"
+
+
+def test_what_was_joined_into_one_object_is_taken_apart():
+    """Two sheets a metre apart that the capture calls one part, and one that it calls two."""
+    sheet = _sheet(0.0)
+    n, faces = len(sheet.vertices), len(sheet.faces)
+    third = sheet.vertices[sheet.faces].mean(1)[:, 1] > 0.5
+    mesh = Mesh(
+        np.concatenate([sheet.vertices + [0, 2 * k, 0] for k in range(3)]),
+        np.concatenate([sheet.faces + k * n for k in range(3)]),
+        parts=np.concatenate([np.zeros(2 * faces), 1 + third]).astype(np.int32),
+    )
+    samples, z = _seen(mesh)
+    unseen = samples.take(np.flatnonzero(samples.face < 10))  # no piece between folds is large in the photos
+    split = split_parts(mesh, edge_adjacency(mesh), Tracer(mesh).normals, unseen, z[: len(unseen.face)])
+    assert mesh.parts is not None and split.given is not None
+    assert np.array_equal(split.given[split.parts], mesh.parts)
+    sheets = np.repeat(np.arange(3), faces)
+    assert len(np.unique(split.parts[sheets < 2])) >= 2
+    assert not np.isin(split.parts[sheets == 0], split.parts[sheets == 1]).any()
+    assert len(np.unique(split.parts[sheets == 2])) == 2
 
 
 def _purity(parts: NDArray[np.integer], side: NDArray[np.bool_]) -> float:

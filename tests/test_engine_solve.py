@@ -81,11 +81,11 @@ def lamp_parts(room: Room, result: Result) -> list[int]:
     return sorted(int(part) for emitter in result.emitters for part in np.unique(room.parts[emitter.faces]))
 
 
-def seen_texels(result: Result) -> tuple[np.ndarray, np.ndarray]:
-    """Part and base colour of the texels that photos reached."""
+def seen_texels(room: Room, result: Result) -> tuple[np.ndarray, np.ndarray]:
+    """Part of the room and base colour of the texels that photos reached."""
     face, _ = rasterise_atlas(result.mesh.uv, len(result.textures.base_color))
     seen = (face >= 0) & (result.textures.confidence > 0)
-    return result.parts[face[seen]], result.textures.base_color[seen]
+    return room.parts[face[seen]], result.textures.base_color[seen]
 
 
 def test_the_lamps_are_found_and_as_bright_as_they_are(shoot: Shoot, found: Result) -> None:
@@ -97,7 +97,7 @@ def test_the_lamps_are_found_and_as_bright_as_they_are(shoot: Shoot, found: Resu
 
 
 def test_the_albedo_is_that_of_the_room(shoot: Shoot, found: Result) -> None:
-    part, color = seen_texels(found)
+    part, color = seen_texels(shoot.room, found)
     means = np.array([color[part == label].mean(0) for label in range(8)])
     error = np.abs(means - shoot.room.albedo[:8])
     assert error.mean() < 0.05

@@ -1,8 +1,9 @@
 """The exponent that overlap leaves open, found by light transport.
 
-With the exposures unknown, photos fix response, exposures and radiance only up to (f(x^1/g), t^g, L^g). But light adds
-up, and its powers do not: within a part of one albedo log L = log a + log(G L + B e), with slope 1, holds for the right
-g alone. Every g is held to its own best lamps; patches that these were not fitted to decide.
+With the exposures unknown, or recorded wrong, photos fix response, exposures and radiance only up to
+(f(x^1/g), t^g, L^g). But light adds up, and its powers do not: within a part of one albedo
+log L = log a + log(G L + B e), with slope 1, holds for the right g alone. Every g is held to its own best lamps;
+patches that these were not fitted to decide.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ PRIOR_STD = 0.4
 """Of the log exponent about that of the median measured response, for rooms whose shading says little."""
 
 
-def choose_exponent(problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress) -> float:
+def choose_exponent(
+    problem: LightProblem, observed: GroupRadiance, lights: Lights, error: float, progress: Progress
+) -> float:
     """The g under which the light balances best; 1 where that says nothing.
 
     So it is where most light comes from what no photo shows, as the balance then is about guesses, and where the best g
@@ -34,6 +37,7 @@ def choose_exponent(problem: LightProblem, observed: GroupRadiance, lights: Ligh
     Args:
         observed: radiance of the seen patches, up to a power.
         lights: the lamps found under that radiance; g changes their radiance, not which faces they are.
+        error: standard deviation of log g by the exposures that were recorded, infinite without any.
     """
     n_seen, hidden = problem.transport.n_seen, problem.hidden.form_factors[..., 0]
     from_lamps = lights.form_factors[:n_seen, :, 0] @ lights.radiance
@@ -41,7 +45,7 @@ def choose_exponent(problem: LightProblem, observed: GroupRadiance, lights: Ligh
     if from_lamps.sum() <= from_outside.sum():
         return 1.0
     losses = np.array([_loss(problem, observed, lights, float(g), progress) for g in np.exp(LOG_EXPONENTS)])
-    losses += 0.5 * (LOG_EXPONENTS / PRIOR_STD) ** 2 / EFFECTIVE_PATCHES
+    losses += 0.5 * (LOG_EXPONENTS / min(error, PRIOR_STD)) ** 2 / EFFECTIVE_PATCHES
     if losses.argmin() in (0, len(losses) - 1):
         return 1.0
     fine = np.linspace(LOG_EXPONENTS[0], LOG_EXPONENTS[-1], 1000)

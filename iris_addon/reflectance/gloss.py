@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from ..parallel import over_each
 from .ggx import DIELECTRIC_F0
 from .gloss_cost import LobeHalves, PartFits
+from .part_costs import WELL_OBSERVED, PartCosts
 
 LEVELS = (0.1, 0.2, 0.32, 0.5, 0.7, 1.0)
 """Six roughness levels as in IRIS; between them the best level is interpolated."""
@@ -26,7 +26,7 @@ the hemisphere sees; they differ from a rough surface by their sheen alone, whic
 MIN_OBSERVATIONS = 10
 MIN_COST = 0.02
 """Cost below which the rough dielectric explains a part but for the noise of the photos."""
-MAX_OBSERVATIONS = 2000
+MAX_OBSERVATIONS = WELL_OBSERVED
 """Of one part. With a quarter of them large matte walls passed for glossy in one draw and not in the next."""
 ALL_OBSERVATIONS = 500_000
 """Of all parts: each has 88 rays, and thousands of parts would fill the memory. redkitchen has 330,000."""
@@ -40,11 +40,6 @@ METAL_GAIN_NEEDED = 0.135
 0.16 and more, what is none 0.11 at most."""
 MAX_METAL = 0.95
 """Brightest specular colour."""
-NEAR = 1.0
-"""Metres over which parts of like albedo are taken for pieces of one material."""
-LIKE = 0.05
-"""Difference in log albedo at which they no longer are."""
-NEIGHBOURS = 24
 FEW = 90
 """Observations by which the gain needed is doubled: chance explains a few."""
 
@@ -128,6 +123,7 @@ class GlossObservations:
         lobes: per level of LEVELS, (Ls0, Ls1), (m, 3) each, from either half of the rays; once if free of noise.
         layer: (levels, m) further factor if dielectrics take their light off the diffuse light below; None where the
             diffuse lobe is of a model in which they do not.
+        given: (n_parts,) what of the capture's own parts each part is a piece of; None if it brings none.
     """
 
     part: NDArray[np.integer]
@@ -139,52 +135,7 @@ class GlossObservations:
     diffuse: NDArray[np.floating]
     lobes: Sequence[LobeHalves]
     layer: NDArray[np.floating] | None = None
-
-
-@dataclass(frozen=True)
-class _Costs:
-    """Costs of k parts at every level, and what tells which of them are one material.
-
-    Attributes:
-        rough: (k,) cost of the rough dielectric.
-        plastic, metal: (k, levels) relative to that.
-        error: (k, levels) standard error of how much ``plastic`` lies below the rough dielectric.
-        colour: (k, levels, 3) specular colour of the metal.
-        count: (k,) observations.
-        centre: (k, 3) metres.
-        log_albedo: (k, 3).
-    """
-
-    ids: NDArray[np.integer]
-    rough: NDArray[np.float64]
-    plastic: NDArray[np.float64]
-    metal: NDArray[np.float64]
-    error: NDArray[np.float64]
-    colour: NDArray[np.float64]
-    count: NDArray[np.float64]
-    centre: NDArray[np.float64]
-    log_albedo: NDArray[np.float64]
-
-    def pooled(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Plastic and metal costs of every part averaged with those of near parts of like albedo (one chair's legs are
-        one wood), the error of such an average, and the observations behind it."""
-        _, near = cKDTree(self.centre).query(self.centre, k=min(NEIGHBOURS, len(self.ids)))
-        near = np.reshape(near, (len(self.ids), -1))
-        own = near == np.arange(len(near))[:, None]
-        distance = np.linalg.norm(self.centre[near] - self.centre[:, None], axis=-1) / NEAR
-        unlike = np.abs(self.log_albedo[near] - self.log_albedo[:, None]).max(-1) / LIKE
-        say = np.where(own, 0.0, self.count[near] * np.exp(-0.5 * (distance**2 + unlike**2)))
-        # However many they are, a part that was well observed itself is not outvoted.
-        say *= np.minimum(1.0, MAX_OBSERVATIONS / np.maximum(say.sum(1, keepdims=True), 1e-9))
-        say += own * self.count[:, None]
-        total = say.sum(1)
-        say /= total[:, None]
-        return (
-            np.einsum("kn,knl->kl", say, self.plastic[near]),
-            np.einsum("kn,knl->kl", say, self.metal[near]),
-            np.sqrt(np.einsum("kn,knl->kl", say**2, self.error[near] ** 2)),
-            total,
-        )
+    given: NDArray[np.integer] | None = None
 
 
 def fit_gloss(observed: GlossObservations, n_parts: int, forced: bool | None = None) -> Gloss:
@@ -211,7 +162,7 @@ def fit_gloss(observed: GlossObservations, n_parts: int, forced: bool | None = N
     return replace(gloss, layered=layered)
 
 
-def _layered_or_not(observed: GlossObservations) -> tuple[_Costs | None, bool]:
+def _layered_or_not(observed: GlossObservations) -> tuple[PartCosts | None, bool]:
     """Costs with or without a layer over the diffuse light, whichever explains the room better, and whether with."""
     either = _part_costs(observed)
     if not either:
@@ -224,7 +175,7 @@ def _layered_or_not(observed: GlossObservations) -> tuple[_Costs | None, bool]:
     return either[best], best == 1
 
 
-def _part_costs(observed: GlossObservations) -> list[_Costs]:
+def _part_costs(observed: GlossObservations) -> list[PartCosts]:
     """Costs without a layer over the diffuse light and, where there may be one, with; nothing without parts to fit."""
     o = observed
     order = np.argsort(o.part, kind="stable")
@@ -244,14 +195,16 @@ def _part_costs(observed: GlossObservations) -> list[_Costs]:
     centre = np.stack([o.position[rows].mean(0) for rows in pieces])
     log_albedo = np.log(np.maximum(o.radiance, 1e-4) / np.maximum(o.irradiance, 1e-4))
     log_albedo = np.stack([np.median(log_albedo[rows], axis=0) for rows in pieces])
+    given = np.arange(int(ids.max()) + 1) if o.given is None else o.given
 
-    def with_diffuse(factor: NDArray[np.floating]) -> _Costs:
+    def with_diffuse(factor: NDArray[np.floating]) -> PartCosts:
         dielectric = over_each(levels, lambda k: fits.dielectric(factor[k][rows], lobes[k]))
         plastic = np.stack([fits.mean(cost) for cost in dielectric], 1)
         error = np.stack([fits.standard_error(dielectric[-1] - cost) for cost in dielectric], 1)
         null = np.maximum(plastic[:, -1:], MIN_COST)
         said = plastic / null, metal / null, error / null
-        return _Costs(ids[enough], null[:, 0], *said, colour, count[enough].astype(np.float64), centre, log_albedo)
+        seen = count[enough].astype(np.float64)
+        return PartCosts(ids[enough], null[:, 0], *said, colour, seen, centre, log_albedo, given[ids[enough]])
 
     return [with_diffuse(o.diffuse), *([] if o.layer is None else [with_diffuse(o.diffuse * o.layer)])]
 

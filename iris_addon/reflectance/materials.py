@@ -55,6 +55,7 @@ class MaterialProblem:
         schlick: (M,) Schlick's S of the direction each observation was made from.
         diffuse: the lobe of every diffuse surface.
         gloss: None lets every part earn its gloss, True takes the best fit, False leaves all rough.
+        given: (n_parts,) what of the capture's own parts each is a piece of; None if it brings none.
         beyond: what photos show where the mesh has holes, once the response is settled; only reflections ask.
     """
 
@@ -69,6 +70,7 @@ class MaterialProblem:
     specular_rays: int
     seed: int
     gloss: bool | None = None
+    given: NDArray[np.int32] | None = None
     beyond: Beyond = NOTHING_BEYOND
 
     def shading(self, lights: Lights) -> Shading:
@@ -266,6 +268,7 @@ class _GlossFit:
             problem.view_factor(shading, levels, self.rows) if lobe == "burley" else np.ones((len(levels), len(at))),
             lobes,
             None if lobe == "burley" else layered_factor(levels, samples.cosine[at]),
+            problem.given,
         )
         material = problem.light.material
         return fit_gloss(observed, len(material), problem.gloss).of_parts(material)

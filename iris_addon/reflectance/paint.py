@@ -53,6 +53,10 @@ class Paint:
         """How many parts are paint but for a share of PLAIN: a colour is all that is to be said of them."""
         return int((self.detail < PLAIN).sum())
 
+    def of_parts(self, label: NDArray[np.integer]) -> Paint:
+        """The same for parts, each with the paint of the one that stands for it, ``label`` (n_parts,)."""
+        return Paint(self.level[label], self.detail[label], self.spread[label])
+
     def departure(self, log_albedo: NDArray[np.floating], part: NDArray[np.integer]) -> NDArray[np.floating]:
         """(n,) squared distance of log albedo (n, 3) from the paint, in colour as in brightness: the mean over the
         three is the variance of either kind."""

@@ -11,6 +11,7 @@ from ..result.types import Textures
 from ..surface.atlas_texels import Atlas
 from ..surface.samples import PixelSamples
 from ..surface.texel_fill import extend_texels, fill_texels
+from .alike import painted_alike
 from .bake import DIM_ALBEDO, TexelAlbedo, fuse_texels
 from .clipped_channels import complete_channels
 from .gloss import Gloss
@@ -56,10 +57,12 @@ def make_textures(
     part, error = np.empty(size * size, np.int32), np.empty(size * size, np.float32)
     part[texel], error[texel] = parts[samples.face], light_error
     part, error, sure = part[fused.texel], error[fused.texel], fused.weight > DOUBT
-    part_mean = _part_means(parts[samples.face], albedo, weight, len(painted)).astype(np.float32)
-    seen = with_expected(fused, part, part_mean, size)
-    paint = find_paint(seen[sure], error[sure], part[sure], painted)
-    evened, expected = paint.evened(seen, error, part), paint.colour(part_mean)[parts]
+    alike = painted_alike(fused.value[sure], error[sure], part[sure], painted)
+    kind = alike[part]
+    mean = _part_means(alike[parts[samples.face]], albedo, weight, len(painted)).astype(np.float32)
+    seen = with_expected(fused, kind, mean, size)
+    paint = find_paint(seen[sure], error[sure], kind[sure], painted).of_parts(alike)
+    evened, expected = paint.evened(seen, error, part), paint.colour(mean[alike])[parts]
     base_color = _fill(fused.texel, evened, face, samples.seen_faces(len(parts)), expected)
     # A last entry stands for texels of no face, -1.
     base_color[np.append(lamps, False)[face]] = 0.0

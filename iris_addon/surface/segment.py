@@ -1,7 +1,9 @@
 """Connected surfaces split into parts: modelled ones along sharp edges, scans along edges of colour.
 
 A room's shell is often one component, though its floor and its walls are of different materials: its large pieces
-between sharp edges become parts of their own. A scan has no sharp edges.
+between sharp edges become parts of their own. A scan has no sharp edges. What a capture calls one part may be one
+material or a whole room joined into an object: its pieces are parts as well, and which of them are one material
+after all is asked once there is light (:mod:`iris_addon.reflectance.alike`).
 
 Felzenszwalb & Huttenlocher's graph segmentation (IJCV 2004) on the faces of a component: neighbours join while the
 step between them is no larger than the steps inside the regions they belong to. Shading changes slowly over a surface
@@ -9,6 +11,8 @@ and stays inside a region; albedo changes in steps and makes its border.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,16 +36,28 @@ PIECE_SHARE = 0.01
 """Share of all pixels from which a piece between sharp edges is a part of its own."""
 
 
+class Split(NamedTuple):
+    """Faces in parts.
+
+    Attributes:
+        parts: (F,) part per face.
+        scanned: (F,) faces of scans.
+        given: (n_parts,) what of the capture's own parts each is a piece of; None if it brings none.
+    """
+
+    parts: NDArray[np.int32]
+    scanned: NDArray[np.bool_]
+    given: NDArray[np.int32] | None
+
+
 def split_parts(
     mesh: Mesh,
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
     normals: NDArray[np.floating],
     samples: PixelSamples,
     z: NDArray[np.floating],
-) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-    """(F,) part per face: the capture's own, else components, the large ones split; and which faces were scanned.
-
-    The capture's own parts of a scan may be no more than pages of its texture: they are split by colour as well.
+) -> Split:
+    """Components, those of each of the capture's own parts where it brings some, the large ones split.
 
     Args:
         normals: (F, 3) unit.
@@ -49,8 +65,20 @@ def split_parts(
     """
     components = component_labels(len(mesh.faces), *adjacency)
     scanned = scanned_faces(components, adjacency, normals, samples)
-    parts = mesh.parts if mesh.parts is not None else split_creases(components, adjacency, normals, samples, scanned)
-    return split_scan(parts, adjacency, normals, samples, z, scanned) if scanned.any() else parts, scanned
+    if mesh.parts is None:
+        pieces = components
+    else:
+        a, b = adjacency
+        within = mesh.parts[a] == mesh.parts[b]
+        pieces = component_labels(len(mesh.faces), a[within], b[within])
+    parts = split_creases(pieces, adjacency, normals, samples, scanned)
+    if scanned.any():
+        parts = split_scan(parts, adjacency, normals, samples, z, scanned)
+    if mesh.parts is None:
+        return Split(parts, scanned, None)
+    given = np.empty(int(parts.max()) + 1, np.int32)
+    given[parts] = mesh.parts
+    return Split(parts, scanned, given)
 
 
 def scanned_faces(
