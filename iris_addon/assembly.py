@@ -108,8 +108,8 @@ def make_result(
     shown = photos.z[held_out]
     error = explained(held_out) - (shown if photos.hdr else np.clip(shown + 0.5 / 255, 0, 1))
     psnr, taken_off = -10 * np.log10(np.mean(error**2)), np.log(of_patch).std()
-    spent = {"residual_light": round(float(taken_off), 4), "parts_of_one_colour": paint.plain_parts}
-    report = {"holdout_psnr": float(psnr), "model": spent}
+    paints = {"paints": paint.paints, "parts_of_one_colour": paint.plain_parts}
+    report = {"holdout_psnr": float(psnr), "model": {"residual_light": round(float(taken_off), 4), **paints}}
     mesh = capture.mesh.with_uv(atlas.uv)
     exposures = {view.name: photometry.exposures[k] for k, view in enumerate(capture.views)}
     result = Result(

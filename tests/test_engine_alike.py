@@ -40,6 +40,7 @@ def test_slats_beside_a_window_have_the_paint_of_its_frame() -> None:
     label = joined(albedo, error, part)
     assert (label == 0).all()
     paint = find_paint(albedo, error, label[part], np.ones(31, bool)).of_parts(label)
+    assert paint.paints == 1 and paint.plain_parts == 31
     evened = paint.evened(albedo, error, part)
     before, after = (np.abs(np.log(shown / WHITE))[part > 0].mean() for shown in (albedo, evened))
     assert before > 0.03 and after < 0.1 * before

@@ -53,6 +53,11 @@ class Paint:
         """How many parts are paint but for a share of PLAIN: a colour is all that is to be said of them."""
         return int((self.detail < PLAIN).sum())
 
+    @property
+    def paints(self) -> int:
+        """How many paints the parts that have one share."""
+        return len(np.unique(self.level[self.detail < 1], axis=0))
+
     def of_parts(self, label: NDArray[np.integer]) -> Paint:
         """The same for parts, each with the paint of the one that stands for it, ``label`` (n_parts,)."""
         return Paint(self.level[label], self.detail[label], self.spread[label])
