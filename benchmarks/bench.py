@@ -19,7 +19,7 @@ from . import bench_charts, bench_tables
 from .configurations import CONFIGURATIONS
 from .measured import OUT, pack
 from .peer_mitsuba import snapshot_records
-from .runs import BUNDLED, Record, Run, captures, has_truth, read_records, relative, run_all
+from .runs import BUNDLED, Record, Run, capture_folder, captures, has_truth, read_records, relative, run_all
 
 PARTS = ("presets", "peers", "ablation", "mitsuba")
 PEER_PRESET = "draft"
@@ -60,7 +60,7 @@ def describe(records: Sequence[Record], images: Path) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--captures", type=Path, nargs="+", default=captures())
+    parser.add_argument("--captures", type=capture_folder, nargs="+", default=captures())
     parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, metavar="PART", help=", ".join(PARTS))
     parser.add_argument("--seeds", type=int, default=3, help="of draft and balanced; the others run once")
     parser.add_argument("--samples", type=int, default=12, help="per pixel of the pictures that are scored")

@@ -23,7 +23,7 @@ from iris_addon.progress import Progress, console
 from . import charts, tables
 from .measured import OUT, machine_of, pack
 from .perturb_photos import curves_by_distance
-from .runs import BUNDLED, Record, read_records, relative, run_each
+from .runs import BUNDLED, Record, capture_folder, read_records, relative, run_each
 
 EXPOSURES = ("known", "withheld")
 COLUMNS = (
@@ -57,7 +57,8 @@ def describe(records: Sequence[Record], images: Path) -> str:
             for _, metric, percentile, digits in COLUMNS
         ]
         body.append([exposures, str(len(own)), *figures])
-    charts.save(charts.responses(panels, title="Measured responses on the demo room"), images / "curves", svg=False)
+    taken = " and ".join(sorted({Path(record["run"]["capture"]).name for record in records}))
+    charts.save(charts.responses(panels, title=f"Measured responses, {taken}"), images / "curves", svg=False)
     presets = ", ".join(sorted({record["run"]["preset"] for record in records}))
     return "\n".join(
         [
@@ -71,7 +72,7 @@ def describe(records: Sequence[Record], images: Path) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("capture", type=Path, nargs="?", default=BUNDLED)
+    parser.add_argument("capture", type=capture_folder, nargs="?", default=BUNDLED)
     parser.add_argument("--preset", choices=list(PRESETS), default="balanced")
     parser.add_argument("--curves", type=int, default=24, help="how many of the measured ones")
     parser.add_argument("--out", type=Path, default=OUT / "curves")

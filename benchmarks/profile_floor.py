@@ -37,7 +37,7 @@ from iris_addon.transport.transport import Transport
 
 from . import machine, tables
 from .measured import machine_of, pack
-from .runs import BUNDLED, Record
+from .runs import BUNDLED, Record, capture_folder
 
 SOLVES = 3
 TRIAL_RAYS = 1 << 20
@@ -228,7 +228,7 @@ def describe(seconds: dict[str, float], counts: Counts, floors: Floors, what: st
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("capture", type=Path, nargs="?", default=BUNDLED)
+    parser.add_argument("capture", type=capture_folder, nargs="?", default=BUNDLED)
     parser.add_argument("--preset", choices=list(PRESETS), default="balanced")
     parser.add_argument("--no-report", action="store_true", help="print alone, leave docs as they are")
     args = parser.parse_args(arguments)

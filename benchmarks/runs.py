@@ -6,6 +6,7 @@ stands is not repeated: stop at any time and start again.
 
 from __future__ import annotations
 
+import argparse
 import csv
 import json
 import os
@@ -31,6 +32,14 @@ SHARED_CAPTURES = ROOT.parent / "shared" / "captures"
 SWEPT_VIEWS = 2
 """Held-out views that the sweeps relight."""
 Record = dict[str, Any]
+
+
+def capture_folder(text: str) -> Path:
+    """A capture named on a command line."""
+    folder = Path(text)
+    if not folder.is_dir():
+        raise argparse.ArgumentTypeError(f"{text}: no such folder")
+    return folder
 
 
 @dataclass(frozen=True)

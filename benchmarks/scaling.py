@@ -18,7 +18,7 @@ from iris_addon.progress import Progress, console
 
 from . import charts, tables
 from .measured import OUT, machine_of, pack
-from .runs import BUNDLED, Record, read_records, relative, run_each
+from .runs import BUNDLED, Record, capture_folder, read_records, relative, run_each
 
 SWEEPS: dict[str, tuple[str, tuple[int, ...]]] = {
     "triangles": ("triangles", (10_000, 30_000, 100_000, 300_000, 1_000_000)),
@@ -79,7 +79,7 @@ def _extrapolate(stages: dict[str, tuple[list[float], list[float]]]) -> list[str
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("capture", type=Path, nargs="?", default=BUNDLED)
+    parser.add_argument("capture", type=capture_folder, nargs="?", default=BUNDLED)
     parser.add_argument("--preset", choices=list(PRESETS), default="balanced")
     parser.add_argument("--sweeps", nargs="+", choices=list(SWEEPS), default=list(SWEEPS))
     parser.add_argument("--largest", type=int, default=1_000_000, help="leave out sizes above this")

@@ -24,7 +24,7 @@ from . import charts, tables
 from .measured import OUT, machine_of, pack
 from .perturb import AXES, Axis, axis_applies
 from .perturb_scene import CHANGES, rendered
-from .runs import BUNDLED, SWEPT_VIEWS, Record, Run, flat, relative, run_all
+from .runs import BUNDLED, SWEPT_VIEWS, Record, Run, capture_folder, flat, relative, run_all
 from .small import small_capture
 
 METHODS = ("ours", "iris-like")
@@ -144,7 +144,7 @@ def _chart(values: Values, axis: Axis) -> charts.Figure:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("capture", type=Path, nargs="?", default=BUNDLED)
+    parser.add_argument("capture", type=capture_folder, nargs="?", default=BUNDLED)
     parser.add_argument("--axes", nargs="+", choices=sorted(AXES), default=list(AXES), metavar="NAME")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--jobs", type=int, default=cores(), help="runs at a time")
