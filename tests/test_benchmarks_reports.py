@@ -294,7 +294,7 @@ def test_curves_are_spread_to_both_ends_and_summed_up_by_percentile(tmp_path):
     assert curves.spread(3, 24) == [0, 1, 2]
     measured = [
         {
-            "run": {"rank": rank, "exposures": "known", "preset": "draft"},
+            "run": {"capture": "assets/demo_room", "rank": rank, "exposures": "known", "preset": "draft"},
             "metrics": {"crf_l2": 0.1 * number, "kd_psnr": 30.0 + number},
         }
         for number, rank in enumerate(ranks)
