@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from iris_addon.capture.reader import read_capture
 from iris_addon.capture.types import Camera
 from iris_addon.errors import BadInput, IrisError
-from iris_addon.grouping import group_medians
+from iris_addon.grouping import MAD, group_medians
 from iris_addon.response.curve import LUMINANCE
 from iris_addon.result.io import load_result
 from iris_addon.result.types import Result
@@ -110,7 +110,7 @@ def spread_of(albedo: NDArray[np.floating], place: NDArray[np.floating]) -> Spre
 
 def _robust(values: NDArray[np.floating]) -> float:
     middle = np.median(values) if len(values) else np.nan
-    return float(1.4826 * np.median(np.abs(values - middle)) / middle) if len(values) else float("nan")
+    return float(MAD * np.median(np.abs(values - middle)) / middle) if len(values) else float("nan")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

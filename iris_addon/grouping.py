@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from .kernels import Integer, kernel
 from .parallel import BLOCK, blocks, over_each
 
+MAD = 1.4826
+"""Standard deviations of a normal distribution in its median absolute deviation."""
 Key = TypeVar("Key", bound=np.integer)
 
 

@@ -11,17 +11,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..grouping import group_medians
+from ..grouping import MAD, group_medians
 from .bake import DIM_ALBEDO
-from .paint import COLOUR
+from .paint import COLOUR, best_lit
 
 OF_PARTS = 0.04
 """Standard deviation of the log albedo that a part of one colour is given, on even ground: its light is off as a whole
 by more than it is from pixel to pixel."""
 PER_TEXTURE = 0.25
 """Of the spread of its own texels, by which the median of a textured part is off."""
-NORMAL_MEDIAN = 0.6745
-"""Median absolute deviation of a normal distribution of unit variance."""
 LEAST = 5
 """Texels of a part from which on it is asked."""
 
@@ -45,11 +43,10 @@ def painted_alike(
     size = np.bincount(part, minlength=n_parts)
     whole = np.isfinite(albedo).all(1) & painted[part]
     log_albedo, error, part = np.log(albedo[whole] + DIM_ALBEDO), error[whole], part[whole]
-    # Told by the half of its texels whose light is known best.
-    sure = error <= group_medians(error[:, None], part, n_parts)[part, 0]
+    sure = best_lit(error, part, n_parts)
     log_albedo, error, part = log_albedo[sure], error[sure], part[sure]
     level = group_medians(log_albedo, part, n_parts)
-    texture = group_medians(np.abs(log_albedo - level[part]), part, n_parts).max(1) / NORMAL_MEDIAN
+    texture = group_medians(np.abs(log_albedo - level[part]), part, n_parts).max(1) * MAD
     light = group_medians(error[:, None], part, n_parts)[:, 0]
     variance = OF_PARTS**2 + light**2 + (PER_TEXTURE * texture) ** 2
     enough = np.bincount(part, minlength=n_parts) >= LEAST

@@ -105,6 +105,11 @@ def light_error(spread: NDArray[np.floating]) -> NDArray[np.floating]:
     return np.hypot(LIGHT_ERROR, ERROR_PER_SPREAD * spread)
 
 
+def best_lit(error: NDArray[np.floating], part: NDArray[np.integer], n_parts: int) -> NDArray[np.bool_]:
+    """(T,) the half of each part's texels whose light is known best: they tell its colour."""
+    return error <= group_medians(error[:, None], part, n_parts)[part, 0]
+
+
 def find_paint(
     albedo: NDArray[np.floating],
     error: NDArray[np.floating],
@@ -126,7 +131,7 @@ def find_paint(
     rows = rows[asked[part[rows]]]
     log_albedo = np.log(albedo[rows].astype(np.float64) + DIM_ALBEDO)
     error, part = error[rows].astype(np.float64), part[rows]
-    sure = error <= group_medians(error[:, None], part, n_parts)[part, 0]
+    sure = best_lit(error, part, n_parts)
     level = group_medians(log_albedo[sure], part[sure], n_parts)
     paint = Paint(level, np.where(asked, 0.5, 1.0), np.full(n_parts, FIRST_DETAIL))
     total = np.bincount(part, minlength=n_parts)

@@ -79,8 +79,9 @@ class PartCosts:
         near = cKDTree(self.centre).query(self.centre, k=min(NEIGHBOURS, n))[1].reshape(n, -1)
         best = np.lexsort((-self.count, self.given))
         rank = np.arange(n) - np.searchsorted(self.given[best], self.given[best])
-        listed = rank < NEIGHBOURS
-        kin = np.full((int(self.given.max()) + 1, NEIGHBOURS), -1)
+        most = min(NEIGHBOURS, int(rank.max()) + 1)  # one where the capture brings no parts
+        listed = rank < most
+        kin = np.full((int(self.given.max()) + 1, most), -1)
         kin[self.given[best[listed]], rank[listed]] = best[listed]
         kin = kin[self.given]
         other = (kin >= 0) & ~(kin[:, :, None] == near[:, None]).any(-1)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..grouping import group_medians, group_sums
+from ..grouping import MAD, group_medians, group_sums
 from ..surface.field import IrradianceField
 from .bake import DIM_ALBEDO
 
@@ -24,8 +24,6 @@ SLOW = 3.0
 """Patch sizes over which errors of the irradiance change."""
 FEATURE = 10 / 3
 """Errors of the light from which a slow difference in log albedo is rather a stain."""
-MAD = 1.4826
-"""Standard deviations of a normal distribution in its median absolute deviation."""
 
 
 def residual_light(

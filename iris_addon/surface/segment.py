@@ -2,8 +2,8 @@
 
 A room's shell is often one component, though its floor and its walls are of different materials: its large pieces
 between sharp edges become parts of their own. A scan has no sharp edges. What a capture calls one part may be one
-material or a whole room joined into an object: its pieces are parts as well, and which of them are one material
-after all is asked once there is light (:mod:`iris_addon.reflectance.alike`).
+material or a whole room joined into an object: its pieces are parts as well, and that they were one is no more than a
+hint that they shine alike (:mod:`iris_addon.reflectance.part_costs`).
 
 Felzenszwalb & Huttenlocher's graph segmentation (IJCV 2004) on the faces of a component: neighbours join while the
 step between them is no larger than the steps inside the regions they belong to. Shading changes slowly over a surface
