@@ -24,6 +24,8 @@ from .response.radiance import Linearised, linearise_bytes, radiance_itself
 
 EXPONENT_SURE = 0.015
 """Standard deviation of the log exponent up to which records are better than what light transport says of it."""
+LEAST_SPREAD = 1e-6
+"""Stops. Photos of one exposure have none."""
 
 
 @dataclass(frozen=True)
@@ -85,10 +87,10 @@ class Photometry:
         """
         if self.response.family != FITTED:
             return 0.0
-        spread = float(np.log2(self.exposures).mean(1).std())
-        if not self.known_exposures or spread == 0:
+        if not self.known_exposures:
             return np.inf
-        return self.exposure_error / (spread * len(self.exposures) ** 0.5)
+        spread = float(np.log2(self.exposures).mean(1).std())
+        return self.exposure_error / (max(spread, LEAST_SPREAD) * len(self.exposures) ** 0.5)
 
     def raised(self, exponent: float) -> Photometry:
         """The same photos explained by radiance to the power ``exponent``."""

@@ -194,6 +194,8 @@ def test_wrong_records_leave_the_exponent_open_by_as_much_as_their_slope_is_off(
     assert fitted.exponent_error == pytest.approx(slope.std(), rel=0.05)
     assert fitted.exponent_open and not replace(fitted, exposure_error=0.0).exponent_open
     assert replace(fitted, known_exposures=False).exponent_error == np.inf
+    alike = replace(fitted, exposures=np.ones_like(taken))
+    assert alike.exponent_open and not replace(alike, exposure_error=0.0).exponent_open
 
 
 @pytest.mark.parametrize("name", ["gamma 2.2", "film"])
