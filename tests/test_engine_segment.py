@@ -98,3 +98,33 @@ def test_what_was_joined_into_one_object_is_taken_apart():
 def _purity(parts: NDArray[np.integer], side: NDArray[np.bool_]) -> float:
     """Share of the faces that lie on the side on which most of their part does."""
     return float(np.maximum(np.bincount(parts, side), np.bincount(parts, ~side)).sum() / len(parts))
+
+
+@pytest.mark.parametrize(
+    ("gap", "step_back", "brighter", "one"),
+    [(0.3, 0.0, 1.05, True), (0.3, 0.0, 1.5, False), (0.3, 0.005, 1.0, False), (0.7, 0.0, 1.0, False)],
+)
+def test_pieces_of_one_plane_that_look_alike_across_a_gap_are_one(
+    gap: float, step_back: float, brighter: float, one: bool
+) -> None:
+    """A wall of a metre and a piece of it beyond a strip that the mesh lacks."""
+    wall = _strip(0.0, 1.0, 0.0)
+    piece = _strip(1.0 + gap, 1.2 + gap, step_back)
+    mesh = Mesh(np.vstack([wall.vertices, piece.vertices]), np.vstack([wall.faces, piece.faces + len(wall.vertices)]))
+    samples, z = _seen(mesh)
+    beyond = mesh.vertices[mesh.faces].mean(1)[samples.face, 0] > 1
+    z = np.where(beyond[:, None], 0.4 * brighter, 0.4) * np.random.default_rng(2).normal(1, 0.02, z.shape)
+    split = split_parts(mesh, edge_adjacency(mesh), Tracer(mesh).normals, samples, z.astype(np.float32))
+    assert len(np.unique(split.parts)) == (1 if one else 2)
+    told = Mesh(mesh.vertices, mesh.faces, parts=(mesh.vertices[mesh.faces].mean(1)[:, 0] > 1).astype(np.int32))
+    split = split_parts(told, edge_adjacency(told), Tracer(told).normals, samples, z.astype(np.float32))
+    assert len(np.unique(split.parts)) == 2
+
+
+def _strip(start: float, end: float, height: float) -> Mesh:
+    """A metre high, from ``start`` to ``end`` in x, in triangles of 5 cm."""
+    x, y = np.meshgrid(np.linspace(start, end, round((end - start) / 0.05) + 1), np.linspace(0, 1, 21), indexing="ij")
+    corner = np.arange(x.size).reshape(x.shape)
+    a, b, c, d = corner[:-1, :-1].ravel(), corner[1:, :-1].ravel(), corner[1:, 1:].ravel(), corner[:-1, 1:].ravel()
+    vertices = np.stack([x, y, np.full_like(x, height)], -1).reshape(-1, 3)
+    return Mesh(vertices, np.concatenate([np.c_[a, b, c], np.c_[a, c, d]]))

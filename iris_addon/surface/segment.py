@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ..capture.types import Mesh
 from ..grouping import group_means
+from .coplanar import joined_in_plane
 from .parts import component_labels, pieces_between_edges, smooth_edges
 from .samples import PixelSamples
 
@@ -31,6 +32,8 @@ modelled, however many its faces are: a wall cut fine stays flat, a scanned one 
 GRANULARITY = 0.6
 """Log-colour step times face count up to which a small region joins whatever it touches."""
 MIN_FACES = 60
+DARK = 0.03
+"""Display value that is added before the logarithm is taken."""
 UNSEEN_STEP = 0.15
 PIECE_SHARE = 0.01
 """Share of all pixels from which a piece between sharp edges is a part of its own."""
@@ -57,7 +60,8 @@ def split_parts(
     samples: PixelSamples,
     z: NDArray[np.floating],
 ) -> Split:
-    """Components, those of each of the capture's own parts where it brings some, the large ones split.
+    """Components, those of each of the capture's own parts where it brings some, the large ones split; without such,
+    those that lie in one plane and look alike are one.
 
     Args:
         normals: (F, 3) unit.
@@ -72,10 +76,12 @@ def split_parts(
         within = mesh.parts[a] == mesh.parts[b]
         pieces = component_labels(len(mesh.faces), a[within], b[within])
     parts = split_creases(pieces, adjacency, normals, samples, scanned)
+    log_colour = np.log(group_means(z, samples.face, len(mesh.faces)) + DARK)
     if scanned.any():
-        parts = split_scan(parts, adjacency, normals, samples, z, scanned)
+        parts = split_scan(parts, adjacency, normals, samples, log_colour, scanned)
     if mesh.parts is None:
-        return Split(parts, scanned, None)
+        parts = joined_in_plane(parts, mesh, normals, samples, log_colour, PIECE_SHARE)
+        return Split(np.unique(parts, return_inverse=True)[1].astype(np.int32), scanned, None)
     given = np.empty(int(parts.max()) + 1, np.int32)
     given[parts] = mesh.parts
     return Split(parts, scanned, given)
@@ -116,7 +122,7 @@ def split_scan(
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
     normals: NDArray[np.floating],
     samples: PixelSamples,
-    z: NDArray[np.floating],
+    log_colour: NDArray[np.floating],
     scanned: NDArray[np.bool_],
 ) -> NDArray[np.int32]:
     """(F,) parts with those of ``scanned`` (F,) faces split; modelled objects stay as they are.
@@ -124,15 +130,14 @@ def split_scan(
     Args:
         parts: (F,) part of each face.
         normals: (F, 3) unit.
-        z: (n, 3) display values of the pixels.
+        log_colour: (F, 3) log display value of each face that photos show.
     """
     n_faces = len(parts)
     seen = samples.seen_faces(n_faces)
-    colour = np.log(group_means(z, samples.face, n_faces) + 0.03)
     a, b = adjacency
     inside = scanned[a] & scanned[b] & (parts[a] == parts[b])
     a, b = a[inside], b[inside]
-    step = np.abs(colour[a] - colour[b]).max(1) + 0.3 * (1 - np.abs((normals[a] * normals[b]).sum(1)))
+    step = np.abs(log_colour[a] - log_colour[b]).max(1) + 0.3 * (1 - np.abs((normals[a] * normals[b]).sum(1)))
     step[~(seen[a] & seen[b])] = UNSEEN_STEP
     label = _merge(n_faces, a, b, step)
     # Labels of scans go behind those of the other parts.
