@@ -12,6 +12,7 @@ from .cameras.fit import CameraFit
 from .capture.types import Capture
 from .config import SolveConfig
 from .emission.balance import MAX_ALBEDO
+from .emission.shell_surface import as_surface
 from .emission.types import LightProblem, Lights
 from .memory import peak_memory_bytes
 from .parallel import BLOCK, filled, over_blocks
@@ -123,7 +124,7 @@ def make_result(
         report,
         capture.up,
         ALIKE if photometry.local is None else photometry.local.settings,
-        problem.beyond.backdrop,
+        problem.beyond.backdrop if light.hidden.holes is None else as_surface(problem.beyond, light, lights, progress),
     )
     return result, _rerenders(capture, samples, explained)
 
@@ -252,6 +253,7 @@ def report_figures(
             "lamps": len(lights.emitters),
             "unseen_lamps": int(_unseen(problem.light, lights).sum()),
             "outside_directions": len(problem.light.hidden.directions),
+            "light_through_holes": problem.light.hidden.holes is not None,
             "parts": len(problem.light.material),
             "materials": len(np.unique(problem.light.material)),
             "glossy_parts": int(((gloss.roughness < 1) & (gloss.metallic < 0.5)).sum()),

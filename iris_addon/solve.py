@@ -24,10 +24,11 @@ from .checkpoint import Checkpoints, fingerprint
 from .compute import choose_device
 from .config import Refinements, SolveConfig
 from .emission.backdrop import fit_backdrop
+from .emission.beyond import Beyond
 from .emission.candidates import brightness
 from .emission.exponent import choose_exponent
 from .emission.given import read_given_emitters
-from .emission.hidden import HiddenSources, find_hidden, nothing_hidden
+from .emission.hidden import HiddenSources, find_hidden, nothing_hidden, through_holes
 from .emission.search import choose_outside
 from .emission.types import LightProblem, Lights
 from .errors import BadInput
@@ -37,7 +38,6 @@ from .photo_samples import PhotoSamples, sample_photos
 from .photometry import Photometry, measure_photometry
 from .preview import write_previews
 from .progress import Progress
-from .reflectance.beyond import Beyond
 from .reflectance.diffuse_lobe import choose_diffuse
 from .reflectance.gloss import LEVELS, Gloss, rough_everywhere
 from .reflectance.materials import MaterialProblem, solve_materials
@@ -115,7 +115,9 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         measured = partial(measure_photometry, capture, config, observations, photos, config.rng(4))
         arrays = checkpoints.stage("response", lambda: waited_for(aside(measured), progress.check).arrays())
         photometry = Photometry.from_arrays(arrays)
-    pose = partial(_problem, config, tracer, photos, split, adjacency, surface, transport, hidden, observations, field)
+    pose = partial(
+        _problem, capture, config, tracer, photos, split, adjacency, surface, transport, hidden, observations, field
+    )
     problem = pose(photometry)
     with progress.stage("lights"):
         searched = partial(_lights, pose, problem, scanned, photometry, config.refinements, progress)
@@ -124,10 +126,8 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         if exponent != 1.0:
             photometry = photometry.raised(exponent)
             problem = pose(photometry)
-        problem = problem.with_materials(arrays["material"]).with_outside(int(arrays["directions"]))
-        if config.refinements.hidden_light is not False:
-            backdrop = fit_backdrop(photos.beyond, photometry, capture.mesh, capture.views)
-            problem = replace(problem, beyond=Beyond(backdrop))
+        problem = problem.with_materials(arrays["material"])
+        problem = problem.with_outside(int(arrays["directions"]), bool(arrays["shown"]))
         write_previews(out, capture, photos.z, photometry, problem, lights)
     with progress.stage("materials"):
         solved = checkpoints.stage("materials", lambda: _materials(problem, lights, config.rounds, progress))
@@ -180,6 +180,7 @@ def _atlas(mesh: Mesh, samples: PixelSamples, size: int) -> Atlas:
 
 
 def _problem(
+    capture: Capture,
     config: SolveConfig,
     tracer: Tracer,
     photos: PhotoSamples,
@@ -199,6 +200,9 @@ def _problem(
     n, parts, forced = len(surface.part), split.parts, config.refinements
     angle = schlick(photos.samples.cosine[observations.sample].astype(np.float64))
     diffuse = choose_diffuse(observations, linear, angle)
+    beyond = Beyond(None)
+    if forced.hidden_light is not False:
+        beyond = Beyond(fit_backdrop(photos.beyond, photometry, capture.mesh, capture.views))
     light = LightProblem(
         tracer,
         photos.samples,
@@ -209,7 +213,7 @@ def _problem(
         adjacency,
         brightness(observations, linear, n),
         photos.outshone_by,
-        hidden,
+        replace(hidden, holes=through_holes(transport, beyond)),
         field,
         config.shadow_rays,
         config.seed,
@@ -229,6 +233,7 @@ def _problem(
         diffuse,
         config.specular_rays,
         config.seed,
+        beyond,
         forced.gloss,
         split.given,
     )
@@ -256,8 +261,8 @@ def _lights(
     if exponent != 1.0:
         problem = pose(photometry.raised(exponent)).with_materials(material)
         light, lights = choose_outside(problem.light, problem.observed, progress, all_directions)
-    directions = np.array(len(light.hidden.directions))
-    return {**lights.arrays(), "directions": directions, "exponent": np.array(exponent), "material": material}
+    outside = {"directions": np.array(len(light.hidden.directions)), "shown": np.array(light.hidden.holes is not None)}
+    return {**lights.arrays(), **outside, "exponent": np.array(exponent), "material": material}
 
 
 def _materials(problem: MaterialProblem, lights: Lights, rounds: int, progress: Progress) -> dict[str, NDArray]:

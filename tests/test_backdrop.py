@@ -8,6 +8,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 from iris_addon.blender.apply import apply
 from iris_addon.blender.backdrop import BACKDROP
@@ -26,8 +27,9 @@ from iris_addon.response.curve import gamma, identity
 from iris_addon.result.edits import SceneEdit, Sphere
 from iris_addon.result.panorama import equirect_directions, equirect_texels
 from iris_addon.result.sh import sh_basis
-from iris_addon.result.types import Backdrop, OutsideLight, Result
+from iris_addon.result.types import Backdrop, Emitter, OutsideLight, Result
 from tests.blender_room import box, camera, room
+from tests.box_room import look_at
 
 CORNERS = np.array([[x, y, z] for x in (0.0, 5.0) for y in (0.0, 4.0) for z in (0.0, 2.5)])
 CAMERAS = np.array([[1.0, 1.0, 1.5], [4.0, 0.8, 1.2], [2.5, 2.0, 0.9]])
@@ -197,6 +199,47 @@ def test_from_outside_one_looks_through_it_into_the_room() -> None:
     assert lamp.sum() > 3
     means = [image.reshape(-1, 3)[lamp].mean(0) for image in (with_shell, without)]
     np.testing.assert_allclose(*means, rtol=0.05)  # the shell's picture is nowhere above 0.9
+
+
+def sphere(radius: float, rings: int = 24) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and inward faces of a ball about the origin."""
+    polar, azimuth = np.meshgrid(np.linspace(0, np.pi, rings + 1)[1:-1], np.arange(2 * rings) * np.pi / rings)
+    ring = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], -1)
+    hull = ConvexHull(radius * np.vstack([ring.reshape(-1, 3), [[0, 0, 1], [0, 0, -1]]]))
+    return hull.points, inward(Mesh(hull.points, hull.simplices))
+
+
+def lamp_in_a_shell(picture: np.ndarray, albedo: np.ndarray) -> Result:
+    """A ball of 0.1 m that shines with a radiance of 5 in the middle of one of 2 m."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    vertices, faces = sphere(0.1)
+    lit = room(albedo=0.0, mesh=Mesh(vertices, faces, np.zeros((len(faces), 3, 2), np.float32)))
+    lamp = Emitter(0, np.arange(len(faces)), np.full(3, 5.0), 1.0, 1.0)
+    shell = Backdrop(*sphere(2.0), picture.astype(np.float32), albedo.astype(np.float32))
+    return replace(lit, emitters=(lamp,), backdrop=shell)
+
+
+@pytest.mark.bpy
+@pytest.mark.parametrize("albedo", [0.3, 0.7])
+def test_one_that_reflects_is_an_integrating_sphere(albedo: float) -> None:
+    """A lamp of radiance L in the middle: the wall has one of a / (1 - a) L times the ratio of their areas."""
+    result = lamp_in_a_shell(np.zeros((8, 16, 3)), np.full((8, 16, 3), albedo))
+    (image,) = render_views(result, [camera(position=(0, 0, -0.5))], samples=256, denoise=False)
+    expected = albedo / (1 - albedo) * 5.0 * (0.1 / 2.0) ** 2
+    assert image.mean() == pytest.approx(expected, rel=0.03)
+
+
+@pytest.mark.bpy
+def test_through_its_openings_one_sees_outside_whatever_the_lamps_do() -> None:
+    """Its half towards +x has no albedo: one sees its own picture there, and the world behind it."""
+    ahead = (equirect_directions(128, 64)[..., :1] > 0) * np.ones(3)
+    result = lamp_in_a_shell(0.4 * ahead, 0.5 * (1 - ahead))
+    view = replace(camera(fx=20.0, fy=20.0), c2w=look_at(np.array([0.5, 0, 0]), np.array([1.0, 0, 0])))
+    for scale, world in ((1.0, 0.0), (0.5, 0.0), (0.5, 0.3)):
+        outside = OutsideLight(np.full((1, 3), world) / sh_basis(np.eye(3)[2:], 1))
+        lit = replace(result, outside=outside)
+        (image,) = render_views(lit, [view], edit=SceneEdit(outside_scale=scale), **QUICK)
+        np.testing.assert_allclose(image, scale * (0.4 + world), rtol=0.01)
 
 
 @pytest.mark.bpy

@@ -1,20 +1,26 @@
-"""What reflected rays meet beyond the mesh: the texel of the backdrop in their way, or nothing."""
+"""What rays meet beyond the mesh: the texel of the backdrop in their way, or nothing; the light that it sends in."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from iris_addon.capture.types import Mesh
-from iris_addon.reflectance.beyond import Beyond
+from iris_addon.emission.beyond import Beyond
+from iris_addon.emission.hidden import through_holes
+from iris_addon.emission.shell_surface import as_surface
+from iris_addon.emission.types import Lights
+from iris_addon.progress import Progress
 from iris_addon.reflectance.ggx import specular_integrals
 from iris_addon.reflectance.lamp_aim import LampAim
 from iris_addon.reflectance.lobes import Scene, trace_lobes
 from iris_addon.result.panorama import equirect_directions
 from iris_addon.result.types import Backdrop
 from iris_addon.surface.samples import PixelSamples
+from iris_addon.transport.diffuse import MEAN_SCHLICK
 from tests.engine_room import cameras, furnished_room, patched
 
 FLOOR = 4
@@ -85,3 +91,55 @@ def test_a_uniform_backdrop_is_mirrored_by_the_integrals_of_the_model(
     assert s1.mean() == pytest.approx(0.3 * f1.mean(), abs=0.005)
     dark = trace_lobes(scene, samples, rows, np.full(len(rows), roughness), 16, np.random.default_rng(1))
     assert not scene.lobes(dark)[0].any()
+
+
+@pytest.mark.parametrize("kappa", [0.0, 0.5])
+def test_a_uniform_backdrop_lights_what_sees_nothing_else_by_the_integral_of_its_lobe(
+    floor: tuple[Scene, PixelSamples], kappa: float
+) -> None:
+    transport = floor[0].transport
+    holes = through_holes(transport, Beyond(shell(np.full((8, 16, 3), 0.3))))
+    assert holes is not None
+    light = holes.irradiance(np.full(transport.n_patches, kappa))
+    np.testing.assert_allclose(light.mean(0), 0.3 * (1 + kappa * MEAN_SCHLICK), rtol=0.002)
+    np.testing.assert_allclose(holes.raised(2.0).irradiance(np.zeros(transport.n_patches)), 0.09, rtol=1e-3)
+    assert through_holes(transport, Beyond(None)) is None
+
+
+def test_the_side_of_a_backdrop_lights_the_floor_by_the_share_of_its_sky(floor: tuple[Scene, PixelSamples]) -> None:
+    """The floor lies in the middle plane of the cube, whose top fills four rectangles of the sky of every point."""
+    transport = floor[0].transport
+    directions = equirect_directions(512, 256)
+    top = directions[..., 2] >= np.abs(directions[..., :2]).max(-1)
+    holes = through_holes(transport, Beyond(shell(np.where(top[..., None], 1.0, 0.0) * np.ones(3))))
+    assert holes is not None
+    point = transport.origins.position.mean(1)[:, :2].astype(np.float64)
+    expected = sum(
+        corner((SIDE + i * point[:, 0]) / SIDE, (SIDE + j * point[:, 1]) / SIDE) for i in (-1, 1) for j in (-1, 1)
+    )
+    light = holes.irradiance(np.zeros(transport.n_patches))[: transport.n_seen, 0]
+    assert light.mean() == pytest.approx(np.mean(expected), rel=0.015)
+
+
+def corner(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Form factor of a rectangle, x and y times as large as its distance, at a point below its corner that faces it."""
+    a, b = np.hypot(1, x), np.hypot(1, y)
+    return (x / a * np.arctan(y / a) + y / b * np.arctan(x / b)) / (2 * np.pi)
+
+
+def test_what_is_brighter_than_a_surface_can_be_is_seen_through_an_opening(floor: tuple[Scene, PixelSamples]) -> None:
+    """A sun of 50 on the left half of what is beyond, 0.1 on the right, around a dark floor under a light of 1."""
+    scene, _ = floor
+    n, n_faces = scene.transport.n_patches, len(scene.face_emission)
+    left = (np.arange(256) < 128)[None, :, None] * np.ones((128, 1, 3))
+    beyond = Beyond(shell(np.where(left, 50.0, 0.1)))
+    dark = Lights([], np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros((n, 0, 2), np.float32),
+                  np.zeros(n_faces, bool), np.ones((n, 3)), np.zeros((n, 3)))  # fmt: skip
+    problem = SimpleNamespace(tracer=scene.tracer, transport=scene.transport, parts=scene.parts, seed=0)
+    surface = as_surface(beyond, problem, dark, Progress())  # type: ignore[arg-type]
+    assert surface is not None and surface.albedo is not None
+    away = np.abs(np.arange(256) - 127.5) % 128 > 8  # from the seams
+    sun, wall = left[0, :, 0].astype(bool) & away, ~left[0, :, 0].astype(bool) & away
+    assert (surface.picture[:, sun] == 50).all() and not surface.albedo[:, sun].any()
+    assert not surface.picture[:, wall].any()
+    assert (surface.albedo[:, wall] > 0).all() and surface.albedo[:, wall].max() < 0.1001

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from iris_addon.emission.balance import MAX_ALBEDO
+from iris_addon.emission.beyond import Beyond
 from iris_addon.evaluate.maps import bilinear
 from iris_addon.progress import Progress
 from iris_addon.reflectance import gloss as gloss_module
 from iris_addon.reflectance.bake import fuse_texels, pixel_albedo, pixel_weight
-from iris_addon.reflectance.beyond import Beyond
 from iris_addon.reflectance.ggx import DIELECTRIC_F0, layered_factor, specular_integrals
 from iris_addon.reflectance.gloss import (
     LEVELS,

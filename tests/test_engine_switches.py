@@ -9,16 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from iris_addon.capture.types import Camera
 from iris_addon.config import AUTO, FULL, MINIMAL, Refinements, preset
 from iris_addon.emission.given import read_given_emitters
 from iris_addon.errors import BadInput
 from iris_addon.json_files import to_ranges
+from iris_addon.progress import Progress
 from iris_addon.reflectance.gloss import LEVELS, GlossObservations, fit_gloss
 from iris_addon.response.curve import Response, gamma
+from iris_addon.result.panorama import equirect_directions
 from iris_addon.result.types import Result
 from iris_addon.solve import solve
+from iris_addon.surface.samples import trace_pixels
 from iris_addon.transport.tracer import Tracer
-from tests.engine_room import LAMP_PARTS, Room, cameras, furnished_room, photograph, render
+from tests.engine_room import LAMP_PARTS, LAMP_RADIANCE, Room, cameras, furnished_room, photograph, render
 
 TINY = preset("draft", max_patches=2000, gather_rays=48, shadow_rays=48, atlas_size=128, rounds=1, response="gamma")
 N_VIEWS = 8
@@ -27,7 +31,8 @@ GAMMA = gamma()
 
 @pytest.fixture(scope="module")
 def solved(tmp_path_factory: pytest.TempPathFactory):
-    """Solve the furnished room, its mesh without one part if asked, with some fields of the configuration replaced."""
+    """Solve the furnished room, its mesh without one part if asked, which photos show all the same or ``black``, with
+    some fields of the configuration replaced."""
     folder = tmp_path_factory.mktemp("switches")
     fine, views = furnished_room(), cameras(N_VIEWS, 48, 36)
     radiance = render(fine, Tracer(fine.mesh), views, 48)
@@ -35,10 +40,16 @@ def solved(tmp_path_factory: pytest.TempPathFactory):
     exposures = 0.25 / np.median(radiance.mean(-1).reshape(N_VIEWS, -1), 1) * 2.0 ** np.linspace(-3, 1, N_VIEWS)
 
     def run(
-        name: str, known: bool = True, without: int = -1, curve: Response = GAMMA, **changes: object
+        name: str,
+        known: bool = True,
+        without: int = -1,
+        black: bool = False,
+        curve: Response = GAMMA,
+        **changes: object,
     ) -> tuple[Room, Result]:
-        capture = photograph(room, views, radiance, exposures, curve, folder / name)
         kept = room.parts != without
+        shown = np.where(black & missed(room, without, views)[..., None], 0, radiance)
+        capture = photograph(room, views, shown, exposures, curve, folder / name)
         capture = replace(capture, mesh=replace(room.mesh, faces=room.mesh.faces[kept], parts=room.parts[kept]))
         if not known:
             capture = replace(capture, views=tuple(replace(view, exposure=None) for view in capture.views))
@@ -47,6 +58,14 @@ def solved(tmp_path_factory: pytest.TempPathFactory):
             return room, solve(capture, replace(TINY, **changes), folder / f"out-{name}")
 
     return run
+
+
+def missed(room: Room, part: int, views: list[Camera]) -> np.ndarray:
+    """(V, H, W) pixels of the room that show ``part``."""
+    samples = trace_pixels(Tracer(room.mesh), views, 1, Progress())
+    shows = np.zeros((len(views), views[0].height * views[0].width), bool)
+    shows[samples.view, samples.pixel] = room.parts[samples.face] == part
+    return shows.reshape(len(views), views[0].height, -1)
 
 
 def write_mask(path: Path, lamps: list[np.ndarray]) -> Path:
@@ -127,6 +146,32 @@ def test_light_from_outside_is_forced_and_forbidden(solved):
         directions.append(result.report["model"]["outside_directions"])
         assert (result.outside is not None) == forced
     assert directions == [12, 0]
+
+
+CEILING, WALL = 5, 3
+
+
+@pytest.mark.parametrize("missing", [CEILING, WALL])
+def test_what_photos_show_through_a_hole_is_the_wall_that_the_mesh_lacks(solved, missing):
+    """It lights the room as it did, whose lamps stay what they are, and has its albedo."""
+    room, result = solved(f"lacks-{missing}", without=missing)
+    assert result.report["model"]["light_through_holes"] and result.outside is None
+    lamps = np.array([emitter.radiance for emitter in result.emitters])
+    true = LAMP_RADIANCE[np.argsort(-LAMP_RADIANCE[:, 2])]
+    np.testing.assert_allclose(lamps[np.argsort(-lamps[:, 2])], true, rtol=0.1)
+    backdrop = result.backdrop
+    assert backdrop is not None and backdrop.albedo is not None
+    towards = equirect_directions(*backdrop.picture.shape[1::-1]) @ np.eye(3)[{CEILING: 2, WALL: 1}[missing]]
+    np.testing.assert_allclose(np.median(backdrop.albedo[towards > 0.9], axis=0), room.albedo[missing], rtol=0.12)
+    assert not backdrop.picture[towards > 0.9].any()
+
+
+def test_light_that_photos_do_not_show_is_fitted_instead(solved):
+    """The room without its ceiling, beyond which photos are black: what comes from there they do not know."""
+    _, result = solved("lacks-sky", without=CEILING, black=True)
+    model = result.report["model"]
+    assert not model["light_through_holes"] and model["outside_directions"]
+    assert result.backdrop is not None and result.backdrop.albedo is None
 
 
 def test_a_forced_gloss_takes_what_caution_refuses():

@@ -54,10 +54,11 @@ def test_round_trip_reproduces_the_result(tmp_path):
 
 
 def with_backdrop() -> Result:
-    """A room before a tetrahedron."""
+    """A room before a tetrahedron that reflects."""
     corners = np.array([[-3.0, -3, -3], [5, 0, 0], [0, 5, 0], [0, 0, 5 + 1 / 3]])
-    picture = np.random.default_rng(5).random((8, 16, 3)).astype(np.float32)
-    return replace(room(), backdrop=Backdrop(corners, np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]]), picture))
+    picture, albedo = np.random.default_rng(5).random((2, 8, 16, 3)).astype(np.float32)
+    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
+    return replace(room(), backdrop=Backdrop(corners, faces, picture, albedo))
 
 
 def test_a_backdrop_survives_and_goes_with_its_result(tmp_path):
@@ -67,6 +68,9 @@ def test_a_backdrop_survives_and_goes_with_its_result(tmp_path):
     assert np.array_equal(loaded.vertices, result.backdrop.vertices)
     assert np.array_equal(loaded.faces, result.backdrop.faces)
     assert np.abs(loaded.picture - result.backdrop.picture).max() <= 2**-11
+    assert np.abs(loaded.albedo - result.backdrop.albedo).max() <= 2**-11
+    save_result(replace(result, backdrop=replace(result.backdrop, albedo=None)), tmp_path)
+    assert load_result(tmp_path).backdrop.albedo is None and not (tmp_path / "backdrop_albedo.exr").exists()
     save_result(room(), tmp_path)
     assert load_result(tmp_path).backdrop is None and not (tmp_path / "backdrop.exr").exists()
 
@@ -78,6 +82,9 @@ BACKDROP_DAMAGE = [
     ("backdrop.exr", lambda p: p.unlink()),
     ("backdrop.exr", lambda p: imaging.write_exr(p, np.zeros((8, 8, 3)))),
     ("backdrop.exr", lambda p: imaging.write_exr(p, np.full((8, 16, 3), -1.0))),
+    ("backdrop_albedo.exr", lambda p: p.unlink()),
+    ("backdrop_albedo.exr", lambda p: imaging.write_exr(p, np.zeros((4, 8, 3)))),
+    ("backdrop_albedo.exr", lambda p: imaging.write_exr(p, np.full((8, 16, 3), 1.5))),
 ]
 
 

@@ -2,9 +2,7 @@
 
 Light from outside the mesh stands for everything beyond it together, lamps among it. To a camera that looks through a
 hole under a table it would be a glaring patch, and so it would be mirrored by a varnished front. The photos show what
-is there, but not how far away. Most of what a scan misses stands at its walls or close to them, so pixels that miss
-the mesh are painted onto a convex shell around it: from wherever one looks, what is missing on a wall is then where it
-belongs, and what was further in is moved a little.
+is there, but not how far away: pixels that miss the mesh are painted onto a shell around it.
 """
 
 from __future__ import annotations
@@ -14,24 +12,17 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
-from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from ..capture.types import Mesh, View
 from ..photo_samples import BeyondMesh
 from ..photometry import Photometry
-from ..result.panorama import equirect_texels
 from ..result.types import Backdrop
+from .shell import shell_around
 
 MIN_SHARE = 2e-3
 """Share of all pixels from which what lies beyond the mesh is worth a backdrop."""
 HEIGHT = 128
 """Rows of the picture: 1.4 degrees a texel, 6 cm at two and a half metres."""
-DIRECTIONS = 400
-"""In which the points that the shell is drawn through lie furthest out."""
-CLEARANCE = 1.01
-"""The shell stands off the walls by a hundredth of its size, lest they flicker."""
-STEP_BACK = 0.1
-"""Of the room's size: so far from where a photo was taken one still stands within."""
 OUTLIER = 0.3
 """Deviation in log radiance of an outlier: something in front of what most photos show."""
 FLOOR = 0.01
@@ -39,7 +30,6 @@ FLOOR = 0.01
 ENOUGH = 1e-3
 """Pixels per texel, from which on their surroundings are not asked."""
 ROUNDS = 4
-BLOCK = 8192
 
 
 def fit_backdrop(beyond: BeyondMesh, photometry: Photometry, mesh: Mesh, views: Sequence[View]) -> Backdrop | None:
@@ -47,62 +37,16 @@ def fit_backdrop(beyond: BeyondMesh, photometry: Photometry, mesh: Mesh, views: 
     if beyond.share < MIN_SHARE:
         return None
     positions = np.stack([view.camera.position for view in views])
-    surface = mesh.vertices[np.unique(mesh.faces)]
-    step = STEP_BACK * float(np.ptp(surface, axis=0).max()) * np.concatenate([np.eye(3), -np.eye(3)])
-    if _flat(np.concatenate([surface, positions])):
+    shell = shell_around(mesh, positions)
+    if shell is None:
         return None
-    hull = _shell(np.concatenate([surface, *(positions + one for one in step)]))
     linear = photometry.linearise_pixels(beyond.z, beyond.view, beyond.pixel)
     radiance = np.where(linear.open, linear.radiance, linear.bound).astype(np.float64)
-    painted = _exit_points(hull.equations, positions[beyond.view], beyond.direction) - hull.points.mean(0)
-    texel = equirect_texels(painted, 2 * HEIGHT, HEIGHT)
-    return Backdrop(hull.points, _inward_faces(hull), _picture(texel, radiance))
-
-
-def _flat(points: NDArray[np.floating]) -> bool:
-    """Whether ``points`` (n, 3) lie in a plane."""
-    return bool(np.linalg.matrix_rank(points - points.mean(0), tol=1e-6 * float(np.ptp(points))) < 3)
-
-
-def _shell(points: NDArray[np.floating]) -> ConvexHull:
-    """A convex body of few faces around all of ``points`` (n, 3), lest it hide a pane that stands back in its wall.
-
-    The hull of what lies furthest out in some directions, with each of its faces moved out until nothing is beyond it.
-    """
-    k = np.arange(DIRECTIONS) + 0.5
-    z, azimuth = 1 - 2 * k / DIRECTIONS, np.pi * (1 + 5**0.5) * k  # a Fibonacci lattice on the sphere
-    ring = np.sqrt(1 - z * z)
-    directions = np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], -1)
-    points = np.asarray(points, np.float64)
-    outermost = points[ConvexHull(points).vertices]
-    extreme = np.unique((outermost @ directions.T).argmax(0))
-    inner = ConvexHull(outermost[extreme])
-    normals = np.unique(inner.equations[:, :3].round(6), axis=0)
-    offsets = (outermost @ normals.T).max(0)
-    planes = np.concatenate([normals, -offsets[:, None]], 1)
-    corners = HalfspaceIntersection(planes, inner.points.mean(0)).intersections
-    return ConvexHull(corners.mean(0) + CLEARANCE * (corners - corners.mean(0)))
-
-
-def _inward_faces(hull: ConvexHull) -> NDArray[np.int64]:
-    """(F, 3) triangles of ``hull``, counter-clockwise from within."""
-    a, b, c = np.moveaxis(hull.points[hull.simplices], 1, 0)
-    outward = np.einsum("fc,fc->f", np.cross(b - a, c - a), hull.equations[:, :3]) > 0
-    return np.where(outward[:, None], hull.simplices[:, ::-1], hull.simplices).astype(np.int64)
-
-
-def _exit_points(
-    planes: NDArray[np.floating], origin: NDArray[np.floating], direction: NDArray[np.floating]
-) -> NDArray[np.float64]:
-    """(n, 3) where rays from inside leave the half spaces ``planes`` (p, 4): normal · x + offset ≤ 0."""
-    points = np.empty((len(origin), 3))
-    for start in range(0, len(origin), BLOCK):
-        o, d = (np.asarray(part[start : start + BLOCK], np.float64) for part in (origin, direction))
-        toward = d @ planes[:, :3].T
-        room = -(o @ planes[:, :3].T + planes[:, 3])
-        distance = np.where(toward > 0, room / np.where(toward > 0, toward, 1.0), np.inf).min(1)
-        points[start : start + BLOCK] = o + np.maximum(distance, 0.0)[:, None] * d
-    return points
+    texel = shell.texels(positions[beyond.view], beyond.direction, (HEIGHT, 2 * HEIGHT))
+    met = texel >= 0
+    if not met.any():
+        return None
+    return Backdrop(shell.vertices, shell.faces, _picture(texel[met], radiance[met]))
 
 
 def _picture(texel: NDArray[np.integer], radiance: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -126,15 +70,16 @@ def _filled(values: NDArray[np.floating], weight: NDArray[np.floating]) -> NDArr
     known = weight > 0
     filled, missing = np.zeros(values.shape), np.ones(weight.shape)
     for sigma in (0, 1, 2, 4, 8, 16, 32):
-        near = _blurred(weight[..., None], sigma)[..., 0]
-        sums = _blurred(values * weight[..., None], sigma)
+        near = blurred_panorama(weight[..., None], sigma)[..., 0]
+        sums = blurred_panorama(values * weight[..., None], sigma)
         share = missing * near / (near + ENOUGH)
         filled += (share / np.maximum(near, 1e-300))[..., None] * sums
         missing -= share
     return filled + missing[..., None] * np.average(values[known], axis=0, weights=weight[known])
 
 
-def _blurred(values: NDArray[np.floating], sigma: float) -> NDArray[np.float64]:
-    """Gaussian mean of a panorama (H, W, C), which goes on beyond its left and right edge."""
-    wide = np.pad(values, ((0, 0), (HEIGHT, HEIGHT), (0, 0)), mode="wrap")
-    return gaussian_filter(wide, (sigma, sigma, 0), mode="nearest")[:, HEIGHT:-HEIGHT]
+def blurred_panorama(values: NDArray[np.floating], sigma: float) -> NDArray[np.float64]:
+    """Gaussian mean of a panorama (H, 2 H, C), which goes on beyond its left and right edge."""
+    height = len(values)
+    wide = np.pad(values, ((0, 0), (height, height), (0, 0)), mode="wrap")
+    return gaussian_filter(wide, (sigma, sigma, 0), mode="nearest")[:, height:-height]

@@ -15,6 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from ..progress import Progress
 from ..response.radiance import GroupRadiance
+from ..transport.diffuse import under_lobe
 from .balance import EFFECTIVE_PATCHES, ROBUST_LOG
 from .candidates import Brightness
 from .solve import solve_lights
@@ -39,9 +40,9 @@ def choose_exponent(
         lights: the lamps found under that radiance; g changes their radiance, not which faces they are.
         error: standard deviation of log g by the exposures that were recorded, infinite without any.
     """
-    n_seen, hidden = problem.transport.n_seen, problem.hidden.form_factors[..., 0]
-    from_lamps = lights.form_factors[:n_seen, :, 0] @ lights.radiance
-    from_outside = hidden[:n_seen] @ lights.hidden_radiance
+    n_seen, kappa = problem.transport.n_seen, problem.transport.kappa
+    from_lamps = under_lobe(lights.form_factors[:n_seen], kappa[:n_seen]) @ lights.radiance
+    from_outside = problem.hidden.irradiance(lights.hidden_radiance, kappa)[:n_seen]
     if from_lamps.sum() <= from_outside.sum():
         return 1.0
     losses = np.array([_loss(problem, observed, lights, float(g), progress) for g in np.exp(LOG_EXPONENTS)])
@@ -58,9 +59,11 @@ def _loss(problem: LightProblem, observed: GroupRadiance, lights: Lights, g: flo
     Its logs are g times as far apart, errors included, so that its outliers start g times as far off.
     """
     seen = problem.brightness
+    hidden = problem.hidden
     raised = replace(
         problem,
         brightness=Brightness(seen.floor**g, seen.measured**g, seen.bound**g),
+        hidden=hidden if hidden.holes is None else replace(hidden, holes=hidden.holes.raised(g)),
         robust_log=ROBUST_LOG * g,
     )
     before = replace(lights, patch_radiance=lights.patch_radiance**g, hidden_radiance=lights.hidden_radiance**g)

@@ -1,7 +1,8 @@
 """Light whose source no photo shows: surfaces behind a corner that glow, and light from beyond the mesh.
 
-The former are lamps like others, of which photos say nothing. The latter enters the light balance as further emitters,
-soft lobes around twelve directions, with form factors read off the gather rays that escape the mesh.
+The former are lamps like others, of which photos say nothing. The latter enters the light balance by the gather rays
+that escape the mesh, in one of two ways: as further emitters, soft lobes around twelve directions; or as what photos
+show through the holes, where these are gaps in a scan of walls that reflect like all others.
 """
 
 from __future__ import annotations
@@ -10,14 +11,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array, vstack
 
 from ..grouping import counts
 from ..parallel import BLOCK, over_blocks
 from ..result.sh import sh_basis
+from ..transport.diffuse import under_lobe
 from ..transport.form_factors import with_schlick
 from ..transport.gather import GatherRays, Origins
 from ..transport.patch_hits import ESCAPED
 from ..transport.transport import Transport
+from .beyond import Beyond
 
 MIN_SHARE = 2e-3
 """Of the mean hemisphere: light through less of it is not looked for."""
@@ -31,8 +35,31 @@ theorem, times the harmonics at a lobe's middle, these are the harmonics of the 
 
 
 @dataclass(frozen=True)
+class ThroughHoles:
+    """Light by the rays that escape, each of which brings what the backdrop shows where it meets it.
+
+    Attributes:
+        share: (N, T) share of each patch's rays that end on each texel; ``schlick`` the same times Schlick's S.
+        radiance: (T, 3) of the texels.
+    """
+
+    share: csr_array
+    schlick: csr_array
+    radiance: NDArray[np.floating]
+
+    def irradiance(self, kappa: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(N, 3) irradiance / pi of surfaces whose lobe has the grazing gain ``kappa`` (N,)."""
+        light = self.share @ self.radiance + kappa[:, None] * (self.schlick @ self.radiance)
+        return light.astype(np.float32)
+
+    def raised(self, g: float) -> ThroughHoles:
+        """The same if radiance is what photos say to the power ``g``."""
+        return replace(self, radiance=self.radiance**g)
+
+
+@dataclass(frozen=True)
 class HiddenSources:
-    """Sources that no photo shows.
+    """Sources that no photo shows, and what photos show through holes of the mesh.
 
     Attributes:
         pieces: faces of each surface that no photo sees and many gather rays meet, most of them first. The search tries
@@ -40,18 +67,30 @@ class HiddenSources:
         directions: (D, 3) unit middles of the lobes of outside light; D in {0, 1, 12}. How bright each is is unknown to
             the light balance. A single one is the same from everywhere.
         form_factors: (N, D, 2) irradiance / pi of each patch by each lobe, plain and times Schlick's S.
+        holes: what escaping rays meet where it is the light from outside, in place of lobes.
     """
 
     pieces: tuple[NDArray[np.int64], ...]
     directions: NDArray[np.float64]
     form_factors: NDArray[np.float32]
+    holes: ThroughHoles | None = None
 
     def with_directions(self, count: int) -> HiddenSources:
-        """The same sources with 0, 1 (constant) or all lobes of outside light."""
+        """The same sources with 0, 1 (constant) or all lobes of outside light, in place of what photos show of it."""
         if count == len(self.directions):
-            return self
+            return replace(self, holes=None)
         outside = self.form_factors.sum(1, keepdims=True)[:, :count]
-        return replace(self, directions=np.array([[0.0, 0.0, 1.0]])[:count], form_factors=outside)
+        return replace(self, directions=np.array([[0.0, 0.0, 1.0]])[:count], form_factors=outside, holes=None)
+
+    def as_shown(self) -> HiddenSources:
+        """The same sources with what photos show through the holes in place of lobes."""
+        return replace(self.with_directions(0), holes=self.holes)
+
+    def irradiance(self, radiance: NDArray[np.floating], kappa: NDArray[np.floating]) -> NDArray[np.floating]:
+        """(N, 3) irradiance / pi from outside, of lobes as bright as ``radiance`` (D, 3) or through holes, at surfaces
+        whose lobe has the grazing gain ``kappa`` (N,)."""
+        light = under_lobe(self.form_factors, kappa) @ radiance
+        return light if self.holes is None else light + self.holes.irradiance(kappa)
 
     def outside_sh(self, radiance: NDArray[np.floating]) -> NDArray[np.float64] | None:
         """(1, 3) or (9, 3) spherical harmonics of outside light whose lobes are as bright as ``radiance`` (D, 3), None
@@ -109,6 +148,29 @@ def find_hidden(
         )
     ]
     return HiddenSources(_unseen_pieces(transport.rays, parts, pieces, seen), directions, np.concatenate(blocks))
+
+
+def through_holes(transport: Transport, beyond: Beyond) -> ThroughHoles | None:
+    """The light of the backdrop of ``beyond`` at all patches; None without one."""
+    if beyond.backdrop is None:
+        return None
+    seen = _share_of_texels(transport.target, transport.origins, transport.rays, beyond)
+    unseen = _share_of_texels(transport.unseen_target, transport.unseen_origins, transport.unseen_rays, beyond)
+    share, schlick = (csr_array(vstack(both)) for both in zip(seen, unseen, strict=True))
+    return ThroughHoles(share, schlick, beyond.radiance)
+
+
+def _share_of_texels(
+    target: NDArray[np.int32], origins: Origins, rays: GatherRays, beyond: Beyond
+) -> tuple[csr_array, csr_array]:
+    """(rows, T) share of the rays of each row that end on each texel of ``beyond``, and the same times S."""
+    row, ray = np.nonzero(target == ESCAPED)
+    texel = beyond.texels(origins.position[row, ray % origins.position.shape[1]], rays.direction[row, ray])
+    row, ray, texel = (index[texel >= 0] for index in (row, ray, texel))
+    of_each = np.full(len(row), 1 / target.shape[1], np.float32)
+    shape = len(target), len(beyond.radiance)
+    share = csr_array((of_each, (row, texel)), shape)
+    return share, csr_array((of_each * rays.schlick_start[row, ray], (row, texel)), shape)
 
 
 def _unseen_pieces(

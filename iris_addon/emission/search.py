@@ -34,6 +34,9 @@ from .types import LightProblem, Lights
 
 OUTSIDE_GAIN = 0.02
 """Fall of the held-out loss that each step from no light outside to constant to directional must bring."""
+SHOWN_LOSS = 0.1
+"""Rise of that loss at which light through holes that photos show is preferred to light that is fitted: the latter
+also makes up for shadows that are lost with what the mesh lacks."""
 ALONE_GAIN = 0.0025
 """Fall that directions must bring where there are no lamps, about twice the standard error: that all light of a room
 is the same from everywhere was never likely. Beside lamps, directions would make up for what those get wrong."""
@@ -71,11 +74,13 @@ def choose_outside(
     forced: bool = False,
     known: Lights | None = None,
 ) -> tuple[LightProblem, Lights]:
-    """Lamps, with as much light from outside the mesh as earns its place: none, constant, or by direction.
+    """Lamps, with as much light from outside the mesh as earns its place: none, constant, by direction, or what photos
+    show through its holes.
 
-    Each hypothesis is scored by the light balance of patches that it was not fitted to. The next larger one is taken
-    only if it lowers that score by OUTSIDE_GAIN, or ALONE_GAIN; ``forced`` takes the largest at once. The lamps are
-    those of ``known``; without it they are searched for.
+    Each hypothesis is scored by the light balance of patches that it was not fitted to. A larger one is taken only if
+    it lowers that score by OUTSIDE_GAIN, or ALONE_GAIN; what photos show, of which nothing is unknown, in place of
+    another unless that is better by SHOWN_LOSS. ``forced`` takes all directions at once. The lamps are those of
+    ``known``; without it they are searched for.
     """
     directions = len(problem.hidden.directions)
     best: tuple[LightProblem, Lights] | None = None
@@ -88,18 +93,30 @@ def choose_outside(
         if before is None:
             lights = find_lights(tried, observed, progress)
         else:
-            # Directions begin at the constant that they refine, and so can only explain more.
-            refined = len(before.hidden_radiance) == 1 and count > 1
-            outside = before.hidden_radiance[0] if refined else mean_radiance(before.patch_radiance, tried)
-            # Where there is nothing to solve for, it comes back as it is, and explains nothing.
-            start = replace(before, hidden_radiance=np.tile(outside, (count, 1)), held_out=np.inf)
-            lights = solve_lights(tried, observed, start.emitters, start, progress, start.form_factors, near=refined)
+            lights = _with_outside(tried, observed, before, progress)
         alone = best is not None and bool(best[1].hidden_radiance.any()) and not best[1].emitters
         gain = ALONE_GAIN if alone else OUTSIDE_GAIN
         if best is None or lights.held_out < (1 - gain) * best[1].held_out:
             best = tried, lights
     assert best is not None
+    if problem.hidden.holes is not None and not forced:
+        shown = replace(problem, hidden=problem.hidden.as_shown())
+        lights = _with_outside(shown, observed, best[1], progress)
+        gain = OUTSIDE_GAIN if len(best[0].hidden.directions) == 0 else -SHOWN_LOSS
+        if lights.held_out < (1 - gain) * best[1].held_out:
+            best = shown, lights
     return best
+
+
+def _with_outside(problem: LightProblem, observed: GroupRadiance, before: Lights, progress: Progress) -> Lights:
+    """The lamps of ``before`` under the light from outside of ``problem``."""
+    count = len(problem.hidden.directions)
+    # Directions begin at the constant that they refine, and so can only explain more.
+    refined = len(before.hidden_radiance) == 1 and count > 1
+    outside = before.hidden_radiance[0] if refined else mean_radiance(before.patch_radiance, problem)
+    # Where there is nothing to solve for, it comes back as it is, and explains nothing.
+    start = replace(before, hidden_radiance=np.tile(outside, (count, 1)), held_out=np.inf)
+    return solve_lights(problem, observed, start.emitters, start, progress, start.form_factors, near=refined)
 
 
 def reconsider_lamps(

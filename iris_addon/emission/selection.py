@@ -128,7 +128,7 @@ def _power_from_outside(problem: LightProblem, lights: Lights) -> float:
 
     The patches share the area of the mesh about evenly.
     """
-    irradiance = problem.hidden.form_factors[:, :, 0] @ lights.hidden_radiance
+    irradiance = problem.hidden.irradiance(lights.hidden_radiance, problem.transport.kappa)
     return float(problem.tracer.areas.sum() * irradiance.mean())
 
 

@@ -95,6 +95,8 @@ def solve_lights(
         for more in (problem.bounce, problem.aimed):
             if more is not None:
                 indirect = indirect + more.gather_radiance(radiance, unknown, mask)
+        if hidden.holes is not None:
+            indirect = indirect + hidden.holes.irradiance(kappa)
         balance = solve_balance(
             smooth_shaded,
             kernel @ indirect[:n],
@@ -166,7 +168,7 @@ def lights_without_lamps(problem: LightProblem, observed: GroupRadiance) -> Ligh
     none = np.zeros(len(problem.parts), bool)
     hidden = np.tile(unknown, (problem.hidden.form_factors.shape[1], 1))
     irradiance = problem.transport.gather_radiance(radiance, unknown, none)
-    irradiance = irradiance + under_lobe(problem.hidden.form_factors, problem.transport.kappa) @ hidden
+    irradiance = irradiance + problem.hidden.irradiance(hidden, problem.transport.kappa)
     no_factors = np.zeros((n, 0, 2), np.float32)
     return Lights([], np.zeros((0, 3)), hidden, np.zeros(0), no_factors, none, irradiance, radiance)
 

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..emission.beyond import Beyond
 from ..kernels import Integer, inlined, kernel, rows_of
 from ..parallel import BLOCK, over_random_blocks
 from ..surface.patches import Lookup
@@ -24,7 +25,6 @@ from ..transport.patch_hits import find_patch
 from ..transport.sampling import Vector, ggx_direction, grazing, r2_sequence, vector
 from ..transport.tracer import Tracer
 from ..transport.transport import Transport
-from .beyond import Beyond
 from .ggx import ray_alpha
 from .lamp_aim import LampAim, aimed_density, lamp_after, point_on_lamp
 from .lobe_rays import LobeRays

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..emission.beyond import Beyond
 from ..emission.candidates import brightness
 from ..emission.screens import Shown, with_screens
 from ..emission.search import reconsider_lamps
@@ -25,7 +26,6 @@ from ..transport.bright import aim_at_bright
 from ..transport.diffuse import grazing_gain
 from ..transport.light_moments import LightMoments
 from ..transport.sparse_rays import SparseRays
-from .beyond import Beyond
 from .diffuse_lobe import DiffuseChoice
 from .ggx import layered_factor
 from .gloss import FIT_RAYS, LEVELS, Gloss, GlossObservations, choose_observations, fit_gloss
@@ -40,7 +40,6 @@ PASSED_ON = 0.6
 GLOSSY = 0.5
 GLOSSY_SAY = 0.3
 """Glossy parts keep this say in the light balance: what is left of their highlights is a bias, not noise."""
-NOTHING_BEYOND = Beyond(None)
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ class MaterialProblem:
         diffuse: the lobe of every diffuse surface.
         gloss: None lets every part earn its gloss, True takes the best fit, False leaves all rough.
         given: (n_parts,) what of the capture's own parts each is a piece of; None if it brings none.
-        beyond: what photos show where the mesh has holes, once the response is settled; only reflections ask.
+        beyond: what photos show where the mesh has holes.
     """
 
     light: LightProblem
@@ -69,9 +68,9 @@ class MaterialProblem:
     diffuse: DiffuseChoice
     specular_rays: int
     seed: int
+    beyond: Beyond
     gloss: bool | None = None
     given: NDArray[np.int32] | None = None
-    beyond: Beyond = NOTHING_BEYOND
 
     def shading(self, lights: Lights) -> Shading:
         """The light of ``lights`` at the seen patches."""
@@ -131,9 +130,11 @@ class MaterialProblem:
             LampAim.at(light.tracer, lights.emitters, lights.radiance, lights.form_factors[:seen, :, 0]),
         )
 
-    def with_outside(self, directions: int) -> MaterialProblem:
-        """The same problem with so many directions of outside light."""
-        return replace(self, light=replace(self.light, hidden=self.light.hidden.with_directions(directions)))
+    def with_outside(self, directions: int, shown: bool) -> MaterialProblem:
+        """The same problem with so many directions of outside light, or with what photos show of it."""
+        hidden = self.light.hidden
+        hidden = hidden.as_shown() if shown else hidden.with_directions(directions)
+        return replace(self, light=replace(self.light, hidden=hidden))
 
 
 def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progress: Progress) -> tuple[Lights, Gloss]:

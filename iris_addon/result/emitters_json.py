@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,14 +11,19 @@ from numpy.typing import NDArray
 from ..capture.types import Mesh
 from ..errors import BadInput
 from ..json_files import MEND, from_ranges, json_object, numbers, read_json, to_ranges
-from .types import Emitter, OutsideLight, Result
+from .types import Backdrop, Emitter, OutsideLight, Result
 
 EMITTERS = "emitters.json"
 SH_SIZES = (1, 4, 9)
 MAX_SHELL = 100_000
 
-Shell = tuple[NDArray[np.float64], NDArray[np.int64]]
-"""Vertices (V, 3) and faces (F, 3) of a backdrop."""
+
+class Shell(NamedTuple):
+    """Vertices (V, 3) and faces (F, 3) of a backdrop, and whether it has an albedo."""
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    reflects: bool
 
 
 def emitters_json(result: Result) -> dict[str, Any]:
@@ -36,8 +41,13 @@ def emitters_json(result: Result) -> dict[str, Any]:
             for emitter in result.emitters
         ],
         "outside": None if result.outside is None else {"sh": result.outside.sh},
-        "backdrop": None if backdrop is None else {"vertices": backdrop.vertices, "faces": backdrop.faces},
+        "backdrop": None if backdrop is None else _shell_json(backdrop),
     }
+
+
+def _shell_json(backdrop: Backdrop) -> dict[str, Any]:
+    reflects = backdrop.albedo is not None
+    return {"vertices": backdrop.vertices, "faces": backdrop.faces, "reflects": reflects}
 
 
 def read_emitters(folder: Path, mesh: Mesh) -> tuple[tuple[Emitter, ...], OutsideLight | None, Shell | None]:
@@ -88,4 +98,4 @@ def _read_shell(content: dict[str, Any], path: Path) -> Shell:
         raise BadInput("'backdrop' is no shell, or too large", MEND, path)
     if (faces != np.floor(faces)).any() or faces.min() < 0 or faces.max() >= len(vertices):
         raise BadInput("'backdrop.faces' names vertices that it does not have", MEND, path)
-    return vertices, faces.astype(np.int64)
+    return Shell(vertices, faces.astype(np.int64), content.get("reflects") is True)

@@ -5,7 +5,7 @@
     report.json      schema_version and Result.report
     response.json    family, coefficients, samples, exposures and white balance per photo
     emitters.json    id, faces, radiance, area, confidence; light from outside, spherical harmonics; backdrop, its shell
-    backdrop.exr     what cameras see through holes of the mesh, if it has any
+    backdrop.exr     what cameras see through holes of the mesh, if it has any; backdrop_albedo.exr, if that reflects
     materials/       base_color.exr, roughness.png, metallic.png, confidence.png, emission.exr, mesh.glb
 
 Saving writes everything into a folder of its own, gives it the name WHOLE, and only then moves the files to where they
@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from ..errors import BadInput, IrisError
 from ..json_files import MEND, dump_json, read_json
 from ..parallel import cores
-from .emitters_json import EMITTERS, emitters_json, read_emitters
+from .emitters_json import EMITTERS, Shell, emitters_json, read_emitters
 from .glb import encode_glb, read_glb
 from .response_json import read_response, response_json
 from .types import Backdrop, Result, Textures
@@ -41,7 +41,7 @@ WHOLE = ".whole"
 """Folder of a result that is written and not yet moved in place."""
 MAX_TEXTURE_SIDE = 16384
 MAX_BACKDROP_HEIGHT = 4096
-BACKDROP = "backdrop.exr"
+BACKDROP, BACKDROP_ALBEDO = "backdrop.exr", "backdrop_albedo.exr"
 EMISSION_SIDE = 1024
 """Side of the emission picture in texels; what emits is said exactly by emitters.json."""
 
@@ -88,8 +88,9 @@ def _complete_save(folder: Path) -> None:
         return
     (folder / "materials").mkdir(exist_ok=True)
     names = sorted(str(path.relative_to(whole)) for path in whole.rglob("*") if path.is_file())
-    if EMITTERS in names and BACKDROP not in names:
-        (folder / BACKDROP).unlink(missing_ok=True)  # of the result before
+    for name in (BACKDROP, BACKDROP_ALBEDO):
+        if EMITTERS in names and name not in names:
+            (folder / name).unlink(missing_ok=True)  # of the result before
     for name in sorted(names, key=lambda name: name == "report.json"):
         os.replace(whole / name, folder / name)
     shutil.rmtree(whole)
@@ -117,6 +118,8 @@ def _write_all(result: Result, folder: Path) -> None:
     dump_json(folder / "response.json", response_json(result))
     if result.backdrop is not None:
         write_exr(folder / BACKDROP, result.backdrop.picture, half=True)
+        if result.backdrop.albedo is not None:
+            write_exr(folder / BACKDROP_ALBEDO, result.backdrop.albedo, half=True)
     dump_json(folder / EMITTERS, emitters_json(result))
     dump_json(folder / "report.json", {"schema_version": SCHEMA_VERSION, **result.report})
 
@@ -168,7 +171,7 @@ def load_result(folder: Path, read_image: ReadImage | None = None) -> Result:
     emitters, outside, shell = read_emitters(folder, mesh)
     read = read_image or _read_image
     textures = _read_textures(folder / "materials", read)
-    backdrop = None if shell is None else Backdrop(*shell, _read_backdrop(folder / BACKDROP, read))
+    backdrop = None if shell is None else _painted(shell, folder, read)
     result = Result(mesh, parts, textures, emitters, outside, response, exposures, report, up, local, backdrop)
     try:
         result.as_taken([])  # so that a damaged report is told here
@@ -197,13 +200,22 @@ def _read_texture(path: Path, read_image: ReadImage) -> NDArray[np.float32]:
     return _read_finite(path, (height, width), read_image)
 
 
-def _read_backdrop(path: Path, read_image: ReadImage) -> NDArray[np.float32]:
+def _painted(shell: Shell, folder: Path, read_image: ReadImage) -> Backdrop:
+    picture, albedo = _read_panorama(folder / BACKDROP, read_image), None
+    if shell.reflects:
+        albedo = _read_panorama(folder / BACKDROP_ALBEDO, read_image)
+        if albedo.shape != picture.shape or albedo.max() > 1:
+            raise BadInput(f"is no albedo, or not of the size of {BACKDROP}", MEND, folder / BACKDROP_ALBEDO)
+    return Backdrop(shell.vertices, shell.faces, picture, albedo)
+
+
+def _read_panorama(path: Path, read_image: ReadImage) -> NDArray[np.float32]:
     width, height = _image_size(path)
     if width != 2 * height or not 0 < height <= MAX_BACKDROP_HEIGHT:
         raise BadInput(f"is {width}x{height} pixels, no panorama twice as wide as high, or too large", MEND, path)
     values = _read_finite(path, (height, width), read_image)
     if values.ndim != 3 or values.shape[2] < 3 or values.min() < 0:
-        raise BadInput("has no RGB or negative radiance", MEND, path)
+        raise BadInput("has no RGB or is negative", MEND, path)
     return np.ascontiguousarray(values[..., :3])
 
 

@@ -50,17 +50,23 @@ class OutsideLight:
 class Backdrop:
     """What cameras see through holes of the mesh: a convex shell around the room with a picture on its inner side.
 
-    It stands for surfaces that a scan missed. Cameras and reflections show it; to diffuse surfaces it is not there.
+    It stands for surfaces that a scan missed. Where these explain the light that comes through the holes, it is such a
+    surface: it has an albedo and is lit by the room. Else cameras and reflections show it; to diffuse surfaces it is
+    not there.
 
     Attributes:
         vertices: (V, 3) float64 of the shell, metres, in the capture's world space.
         faces: (F, 3) int64, counter-clockwise from within.
-        picture: (H, 2 H, 3) float32 radiance, equirectangular around :attr:`centre` with +z on top.
+        picture: (H, 2 H, 3) float32 radiance that it has whatever the lamps do, equirectangular around :attr:`centre`
+            with +z on top.
+        albedo: (H, 2 H, 3) float32 of the surface, zero where there is none and one looks outside; None for a shell
+            that is only looked at.
     """
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
     picture: NDArray[np.float32]
+    albedo: NDArray[np.float32] | None = None
 
     @property
     def centre(self) -> NDArray[np.float64]:
