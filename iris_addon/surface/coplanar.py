@@ -39,25 +39,43 @@ def joined_in_plane(
         log_colour: (F, 3) log display value of each face that photos show.
         least_share: of all pixels, that the larger one of the two must have.
     """
-    n, corners = int(parts.max()) + 1, mesh.vertices[mesh.faces]
+    n = int(parts.max()) + 1
     pixels = np.bincount(samples.face, minlength=len(parts))
     share = np.bincount(parts, pixels, n) / len(samples.face)
-    mean_normal = group_means(np.asarray(normals, np.float64), parts, n)
-    middle = corners.mean(1)
-    height = np.einsum("fk,fk->f", middle, mean_normal[parts])
-    mean_height = group_means(height[:, None], parts, n)[:, 0]
-    flat = np.linalg.norm(mean_normal, axis=1) > FLAT
-    flat &= np.bincount(parts, np.abs(height - mean_height[parts]) > OFFSET, n) == 0
+    middle = mesh.vertices[mesh.faces].mean(1)
+    normal, height, flat = _planes(parts, middle, normals, n)
+    seen = np.flatnonzero(pixels > 0)
+    seen = seen[np.argsort(parts[seen], kind="stable")]
+    start = np.searchsorted(parts[seen], np.arange(n + 1))
     label = np.arange(n, dtype=np.int32)
-    for large in np.flatnonzero(flat & (share >= least_share)):
-        in_plane = (
-            flat & (np.abs(mean_height - mean_height[large]) < OFFSET) & (mean_normal @ mean_normal[large] > FLAT)
-        )
-        for small in np.flatnonzero(in_plane & (share > 0) & (share < share[large])):
-            here, there = (np.flatnonzero((parts == part) & (pixels > 0)) for part in (small, large))
-            distance, nearest = cKDTree(middle[there]).query(middle[here])
-            border = np.argsort(distance, kind="stable")[:BORDER]
+    for large in np.argsort(-share, kind="stable")[: (share >= least_share).sum()]:
+        in_plane = flat & flat[large] & (normal @ normal[large] > FLAT) & (np.abs(height - height[large]) < OFFSET)
+        pieces = np.flatnonzero(in_plane & (share > 0) & (share < share[large]))
+        if not len(pieces):
+            continue
+        there = seen[start[large] : start[large + 1]]
+        wall = cKDTree(middle[there])
+        for piece in pieces:
+            here = seen[start[piece] : start[piece + 1]]
+            distance, nearest = wall.query(middle[here], distance_upper_bound=GAP)
+            border = np.argsort(distance, kind="stable")[: min(BORDER, np.isfinite(distance).sum())]
             step = np.abs(log_colour[here[border]] - log_colour[there[nearest[border]]]).max(1)
-            if distance.min() < GAP and np.median(step) < STEP:
-                label[small] = label[large]
+            if len(border) and np.median(step) < STEP:
+                label[piece] = label[large]
     return label[parts]
+
+
+def _planes(
+    parts: NDArray[np.int32], middle: NDArray[np.floating], normals: NDArray[np.floating], n: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Mean normal (n, 3) of each of ``n`` parts, its distance (n,) from the origin along it, and whether it is flat.
+
+    Args:
+        middle: (F, 3) of each face.
+    """
+    normal = group_means(np.asarray(normals, np.float64), parts, n)
+    height = np.einsum("fk,fk->f", middle, normal[parts])
+    mean_height = group_means(height[:, None], parts, n)[:, 0]
+    flat = np.linalg.norm(normal, axis=1) > FLAT
+    flat &= np.bincount(parts, np.abs(height - mean_height[parts]) > OFFSET, n) == 0
+    return normal, mean_height, flat
