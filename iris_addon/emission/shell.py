@@ -54,8 +54,10 @@ class Shell:
     def places(self, directions: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(n, 3) points of the shell in unit ``directions`` (n, 3) from its centre, and unit normals that look in."""
         hits = self._tracer.closest(np.broadcast_to(self.centre, directions.shape), directions)
-        normals = self._tracer.normals[hits.face].astype(np.float64)
-        return self.centre + hits.distance[:, None] * directions, normals
+        on = hits.face >= 0  # a ray along an edge may slip through
+        distance = np.where(on, hits.distance, np.median(hits.distance[on]))
+        normals = np.where(on[:, None], self._tracer.normals[hits.face], -directions)
+        return self.centre + distance[:, None] * directions, normals
 
 
 def shell_around(mesh: Mesh, positions: NDArray[np.floating]) -> Shell | None:
