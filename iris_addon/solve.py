@@ -118,8 +118,9 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     pose = partial(
         _problem, capture, config, tracer, photos, split, adjacency, surface, transport, hidden, observations, field
     )
-    problem = pose(photometry)
     with progress.stage("lights"):
+        posed = aside(partial(pose, photometry))
+        problem = waited_for(posed, progress.check)
         searched = partial(_lights, pose, problem, scanned, photometry, config.refinements, progress)
         arrays = checkpoints.stage("lights", searched)
         lights, exponent = Lights.from_arrays(arrays), float(arrays["exponent"])

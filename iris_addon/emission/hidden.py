@@ -165,12 +165,20 @@ def _share_of_texels(
 ) -> tuple[csr_array, csr_array]:
     """(rows, T) share of the rays of each row that end on each texel of ``beyond``, and the same times S."""
     row, ray = np.nonzero(target == ESCAPED)
-    texel = beyond.texels(origins.position[row, ray % origins.position.shape[1]], rays.direction[row, ray])
+    texel = np.empty(len(row), np.int32)
+
+    def look_up(some: slice) -> None:
+        start = origins.position[row[some], ray[some] % origins.position.shape[1]]
+        texel[some] = beyond.texels(start, rays.direction[row[some], ray[some]])
+
+    over_blocks(len(row), BLOCK, look_up)
     row, ray, texel = (index[texel >= 0] for index in (row, ray, texel))
+    # Rows are in order: what is summed over them need not be sorted first.
+    first = np.searchsorted(row, np.arange(len(target) + 1))
     of_each = np.full(len(row), 1 / target.shape[1], np.float32)
     shape = len(target), len(beyond.radiance)
-    share = csr_array((of_each, (row, texel)), shape)
-    return share, csr_array((of_each * rays.schlick_start[row, ray], (row, texel)), shape)
+    share = csr_array((of_each, texel, first), shape)
+    return share, csr_array((of_each * rays.schlick_start[row, ray], texel, first), shape)
 
 
 def _unseen_pieces(

@@ -18,8 +18,7 @@ from ..result.panorama import equirect_directions
 from ..result.types import Backdrop
 from ..transport.form_factors import emitter_form_factors
 from ..transport.gather import Origins, gather
-from ..transport.patch_hits import find_patches
-from ..transport.transport import radiance_table, table_rows
+from ..transport.transport import radiance_table, table_rows, targets_of
 from .backdrop import HEIGHT, blurred_panorama
 from .balance import MAX_ALBEDO
 from .beyond import Beyond
@@ -87,13 +86,12 @@ def _at(
     origins = Origins(*(column.astype(np.float32)[:, None] for column in (place, normal)))
     rng = np.random.default_rng([problem.seed, 23])
     rays, point = gather(problem.tracer, origins, RAYS, rng, progress)
-    face, along = rays.face.ravel(), rays.direction.reshape(-1, 3).astype(np.float32)
-    met = find_patches(problem.tracer, problem.transport.grid, problem.parts, face, point.reshape(-1, 3), along)
+    target = targets_of(problem.tracer, problem.transport.grid, problem.parts, rays, point)
     table = radiance_table(lights.patch_radiance, mean_radiance(lights.patch_radiance, problem))
-    radiance = table[table_rows(met, face, lights.mask)]
-    missed = np.flatnonzero(face < 0)
-    start = (place + problem.tracer.epsilon * normal)[missed // RAYS]
-    texel = beyond.texels(start, along[missed])
-    radiance[missed] = beyond.radiance[texel] * (texel >= 0)[:, None]
+    radiance = table[table_rows(target, rays.face, lights.mask)]
+    row, ray = np.nonzero(rays.face < 0)
+    start = (place + problem.tracer.epsilon * normal)[row]
+    texel = beyond.texels(start, rays.direction[row, ray])
+    radiance[row, ray] = beyond.radiance[texel] * (texel >= 0)[:, None]
     factors = emitter_form_factors(problem.tracer, origins, rays, lights.emitters, SHADOW_RAYS, rng, progress)
-    return radiance.reshape(-1, RAYS, 3).mean(1) + factors[..., 0] @ lights.radiance
+    return radiance.mean(1) + factors[..., 0] @ lights.radiance

@@ -18,7 +18,7 @@ SH_SIZES = (1, 4, 9)
 MAX_SHELL = 100_000
 
 
-class Shell(NamedTuple):
+class StoredShell(NamedTuple):
     """Vertices (V, 3) and faces (F, 3) of a backdrop, and whether it has an albedo."""
 
     vertices: NDArray[np.float64]
@@ -50,7 +50,7 @@ def _shell_json(backdrop: Backdrop) -> dict[str, Any]:
     return {"vertices": backdrop.vertices, "faces": backdrop.faces, "reflects": reflects}
 
 
-def read_emitters(folder: Path, mesh: Mesh) -> tuple[tuple[Emitter, ...], OutsideLight | None, Shell | None]:
+def read_emitters(folder: Path, mesh: Mesh) -> tuple[tuple[Emitter, ...], OutsideLight | None, StoredShell | None]:
     """Lamps, light from outside and the backdrop's shell of the result in ``folder``.
 
     Raises:
@@ -91,11 +91,11 @@ def _read_outside(content: dict[str, Any], path: Path) -> OutsideLight:
     return OutsideLight(sh)
 
 
-def _read_shell(content: dict[str, Any], path: Path) -> Shell:
+def _read_shell(content: dict[str, Any], path: Path) -> StoredShell:
     vertices = numbers(content.get("vertices"), (None, 3), "backdrop.vertices", path)
     faces = numbers(content.get("faces"), (None, 3), "backdrop.faces", path)
     if not 4 <= len(vertices) <= MAX_SHELL or not 4 <= len(faces) <= MAX_SHELL:
         raise BadInput("'backdrop' is no shell, or too large", MEND, path)
     if (faces != np.floor(faces)).any() or faces.min() < 0 or faces.max() >= len(vertices):
         raise BadInput("'backdrop.faces' names vertices that it does not have", MEND, path)
-    return Shell(vertices, faces.astype(np.int64), content.get("reflects") is True)
+    return StoredShell(vertices, faces.astype(np.int64), content.get("reflects") is True)

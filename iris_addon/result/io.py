@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from ..errors import BadInput, IrisError
 from ..json_files import MEND, dump_json, read_json
 from ..parallel import cores
-from .emitters_json import EMITTERS, Shell, emitters_json, read_emitters
+from .emitters_json import EMITTERS, StoredShell, emitters_json, read_emitters
 from .glb import encode_glb, read_glb
 from .response_json import read_response, response_json
 from .types import Backdrop, Result, Textures
@@ -200,7 +200,7 @@ def _read_texture(path: Path, read_image: ReadImage) -> NDArray[np.float32]:
     return _read_finite(path, (height, width), read_image)
 
 
-def _painted(shell: Shell, folder: Path, read_image: ReadImage) -> Backdrop:
+def _painted(shell: StoredShell, folder: Path, read_image: ReadImage) -> Backdrop:
     picture, albedo = _read_panorama(folder / BACKDROP, read_image), None
     if shell.reflects:
         albedo = _read_panorama(folder / BACKDROP_ALBEDO, read_image)

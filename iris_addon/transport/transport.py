@@ -187,13 +187,14 @@ def table_rows(target: NDArray[np.int32], face: NDArray[np.int32], dark_faces: N
     return np.where(dark_faces[face] & (face >= 0), np.int32(ESCAPED), target)
 
 
-def _targets(
+def targets_of(
     tracer: Tracer,
     grid: PatchGrid,
     parts: NDArray[np.int32],
     rays: GatherRays,
     point: NDArray[np.float32],
 ) -> NDArray[np.int32]:
+    """(n, R) patch that each ray meets at ``point`` (n, R, 3), UNKNOWN or ESCAPED."""
     face, point, direction = rays.face.ravel(), point.reshape(-1, 3), rays.direction.reshape(-1, 3)
 
     def target(block: slice) -> NDArray[np.int32]:
@@ -240,7 +241,7 @@ def build_transport(
 ) -> Transport:
     """Trace the gather rays of all patches and name the patch that each one hits."""
     rays, point = gather(tracer, surface.origins, n_rays, rng, progress)
-    target = _targets(tracer, surface.grid, parts, rays, point)
+    target = targets_of(tracer, surface.grid, parts, rays, point)
     unseen_grid, unseen_origins, unseen_part = _unseen_patches(
         tracer, surface, parts, rays, point, target, limit=len(surface.part) // 2
     )
@@ -249,7 +250,7 @@ def build_transport(
     grid = surface.grid.joined(unseen_grid)
     target[row, column] = find_patches(tracer, grid, parts, rays.face[row, column], point[row, column], along)
     unseen_rays, point = gather(tracer, unseen_origins, max(16, n_rays // UNSEEN_RAYS_SHARE), rng, progress)
-    unseen_target = _targets(tracer, grid, parts, unseen_rays, point)
+    unseen_target = targets_of(tracer, grid, parts, unseen_rays, point)
     return Transport(
         len(surface.part),
         surface.origins,
