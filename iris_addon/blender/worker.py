@@ -214,6 +214,8 @@ def _open_log(path: Path | None) -> IO[str] | None:
         return None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_symlink():  # in a folder that came from somebody else it may lead to any file
+            path.unlink()
         return path.open("w", encoding="utf-8")
     except OSError as error:
         fix = "free some disk space, or choose another folder for the result"
