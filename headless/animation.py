@@ -13,6 +13,7 @@ import numpy as np
 from iris_addon.capture.types import Camera, View
 from iris_addon.progress import Progress
 from iris_addon.result.edits import SceneEdit
+from iris_addon.result.folder import EMITTERS, REPORT, RESPONSE, result_file
 from iris_addon.result.json_values import json_map, whole
 from iris_addon.result.motion import at_time, camera_at
 from iris_addon.result.types import Result
@@ -88,7 +89,7 @@ def _open(args: argparse.Namespace, views: Sequence[View], job: Mapping[str, Any
     length = whole(job.get("length", args.frames.last), "length")
     made_of = {
         "command": args.command,
-        "result": [_digest(args.result / name) for name in ("report.json", "response.json", "emitters.json")],
+        "result": [_digest(result_file(args.result, name)) for name in (REPORT, RESPONSE, EMITTERS)],
         "views": [[view.name, view.camera.fx, view.camera.fy, view.camera.c2w] for view in views],
         "job": job,
         "onto_photos": getattr(args, "onto_photos", False),

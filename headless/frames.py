@@ -78,13 +78,24 @@ def open_frames(folder: Path, length: int, suffix: str, job: Mapping[str, Any]) 
     return frames
 
 
+def find_ffmpeg() -> str | None:
+    """ffmpeg in one of the folders that PATH names in full; None where there is none.
+
+    A plain search begins in the current folder on Windows, and includes it where PATH has a relative entry: that of
+    somebody else's capture may hold a program of that name.
+    """
+    name = "ffmpeg.exe" if os.name == "nt" else "ffmpeg"
+    folders = (folder for folder in map(Path, os.get_exec_path()) if folder.is_absolute())
+    return next(filter(None, (shutil.which(str(folder / name)) for folder in folders)), None)
+
+
 def write_film(frames: Frames, fps: float) -> Path | None:
     """The frames from 1 on as ``film.mp4``, or None without ffmpeg, for EXR, and while one is missing between others.
 
     Raises:
         IrisError: ffmpeg fails.
     """
-    ffmpeg = shutil.which("ffmpeg")
+    ffmpeg = find_ffmpeg()
     there = [frame for frame in range(1, frames.length + 1) if frames.finished(frame)]
     if ffmpeg is None or frames.suffix != ".png" or not there or there[-1] != len(there):
         return None

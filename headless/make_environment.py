@@ -13,6 +13,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 from pathlib import Path
 from typing import Any, NoReturn
@@ -35,10 +36,20 @@ def main(arguments: list[str]) -> None:
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), lambda *_: stop())
     threading.Thread(target=stop_with_stdin, daemon=True).start()
-    if arguments[0] == "--test":
-        test(arguments[1])
-    else:
-        make(Path(arguments[0]))
+    testing, given = arguments[0] == "--test", arguments[-1]
+    if not testing or Path(given).name != given:  # else the name of a program on the PATH
+        given = str(Path(given).absolute())
+    # Python's -m and -c import from the current folder first, and Windows looks for programs there. It is that of
+    # Blender, and so often that of a file which came from somebody else: here it is an empty one.
+    with tempfile.TemporaryDirectory(prefix="iris-") as empty:
+        os.chdir(empty)
+        try:
+            if testing:
+                test(given)
+            else:
+                make(Path(given))
+        finally:
+            os.chdir(HERE)  # Windows removes no folder that is the current one
     say(type="done", result={})
 
 
@@ -48,15 +59,15 @@ def make(folder: Path) -> None:
     python = venv / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
     progress("making the environment", 0.0)
     # Without pip first: Blender's Python brings no ensurepip everywhere, and its failure has its own mend.
-    if call([sys.executable, "-m", "venv", "--clear", str(venv)]):
+    if call([sys.executable, "-I", "-m", "venv", "--clear", str(venv)]):
         fail(
             f"{sys.executable} cannot make a virtual environment",
             "install Python with venv and pip (python3-venv on Debian), make one by hand as the manual says, "
             "and name its Python here",
         )
     progress("downloading and installing, this takes minutes", 0.1)
-    pip = [str(python), "-m", "pip", "install", "--disable-pip-version-check", "--no-input", "--only-binary", ":all:"]
-    if call([*pip, "--progress-bar", "off", "-r", str(REQUIREMENTS)]):
+    pip = [str(python), "-I", "-m", "pip", "install", "--disable-pip-version-check", "--no-input"]
+    if call([*pip, "--only-binary", ":all:", "--progress-bar", "off", "-r", str(REQUIREMENTS)]):
         fail("pip could not install the solver's packages", "read the log: mostly the network, the disk, or a proxy")
     test(str(python), 0.9)
 
@@ -64,6 +75,7 @@ def make(folder: Path) -> None:
 def test(python: str, at: float = 0.0) -> None:
     """Import everything; name what is missing."""
     progress("importing the packages", at)
+    # Not isolated: packages that the user installed for themselves are there in a solve as well.
     missing = []
     for number, name in enumerate(IMPORTS):
         try:

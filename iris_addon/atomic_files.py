@@ -7,9 +7,10 @@ there before. Imports nothing that Blender lacks.
 from __future__ import annotations
 
 import errno
+import glob
 import os
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from .errors import IrisError
@@ -37,3 +38,8 @@ def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
             temporary.unlink(missing_ok=True)
         except OSError:
             pass
+
+
+def abandoned(path: Path) -> Iterator[Path]:
+    """Temporary files of writes to ``path`` that were killed."""
+    yield from path.parent.glob(f".{glob.escape(path.stem)}-{'[0-9a-f]' * 8}{glob.escape(path.suffix)}")

@@ -10,15 +10,20 @@ import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .array_files import read_arrays, write_arrays
+from .atomic_files import abandoned
 from .capture.types import Capture
 from .config import SolveConfig
+from .own_folders import is_own_folder
+from .preview_files import KINDS, preview_path
 
 FORMAT = 4
+Stage = Literal["response", "lights", "materials"]
 Arrays = Mapping[str, NDArray]
 
 
@@ -54,7 +59,7 @@ class Checkpoints:
     key: str
     resume: bool
 
-    def stage(self, name: str, compute: Callable[[], Arrays]) -> dict[str, NDArray]:
+    def stage(self, name: Stage, compute: Callable[[], Arrays]) -> dict[str, NDArray]:
         """The arrays of stage ``name``: read back if the stage was finished before, else computed and written."""
         path = self.folder / f"{name}.npz"
         if self.resume:
@@ -68,9 +73,13 @@ class Checkpoints:
 
     def clear(self) -> None:
         """Remove the stage files and the previews beside them: the result stands."""
-        for path in (*self.folder.glob("*.npz"), *self.folder.glob("preview-*.png")):
-            path.unlink()
-        if self.folder.is_dir() and not any(self.folder.iterdir()):
+        if not is_own_folder(self.folder):  # a link that came with the result of somebody else
+            return
+        stages = [self.folder / f"{name}.npz" for name in get_args(Stage)]
+        for path in (*stages, *(preview_path(self.folder.parent, kind) for kind in KINDS)):
+            for mine in (path, *abandoned(path)):
+                mine.unlink(missing_ok=True)
+        if not any(self.folder.iterdir()):
             self.folder.rmdir()
 
     def _read(self, path: Path) -> dict[str, NDArray] | None:

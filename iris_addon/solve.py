@@ -33,6 +33,7 @@ from .emission.search import choose_outside
 from .emission.types import LightProblem, Lights
 from .errors import BadInput
 from .folder_lock import sole_writer
+from .own_folders import require_own_folder
 from .parallel import aside, waited_for
 from .photo_samples import PhotoSamples, sample_photos
 from .photometry import Photometry, measure_photometry
@@ -44,6 +45,7 @@ from .reflectance.materials import MaterialProblem, solve_materials
 from .reflectance.turning import mirrored_radiance
 from .response.observations import Observations, observe
 from .response.radiance import group_radiance, linearise
+from .result.folder import require_no_links
 from .result.io import save_result
 from .result.report_html import write_report
 from .result.types import Result
@@ -70,12 +72,16 @@ def solve(
     """Recover response, exposures, lights and materials; write the result folder ``out``.
 
     Raises:
-        BadInput: a photo cannot be read, the photos say nothing, or another process is solving into ``out``.
+        BadInput: a photo cannot be read, the photos say nothing, another process is solving into ``out``, or a link
+            there leads elsewhere.
         Cancelled: finished stages stay in ``out`` for ``resume``.
         IrisError: the disk is full.
     """
     # Matrices here are narrow; a linear algebra library that waits for work on threads of its own takes them from ours.
     with sole_writer(out), threadpool_limits(1, "blas"):
+        require_no_links(out)  # saving asks again, hours later
+        for name in ("checkpoints", "report"):
+            require_own_folder(out / name)
         return _solve(capture, config, out, progress or Progress(), resume)
 
 

@@ -22,6 +22,7 @@ from ..iris_addon.blender.photo_cameras import forget_given
 from ..iris_addon.blender.review import sparkline
 from ..iris_addon.blender.scene_capture import read_view_cameras, write_scene_capture
 from ..iris_addon.errors import IrisError
+from ..iris_addon.own_folders import require_own_folder
 from .polls import NeedsReader
 from .preferences import ROOT_PACKAGE, solver_python
 from .project import capture_path, folder, inspection_folder, own_folder
@@ -192,6 +193,11 @@ def start_check(operator: bpy.types.Operator, context: bpy.types.Context) -> set
 
     capture = capture_path(scene)
     assert capture is not None
+    try:
+        require_own_folder(target)
+    except IrisError as error:
+        operator.report({"ERROR"}, str(error))
+        return {"CANCELLED"}
     return run(operator, "inspect", target, inspect_command(solver_python(context), capture, target), ended)
 
 

@@ -14,6 +14,7 @@ from ..iris_addon.blender.commands import composite_command
 from ..iris_addon.blender.photo_composite import write_copy
 from ..iris_addon.blender.whole_files import write_whole
 from ..iris_addon.errors import IrisError
+from ..iris_addon.own_folders import require_own_folder
 from .check import look_at_photo
 from .polls import NeedsApplied
 from .project import folder
@@ -50,6 +51,7 @@ class IRIS_OT_onto_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
         look_at_photo(context, scene.iris.view_index)
         copy, picture = out / "onto-photo.blend", out / "onto-photos" / f"{view.name}.png"
         try:
+            require_own_folder(picture.parent)
             write_copy(scene, copy)
             photo, packed = _photo_file(image, copy)
         except IrisError as error:

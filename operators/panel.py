@@ -12,6 +12,7 @@ from ..iris_addon.blender.photo_look import MATCHED
 from ..iris_addon.blender.review import model_lines
 from ..iris_addon.errors import IrisError
 from ..iris_addon.json_files import read_json
+from ..iris_addon.result.folder import REPORT, result_file
 from . import project
 from .pieces import job_box, paragraph, preview_box
 from .preferences import ROOT_PACKAGE, solver_python
@@ -176,7 +177,7 @@ class IRIS_PT_review(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         for kind, text in (("photo", "Photo"), ("render", "Re-render"), ("error", "Error"), ("curve", "Response")):
             grid.operator("iris.review", text=text).kind = kind
         try:
-            report = read_json(project.folder(scene) / "report.json")
+            report = read_json(result_file(project.folder(scene), REPORT))
         except IrisError as error:
             paragraph(layout, str(error), context, "ERROR")
             return

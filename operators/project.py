@@ -10,6 +10,7 @@ import bpy
 
 from ..iris_addon.blender import jobs
 from ..iris_addon.blender.onto_objects import APPLIED
+from ..iris_addon.result.folder import REPORT, result_file
 from .preferences import ROOT_PACKAGE
 
 
@@ -69,7 +70,7 @@ def inspection_folder(scene: bpy.types.Scene) -> Path:
 def result_key(scene: bpy.types.Scene) -> str:
     """Stands for the result as it is on disk now; empty where there is none."""
     try:
-        return f"{folder(scene)}#{(folder(scene) / 'report.json').stat().st_mtime_ns}"
+        return f"{folder(scene)}#{result_file(folder(scene), REPORT).stat().st_mtime_ns}"
     except OSError:
         return ""
 
@@ -116,7 +117,7 @@ def solve_step(scene: bpy.types.Scene) -> Step:
         return Step("stale", "Go on where it stopped")
     if not key:
         return Step("ready", "Choose a preset and press Solve") if scene.iris.views else Step("missing", "First: data")
-    if capture is not None and _newer(capture, folder(scene) / "report.json"):
+    if capture is not None and _newer(capture, result_file(folder(scene), REPORT)):
         return Step("stale", "The capture has changed: solve again")
     return Step("done")
 

@@ -14,7 +14,7 @@ from iris_addon.blender.scene_capture import whole_object
 from iris_addon.blender.scene_in import read_scene_mesh
 from iris_addon.capture.types import Mesh
 from iris_addon.errors import BadInput
-from iris_addon.result.types import Emitter, OutsideLight, Result
+from iris_addon.result.types import Backdrop, Emitter, OutsideLight, Result
 from tests.blender_room import room
 from tests.scene_snapshot import snapshot
 
@@ -169,6 +169,67 @@ def test_originals_come_back_after_save_and_reload(tmp_path):
     after = snapshot(bpy.context.scene)
     for part, expected in before.items():
         assert after[part] == expected, part
+
+
+def with_backdrop(result: Result) -> Result:
+    """``result`` with a sky that depends on direction and a backdrop that reflects: every image there can be."""
+    random = np.random.default_rng(2)
+    corners = np.array([[-9.0, -9, -9], [15, 0, 0], [0, 15, 0], [0, 0, 16]])
+    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
+    shell = Backdrop(corners, faces, *random.uniform(0.2, 0.9, (2, 8, 16, 3)).astype(np.float32))
+    return replace(result, outside=OutsideLight(random.uniform(0.1, 0.5, (9, 3))), backdrop=shell)
+
+
+def pixels() -> dict[str, np.ndarray]:
+    """What every image of ours holds."""
+    found = {}
+    for image in bpy.data.images:
+        if image.name.startswith("IRIS"):
+            found[image.name] = np.empty(len(image.pixels), np.float32)
+            image.pixels.foreach_get(found[image.name])
+    return found
+
+
+def same_pixels(expected: dict[str, np.ndarray]) -> None:
+    """Every image of ours holds ``expected``, as exactly as half floats and 8 bits keep it."""
+    found = pixels()
+    assert found.keys() == expected.keys()
+    for name, values in expected.items():
+        np.testing.assert_allclose(found[name], values, rtol=1e-3, atol=3e-3, err_msg=name)
+
+
+IMAGES = {"IRIS Outside", "IRIS Backdrop", "IRIS Backdrop Albedo", "IRIS Base Color", "IRIS Confidence"}
+
+
+def test_every_image_keeps_its_pixels_through_save_and_reload(tmp_path):
+    cube("box")
+    result, runs = solve(lamp_faces=[0])
+    apply_to_objects(with_backdrop(result), runs, bpy.context.scene, "key")
+    before = pixels()
+    assert before.keys() >= IMAGES and all(before[name][:3].any() for name in IMAGES)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "applied.blend"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "applied.blend"))
+    same_pixels(before)
+
+
+def test_every_image_keeps_its_pixels_through_undo_and_redo():
+    bpy.context.preferences.edit.use_global_undo = True
+    cube("box")
+    result, runs = solve(lamp_faces=[0])
+    bpy.ops.ed.undo_push(message="before")
+    apply_to_objects(with_backdrop(result), runs, bpy.context.scene, "key")
+    before = pixels()
+    bpy.ops.ed.undo_push(message="Apply")
+    bpy.context.scene.frame_current = 7
+    bpy.ops.ed.undo_push(message="something after it")
+    bpy.ops.ed.undo()
+    assert bpy.context.scene.frame_current == 1
+    same_pixels(before)
+    bpy.ops.ed.undo()
+    assert not pixels()
+    bpy.ops.ed.redo()
+    same_pixels(before)
 
 
 def test_the_object_s_own_uv_map_is_used_where_the_result_is_on_it():

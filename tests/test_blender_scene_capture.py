@@ -125,3 +125,26 @@ def test_a_scene_without_usable_photos_is_refused(tmp_path):
     (tmp_path / "a.png").unlink()
     with pytest.raises(BadInput, match="the photo of camera 'eye' is missing"):
         write_scene_capture(scene, graph(), tmp_path)
+
+
+def test_links_in_a_folder_of_a_stranger_lead_nothing_out_of_it(tmp_path):
+    box("room")
+    eye = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
+    bpy.context.scene.collection.objects.link(eye)
+    eye.data.background_images.new().image = bpy.data.images.load(str(photo(tmp_path / "a.png", 192, 108)))
+    bpy.context.view_layer.update()
+    victim = tmp_path / "victim"
+    victim.write_text("precious")
+    job = tmp_path / "job"
+    (job / "capture").mkdir(parents=True)
+    for name in ("scene_map.json", "capture/mesh.obj", "capture/transforms.json"):
+        (job / name).symlink_to(victim)
+    write_scene_capture(bpy.context.scene, bpy.context.evaluated_depsgraph_get(), job)
+    assert victim.read_text() == "precious"
+    assert read_capture(job / "capture").views and read_face_runs(job)
+
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "capture").symlink_to(job / "capture")
+    with pytest.raises(BadInput, match="capture: is a link"):
+        write_scene_capture(bpy.context.scene, bpy.context.evaluated_depsgraph_get(), other)

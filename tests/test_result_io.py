@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -16,6 +17,7 @@ from iris_addon.errors import BadInput, IrisError
 from iris_addon.json_files import from_ranges, plain, to_ranges
 from iris_addon.response.curve import Response, gamma
 from iris_addon.response.local_exposure import LocalSettings
+from iris_addon.result.folder import WHOLE, complete_save
 from iris_addon.result.io import load_result, save_result
 from iris_addon.result.types import Backdrop, Result
 from tests.result_room import room
@@ -156,6 +158,65 @@ def test_a_full_disk_leaves_the_earlier_result_untouched(saved, monkeypatch):
         save_result(room(seed=1), saved)
     assert caught.value.exit_code == 1
     assert {p: p.read_bytes() for p in saved.rglob("*") if p.is_file()} == before
+
+
+@pytest.mark.parametrize("moved", range(9))
+def test_a_save_killed_while_it_moves_files_is_read_as_the_new_result_and_completed_by_the_next(
+    tmp_path, monkeypatch, moved
+):
+    save_result(with_backdrop(), tmp_path / "r")
+    save_result(room(seed=1), tmp_path / "r" / WHOLE)
+
+    with monkeypatch.context() as patch:
+        left = [os.replace] * moved
+
+        def move(source: Path, target: Path) -> None:
+            if not left:
+                raise KeyboardInterrupt
+            left.pop()(source, target)
+
+        patch.setattr("iris_addon.result.folder.os.replace", move)
+        with pytest.raises(KeyboardInterrupt):
+            complete_save(tmp_path / "r")
+    listed = sorted((tmp_path / "r").rglob("*"))
+    loaded = load_result(tmp_path / "r")
+    assert np.array_equal(loaded.outside.sh, room(seed=1).outside.sh) and loaded.backdrop is None
+    assert np.abs(loaded.textures.roughness - room(seed=1).textures.roughness).max() < 1e-4
+    assert sorted((tmp_path / "r").rglob("*")) == listed
+    complete_save(tmp_path / "r")
+    assert not (tmp_path / "r" / WHOLE).exists() and not (tmp_path / "r" / "backdrop.exr").exists()
+    assert np.array_equal(load_result(tmp_path / "r").outside.sh, room(seed=1).outside.sh)
+
+
+SAVES = """
+import sys
+from dataclasses import replace
+from pathlib import Path
+from iris_addon.result.io import save_result
+from tests.result_room import room
+print("ready", flush=True)
+for number in range(60):
+    result = room(seed=number)
+    save_result(replace(result, report={**result.report, "seed": number}), Path(sys.argv[1]))
+"""
+
+
+def test_a_result_is_read_whole_while_another_process_replaces_it(saved):
+    numbers = {tuple(room(seed=number).outside.sh.ravel()): number for number in range(60)}
+    with subprocess.Popen(
+        [sys.executable, "-c", SAVES, str(saved)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT
+    ) as process:
+        assert process.stdout is not None and process.stdout.readline() == "ready\n"
+        seen = set()
+        while process.poll() is None:
+            loaded = load_result(saved)
+            number = numbers[tuple(loaded.outside.sh.ravel())]
+            assert loaded.report.get("seed", 0) == number
+            assert np.abs(loaded.textures.roughness - room(seed=number).textures.roughness).max() < 1e-4
+            seen.add(number)
+        _, errors = process.communicate()
+    assert process.returncode == 0, errors
+    assert len(seen) > 1
 
 
 def _edit(path: Path, change) -> None:

@@ -18,6 +18,7 @@ from mathutils import Vector
 from ..capture.types import View
 from ..errors import IrisError
 from ..result.edits import SceneEdit
+from ..result.folder import MATERIAL_FILES, result_file
 from ..result.response_json import median_exposure
 from ..result.types import Result
 from .backdrop import add_backdrop, is_backdrop
@@ -121,7 +122,10 @@ def export_textures(result: Path, folder: Path) -> None:
         IrisError: there are no textures, or they cannot be written.
     """
     try:
-        shutil.copytree(result / "materials", folder, dirs_exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in MATERIAL_FILES:
+            source = result_file(result, name)
+            shutil.copy2(source, folder / source.name)
     except (OSError, shutil.Error) as error:
         what = f"the textures cannot be copied ({getattr(error, 'strerror', None) or error})"
         raise IrisError(what, "free disk space or choose another place", folder) from error

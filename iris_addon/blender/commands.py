@@ -12,13 +12,13 @@ JSON_LINES = ["--json", "--stop-with-stdin"]
 
 def inspect_command(python: str, capture: Path, out: Path) -> list[str]:
     """A look at ``capture`` into ``out``."""
-    return [*_program(python), "inspect", str(capture), "--out", str(out), *JSON_LINES]
+    return [*_program(python), "inspect", *_absolute(capture, "--out", out), *JSON_LINES]
 
 
 def solve_command(python: str, capture: Path, out: Path, preset: str, device: str = "auto", seed: int = 0) -> list[str]:
     """A solve of ``capture`` into ``out`` that goes on where an earlier one stopped."""
     options = ["--preset", preset, "--device", device, "--seed", str(seed), "--resume"]
-    return [*_program(python), "solve", str(capture), "--out", str(out), *options, *JSON_LINES]
+    return [*_program(python), "solve", *_absolute(capture, "--out", out), *options, *JSON_LINES]
 
 
 def composite_command(
@@ -31,14 +31,19 @@ def composite_command(
     """
     in_blender = [blender, "-b", "--factory-startup", "--python-exit-code", "1", "-P", str(RUN), "--"]
     program = in_blender if blender else _program(sys.executable)
-    files = ["--result", str(result), "--photo", str(photo), "--view", view, "--out", str(out)]
-    return [*program, "composite", str(blend), *files, "--samples", str(samples), *JSON_LINES]
+    files = _absolute(blend, "--result", result, "--photo", photo, "--view", view, "--out", out)
+    return [*program, "composite", *files, "--samples", str(samples), *JSON_LINES]
 
 
 def environment_command(folder: Path, test_only: Path | None = None) -> list[str]:
     """Make the solver's environment in ``folder`` with Blender's own Python, or only test that of ``test_only``."""
-    script = [sys.executable, "-B", str(ADDON / "headless" / "make_environment.py")]
-    return [*script, "--test", str(test_only)] if test_only is not None else [*script, str(folder)]
+    script = [sys.executable, "-I", "-X", "utf8", "-B", str(ADDON / "headless" / "make_environment.py")]
+    return [*script, "--test", str(test_only)] if test_only is not None else [*script, *_absolute(folder)]
+
+
+def _absolute(*arguments: str | Path) -> list[str]:
+    # A worker has another current folder than Blender.
+    return [str(argument.absolute()) if isinstance(argument, Path) else argument for argument in arguments]
 
 
 def _program(python: str) -> list[str]:

@@ -76,8 +76,6 @@ def apply_to_objects(result: Result, runs: Sequence[FaceRun], scene: bpy.types.S
     before = {*bpy.data.materials, *bpy.data.images}
     materials, slot_of_face = face_materials(result, SceneEdit(), own_uv or UV_MAP)
     add_confidence(materials[0], result.textures)
-    for image in set(bpy.data.images) - before:
-        image.pack()
     for run, thing in sorted(zip(runs, objects, strict=True), key=lambda pair: pair[0].instance):
         _apply_run(result, run, thing, materials, slot_of_face, own_uv)
     keep_scene(scene)
@@ -88,7 +86,10 @@ def apply_to_objects(result: Result, runs: Sequence[FaceRun], scene: bpy.types.S
         shell.matrix_world = Matrix(to_blender.tolist()) @ Matrix.Translation(shell.location)
         shell[MADE] = shell.data[MADE] = True
     show_like_the_photos(result, scene)
-    for made in (*(set(bpy.data.images) - before), *(set(bpy.data.materials) - before), scene.world):
+    images = set(bpy.data.images) - before
+    for image in images:  # all of them, those of world and backdrop too: undo and reload bring unpacked ones back black
+        image.pack()
+    for made in (*images, *(set(bpy.data.materials) - before), scene.world):
         made[MADE] = key
     scene[APPLIED] = key
     return True

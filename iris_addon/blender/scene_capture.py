@@ -20,9 +20,11 @@ from typing import Any
 import bpy
 import numpy as np
 
+from ..atomic_files import atomic_write
 from ..capture.types import Camera, Mesh
 from ..errors import BadInput, IrisError
-from ..json_files import dump_json, json_object, numbers, read_json
+from ..json_files import json_object, numbers, read_json, write_json
+from ..own_folders import require_own_folder
 from .camera import read_camera
 from .capture_in import photo_of
 from .onto_objects import ORIGINAL_MESH, FaceRun, triangles_of
@@ -38,7 +40,8 @@ def write_scene_capture(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, 
     """Write the capture of ``scene`` into ``folder`` and return warnings.
 
     Raises:
-        BadInput: no mesh, no camera with a photo, a photo of another shape than the frame, or a file that is missing.
+        BadInput: no mesh, no camera with a photo, a photo of another shape than the frame, a file that is missing, or
+            ``folder/capture`` is a link.
         IrisError: the folder cannot be written.
     """
     scale = float(scene.unit_settings.scale_length)
@@ -52,6 +55,7 @@ def write_scene_capture(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, 
     runs = [_scaled(run, scale) for run in room.runs]
     try:
         target = folder / "capture"
+        require_own_folder(target)
         target.mkdir(parents=True, exist_ok=True)
         shutil.rmtree(target / "photos", ignore_errors=True)
         (target / "photos").mkdir()
@@ -60,9 +64,9 @@ def write_scene_capture(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, 
             stem = f"{number:04d}_{bpy.path.clean_name(view[0])}"  # two names may be the same once they are cleaned
             frames.append(_frame(target / "photos" / stem, *view))
             cameras[stem] = view[0]
-        _write_obj(target / "mesh.obj", room, scale)
-        dump_json(folder / "scene_map.json", {"runs": [_run_json(run) for run in runs], "cameras": cameras})
-        dump_json(target / "transforms.json", {"mesh": "mesh.obj", "frames": frames})
+        atomic_write(target / "mesh.obj", lambda path: _write_obj(path, room, scale))
+        write_json(folder / "scene_map.json", {"runs": [_run_json(run) for run in runs], "cameras": cameras})
+        write_json(target / "transforms.json", {"mesh": "mesh.obj", "frames": frames})
     except OSError as error:
         raise IrisError(
             f"cannot be written ({error.strerror})", "free some disk space, or choose another folder", folder

@@ -2,7 +2,9 @@
 
 The worker writes newline-delimited JSON on stdout (:func:`iris_addon.progress.json_lines`) and its errors on stderr;
 threads move both into queues, so that :meth:`Worker.poll` never blocks. Its stdin is a pipe that nobody writes to: it
-closes when this process ends, however it ends, and a worker started with ``--stop-with-stdin`` stops then.
+closes when this process ends, however it ends, and a worker started with ``--stop-with-stdin`` stops then. Its current
+folder is the add-on's: Blender's may be that of a file which came from somebody else, and Windows and some libraries
+look for programs and modules in the current folder.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from typing import IO, Any
 
 from ..errors import Cancelled, IrisError
 
+ADDON = Path(__file__).resolve().parents[2]
 CANCEL_SECONDS = 0.8
 """How long a worker may take to stop by itself. Checkpoints appear whole or not at all, so that killing harms none."""
 CANCELLED_CODE = 130
@@ -37,7 +40,7 @@ class Worker:
         log: the last lines of what it said, stages included.
 
     Args:
-        command: program and arguments.
+        command: program and arguments, paths absolute.
         log_file: where everything it says is kept as well; None for nowhere.
 
     Raises:
@@ -63,6 +66,7 @@ class Worker:
                 encoding="utf-8",
                 errors="replace",
                 env=worker_environment(),
+                cwd=ADDON,
                 creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
             )
         except OSError as error:
@@ -214,6 +218,8 @@ def _open_log(path: Path | None) -> IO[str] | None:
         return None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_symlink():  # in a folder that came from somebody else it may lead to any file
+            path.unlink()
         return path.open("w", encoding="utf-8")
     except OSError as error:
         fix = "free some disk space, or choose another folder for the result"

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from ..array_files import write_arrays
 from ..imaging import to_codes, write_png
 from ..json_files import write_json
+from ..own_folders import require_own_folder
 from ..progress import Progress
 from ..response.curve import SATURATED
 from ..transport.tracer import Tracer
@@ -39,10 +40,11 @@ def inspect(capture: Capture, folder: Path, progress: Progress) -> dict[str, Any
     """Measure every training photo of ``capture`` and write ``folder``; returns the content of capture.json.
 
     Raises:
-        BadInput: a photo cannot be read.
+        BadInput: a photo cannot be read, or ``folder/photos`` is a link.
         Cancelled: nothing that is in ``folder`` counts.
         IrisError: the disk is full.
     """
+    require_own_folder(folder / "photos")
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "capture.json").unlink(missing_ok=True)
     tracer = Tracer(capture.mesh)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from ..capture.types import Mesh
 from ..errors import BadInput
 from ..json_files import MEND, from_ranges, json_object, numbers, read_json, to_ranges
+from .folder import EMITTERS, result_file
 from .types import Backdrop, Emitter, OutsideLight, Result
 
-EMITTERS = "emitters.json"
 SH_SIZES = (1, 4, 9)
 MAX_SHELL = 100_000
 
@@ -56,7 +56,7 @@ def read_emitters(folder: Path, mesh: Mesh) -> tuple[tuple[Emitter, ...], Outsid
     Raises:
         BadInput: the file is missing or damaged.
     """
-    path = folder / EMITTERS
+    path = result_file(folder, EMITTERS)
     content = read_json(path)
     listed = content.get("emitters")
     if not isinstance(listed, list):

@@ -8,9 +8,9 @@
     backdrop.exr     what cameras see through holes of the mesh, if it has any; backdrop_albedo.exr, if that reflects
     materials/       base_color.exr, roughness.png, metallic.png, confidence.png, emission.exr, mesh.glb
 
-Saving writes everything into a folder of its own, gives it the name WHOLE, and only then moves the files to where they
-are read. A process may be killed at any point: what is found is the old result or the new one, never a mixture. Loading
-trusts nothing it reads, and needs numpy alone if it is handed a reader of images, because Blender's Python has no more.
+A process that saves may be killed at any point, and another may read meanwhile: what is found is the old result or the
+new one, never a mixture (:mod:`.folder`). Loading writes nothing, trusts nothing it reads, and needs numpy alone if it
+is handed a reader of images, because Blender's Python has no more.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ import struct
 import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -31,21 +30,35 @@ from numpy.typing import NDArray
 from ..errors import BadInput, IrisError
 from ..json_files import MEND, dump_json, read_json
 from ..parallel import cores
-from .emitters_json import EMITTERS, StoredShell, emitters_json, read_emitters
+from .emitters_json import StoredShell, emitters_json, read_emitters
+from .folder import (
+    BACKDROP,
+    BACKDROP_ALBEDO,
+    BASE_COLOR,
+    EMISSION,
+    EMITTERS,
+    FILES,
+    MAPS,
+    MATERIALS,
+    MESH,
+    REPORT,
+    RESPONSE,
+    WHOLE,
+    complete_save,
+    require_no_links,
+    result_file,
+)
 from .glb import encode_glb, read_glb
 from .response_json import read_response, response_json
 from .types import Backdrop, Result, Textures
 
 SCHEMA_VERSION = 2
-WHOLE = ".whole"
-"""Folder of a result that is written and not yet moved in place."""
 MAX_TEXTURE_SIDE = 16384
 MAX_BACKDROP_HEIGHT = 4096
-BACKDROP, BACKDROP_ALBEDO = "backdrop.exr", "backdrop_albedo.exr"
+READS = 10
+"""How often loading starts again because the result was replaced under its hands."""
 EMISSION_SIDE = 1024
 """Side of the emission picture in texels; what emits is said exactly by emitters.json."""
-
-MAPS = {"roughness": "roughness.png", "metallic": "metallic.png", "confidence": "confidence.png"}
 
 ReadImage = Callable[[Path], NDArray[np.floating]]
 """(H, W) or (H, W, C) of an image file: floats of an EXR, PNG code values divided by their maximum; row 0 on top."""
@@ -60,19 +73,21 @@ def save_result(result: Result, folder: Path) -> None:
     Base colour keeps half precision, the other textures 16 bit; everything else is exact.
 
     Raises:
+        BadInput: where a folder of the result belongs, there is a link or a file.
         IrisError: the disk is full or the folder not writable. What was in the folder before is untouched.
     """
     folder = Path(folder)
+    require_no_links(folder)
     staging: Path | None = None
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        _complete_save(folder)
+        complete_save(folder)
         for abandoned in folder.glob(".tmp-*"):  # by a process that was killed
             shutil.rmtree(abandoned, ignore_errors=True)
         staging = Path(tempfile.mkdtemp(prefix=".tmp-", dir=folder))
         _write_all(result, staging)
         os.replace(staging, folder / WHOLE)
-        _complete_save(folder)
+        complete_save(folder)
     except OSError as error:
         fix = "free some space and run again" if error.errno == errno.ENOSPC else "check the folder and its permissions"
         raise IrisError(f"the result cannot be written ({error.strerror or error})", fix, folder) from error
@@ -81,47 +96,31 @@ def save_result(result: Result, folder: Path) -> None:
             shutil.rmtree(staging, ignore_errors=True)
 
 
-def _complete_save(folder: Path) -> None:
-    """Move what a save has written whole to its place, also for one that was killed while it did this itself."""
-    whole = folder / WHOLE
-    if not whole.is_dir():
-        return
-    (folder / "materials").mkdir(exist_ok=True)
-    names = sorted(str(path.relative_to(whole)) for path in whole.rglob("*") if path.is_file())
-    for name in (BACKDROP, BACKDROP_ALBEDO):
-        if EMITTERS in names and name not in names:
-            (folder / name).unlink(missing_ok=True)  # of the result before
-    for name in sorted(names, key=lambda name: name == "report.json"):
-        os.replace(whole / name, folder / name)
-    shutil.rmtree(whole)
-
-
 def _write_all(result: Result, folder: Path) -> None:
     from ..imaging import write_exr, write_png  # not needed to load, and not there in Blender
 
-    materials = folder / "materials"
-    materials.mkdir()
+    (folder / MATERIALS).mkdir()
 
     def write_map(name: str) -> None:
         values = np.clip(getattr(result.textures, name), 0.0, 1.0)
-        write_png(materials / MAPS[name], np.round(values * 65535.0).astype(np.uint16))
+        write_png(folder / MAPS[name], np.round(values * 65535.0).astype(np.uint16))
 
     with ThreadPoolExecutor(cores()) as threads:
         jobs = [
-            threads.submit(write_exr, materials / "base_color.exr", result.textures.base_color, half=True),
-            threads.submit(write_exr, materials / "emission.exr", emission_texture(result), half=True),
+            threads.submit(write_exr, folder / BASE_COLOR, result.textures.base_color, half=True),
+            threads.submit(write_exr, folder / EMISSION, emission_texture(result), half=True),
             *(threads.submit(write_map, name) for name in MAPS),
         ]
     for job in jobs:
         job.result()
-    (materials / "mesh.glb").write_bytes(encode_glb(result.mesh, result.parts, result.up))
-    dump_json(folder / "response.json", response_json(result))
+    (folder / MESH).write_bytes(encode_glb(result.mesh, result.parts, result.up))
+    dump_json(folder / RESPONSE, response_json(result))
     if result.backdrop is not None:
         write_exr(folder / BACKDROP, result.backdrop.picture, half=True)
         if result.backdrop.albedo is not None:
             write_exr(folder / BACKDROP_ALBEDO, result.backdrop.albedo, half=True)
     dump_json(folder / EMITTERS, emitters_json(result))
-    dump_json(folder / "report.json", {"schema_version": SCHEMA_VERSION, **result.report})
+    dump_json(folder / REPORT, {"schema_version": SCHEMA_VERSION, **result.report})
 
 
 def emission_texture(result: Result) -> NDArray[np.float32]:
@@ -155,41 +154,68 @@ def load_result(folder: Path, read_image: ReadImage | None = None) -> Result:
         BadInput: no result there, made by another version, or a file of it is missing, damaged or contradicts itself.
     """
     folder = Path(folder)
-    with suppress(OSError):  # a folder that may only be read holds no unfinished save of ours
-        _complete_save(folder)
-    if not (folder / "report.json").is_file():
+    for _ in range(READS):
+        version, places = _version(folder), _places(folder)
+        try:
+            result = _load(folder, read_image or _read_image)
+        except BadInput:
+            if _places(folder) == places and _version(folder) == version:
+                raise
+            continue  # a file was moved in place before it was opened
+        if _version(folder) == version:
+            return result
+    raise BadInput("is being replaced all the time", "wait until nothing writes it any more", folder)
+
+
+def _version(folder: Path) -> tuple[int, ...]:
+    """Stands for the result that :func:`result_file` finds now; the same before and after it is moved in place."""
+    try:
+        report = result_file(folder, REPORT).stat()
+    except OSError:
+        return ()
+    return report.st_ino, report.st_mtime_ns, report.st_size
+
+
+def _places(folder: Path) -> list[Path]:
+    return [result_file(folder, name) for name in FILES]
+
+
+def _load(folder: Path, read: ReadImage) -> Result:
+    path = result_file(folder, REPORT)
+    if not path.is_file():
         raise BadInput("is not a finished result (it has no report.json)", "give the folder that solve wrote", folder)
-    report = read_json(folder / "report.json")
+    report = read_json(path)
     if report.get("schema_version") != SCHEMA_VERSION:
         raise BadInput(
             f"has schema_version {report.get('schema_version')!r}, this program reads {SCHEMA_VERSION}",
             "solve again, or use the version of the program that wrote it",
-            folder / "report.json",
+            path,
         )
-    mesh, parts, up = read_glb(folder / "materials" / "mesh.glb")
+    mesh, parts, up = read_glb(result_file(folder, MESH))
     response, exposures, local = read_response(folder)
     emitters, outside, shell = read_emitters(folder, mesh)
-    read = read_image or _read_image
-    textures = _read_textures(folder / "materials", read)
+    textures = _read_textures(folder, read)
     backdrop = None if shell is None else _painted(shell, folder, read)
     result = Result(mesh, parts, textures, emitters, outside, response, exposures, report, up, local, backdrop)
     try:
         result.as_taken([])  # so that a damaged report is told here
     except (KeyError, TypeError, ValueError) as error:
-        raise BadInput("'model.camera' holds no corrections of cameras", MEND, folder / "report.json") from error
+        raise BadInput("'model.camera' holds no corrections of cameras", MEND, path) from error
     return result
 
 
 def _read_textures(folder: Path, read_image: ReadImage) -> Textures:
-    base_color = _read_texture(folder / "base_color.exr", read_image)
+    path = result_file(folder, BASE_COLOR)
+    base_color = _read_texture(path, read_image)
     if base_color.ndim != 3 or base_color.shape[2] < 3:
-        raise BadInput("has no RGB", MEND, folder / "base_color.exr")
+        raise BadInput("has no RGB", MEND, path)
     maps = {}
     for name, file in MAPS.items():
-        values = _read_texture(folder / file, read_image)
+        path = result_file(folder, file)
+        values = _read_texture(path, read_image)
         maps[name] = np.ascontiguousarray(values if values.ndim == 2 else values[..., 0])
         if maps[name].shape != base_color.shape[:2]:
-            raise BadInput(f"is {values.shape[1]}x{values.shape[0]}, unlike base_color.exr", MEND, folder / file)
+            raise BadInput(f"is {values.shape[1]}x{values.shape[0]}, unlike base_color.exr", MEND, path)
     return Textures(np.ascontiguousarray(base_color[..., :3]), **maps)
 
 
@@ -201,11 +227,12 @@ def _read_texture(path: Path, read_image: ReadImage) -> NDArray[np.float32]:
 
 
 def _painted(shell: StoredShell, folder: Path, read_image: ReadImage) -> Backdrop:
-    picture, albedo = _read_panorama(folder / BACKDROP, read_image), None
+    picture, albedo = _read_panorama(result_file(folder, BACKDROP), read_image), None
     if shell.reflects:
-        albedo = _read_panorama(folder / BACKDROP_ALBEDO, read_image)
+        path = result_file(folder, BACKDROP_ALBEDO)
+        albedo = _read_panorama(path, read_image)
         if albedo.shape != picture.shape or albedo.max() > 1:
-            raise BadInput(f"is no albedo, or not of the size of {BACKDROP}", MEND, folder / BACKDROP_ALBEDO)
+            raise BadInput(f"is no albedo, or not of the size of {BACKDROP}", MEND, path)
     return Backdrop(shell.vertices, shell.faces, picture, albedo)
 
 

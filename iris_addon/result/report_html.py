@@ -18,6 +18,7 @@ from ..capture.alignment import shrink, small_camera
 from ..capture.types import Camera, Capture, View
 from ..evaluate.maps import MapRenderer, ViewMaps
 from ..evaluate.metrics import grey_exposure
+from ..own_folders import require_own_folder
 from ..response.curve import srgb
 from .report_pictures import ERROR_GAIN, WIDEST, FloatArray, Pictures, heat
 from .report_style import CSS
@@ -46,8 +47,10 @@ def write_report(
         The path of the page.
 
     Raises:
+        BadInput: ``folder/report`` is a link.
         IrisError: the folder cannot be written.
     """
+    require_own_folder(folder / "report")
     views = {view.name: view for view in (*capture.val_views, *capture.views)}
     shown = [views[name] for name in pictures if name in views] or _spread(capture.views, 3)
     shown = shown[:MAX_VIEWS]

@@ -14,6 +14,7 @@ from ..errors import BadInput
 from ..json_files import json_object, numbers, read_json
 from ..response.curve import N_SAMPLES, Response
 from ..response.local_exposure import ALIKE, LocalSettings
+from .folder import RESPONSE, result_file
 from .types import Result
 
 LOCAL_BOUNDS = {"strength": (0.0, 0.99), "scale": (1e-3, 10.0), "headroom": (1.0, 1e6), "falloff": (0.0, 20.0)}
@@ -42,7 +43,7 @@ def read_response(folder: Path) -> tuple[Response, dict[str, NDArray[np.float64]
     Raises:
         BadInput: it is missing or damaged.
     """
-    path = folder / "response.json"
+    path = result_file(folder, RESPONSE)
     content = read_json(path)
     samples = content.get("samples")
     if isinstance(samples, list) and len(samples) == 3:
