@@ -20,8 +20,8 @@ sys.path[:0] = [str(ASSETS), str(ASSETS.parent)]
 
 from room import architecture, cameras, decor, furniture, materials  # noqa: E402
 
-from iris_addon.blender.synth import STAGE_WEIGHTS, synth  # noqa: E402
-from iris_addon.progress import Progress, console  # noqa: E402
+from iris_addon.base.progress import Progress, console  # noqa: E402
+from iris_addon.blender.synth.run import STAGE_WEIGHTS, synth  # noqa: E402
 
 
 def build_room(blend: Path) -> None:

@@ -21,8 +21,8 @@ ASSETS = Path(__file__).resolve().parent
 sys.path.insert(0, str(ASSETS.parent))
 
 from headless import cli  # noqa: E402
-from iris_addon.result.io import load_result  # noqa: E402
-from iris_addon.result.types import Result  # noqa: E402
+from iris_addon.results.folder import load_result  # noqa: E402
+from iris_addon.results.result import Result  # noqa: E402
 
 CAPTURE = ASSETS / "demo_room"
 PICTURES = ASSETS.parent / "docs" / "images"

@@ -19,15 +19,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from iris_addon.base.errors import BadInput, IrisError
+from iris_addon.base.group_by import MAD, group_medians
 from iris_addon.capture.reader import read_capture
-from iris_addon.capture.types import Camera
-from iris_addon.errors import BadInput, IrisError
-from iris_addon.grouping import MAD, group_medians
-from iris_addon.response.curve import LUMINANCE
-from iris_addon.result.io import load_result
-from iris_addon.result.types import Result
-from iris_addon.surface.atlas_texels import rasterise_atlas
-from iris_addon.transport.tracer import Tracer, points_on_faces
+from iris_addon.model.capture import Camera
+from iris_addon.model.response import LUMINANCE
+from iris_addon.rays.tracer import Tracer, points_on_faces
+from iris_addon.results.folder import load_result
+from iris_addon.results.result import Result
+from iris_addon.textures.atlas import rasterise_atlas
 
 PATCH = 10
 """Pixels around the one named through which the plane is laid."""

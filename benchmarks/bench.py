@@ -13,7 +13,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from iris_addon.progress import Progress, console
+from iris_addon.base.progress import Progress, console
 
 from . import bench_charts, bench_tables
 from .configurations import CONFIGURATIONS
@@ -21,14 +21,14 @@ from .measured import OUT, pack
 from .peer_mitsuba import snapshot_records
 from .runs import BUNDLED, Record, Run, capture_folder, captures, has_truth, read_records, relative, run_all
 
-PARTS = ("presets", "peers", "ablation", "mitsuba")
+REGIONS = ("presets", "peers", "ablation", "mitsuba")
 PEER_PRESET = "draft"
 RESPONSE_ABLATION = ("constant-exposure", "mean-response", "gamma")
 PEERS = tuple(name for name in CONFIGURATIONS if name != "ours" and name not in RESPONSE_ABLATION)
 MITSUBA_CAPTURES = (BUNDLED.name, "staircase2")
 
 
-def planned(folders: Sequence[Path], parts: Sequence[str], seeds: int, samples: int) -> list[Run]:
+def planned(folders: Sequence[Path], regions: Sequence[str], seeds: int, samples: int) -> list[Run]:
     """All runs but Mitsuba's, the cheapest question first.
 
     Rendering costs more than a draft: nothing is rendered for further seeds, relighting alone for the peers, and
@@ -38,14 +38,14 @@ def planned(folders: Sequence[Path], parts: Sequence[str], seeds: int, samples: 
     runs = []
     for folder in folders:
         name, truth = relative(folder), has_truth(folder)
-        if "presets" in parts:
+        if "presets" in regions:
             for preset, last in (("draft", seeds), ("balanced", seeds), ("final", 1)):
                 for seed in range(last if truth else min(1, last)):
                     scored = "maps" if seed else "all"
                     runs.append(Run(name, "ours", preset, seed, scored=scored, samples=samples))
-        if "peers" in parts and truth:
+        if "peers" in regions and truth:
             runs += [Run(name, peer, PEER_PRESET, scored="relight", samples=samples) for peer in PEERS]
-        if "ablation" in parts and truth:
+        if "ablation" in regions and truth:
             runs += [Run(name, curve, PEER_PRESET, scored="maps", samples=samples) for curve in RESPONSE_ABLATION]
     return runs
 
@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--captures", type=capture_folder, nargs="+", default=captures())
-    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, metavar="PART", help=", ".join(PARTS))
+    parser.add_argument("--only", nargs="+", choices=REGIONS, default=REGIONS, metavar="PART", help=", ".join(REGIONS))
     parser.add_argument("--seeds", type=int, default=3, help="of draft and balanced; the others run once")
     parser.add_argument("--samples", type=int, default=12, help="per pixel of the pictures that are scored")
     parser.add_argument("--mitsuba-seconds", type=float, default=1200.0, help="how long Mitsuba may optimise")

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from iris_addon.capture import read_capture
-from iris_addon.capture.types import Camera, View
-from iris_addon.imaging import read_image
-from iris_addon.response.curve import Response
-from iris_addon.surface.samples import trace_view
-from iris_addon.transport.tracer import Tracer
+from iris_addon.base.images import read_image
+from iris_addon.capture.reader import read_capture
+from iris_addon.model.capture import Camera, View
+from iris_addon.model.response import Response
+from iris_addon.rays.tracer import Tracer
+from iris_addon.surface.primary_rays import trace_view
 
 SAME_PLACE = 0.02
 """Metres between a point and what another photo shows where it should be; more, and it is hidden there."""

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from iris_addon.capture import read_capture
+from iris_addon.base.errors import BadInput
+from iris_addon.base.files import write_json
 from iris_addon.capture.fipt import PhotoSet
-from iris_addon.capture.types import Capture
+from iris_addon.capture.reader import read_capture
 from iris_addon.config import FULL, MINIMAL, PRESETS, Refinements, SolveConfig, preset
-from iris_addon.errors import BadInput
-from iris_addon.json_files import write_json
+from iris_addon.model.capture import Capture
 from iris_addon.response.family import PRIOR_MEAN, to_response
 
 from .perturb_photos import copy_capture, hold_exposure

@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
+from iris_addon.base.errors import BadInput
+from iris_addon.base.progress import Progress, console
 from iris_addon.config import PRESETS
-from iris_addon.errors import BadInput
-from iris_addon.progress import Progress, console
 
 from . import charts, tables
 from .measured import OUT, machine_of, pack

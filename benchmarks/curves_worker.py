@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from iris_addon.capture import read_capture
+from iris_addon.base.progress import Progress
+from iris_addon.capture.reader import read_capture
 from iris_addon.config import PresetName, preset
-from iris_addon.evaluate import evaluate
-from iris_addon.progress import Progress
+from iris_addon.evaluate.evaluation import evaluate
 
 from . import machine
 from .perturb_cameras import misreport_exposures
@@ -27,7 +27,7 @@ SCORES = ("kd_psnr", "kd_psnr_all", "crf_l2", "exposure_log2_rmse")
 
 def measure(source: Path, rank: int, exposures: str, preset_name: PresetName) -> dict[str, Any]:
     """Solve ``source`` taken with the curve of that rank from the mean of all; what came of it."""
-    from iris_addon.solve import solve
+    from iris_addon.pipeline import solve
 
     with tempfile.TemporaryDirectory(prefix="iris-curves-") as name:
         root = copy_capture(source, Path(name) / "taken")

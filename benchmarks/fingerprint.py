@@ -21,11 +21,11 @@ from pathlib import Path
 
 import numpy as np
 
-from iris_addon.capture import read_capture
+from iris_addon.base.files import write_json
+from iris_addon.capture.reader import read_capture
 from iris_addon.config import preset
-from iris_addon.json_files import write_json
-from iris_addon.result.types import Result
-from iris_addon.solve import solve
+from iris_addon.pipeline import solve
+from iris_addon.results.result import Result
 
 ROOT = Path(__file__).resolve().parent.parent
 CAPTURES = (

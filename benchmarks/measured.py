@@ -10,7 +10,7 @@ import json
 from collections.abc import Iterable
 from pathlib import Path
 
-from iris_addon.atomic_files import atomic_write
+from iris_addon.base.files import atomic_write
 
 from .machine import ROOT
 from .runs import Record

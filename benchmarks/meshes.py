@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from iris_addon.capture.types import Mesh
+from iris_addon.model.capture import Mesh
 
 FaceMap = NDArray[np.int64]
 
 
 def with_geometry(mesh: Mesh, vertices: NDArray[np.float64], faces: NDArray[np.int64], old: FaceMap) -> Mesh:
-    """``mesh`` with other triangles and the parts of the ``old`` faces (n,) they come from; UVs are dropped."""
-    parts = None if mesh.parts is None else mesh.parts[old]
-    return replace(mesh, vertices=vertices, faces=faces, uv=None, parts=parts)
+    """``mesh`` with other triangles and the regions of the ``old`` faces (n,) they come from; UVs are dropped."""
+    regions = None if mesh.regions is None else mesh.regions[old]
+    return replace(mesh, vertices=vertices, faces=faces, uv=None, regions=regions)
 
 
 def subdivide_edges(mesh: Mesh, longest: float) -> tuple[Mesh, FaceMap]:

@@ -11,15 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from iris_addon.capture import load_photo, read_capture
-from iris_addon.capture.types import Camera, Capture
-from iris_addon.errors import BadInput, SolverEnvironmentMissing
+from iris_addon.base.errors import BadInput, SolverEnvironmentMissing
+from iris_addon.base.progress import Progress
+from iris_addon.capture.photos import load_photo
+from iris_addon.capture.reader import read_capture
 from iris_addon.evaluate.ground_truth import read_ground_truth
-from iris_addon.progress import Progress
-from iris_addon.response.curve import Response
-from iris_addon.surface.atlas import build_atlas, texel_density_from_footprint
-from iris_addon.surface.samples import PixelSamples, trace_pixels
-from iris_addon.transport.tracer import Tracer
+from iris_addon.model.capture import Camera, Capture
+from iris_addon.model.response import Response
+from iris_addon.rays.tracer import Tracer
+from iris_addon.surface.primary_rays import PixelSamples, trace_pixels
+from iris_addon.textures.charts import build_atlas, texel_density_from_footprint
 
 from .configurations import true_emitters
 
@@ -68,14 +69,14 @@ class Problem:
         photos = np.stack([load_photo(view).values for view in capture.views])
         exposures = np.array([view.exposure for view in capture.views], np.float64)
         return Problem(
-            capture,
-            tracer,
-            build_atlas(capture.mesh, density, ATLAS_SIZE),
-            lamps,
-            lamp_bounds(lamps, samples, photos, exposures),
-            photos,
-            exposures,
-            truth.response,
+            capture=capture,
+            tracer=tracer,
+            uv=build_atlas(capture.mesh, density, ATLAS_SIZE),
+            lamps=lamps,
+            lamp_bounds=lamp_bounds(lamps, samples, photos, exposures),
+            photos=photos,
+            exposures=exposures,
+            response=truth.response,
         )
 
 

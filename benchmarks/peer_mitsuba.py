@@ -25,12 +25,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from iris_addon.errors import IrisError
-from iris_addon.json_files import read_json, write_json
-from iris_addon.progress import Progress
-from iris_addon.response.curve import Response
-from iris_addon.result.types import Emitter, Result, Textures
-from iris_addon.surface.parts import initial_parts
+from iris_addon.base.errors import IrisError
+from iris_addon.base.files import read_json, write_json
+from iris_addon.base.progress import Progress
+from iris_addon.model.recovered import Emitter, Textures
+from iris_addon.model.response import Response
+from iris_addon.results.result import Result
+from iris_addon.surface.topology import initial_regions
 
 from . import machine
 from .mitsuba_scene import ATLAS_SIZE, BASE_COLOR, CLIPPED, ROUGHNESS, SIDES, Problem, load_mitsuba, make_scene
@@ -206,14 +207,21 @@ def _result(
         np.ones(side, np.float32),
     )
     emitters = tuple(
-        Emitter(k, faces, value, float(areas[faces].sum()), 1.0)
+        Emitter(id=k, faces=faces, radiance=value, area=float(areas[faces].sum()), confidence=1.0)
         for k, (faces, value) in enumerate(zip(problem.lamps, radiance, strict=True))
     )
     exposures = {view.name: np.full(3, t) for view, t in zip(problem.capture.views, problem.exposures, strict=True)}
     return Result(
-        replace(mesh, uv=problem.uv), initial_parts(mesh), textures, emitters, None, problem.response, exposures,
-        {}, problem.capture.up,
-    )  # fmt: skip
+        mesh=replace(mesh, uv=problem.uv),
+        regions=initial_regions(mesh),
+        textures=textures,
+        emitters=emitters,
+        outside=None,
+        response=problem.response,
+        exposures=exposures,
+        report={},
+        up=problem.capture.up,
+    )
 
 
 # ---- records -------------------------------------------------------------------------------------------------------
@@ -243,7 +251,7 @@ def snapshot_run(capture: Path, seconds: float, samples: int) -> Run:
 
 def write_snapshots(folder: Path, capture: Path, stops: Sequence[float], rates: Rates, samples: int) -> None:
     """Optimise on ``capture``, score every snapshot by maps and relighting, and write its record."""
-    from iris_addon.evaluate import evaluate
+    from iris_addon.evaluate.evaluation import evaluate
 
     from .worker import relight_scores
 

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from iris_addon.base.errors import BadInput
+from iris_addon.base.files import write_json
 from iris_addon.capture.fipt import read_fipt_views
-from iris_addon.errors import BadInput
 from iris_addon.evaluate.ground_truth import read_rgb
-from iris_addon.json_files import write_json
 
 from .perturb_photos import save_array
 

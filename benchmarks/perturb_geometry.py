@@ -1,4 +1,4 @@
-"""Perturbations of the mesh: noise, holes, too few or too many triangles, parts merged.
+"""Perturbations of the mesh: noise, holes, too few or too many triangles, regions merged.
 
 The ground truth that names faces (lamps, relighting) follows the mesh; its images do not change.
 """
@@ -12,16 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from iris_addon.atomic_files import atomic_write
+from iris_addon.base.errors import BadInput
+from iris_addon.base.files import atomic_write, write_json
+from iris_addon.base.images import write_exr
 from iris_addon.capture.fipt import read_fipt, read_fipt_views
-from iris_addon.capture.meshes import read_mesh
-from iris_addon.capture.types import Mesh, View
-from iris_addon.errors import BadInput
+from iris_addon.capture.mesh_files import read_mesh
 from iris_addon.evaluate.ground_truth import read_ground_truth, read_rgb
-from iris_addon.imaging import write_exr
-from iris_addon.json_files import write_json
-from iris_addon.surface.parts import initial_parts, weld
-from iris_addon.transport.tracer import Hits, Tracer, points_on_faces
+from iris_addon.model.capture import Mesh, View
+from iris_addon.rays.tracer import Hits, Tracer, points_on_faces
+from iris_addon.surface.topology import initial_regions, weld
 
 from .meshes import FaceMap, cluster, select, subdivide_edges
 from .perturb_masks import true_lamp_faces
@@ -41,7 +40,7 @@ def shake_mesh(root: Path, _truth: Path, millimetres: float, rng: np.random.Gene
     mesh = _mesh(root)
     place = weld(mesh)
     move = rng.standard_normal((int(place.max()) + 1, 3)) * millimetres / 1000
-    _replace(root, Mesh(mesh.vertices + move[place], mesh.faces, None, mesh.parts), np.arange(len(mesh.faces)))
+    _replace(root, Mesh(mesh.vertices + move[place], mesh.faces, None, mesh.regions), np.arange(len(mesh.faces)))
     return f"{millimetres:g} mm"
 
 
@@ -134,17 +133,17 @@ def subdivide(root: Path, _truth: Path, centimetres: float, _rng: np.random.Gene
     return f"{len(mesh.faces)} triangles"
 
 
-def merge_parts(root: Path, _truth: Path, share: float, rng: np.random.Generator) -> str:
-    """A random ``share`` of the parts are one part, as in a scan that fuses what touches."""
+def merge_regions(root: Path, _truth: Path, share: float, rng: np.random.Generator) -> str:
+    """A random ``share`` of the regions are one region, as in a scan that fuses what touches."""
     mesh = _mesh(root)
-    parts = initial_parts(mesh)
-    ids = rng.permutation(np.unique(parts))
+    regions = initial_regions(mesh)
+    ids = rng.permutation(np.unique(regions))
     merged = ids[: int(np.ceil(share * len(ids)))]
-    parts = np.where(np.isin(parts, merged), merged[0], parts)
-    if len(np.unique(parts)) == 1:
-        # A file with one part counts as a file without; a single face elsewhere makes it one that says so.
-        parts[0] = parts.max() + 1
-    _replace(root, Mesh(mesh.vertices, mesh.faces, None, parts), np.arange(len(mesh.faces)))
+    regions = np.where(np.isin(regions, merged), merged[0], regions)
+    if len(np.unique(regions)) == 1:
+        # A file with one region counts as a file without; a single face elsewhere makes it one that says so.
+        regions[0] = regions.max() + 1
+    _replace(root, Mesh(mesh.vertices, mesh.faces, None, regions), np.arange(len(mesh.faces)))
     return f"{len(merged)} of {len(ids)} parts are one"
 
 
@@ -174,23 +173,23 @@ def _replace(root: Path, mesh: Mesh, old: FaceMap) -> None:
     lights = root / "relight" / "lights.json"
     if lights.is_file():
         content = json.loads(lights.read_text(encoding="utf-8"))
-        part = content.get("one_emitter", {})
-        if "kept_faces_of_scene_ply" in part:
-            part["kept_faces_of_scene_ply"] = np.flatnonzero(np.isin(old, part["kept_faces_of_scene_ply"])).tolist()
+        region = content.get("one_emitter", {})
+        if "kept_faces_of_scene_ply" in region:
+            region["kept_faces_of_scene_ply"] = np.flatnonzero(np.isin(old, region["kept_faces_of_scene_ply"])).tolist()
         write_json(lights, content)
 
 
 def write_obj(path: Path, mesh: Mesh) -> None:
-    """A plain OBJ of ``mesh``, faces in their order, a group line wherever the part changes."""
+    """A plain OBJ of ``mesh``, faces in their order, a group line wherever the region changes."""
     if not np.isfinite(mesh.vertices).all():
         raise BadInput("has vertices that are not finite", "restore the mesh", path)
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
-    parts = [None] * len(mesh.faces) if mesh.parts is None else mesh.parts.tolist()
+    regions = [None] * len(mesh.faces) if mesh.regions is None else mesh.regions.tolist()
     before = None
-    for (a, b, c), part in zip((mesh.faces + 1).tolist(), parts, strict=True):
-        if part != before:
-            lines.append(f"g part{part}")
-            before = part
+    for (a, b, c), region in zip((mesh.faces + 1).tolist(), regions, strict=True):
+        if region != before:
+            lines.append(f"g region{region}")
+            before = region
         lines.append(f"f {a} {b} {c}")
     text = "\n".join(lines) + "\n"
     atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from iris_addon.base.files import to_ranges, write_json
 from iris_addon.capture.fipt import read_fipt
-from iris_addon.capture.meshes import read_mesh
-from iris_addon.json_files import to_ranges, write_json
+from iris_addon.capture.mesh_files import read_mesh
 
 from .configurations import MASK, true_emitters
 

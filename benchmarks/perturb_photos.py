@@ -17,15 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from iris_addon.atomic_files import atomic_write
+from iris_addon.base.errors import BadInput
+from iris_addon.base.files import atomic_write
+from iris_addon.base.images import read_image, write_png
 from iris_addon.capture.fipt import read_fipt_views
-from iris_addon.capture.types import View
-from iris_addon.errors import BadInput
 from iris_addon.evaluate.ground_truth import read_rgb
 from iris_addon.evaluate.metrics import to_ldr
-from iris_addon.imaging import read_image, write_png
+from iris_addon.model.capture import View
+from iris_addon.model.response import LUMINANCE, N_SAMPLES, Response
 from iris_addon.response import family
-from iris_addon.response.curve import LUMINANCE, N_SAMPLES, Response
 
 from .clipped_pixels import radiance_beyond_clipping
 from .machine import ROOT
@@ -61,7 +61,13 @@ class Film:
             )
         exact = all((root / "gt" / "train" / "Image" / f"{view.name}.exr").is_file() for view in views)
         response = Response(np.load(path, allow_pickle=False).astype(np.float64), "file")
-        return Film(root, views, response, exact, {} if exact else radiance_beyond_clipping(root, views, response))
+        return Film(
+            root=root,
+            views=views,
+            response=response,
+            exact=exact,
+            beyond={} if exact else radiance_beyond_clipping(root, views, response),
+        )
 
     @property
     def note(self) -> str:

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from iris_addon.base.errors import BadInput, IrisError
 from iris_addon.capture.fipt import read_fipt_views
-from iris_addon.errors import BadInput, IrisError
 
 from .machine import ROOT
 from .runs import SWEPT_VIEWS
@@ -82,7 +82,7 @@ def render(change: str, level: float, out: Path, resolution: tuple[int, int]) ->
     import bpy
     from make_demo_room import build_room
 
-    from iris_addon.blender.synth import synth
+    from iris_addon.blender.synth.run import synth
 
     with tempfile.TemporaryDirectory() as folder:
         blend = Path(folder) / "room.blend"

@@ -27,12 +27,12 @@ from unittest.mock import patch
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from iris_addon.capture import read_capture
-from iris_addon.capture.types import Mesh
+from iris_addon.base.progress import Progress, console
+from iris_addon.capture.reader import read_capture
 from iris_addon.config import PRESETS, preset
-from iris_addon.progress import Progress, console
-from iris_addon.transport.sparse_rays import SparseRays
-from iris_addon.transport.tracer import Tracer, points_on_faces
+from iris_addon.model.capture import Mesh
+from iris_addon.rays.tracer import Tracer, points_on_faces
+from iris_addon.transport.aimed_rays import SparseRays
 from iris_addon.transport.transport import Transport
 
 from . import machine, tables
@@ -165,7 +165,7 @@ def profile(folder: Path, preset_name: str) -> Record:
     Limits and solves are measured in turn, :data:`SOLVES` times: other work on the machine only ever adds seconds, so
     that the highest throughput and the fewest seconds of a stage are closest to what the code costs.
     """
-    from iris_addon.solve import solve
+    from iris_addon.pipeline import solve
 
     capture = read_capture(folder)
     floors, seconds, counts = [], [], Counts()
@@ -204,7 +204,7 @@ def describe_records(records: Sequence[Record], _images: Path) -> str:
 
 def describe(seconds: dict[str, float], counts: Counts, floors: Floors, what: str) -> str:
     """Every stage against its floor, in the order of the solve, as Markdown."""
-    from iris_addon.solve import WEIGHTS
+    from iris_addon.pipeline import WEIGHTS
 
     body, total, total_floor = [], 0.0, 0.0
     for stage in sorted(seconds, key=list(WEIGHTS).index):

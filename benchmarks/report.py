@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from iris_addon.atomic_files import atomic_write
+from iris_addon.base.files import atomic_write
 
 from . import bench, bench_tables, curves, profile_floor, scaling, stability
 from .machine import ROOT

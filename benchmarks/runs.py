@@ -19,10 +19,10 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any, Literal
 
-from iris_addon.errors import IrisError
-from iris_addon.json_files import read_json, write_json
-from iris_addon.parallel import cores
-from iris_addon.progress import Progress
+from iris_addon.base.errors import IrisError
+from iris_addon.base.files import read_json, write_json
+from iris_addon.base.parallel import cores
+from iris_addon.base.progress import Progress
 
 from .machine import ROOT
 

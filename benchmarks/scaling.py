@@ -13,8 +13,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from iris_addon.base.progress import Progress, console
 from iris_addon.config import PRESETS
-from iris_addon.progress import Progress, console
 
 from . import charts, tables
 from .measured import OUT, machine_of, pack

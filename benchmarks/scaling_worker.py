@@ -20,13 +20,13 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from iris_addon.capture import read_capture
+from iris_addon.base.files import write_json
+from iris_addon.base.images import read_image, write_png
+from iris_addon.base.progress import Progress
 from iris_addon.capture.fipt import read_fipt, read_fipt_views
-from iris_addon.capture.meshes import read_mesh
+from iris_addon.capture.mesh_files import read_mesh
+from iris_addon.capture.reader import read_capture
 from iris_addon.config import PresetName, preset
-from iris_addon.imaging import read_image, write_png
-from iris_addon.json_files import write_json
-from iris_addon.progress import Progress
 
 from . import machine
 from .meshes import cluster, subdivide_edges
@@ -98,7 +98,7 @@ RESIZE: dict[str, Resize] = {"triangles": with_triangles, "photos": with_photos,
 
 def measure(source: Path, sweep: str, size: int, preset_name: PresetName) -> dict[str, Any]:
     """Solve ``source`` at one size; what it cost."""
-    from iris_addon.solve import solve
+    from iris_addon.pipeline import solve
 
     with tempfile.TemporaryDirectory(prefix="iris-scaling-") as name:
         root = copy_capture(source, Path(name) / "resized")

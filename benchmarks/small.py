@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from iris_addon.base.files import write_json
+from iris_addon.base.images import read_exr, read_image, write_exr, write_png
 from iris_addon.capture.fipt import read_fipt_views
-from iris_addon.capture.types import View
 from iris_addon.evaluate.metrics import to_ldr
-from iris_addon.imaging import read_exr, read_image, write_exr, write_png
-from iris_addon.json_files import write_json
-from iris_addon.response.curve import Response
+from iris_addon.model.capture import View
+from iris_addon.model.response import Response
 
 from .machine import ROOT
 from .perturb_photos import Film, copy_capture

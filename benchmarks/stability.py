@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from iris_addon.parallel import cores
-from iris_addon.progress import Progress, console
+from iris_addon.base.parallel import cores
+from iris_addon.base.progress import Progress, console
 
 from . import charts, tables
 from .measured import OUT, machine_of, pack
@@ -40,7 +40,18 @@ def planned(capture: Path, axes: Sequence[str], seeds: int) -> list[Run]:
     """All runs; the capture as it is comes first and is shared by all axes."""
 
     def run(method: str, seed: int, axis: str = "", level: int = 0) -> Run:
-        return Run(relative(capture), method, "sweep", seed, axis, level, "relight", SAMPLES, SWEPT_VIEWS, warm=True)
+        return Run(
+            capture=relative(capture),
+            configuration=method,
+            preset="sweep",
+            seed=seed,
+            axis=axis,
+            level=level,
+            scored="relight",
+            samples=SAMPLES,
+            views=SWEPT_VIEWS,
+            warm=True,
+        )
 
     runs = [run(method, seed) for seed in range(seeds) for method in METHODS]
     for seed in range(seeds):

@@ -11,9 +11,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from iris_addon.errors import BadInput
-from iris_addon.progress import Progress
-from iris_addon.result.types import Result
+from iris_addon.base.errors import BadInput
+from iris_addon.base.progress import Progress
+from iris_addon.results.result import Result
 
 from . import machine
 from .configurations import CONFIGURATIONS
@@ -56,7 +56,7 @@ def measure(run: Run, cache: Path) -> dict[str, Any]:
 
 def solve(run: Run, perturbed: Perturbed, scratch: Path) -> tuple[Result, float]:
     """The result and its wall-clock seconds, reading of the capture and writing of the result included."""
-    from iris_addon.solve import solve as run_solve
+    from iris_addon.pipeline import solve as run_solve
 
     chosen = CONFIGURATIONS[run.configuration]
     config = chosen.solve_config(run.preset, run.seed, perturbed.capture, scratch)
@@ -67,10 +67,10 @@ def solve(run: Run, perturbed: Perturbed, scratch: Path) -> tuple[Result, float]
 
 def score(result: Result, run: Run, truth: Path) -> dict[str, Any]:
     """Metrics of ``result`` as far as ``run.scored`` asks for them."""
-    from iris_addon.evaluate import evaluate
+    from iris_addon.evaluate.evaluation import evaluate
 
     if run.scored == "all":
-        from iris_addon.blender.render import render_views
+        from iris_addon.blender.render.cycles import render_views
 
         return evaluate(result, truth, render=render_views, samples=run.samples, seed=run.seed)
     scores = evaluate(result, truth, render=None)
@@ -94,7 +94,7 @@ def relight_scores(
     Raises:
         BadInput: the capture has no ground truth.
     """
-    from iris_addon.blender.render import render_views
+    from iris_addon.blender.render.cycles import render_views
     from iris_addon.evaluate.ground_truth import read_ground_truth
     from iris_addon.evaluate.metrics import combine
     from iris_addon.evaluate.relighting import relit_views, score_pictures

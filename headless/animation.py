@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from iris_addon.capture.types import Camera, View
-from iris_addon.progress import Progress
-from iris_addon.result.edits import SceneEdit
-from iris_addon.result.folder import EMITTERS, REPORT, RESPONSE, result_file
-from iris_addon.result.json_values import json_map, whole
-from iris_addon.result.motion import at_time, camera_at
-from iris_addon.result.types import Result
+from iris_addon.base.progress import Progress
+from iris_addon.edits.motion import at_time, camera_at
+from iris_addon.edits.scene_edit import SceneEdit
+from iris_addon.edits.values import json_map, whole
+from iris_addon.model.capture import Camera, View
+from iris_addon.results.files import EMITTERS, REPORT, RESPONSE, result_file
+from iris_addon.results.result import Result
 
 from .frames import Frames, open_frames, write_film
 from .onto_photos import PhotoInsertion
@@ -33,7 +33,7 @@ def render_frames(
     edit_at: Callable[[float], SceneEdit | None],
 ) -> Outcome:
     """Frames rendered whole, from a camera that may move; all of them share the exposure of the first."""
-    from iris_addon.blender.render import render_views
+    from iris_addon.blender.render.cycles import render_views
 
     cameras = [view.camera for view in views]
     frames = _open(args, views, job)

@@ -25,12 +25,11 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from iris_addon.atomic_files import atomic_write
+from iris_addon.base.errors import BadInput, Cancelled, IrisError
+from iris_addon.base.files import atomic_write, write_json
+from iris_addon.base.progress import Progress
 from iris_addon.config import PRESETS, SolveConfig, preset
-from iris_addon.errors import BadInput, Cancelled, IrisError
-from iris_addon.json_files import write_json
-from iris_addon.progress import Progress
-from iris_addon.result.types import Result
+from iris_addon.results.result import Result
 
 from .outcome import Outcome, summarise
 
@@ -101,7 +100,7 @@ def _run(job: Job, line: Line, progress: Progress) -> None:
         result = solve_job(job, inner)
         line.figures = summarise(result)
         if job.evaluate:
-            from iris_addon.evaluate import evaluate
+            from iris_addon.evaluate.evaluation import evaluate
 
             scores = evaluate(result, job.capture, progress=inner)
             line.metrics = {name: value for name, value in scores.items() if isinstance(value, float)}
@@ -128,8 +127,8 @@ def _keep_traceback(path: Path, line: Line) -> None:
 
 def solve_job(job: Job, progress: Progress) -> Result:
     """Read the capture of ``job`` and solve it."""
-    from iris_addon.capture import read_capture
-    from iris_addon.solve import solve
+    from iris_addon.capture.reader import read_capture
+    from iris_addon.pipeline import solve
 
     capture = read_capture(job.capture, exposures=job.config.exposures, hdr=job.config.hdr)
     return solve(capture, job.config, job.out, progress)
@@ -183,7 +182,7 @@ def _job(entry: Any, number: int, path: Path) -> Job:
         raise BadInput(f"{where}: name is {name!r}", "give a name that can be a folder's", path)
     out = path.parent / entry["out"] if "out" in entry else path.with_suffix("") / name
     config = preset(entry.get("preset", "balanced"), **options)
-    return Job(name, capture, out, config, entry.get("evaluate", False))
+    return Job(name=name, capture=capture, out=out, config=config, evaluate=entry.get("evaluate", False))
 
 
 # ---- the summary ---------------------------------------------------------------------------------------------------

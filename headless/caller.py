@@ -7,8 +7,8 @@ import sys
 import threading
 import time
 
-from iris_addon.errors import Cancelled
-from iris_addon.progress import Progress
+from iris_addon.base.errors import Cancelled
+from iris_addon.base.progress import Progress
 
 GRACE_SECONDS = 10.0
 

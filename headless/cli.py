@@ -15,9 +15,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
 
+from iris_addon.base.errors import Cancelled, IrisError
+from iris_addon.base.progress import Progress, console, json_lines
 from iris_addon.config import PRESETS
-from iris_addon.errors import Cancelled, IrisError
-from iris_addon.progress import Progress, console, json_lines
 
 from .caller import stop_with_stdin
 from .environment import delegate, missing_packages, unusable
@@ -65,7 +65,7 @@ def main(argv: list[str]) -> int:
             traceback.print_exc()
         return _fail(_unforeseen(error), lines)
     if lines:
-        from iris_addon.json_files import plain
+        from iris_addon.base.files import plain
 
         print(json.dumps({"type": "done", "result": plain(outcome.data)}, allow_nan=False), flush=True)
     else:

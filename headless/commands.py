@@ -9,11 +9,11 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from iris_addon.capture.types import View
+from iris_addon.base.files import write_json
+from iris_addon.base.progress import Progress
 from iris_addon.config import preset
-from iris_addon.json_files import write_json
-from iris_addon.progress import Progress
-from iris_addon.result.io import load_result
+from iris_addon.model.capture import View
+from iris_addon.results.folder import load_result
 
 from .outcome import Outcome, summarise
 from .relighting import camera, composite, insert, relight, render
@@ -36,13 +36,13 @@ __all__ = [
 
 def solve(args: argparse.Namespace, progress: Progress) -> Outcome:
     """Capture folder to result folder."""
-    from iris_addon.capture import read_capture
+    from iris_addon.capture.reader import read_capture
 
     config = preset(
         args.preset, response=args.response, exposures=args.exposures, hdr=args.hdr, device=args.device, seed=args.seed
     )
     capture = read_capture(args.capture, exposures=config.exposures, hdr=config.hdr)
-    from iris_addon.solve import solve as run_solve  # slow to import; a capture that cannot be read is told at once
+    from iris_addon.pipeline import solve as run_solve  # slow to import; a capture that cannot be read is told at once
 
     result = run_solve(capture, config, args.out, progress, resume=args.resume)
     figures = {"result": args.out, "report": args.out / "report.html", **summarise(result)}
@@ -51,8 +51,8 @@ def solve(args: argparse.Namespace, progress: Progress) -> Outcome:
 
 def inspect(args: argparse.Namespace, progress: Progress) -> Outcome:
     """What can be said about a capture before it is solved."""
-    from iris_addon.capture import read_capture
     from iris_addon.capture.inspection import inspect as look
+    from iris_addon.capture.reader import read_capture
 
     with progress.stage("reading"):
         capture = read_capture(args.capture, exposures=args.exposures)
@@ -62,13 +62,13 @@ def inspect(args: argparse.Namespace, progress: Progress) -> Outcome:
 
 def apply(args: argparse.Namespace, progress: Progress) -> Outcome:
     """Result folder to .blend."""
-    from iris_addon.blender.apply import apply as write_blend
+    from iris_addon.blender.apply.scene_files import apply as write_blend
     from iris_addon.blender.images import read_image
 
     result = load_result(args.result, read_image)
     views: Sequence[View] = ()
     if args.views is not None:
-        from iris_addon.capture import read_views
+        from iris_addon.capture.reader import read_views
 
         views = result.as_taken(read_views(args.views))
     progress.check()
@@ -79,11 +79,11 @@ def apply(args: argparse.Namespace, progress: Progress) -> Outcome:
 
 def evaluate(args: argparse.Namespace, progress: Progress) -> Outcome:
     """The metrics of a result."""
-    from iris_addon.evaluate import evaluate as score
+    from iris_addon.evaluate.evaluation import evaluate as score
 
     render_views = None
     if not args.no_render:
-        from iris_addon.blender.render import render_views
+        from iris_addon.blender.render.cycles import render_views
     result = load_result(args.result)
     scores = score(result, args.gt, render=render_views, samples=args.samples, seed=args.seed, progress=progress)
     if isinstance(args.json, Path):
@@ -95,7 +95,7 @@ def evaluate(args: argparse.Namespace, progress: Progress) -> Outcome:
 
 def synth(args: argparse.Namespace, progress: Progress) -> Outcome:
     """Blender scene to capture with ground truth."""
-    from iris_addon.blender.synth import synth as write_capture
+    from iris_addon.blender.synth.run import synth as write_capture
 
     named = args.response in ("film", "gamma", "linear")
     write_capture(

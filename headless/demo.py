@@ -7,17 +7,18 @@ from pathlib import Path
 
 import numpy as np
 
-from iris_addon.capture import load_photo, read_capture
-from iris_addon.capture.types import Capture, View
+from iris_addon.base.errors import BadInput
+from iris_addon.base.files import read_json, write_json
+from iris_addon.base.progress import Progress
+from iris_addon.capture.photos import load_photo
+from iris_addon.capture.reader import read_capture
 from iris_addon.config import preset
-from iris_addon.errors import BadInput
-from iris_addon.json_files import read_json, write_json
-from iris_addon.progress import Progress
-from iris_addon.response.curve import srgb
-from iris_addon.result.edits import SceneEdit
-from iris_addon.result.edits_json import insertion_edits, relight_edit
-from iris_addon.result.types import Result
-from iris_addon.transport.tracer import Tracer
+from iris_addon.edits.jobs import insertion_edits, relight_edit
+from iris_addon.edits.scene_edit import SceneEdit
+from iris_addon.model.capture import Capture, View
+from iris_addon.model.response import srgb
+from iris_addon.rays.tracer import Tracer
+from iris_addon.results.result import Result
 
 from .outcome import Outcome, summarise
 from .pictures import Developer, FloatArray, photo_exposure, write_picture
@@ -29,10 +30,10 @@ SHOWN_METRICS = ("kd_psnr", "kd_psnr_all", "emission_iou", "emission_log_l2", "c
 
 def run_demo(out: Path, progress: Progress) -> Outcome:
     """Solve the bundled room into ``out``; write scene.blend, pictures, report.html and evaluation.json there."""
-    from iris_addon.blender.apply import apply
-    from iris_addon.evaluate import evaluate
-    from iris_addon.result.report_html import write_report
-    from iris_addon.solve import solve
+    from iris_addon.blender.apply.scene_files import apply
+    from iris_addon.evaluate.evaluation import evaluate
+    from iris_addon.pipeline import solve
+    from iris_addon.results.report import write_report
 
     if not CAPTURE.is_dir():
         raise BadInput("the bundled capture is missing", "make it with assets/make_demo_room.py", CAPTURE)
@@ -62,9 +63,9 @@ def make_pictures(
     result: Result, capture: Capture, view: View, progress: Progress
 ) -> tuple[Mapping[str, FloatArray], FloatArray]:
     """Pictures by name and the re-render of ``view`` alone, display values (H, W, 3)."""
-    from iris_addon.blender.insert import insert_onto_photo
-    from iris_addon.blender.render import render_views
-    from iris_addon.evaluate.maps import MapRenderer
+    from iris_addon.blender.insert.differential import insert_onto_photo
+    from iris_addon.blender.render.cycles import render_views
+    from iris_addon.results.maps import MapRenderer
 
     def rendered(edit: SceneEdit | None) -> FloatArray:
         (radiance,) = render_views(result, [view.camera], edit=edit, samples=SAMPLES)

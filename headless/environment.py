@@ -12,8 +12,8 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-from iris_addon.blender.worker import worker_environment
-from iris_addon.errors import IrisError, SolverEnvironmentMissing
+from iris_addon.base.errors import IrisError, SolverEnvironmentMissing
+from iris_addon.blender.worker.process import worker_environment
 
 from .signals import put_back
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from iris_addon.errors import BadInput, IrisError
-from iris_addon.json_files import plain, read_json, write_json
+from iris_addon.base.errors import BadInput, IrisError
+from iris_addon.base.files import plain, read_json, write_json
 
 RECORD = "frames.json"
 

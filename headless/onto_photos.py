@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from iris_addon.capture import load_photo
-from iris_addon.capture.types import View
-from iris_addon.errors import BadInput
-from iris_addon.result.edits import SceneEdit
-from iris_addon.result.types import Result
+from iris_addon.base.errors import BadInput
+from iris_addon.capture.photos import load_photo
+from iris_addon.edits.scene_edit import SceneEdit
+from iris_addon.model.capture import View
+from iris_addon.results.result import Result
 
 from .pictures import FloatArray, known_exposure, write_picture
 
@@ -57,7 +57,7 @@ class PhotoInsertion:
 
     def picture(self, edit: SceneEdit) -> ChangedPhoto:
         """The photo as it would have been with ``edit`` in the room; the photo itself if that changes nothing."""
-        from iris_addon.blender.insert import change_light, change_photo, render_change, render_pair
+        from iris_addon.blender.insert.differential import change_light, change_photo, render_change, render_pair
 
         values, response = self.photo.values.astype(np.float64), self.result.response
         known = known_exposure(self.result, self.view)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from iris_addon.result.types import Result
+from iris_addon.results.result import Result
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from iris_addon.capture.types import View
-from iris_addon.evaluate.metrics import grey_exposure
-from iris_addon.imaging import to_codes, write_exr, write_png
-from iris_addon.result.response_json import median_exposure
-from iris_addon.result.types import Result
+from iris_addon.base.images import to_codes, write_exr, write_png
+from iris_addon.model.capture import View
+from iris_addon.model.response import grey_exposure
+from iris_addon.results.records import median_exposure
+from iris_addon.results.result import Result
 
 FloatArray = NDArray[np.floating]
 

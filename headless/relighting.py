@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from iris_addon.capture.types import View
-from iris_addon.errors import BadInput
-from iris_addon.json_files import read_json
-from iris_addon.progress import Progress
-from iris_addon.result.edits import SceneEdit
-from iris_addon.result.edits_json import insertion_edits, relight_edit
-from iris_addon.result.io import load_result
-from iris_addon.result.types import Result
+from iris_addon.base.errors import BadInput
+from iris_addon.base.files import read_json
+from iris_addon.base.progress import Progress
+from iris_addon.edits.jobs import insertion_edits, relight_edit
+from iris_addon.edits.scene_edit import SceneEdit
+from iris_addon.model.capture import View
+from iris_addon.results.folder import load_result
+from iris_addon.results.result import Result
 
 from .outcome import Outcome
 
@@ -33,7 +33,7 @@ EditAt = Callable[[float], SceneEdit | None]
 
 def camera(args: argparse.Namespace, progress: Progress) -> Outcome:
     """Response, exposures and white balance as look-up tables."""
-    from iris_addon.response.lut import write_luts
+    from iris_addon.results.camera_luts import write_luts
 
     result = load_result(args.result)
     progress.check()
@@ -42,8 +42,8 @@ def camera(args: argparse.Namespace, progress: Progress) -> Outcome:
 
 def composite(args: argparse.Namespace, progress: Progress) -> Outcome:
     """What an artist put into the room of a .blend, onto the photo."""
-    from iris_addon.blender.photo_composite import RENDERS, composite_file
-    from iris_addon.result.response_json import exposure_of, read_response
+    from iris_addon.blender.insert.photo_composite import RENDERS, composite_file
+    from iris_addon.results.records import exposure_of, read_response
 
     response, exposures, local = read_response(args.result)
     if response.family == "identity":
@@ -121,7 +121,7 @@ def insert(args: argparse.Namespace, progress: Progress) -> Outcome:
         job = {"camera": {"view": edits[0][0]}, **job}
         return _render_edited(args, progress, result, views, job, lambda time: edits_at(time)[0][1])
 
-    from iris_addon.blender.render import render_views
+    from iris_addon.blender.render.cycles import render_views
 
     developer, written = _developer(args, result), []
     with progress.stage("insert"):
@@ -149,7 +149,7 @@ def _render_edited(
         from .animation import render_frames
 
         return render_frames(args, progress, result, views, job, edit_at)
-    from iris_addon.blender.render import render_views
+    from iris_addon.blender.render.cycles import render_views
 
     developer, written = _developer(args, result), []
 
@@ -201,8 +201,8 @@ def _insert_onto_photos(
 
 
 def _render_shares(args: argparse.Namespace, progress: Progress, result: Result, views: Sequence[View]) -> Outcome:
-    from iris_addon.blender.light_groups import render_light_shares
-    from iris_addon.result.light_shares import write_shares
+    from iris_addon.blender.render.light_groups import render_light_shares
+    from iris_addon.edits.light_shares import write_shares
 
     written = []
     with progress.stage("render"):
@@ -217,7 +217,7 @@ def _render_shares(args: argparse.Namespace, progress: Progress, result: Result,
 def _mix_shares(
     args: argparse.Namespace, progress: Progress, result: Result, views: Sequence[View], job: dict[str, Any]
 ) -> Outcome:
-    from iris_addon.result.light_shares import light_gains, mix_shares, read_shares
+    from iris_addon.edits.light_shares import light_gains, mix_shares, read_shares
 
     gains, developer = light_gains(result, job), _developer(args, result)
     written = []
@@ -237,7 +237,7 @@ def _sampling(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _read(args: argparse.Namespace) -> tuple[Result, tuple[View, ...]]:
-    from iris_addon.capture import read_views
+    from iris_addon.capture.reader import read_views
 
     views = read_views(args.views)
     if args.only:

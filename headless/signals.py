@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from types import FrameType
 
-from iris_addon.progress import Progress
+from iris_addon.base.progress import Progress
 
 GRACE_SECONDS = 0.5
 SIGNALS = [

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import bpy
 
-from ..iris_addon.blender.capture_in import show_instead
+from ..iris_addon.base.errors import IrisError
+from ..iris_addon.blender.apply.on_objects import APPLIED, FaceRun, apply_to_objects, restore
+from ..iris_addon.blender.apply.photo_cameras import stand_where_found
 from ..iris_addon.blender.images import read_image
-from ..iris_addon.blender.lamps import lamp_materials
-from ..iris_addon.blender.materials import LAMP_ID
-from ..iris_addon.blender.onto_objects import APPLIED, FaceRun, apply_to_objects, restore
-from ..iris_addon.blender.photo_cameras import stand_where_found
-from ..iris_addon.blender.scene_capture import read_face_runs, whole_object
-from ..iris_addon.errors import IrisError
-from ..iris_addon.result.io import load_result
-from ..iris_addon.result.types import Result
+from ..iris_addon.blender.scene_in.capture_objects import show_instead
+from ..iris_addon.blender.scene_in.scene_capture import read_face_runs, whole_object
+from ..iris_addon.blender.scene_out.lights import lamp_materials
+from ..iris_addon.blender.scene_out.materials import LAMP_ID
+from ..iris_addon.results.folder import load_result
+from ..iris_addon.results.result import Result
 from .polls import NeedsResult
 from .project import folder, result_key
 from .review import view_shadings

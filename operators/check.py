@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import bpy
 
+from ..iris_addon.blender.apply.camera_look import follow_photo
 from ..iris_addon.blender.camera import set_frame
-from ..iris_addon.blender.capture_in import photo_of
-from ..iris_addon.blender.photo_look import follow_photo
+from ..iris_addon.blender.scene_in.capture_objects import photo_of
 from .data import start_import
 from .polls import NeedsReader
 

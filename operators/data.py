@@ -8,21 +8,21 @@ from pathlib import Path
 
 import bpy
 
-from ..iris_addon.blender import jobs
-from ..iris_addon.blender.capture_in import (
+from ..iris_addon.base.errors import IrisError
+from ..iris_addon.base.files import require_own_folder
+from ..iris_addon.blender.apply.on_objects import APPLIED
+from ..iris_addon.blender.apply.photo_cameras import forget_given
+from ..iris_addon.blender.review import sparkline
+from ..iris_addon.blender.scene_in.capture_objects import (
     COLLECTION,
     Inspected,
     add_capture,
     read_inspected,
     refresh_capture,
 )
-from ..iris_addon.blender.commands import ADDON, inspect_command
-from ..iris_addon.blender.onto_objects import APPLIED
-from ..iris_addon.blender.photo_cameras import forget_given
-from ..iris_addon.blender.review import sparkline
-from ..iris_addon.blender.scene_capture import read_view_cameras, write_scene_capture
-from ..iris_addon.errors import IrisError
-from ..iris_addon.own_folders import require_own_folder
+from ..iris_addon.blender.scene_in.scene_capture import read_view_cameras, write_scene_capture
+from ..iris_addon.blender.worker import jobs
+from ..iris_addon.blender.worker.jobs import ADDON, inspect_command
 from .polls import NeedsReader
 from .preferences import ROOT_PACKAGE, solver_python
 from .project import capture_path, folder, inspection_folder, own_folder

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import bpy
 
-from ..iris_addon.blender.apply import apply, export_textures
+from ..iris_addon.base.errors import IrisError
+from ..iris_addon.blender.apply.scene_files import apply, export_textures
 from ..iris_addon.blender.images import read_image
-from ..iris_addon.errors import IrisError
-from ..iris_addon.result.io import load_result
+from ..iris_addon.results.folder import load_result
 from .polls import NeedsResult
 from .project import folder
 

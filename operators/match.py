@@ -8,11 +8,11 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..iris_addon.blender.light_mixing import start_mixing, stop_mixing
-from ..iris_addon.blender.photo_look import MATCHED, match_photo, stop_matching
-from ..iris_addon.errors import IrisError
-from ..iris_addon.response.curve import Response
-from ..iris_addon.result.response_json import read_response
+from ..iris_addon.base.errors import IrisError
+from ..iris_addon.blender.apply.camera_look import MATCHED, match_photo, stop_matching
+from ..iris_addon.blender.render.light_mixing import start_mixing, stop_mixing
+from ..iris_addon.model.response import Response
+from ..iris_addon.results.records import read_response
 from .polls import NeedsApplied
 from .project import folder
 from .watch import show_in_editor

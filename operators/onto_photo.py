@@ -8,13 +8,13 @@ from pathlib import Path
 
 import bpy
 
-from ..iris_addon.blender import jobs
-from ..iris_addon.blender.capture_in import photo_of, show_instead
-from ..iris_addon.blender.commands import composite_command
-from ..iris_addon.blender.photo_composite import write_copy
-from ..iris_addon.blender.whole_files import write_whole
-from ..iris_addon.errors import IrisError
-from ..iris_addon.own_folders import require_own_folder
+from ..iris_addon.base.errors import IrisError
+from ..iris_addon.base.files import require_own_folder
+from ..iris_addon.blender.apply.scene_files import write_whole
+from ..iris_addon.blender.insert.photo_composite import write_copy
+from ..iris_addon.blender.scene_in.capture_objects import photo_of, show_instead
+from ..iris_addon.blender.worker import jobs
+from ..iris_addon.blender.worker.jobs import composite_command
 from .check import look_at_photo
 from .polls import NeedsApplied
 from .project import folder

@@ -6,13 +6,15 @@ from collections.abc import Callable
 
 import bpy
 
-from ..iris_addon.blender import jobs, lamps, light_mixing
-from ..iris_addon.blender.onto_objects import APPLIED
-from ..iris_addon.blender.photo_look import MATCHED
+from ..iris_addon.base.errors import IrisError
+from ..iris_addon.base.files import read_json
+from ..iris_addon.blender.apply.camera_look import MATCHED
+from ..iris_addon.blender.apply.on_objects import APPLIED
+from ..iris_addon.blender.render import light_mixing
 from ..iris_addon.blender.review import model_lines
-from ..iris_addon.errors import IrisError
-from ..iris_addon.json_files import read_json
-from ..iris_addon.result.folder import REPORT, result_file
+from ..iris_addon.blender.scene_out import lights as lamps
+from ..iris_addon.blender.worker import jobs
+from ..iris_addon.results.files import REPORT, result_file
 from . import project
 from .pieces import job_box, paragraph, preview_box
 from .preferences import ROOT_PACKAGE, solver_python

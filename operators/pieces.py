@@ -6,7 +6,7 @@ from textwrap import wrap
 
 import bpy
 
-from ..iris_addon.blender import jobs
+from ..iris_addon.blender.worker import jobs
 from . import preview, project
 from .watch import folder_of
 

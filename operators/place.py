@@ -7,8 +7,8 @@ from __future__ import annotations
 import bpy
 from bpy_extras.view3d_utils import region_2d_to_origin_3d, region_2d_to_vector_3d
 
-from ..iris_addon.blender.carried import Carried
-from ..iris_addon.errors import BadInput
+from ..iris_addon.base.errors import BadInput
+from ..iris_addon.blender.insert.carry import Carried
 from .polls import NeedsApplied
 from .settings import PLACEABLE, SELECTED
 

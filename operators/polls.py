@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import bpy
 
-from ..iris_addon.blender import jobs
-from ..iris_addon.blender.onto_objects import APPLIED
+from ..iris_addon.blender.apply.on_objects import APPLIED
+from ..iris_addon.blender.worker import jobs
 from .preferences import solver_python
 from .project import inspection_folder, result_key
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import bpy
 
-from ..iris_addon.blender import jobs
-from ..iris_addon.blender.commands import environment_command
-from ..iris_addon.errors import IrisError
+from ..iris_addon.base.errors import IrisError
+from ..iris_addon.blender.worker import jobs
+from ..iris_addon.blender.worker.jobs import environment_command
 
 ROOT_PACKAGE = str(__package__).rpartition(".")[0]
 

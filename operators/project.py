@@ -8,9 +8,9 @@ from pathlib import Path
 
 import bpy
 
-from ..iris_addon.blender import jobs
-from ..iris_addon.blender.onto_objects import APPLIED
-from ..iris_addon.result.folder import REPORT, result_file
+from ..iris_addon.blender.apply.on_objects import APPLIED
+from ..iris_addon.blender.worker import jobs
+from ..iris_addon.results.files import REPORT, result_file
 from .preferences import ROOT_PACKAGE
 
 

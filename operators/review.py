@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import bpy
 
-from ..iris_addon.blender.capture_in import photo_of, show_instead
+from ..iris_addon.base.errors import IrisError
 from ..iris_addon.blender.review import curve_image, review_image, reviewed_views, show_confidence
-from ..iris_addon.errors import IrisError
-from ..iris_addon.result.response_json import read_response
+from ..iris_addon.blender.scene_in.capture_objects import photo_of, show_instead
+from ..iris_addon.results.records import read_response
 from .polls import NeedsResult
 from .project import folder
 from .watch import show_in_editor

@@ -9,8 +9,8 @@ from typing import Any
 
 import bpy
 
-from ..iris_addon.blender import lamps
-from ..iris_addon.blender.carried import SHAPES
+from ..iris_addon.blender.insert.carry import SHAPES
+from ..iris_addon.blender.scene_out import lights as lamps
 
 # ---- callbacks -----------------------------------------------------------------------------------------------------
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import bpy
 
-from ..iris_addon.blender import jobs
-from ..iris_addon.blender.commands import solve_command
+from ..iris_addon.blender.worker import jobs
+from ..iris_addon.blender.worker.jobs import solve_command
 from .data import write_scene
 from .preferences import solver_python
 from .project import capture_path, folder

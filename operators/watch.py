@@ -11,8 +11,8 @@ from typing import get_args
 
 import bpy
 
-from ..iris_addon.blender import jobs
-from ..iris_addon.errors import IrisError
+from ..iris_addon.base.errors import IrisError
+from ..iris_addon.blender.worker import jobs
 
 TICK_SECONDS = 0.1
 

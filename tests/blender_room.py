@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from iris_addon.capture.types import Camera, Mesh
-from iris_addon.response.curve import identity
-from iris_addon.result.types import Emitter, Result, Textures
+from iris_addon.model.capture import Camera, Mesh
+from iris_addon.model.recovered import Emitter, Textures
+from iris_addon.model.response import identity
+from iris_addon.results.result import Result
 
 
 def box(size=2.0) -> Mesh:
@@ -24,17 +25,19 @@ def room(albedo=0.5, emission=None, outside=None, mesh=None, roughness=1.0) -> R
     color = np.broadcast_to(np.asarray(albedo, np.float32), (n, n, 3)).copy()
     flat = np.ones((n, n), np.float32)
     emitters = tuple(
-        Emitter(k, np.array([2 * side, 2 * side + 1]), np.array(radiance, float), 4.0, 1.0)
+        Emitter(
+            id=k, faces=np.array([2 * side, 2 * side + 1]), radiance=np.array(radiance, float), area=4.0, confidence=1.0
+        )
         for k, (side, radiance) in enumerate((emission or {}).items())
     )
     return Result(
-        mesh,
-        np.zeros(len(mesh.faces), np.int32),
-        Textures(color, flat * roughness, flat * 0, flat),
-        emitters,
-        outside,
-        identity(),
-        {},
+        mesh=mesh,
+        regions=np.zeros(len(mesh.faces), np.int32),
+        textures=Textures(color, flat * roughness, flat * 0, flat),
+        emitters=emitters,
+        outside=outside,
+        response=identity(),
+        exposures={},
     )
 
 
@@ -42,4 +45,12 @@ def camera(width=16, height=12, fx=10.0, fy=10.0, cx=None, cy=None, position=(0,
     """Looks along -z."""
     c2w = np.eye(4)
     c2w[:3, 3] = position
-    return Camera(width, height, fx, fy, width / 2 if cx is None else cx, height / 2 if cy is None else cy, c2w)
+    return Camera(
+        width=width,
+        height=height,
+        fx=fx,
+        fy=fy,
+        cx=width / 2 if cx is None else cx,
+        cy=height / 2 if cy is None else cy,
+        c2w=c2w,
+    )

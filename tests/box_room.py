@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from iris_addon.capture.types import Camera, Mesh
-from iris_addon.imaging import write_png
-from iris_addon.transport.tracer import Tracer
+from iris_addon.base.images import write_png
+from iris_addon.model.capture import Camera, Mesh
+from iris_addon.rays.tracer import Tracer
 
 WIDTH, HEIGHT, FOCAL = 32, 24, 20.0
 # Box room of 4 x 3 x 2.5 metres, z up; two triangles per wall.
@@ -93,14 +93,14 @@ def write_nerfstudio_room(root: Path) -> RoomCapture:
     (root / "images").mkdir(parents=True)
     mesh, frames, photos = box_mesh(), [], []
     for number, pose in enumerate(room_poses()):
-        camera = Camera(WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2, pose)
+        camera = Camera(width=WIDTH, height=HEIGHT, fx=FOCAL, fy=FOCAL, cx=WIDTH / 2, cy=HEIGHT / 2, c2w=pose)
         photo = root / "images" / f"{number:03d}.png"
         write_png(photo, render_walls(camera, mesh))
         photos.append(photo)
         frames.append({"file_path": f"images/{photo.name}", "transform_matrix": pose.tolist()})
     write_mesh(root / "mesh.ply", mesh)
     meta = {"camera_model": "OPENCV", "w": WIDTH, "h": HEIGHT, "fl_x": FOCAL, "fl_y": FOCAL, "frames": frames}
-    capture = RoomCapture(root, root / "transforms.json", meta, photos, mesh)
+    capture = RoomCapture(root=root, transforms=root / "transforms.json", meta=meta, photos=photos, mesh=mesh)
     capture.save()
     return capture
 
@@ -111,7 +111,7 @@ def write_fipt_room(root: Path) -> RoomCapture:
     for folder in ("train/Image", "train/Image_const", "val", "cam"):
         (root / folder).mkdir(parents=True)
     for number, pose in enumerate(room_poses()):
-        camera = Camera(WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2, pose)
+        camera = Camera(width=WIDTH, height=HEIGHT, fx=FOCAL, fy=FOCAL, cx=WIDTH / 2, cy=HEIGHT / 2, c2w=pose)
         name = f"{number:03d}_0001"
         frames.append({"file_path": f"Image/{name}", "transform_matrix": (pose @ np.diag([-1, 1, -1, 1])).tolist()})
         for photo_set in ("Image", "Image_const"):
@@ -129,6 +129,6 @@ def write_fipt_room(root: Path) -> RoomCapture:
     }.items():
         np.save(root / "cam" / f"{kind}.npy", np.array(values))
     write_obj(root / "scene.obj", mesh, groups=True)
-    capture = RoomCapture(root, root / "train" / "transforms.json", meta, photos, mesh)
+    capture = RoomCapture(root=root, transforms=root / "train" / "transforms.json", meta=meta, photos=photos, mesh=mesh)
     capture.save()
     return capture

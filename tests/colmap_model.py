@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from iris_addon.capture import Capture
 from iris_addon.capture.colmap import MODEL_NAMES
+from iris_addon.model.capture import Capture
 
 Model = tuple[str, int, int, tuple[float, ...]]
 """COLMAP's name of a camera model, width, height, parameters."""

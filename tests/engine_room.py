@@ -8,17 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from iris_addon.capture.types import Camera, Capture, Mesh, View
-from iris_addon.imaging import write_png
-from iris_addon.progress import Progress
-from iris_addon.reflectance.ggx import DIELECTRIC_F0, specular_integrals
-from iris_addon.response.curve import Response
+from iris_addon.base.images import write_png
+from iris_addon.base.progress import Progress
+from iris_addon.brdf.ggx import DIELECTRIC_F0, specular_integrals
+from iris_addon.model.capture import Camera, Capture, Mesh, View
+from iris_addon.model.response import Response
+from iris_addon.rays.sampling import Origins
+from iris_addon.rays.tracer import Tracer
 from iris_addon.response.observations import Observations, observe
-from iris_addon.surface.build import Surface, build_surface
-from iris_addon.surface.samples import PixelSamples, trace_pixels
+from iris_addon.surface.patches import Surface, build_surface
+from iris_addon.surface.primary_rays import PixelSamples, trace_pixels
 from iris_addon.transport.form_factors import emitter_form_factors
-from iris_addon.transport.gather import Origins, gather
-from iris_addon.transport.tracer import Tracer
+from iris_addon.transport.gather import gather
 from iris_addon.transport.transport import Transport, build_transport
 from tests.box_room import look_at
 
@@ -41,26 +42,26 @@ ALBEDO = np.array(
 """Six walls, two boxes, two lamps."""
 MEAN_COSINES = np.sqrt((np.arange(64) + 0.5) / 64)
 """Equal steps of the cosine-weighted hemisphere."""
-LAMP_PARTS = (8, 9)
+LAMP_REGIONS = (8, 9)
 LAMP_RADIANCE = np.array([[9.0, 8.0, 6.0], [14.0, 15.0, 17.0]])
 
 
 @dataclass(frozen=True)
 class Room:
-    """Parts of constant albedo (n, 3); ``emission`` (n, 3) is radiance, both sides."""
+    """Regions of constant albedo (n, 3); ``emission`` (n, 3) is radiance, both sides."""
 
     mesh: Mesh
     albedo: np.ndarray
     emission: np.ndarray
 
     @property
-    def parts(self) -> np.ndarray:
-        assert self.mesh.parts is not None
-        return self.mesh.parts
+    def regions(self) -> np.ndarray:
+        assert self.mesh.regions is not None
+        return self.mesh.regions
 
     def lamps(self) -> list[np.ndarray]:
         """Faces of each lamp."""
-        return [np.flatnonzero(self.parts == part) for part in np.flatnonzero(self.emission.any(1))]
+        return [np.flatnonzero(self.regions == region) for region in np.flatnonzero(self.emission.any(1))]
 
 
 def quad(corner, u, v, cells: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
@@ -86,13 +87,13 @@ def box(low, high, cells: float = np.inf) -> list[tuple[np.ndarray, np.ndarray]]
     return sides
 
 
-def assemble(pieces: list[tuple[np.ndarray, np.ndarray]], parts: list[int]) -> Mesh:
-    """One mesh with the part of each piece."""
+def assemble(pieces: list[tuple[np.ndarray, np.ndarray]], regions: list[int]) -> Mesh:
+    """One mesh with the region of each piece."""
     vertices, faces, labels, start = [], [], [], 0
-    for (v, f), part in zip(pieces, parts, strict=True):
+    for (v, f), region in zip(pieces, regions, strict=True):
         vertices.append(v)
         faces.append(f + start)
-        labels.append(np.full(len(f), part, np.int32))
+        labels.append(np.full(len(f), region, np.int32))
         start += len(v)
     return Mesh(np.concatenate(vertices), np.concatenate(faces).astype(np.int64), None, np.concatenate(labels))
 
@@ -100,17 +101,17 @@ def assemble(pieces: list[tuple[np.ndarray, np.ndarray]], parts: list[int]) -> M
 def furnished_room(cells: float = 0.25) -> Room:
     """The room of this module: two boxes on the floor, two lamps of different size hanging under the ceiling."""
     pieces = box(np.zeros(3), SIZE, cells)
-    parts = list(range(6))
-    for part, (low, high) in ((6, ([0.5, 0.4, 0], [1.1, 1.2, 0.7])), (7, ([2.7, 1.9, 0], [3.5, 2.6, 0.4]))):
+    regions = list(range(6))
+    for region, (low, high) in ((6, ([0.5, 0.4, 0], [1.1, 1.2, 0.7])), (7, ([2.7, 1.9, 0], [3.5, 2.6, 0.4]))):
         pieces += box(low, high, cells)
-        parts += [part] * 6
+        regions += [region] * 6
     pieces += [
         quad([0.8, 1.1, 1.8], [0.6, 0, 0], [0, 0.6, 0], cells),
         quad([2.9, 0.8, 1.9], [0.3, 0, 0], [0, 0.4, 0], cells),
     ]
     emission = np.zeros_like(ALBEDO)
-    emission[list(LAMP_PARTS)] = LAMP_RADIANCE
-    return Room(assemble(pieces, parts + list(LAMP_PARTS)), ALBEDO, emission)
+    emission[list(LAMP_REGIONS)] = LAMP_RADIANCE
+    return Room(assemble(pieces, regions + list(LAMP_REGIONS)), ALBEDO, emission)
 
 
 def room_origins(room: Room, tracer: Tracer, n: int, rng: np.random.Generator) -> Origins:
@@ -120,10 +121,10 @@ def room_origins(room: Room, tracer: Tracer, n: int, rng: np.random.Generator) -
     c = tracer.corners[:, None]
     position = c[:, :, 0] + u[..., :1] * (c[:, :, 1] - c[:, :, 0]) + u[..., 1:] * (c[:, :, 2] - c[:, :, 0])
     normal = tracer.normals.copy()
-    for part in range(len(room.albedo)):
-        faces = np.flatnonzero(room.parts == part)
+    for region in range(len(room.albedo)):
+        faces = np.flatnonzero(room.regions == region)
         middle = tracer.corners[faces].mean(1)
-        away = middle - middle.mean(0) if part in (6, 7) else SIZE / 2 - middle
+        away = middle - middle.mean(0) if region in (6, 7) else SIZE / 2 - middle
         normal[faces] *= np.where((away * normal[faces]).sum(1, keepdims=True) < 0, -1, 1)
     normal = np.broadcast_to(normal[:, None], position.shape)
     return Origins(position.astype(np.float32), normal.astype(np.float32))
@@ -139,7 +140,7 @@ def irradiance_at(
     table = np.concatenate([radiosity, np.zeros((1, 3))])
     indirect = table[rays.face].mean(1)
     direct = emitter_form_factors(tracer, origins, rays, lamps, n_rays, rng, Progress())[..., 0]
-    return indirect + direct @ np.array([room.emission[room.parts[faces[0]]] for faces in lamps])
+    return indirect + direct @ np.array([room.emission[room.regions[faces[0]]] for faces in lamps])
 
 
 def matte_specular(cosine: np.ndarray) -> np.ndarray:
@@ -155,8 +156,8 @@ def radiosity(room: Room, tracer: Tracer, n_rays: int = 256) -> np.ndarray:
     rays, _ = gather(tracer, origins, n_rays, rng, Progress())
     lamps = room.lamps()
     direct = emitter_form_factors(tracer, origins, rays, lamps, n_rays, rng, Progress())[..., 0]
-    source = direct @ np.array([room.emission[room.parts[faces[0]]] for faces in lamps])
-    albedo = np.where(room.albedo > 0, room.albedo + matte_specular(MEAN_COSINES).mean(), 0)[room.parts]
+    source = direct @ np.array([room.emission[room.regions[faces[0]]] for faces in lamps])
+    albedo = np.where(room.albedo > 0, room.albedo + matte_specular(MEAN_COSINES).mean(), 0)[room.regions]
     result = albedo * source
     for _ in range(30):
         result = albedo * (np.concatenate([result, np.zeros((1, 3))])[rays.face].mean(1) + source)
@@ -172,7 +173,10 @@ def cameras(count: int = 8, width: int = 40, height: int = 30) -> list[Camera]:
         eye = SIZE / 2 + around * [1.5, 1.1, 0] + [0, 0, 0.1]
         target = SIZE / 2 - around * [1.5, 1.1, 0] + [0, 0, (-0.9, 0.5, -0.3, 0.9)[k % 4]]
         poses.append(look_at(eye, target))
-    return [Camera(width, height, 0.55 * width, 0.55 * width, width / 2, height / 2, pose) for pose in poses]
+    return [
+        Camera(width=width, height=height, fx=0.55 * width, fy=0.55 * width, cx=width / 2, cy=height / 2, c2w=pose)
+        for pose in poses
+    ]
 
 
 @dataclass(frozen=True)
@@ -189,8 +193,8 @@ def patched(room: Room, views: list[Camera], max_patches: int, n_rays: int, stri
     """The room in patches seen by ``views``, with ``n_rays`` gather rays from each."""
     tracer, rng = Tracer(room.mesh), np.random.default_rng(seed)
     samples = trace_pixels(tracer, views, stride, Progress())
-    surface = build_surface(room.mesh, samples, room.parts, max_patches, rng)
-    return Patched(tracer, samples, surface, build_transport(tracer, surface, room.parts, n_rays, rng, Progress()))
+    surface = build_surface(room.mesh, samples, room.regions, max_patches, rng)
+    return Patched(tracer, samples, surface, build_transport(tracer, surface, room.regions, n_rays, rng, Progress()))
 
 
 def render(room: Room, tracer: Tracer, views: list[Camera], n_rays: int = 192) -> np.ndarray:
@@ -199,11 +203,11 @@ def render(room: Room, tracer: Tracer, views: list[Camera], n_rays: int = 192) -
     face_radiance = radiosity(room, tracer)
     origins = Origins(samples.position[:, None], samples.normal[:, None])
     irradiance = irradiance_at(room, tracer, face_radiance, origins, n_rays, 11)
-    part = room.parts[samples.face]
+    region = room.regions[samples.face]
     image = np.zeros((len(views), views[0].height * views[0].width, 3))
-    reflectance = room.albedo[part] + matte_specular(samples.cosine)[:, None]
-    lit = ~room.emission[part].any(1, keepdims=True)
-    image[samples.view, samples.pixel] = reflectance * irradiance * lit + room.emission[part]
+    reflectance = room.albedo[region] + matte_specular(samples.cosine)[:, None]
+    lit = ~room.emission[region].any(1, keepdims=True)
+    image[samples.view, samples.pixel] = reflectance * irradiance * lit + room.emission[region]
     return image.reshape(len(views), views[0].height, views[0].width, 3)
 
 
@@ -217,16 +221,16 @@ def photograph(
         photo = folder / f"{k:03d}.png"
         write_png(photo, np.floor(255 * response.apply(np.clip(radiance[k] * exposure, 0, 1))).astype(np.uint8))
         entries.append(View(f"{k:03d}", camera, photo, float(exposure)))
-    return Capture("room", folder, tuple(entries), (), room.mesh)
+    return Capture(name="room", root=folder, views=tuple(entries), val_views=(), mesh=room.mesh)
 
 
 # ---- on disk -------------------------------------------------------------------------------------------------------
 
 
 def write_capture(capture: Capture) -> Path:
-    """Make the folder of :func:`photograph` a nerfstudio capture with an OBJ of one group per part."""
+    """Make the folder of :func:`photograph` a nerfstudio capture with an OBJ of one group per region."""
     camera, mesh = capture.views[0].camera, capture.mesh
-    assert mesh.parts is not None
+    assert mesh.regions is not None
     frames = [
         {"file_path": f"{view.name}.png", "transform_matrix": view.camera.c2w.tolist(), "exposure": view.exposure}
         for view in capture.views
@@ -234,8 +238,8 @@ def write_capture(capture: Capture) -> Path:
     lens = {"w": camera.width, "h": camera.height, "fl_x": camera.fx, "fl_y": camera.fy}
     (capture.root / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
     lines = [f"v {x} {y} {z}" for x, y, z in mesh.vertices]
-    for part in np.unique(mesh.parts):
-        lines += [f"g part{part}", *(f"f {a} {b} {c}" for a, b, c in mesh.faces[mesh.parts == part] + 1)]
+    for region in np.unique(mesh.regions):
+        lines += [f"g region{region}", *(f"f {a} {b} {c}" for a, b, c in mesh.faces[mesh.regions == region] + 1)]
     (capture.root / "mesh.obj").write_text("\n".join(lines) + "\n")
     return capture.root
 

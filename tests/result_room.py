@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from iris_addon.capture.types import Mesh
-from iris_addon.response.curve import Response, gamma
-from iris_addon.result.io import SCHEMA_VERSION
-from iris_addon.result.types import Emitter, OutsideLight, Result, Textures
+from iris_addon.model.capture import Mesh
+from iris_addon.model.recovered import Emitter, OutsideLight, Textures
+from iris_addon.model.response import Response, gamma
+from iris_addon.results.folder import SCHEMA_VERSION
+from iris_addon.results.result import Result
 
 SIDE = 16
 
@@ -32,22 +33,22 @@ def room(seed: int = 0, outside: bool = True, response: Response | None = None) 
         rng.random((SIDE, SIDE), np.float32),
     )
     emitters = (
-        Emitter(3, np.array([10, 11]), np.array([1 / 3, 20.0, 1e-3]), 1.0, 0.75),
-        Emitter(5, np.array([0, 2, 3]), np.array([4.0, 5.0, 6.0]), 1.5, 0.5),
+        Emitter(id=3, faces=np.array([10, 11]), radiance=np.array([1 / 3, 20.0, 1e-3]), area=1.0, confidence=0.75),
+        Emitter(id=5, faces=np.array([0, 2, 3]), radiance=np.array([4.0, 5.0, 6.0]), area=1.5, confidence=0.5),
     )
     return Result(
-        mesh,
-        np.arange(12, dtype=np.int32) // 2,
-        textures,
-        emitters,
-        OutsideLight(rng.normal(size=(4, 3))) if outside else None,
-        response or gamma(),
-        {"000_0001": np.array([0.5, 0.25, 0.125]), "001_0001": np.array([1 / 3, 1 / 7, 1 / 9])},
-        {
+        mesh=mesh,
+        regions=np.arange(12, dtype=np.int32) // 2,
+        textures=textures,
+        emitters=emitters,
+        outside=OutsideLight(rng.normal(size=(4, 3))) if outside else None,
+        response=response or gamma(),
+        exposures={"000_0001": np.array([0.5, 0.25, 0.125]), "001_0001": np.array([1 / 3, 1 / 7, 1 / 9])},
+        report={
             "schema_version": SCHEMA_VERSION,
             "preset": "draft",
             "seconds": {"trace": 1.5},
             "warnings": ["a lamp is guessed"],
         },
-        (0.0, 1.0, 0.0),
+        up=(0.0, 1.0, 0.0),
     )

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from iris_addon.capture import read_views
-from iris_addon.imaging import write_exr, write_png
-from iris_addon.reflectance.ggx import directional_albedo
-from iris_addon.response.curve import Response, gamma
-from iris_addon.result.io import SCHEMA_VERSION
-from iris_addon.result.types import Emitter, Result, Textures
-from iris_addon.transport.tracer import Tracer
+from iris_addon.base.images import write_exr, write_png
+from iris_addon.brdf.ggx import directional_albedo
+from iris_addon.capture.reader import read_views
+from iris_addon.model.recovered import Emitter, Textures
+from iris_addon.model.response import Response, gamma
+from iris_addon.rays.tracer import Tracer
+from iris_addon.results.folder import SCHEMA_VERSION
+from iris_addon.results.result import Result
 from tests.box_room import ROOM_MAX, WALL_COLORS, box_mesh, write_fipt_room
 
 LAMP_FACES = np.array([10])  # half of the ceiling
@@ -39,12 +40,18 @@ def true_result(response: Response | None = None) -> Result:
     center = np.stack([(wall + 0.5) / SIDE, np.full(12, 1 - 0.5 / SIDE)], -1)
     uv = np.repeat(center[:, None], 3, axis=1).astype(np.float32)
     area = float(ROOM_MAX[0] * ROOM_MAX[1] / 2)
-    lamp = Emitter(0, LAMP_FACES, LAMP_RADIANCE, area, 1.0)
+    lamp = Emitter(id=0, faces=LAMP_FACES, radiance=LAMP_RADIANCE, area=area, confidence=1.0)
     exposures = {f"{k:03d}_0001": np.full(3, t) for k, t in enumerate([0.25, 0.5, 1, 2, 4, 1.0])}
     return Result(
-        replace(mesh, uv=uv), wall.astype(np.int32), textures, (lamp,), None, response or gamma(), exposures,
-        {"schema_version": SCHEMA_VERSION},
-    )  # fmt: skip
+        mesh=replace(mesh, uv=uv),
+        regions=wall.astype(np.int32),
+        textures=textures,
+        emitters=(lamp,),
+        outside=None,
+        response=response or gamma(),
+        exposures=exposures,
+        report={"schema_version": SCHEMA_VERSION},
+    )
 
 
 def write_truth_room(root: Path, side_by_side: bool = False) -> Path:

@@ -10,8 +10,8 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..capture.types import Camera
-from ..errors import BadInput
+from ..base.errors import BadInput
+from ..model.capture import Camera
 
 SENSOR_MM = 36.0
 

@@ -8,8 +8,8 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import BadInput
-from ..response.curve import srgb
+from ..base.errors import BadInput
+from ..model.response import srgb
 
 LINEAR = "Linear Rec.709"
 DATA = "Non-Color"

@@ -10,9 +10,9 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import BadInput
+from ..base.errors import BadInput
 from .images import image_from_array
-from .materials import CONFIDENCE
+from .scene_out.materials import CONFIDENCE
 
 KINDS = ("photo", "render", "error")
 CURVE_SIDE = 256

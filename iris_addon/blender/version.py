@@ -9,7 +9,7 @@ from types import ModuleType
 
 import bpy
 
-from ..errors import IrisError
+from ..base.errors import IrisError
 
 
 def node_tree(owner: bpy.types.Material | bpy.types.World) -> bpy.types.NodeTree:

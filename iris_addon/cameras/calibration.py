@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 from scipy.optimize import minimize
 
-from ..capture import load_photo, photos_at_once
-from ..capture.correction import CameraCorrection
-from ..capture.types import Camera, Capture, View
-from ..grouping import group_equal, group_means
-from ..parallel import over_each
-from ..progress import Progress
-from ..transport.tracer import Tracer
+from ..base.group_by import group_equal, group_means
+from ..base.parallel import over_each
+from ..base.progress import Progress
+from ..capture.photos import load_photo, photos_at_once
+from ..model.capture import Camera, Capture, View
+from ..model.corrections import CameraCorrection
+from ..rays.tracer import Tracer
 
 RAYS = 120_000
 """Pixels over all photos that one trial traces."""

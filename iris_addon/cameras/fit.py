@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ..capture.types import Capture
-from ..progress import Progress
-from ..transport.tracer import Tracer
+from ..base.progress import Progress
+from ..model.capture import Capture
+from ..rays.tracer import Tracer
 from .calibration import Calibration, calibrate
 from .registration import Registration, register
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, zoom
 
-from .types import Camera, FloatArray
+from ..model.capture import Camera, FloatArray
 
 WIDTH = 160
 """Width in pixels at which edges are compared."""

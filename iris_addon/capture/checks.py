@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import BadInput
-from ..imaging import HDR_SUFFIXES, check_image
+from ..base.errors import BadInput
+from ..base.images import HDR_SUFFIXES, check_image
+from ..model.capture import FloatArray, Mesh, View
 from .photos import check_photo_size
-from .types import FloatArray, Mesh, View
 
 GRID = 16
 SEES_LITTLE = 0.05
@@ -94,7 +94,7 @@ def check_sees_mesh(views: Sequence[View], mesh: Mesh, path: Path) -> tuple[str,
 
 def seen_shares(views: Sequence[View], mesh: Mesh) -> FloatArray:
     """(n,) share of a 16x16 grid of rays through each view that meets the mesh."""
-    from ..transport.tracer import Tracer  # the tracer needs this package's types: a cycle at import time
+    from ..rays.tracer import Tracer  # the tracer needs this package's types: a cycle at import time
 
     coarse = [
         replace(

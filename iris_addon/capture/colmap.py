@@ -14,12 +14,11 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from ..errors import BadInput
-from .cameras import read_camera, read_distortion
-from .files import find_image
-from .listing import Listing, check_unique, mean_up, only_mesh, up_axis, view_names
-from .meshes import MESH_SUFFIXES
-from .types import View
+from ..base.errors import BadInput
+from ..model.capture import View
+from .intrinsics import read_camera, read_distortion
+from .listing import Listing, check_unique, find_image, mean_up, only_mesh, up_axis, view_names
+from .mesh_files import MESH_SUFFIXES
 
 MODEL_FOLDERS = (".", "sparse/0", "sparse", "colmap/sparse/0")
 MAX_ENTRIES = 100_000

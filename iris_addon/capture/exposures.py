@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from PIL import ExifTags, Image
 
-from ..errors import BadInput
-from ..imaging import HDR_SUFFIXES
-from .files import load_array, number, read_json_object
-from .types import View
+from ..base.errors import BadInput
+from ..base.images import HDR_SUFFIXES
+from ..model.capture import View
+from .listing import load_array, number, read_json_object
 
 MAX_CSV_BYTES = 16 * 1024 * 1024
 

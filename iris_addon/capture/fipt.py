@@ -12,13 +12,23 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..errors import BadInput
-from ..imaging import check_image
-from .cameras import LEFT_UP_FORWARD, read_camera, read_distortion, read_pose
+from ..base.errors import BadInput
+from ..base.images import check_image
+from ..model.capture import Split, View
 from .exposures import checked
-from .files import find_image, frames_of, inside, load_array, read_json_object
-from .listing import Listing, check_unique, only_mesh, safe_name, up_axis
-from .types import Split, View
+from .intrinsics import LEFT_UP_FORWARD, read_camera, read_distortion, read_pose
+from .listing import (
+    Listing,
+    check_unique,
+    find_image,
+    frames_of,
+    inside,
+    load_array,
+    only_mesh,
+    read_json_object,
+    safe_name,
+    up_axis,
+)
 
 UP = (0.0, 1.0, 0.0)
 

@@ -4,7 +4,7 @@
 
     capture.json     name, root, up, warnings; per photo: file, camera, exposure, share of saturated and black
                      channels, histogram, share of the mesh in view, alignment with it
-    mesh.npz         vertices, faces, and uv and parts where the mesh has them
+    mesh.npz         vertices, faces, and uv and regions where the mesh has them
     photos/          photos with the lens distortion taken out, where there was any
 
 capture.json is written last: a folder without it holds nothing.
@@ -19,16 +19,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..array_files import write_arrays
-from ..imaging import to_codes, write_png
-from ..json_files import write_json
-from ..own_folders import require_own_folder
-from ..progress import Progress
-from ..response.curve import SATURATED
-from ..transport.tracer import Tracer
+from ..base.files import require_own_folder, write_arrays, write_json
+from ..base.images import to_codes, write_png
+from ..base.progress import Progress
+from ..model.capture import Camera, Capture, Mesh, Photo, View
+from ..model.response import SATURATED
+from ..rays.tracer import Tracer
 from .alignment import Alignment, align, shrink, small_camera
 from .photos import load_photo
-from .types import Camera, Capture, Mesh, Photo, View
 
 BLACK = 0.5 / 255
 BINS = 32
@@ -126,7 +124,7 @@ def _some(names: list[str]) -> str:
 
 def _write_mesh(path: Path, mesh: Mesh) -> None:
     arrays: dict[str, NDArray] = {"vertices": mesh.vertices, "faces": mesh.faces.astype(np.int32)}
-    for name in ("uv", "parts"):
+    for name in ("uv", "regions"):
         if getattr(mesh, name) is not None:
             arrays[name] = getattr(mesh, name)
     write_arrays(path, arrays)

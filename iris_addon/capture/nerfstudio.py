@@ -12,13 +12,25 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import BadInput
-from ..imaging import check_image
-from .cameras import read_camera, read_distortion
+from ..base.errors import BadInput
+from ..base.images import check_image
+from ..model.capture import Split, View
 from .exposures import from_frame
-from .files import find_image, frames_of, inside, number, read_json_object
-from .listing import Listing, check_unique, is_point_cloud, mean_up, only_mesh, up_axis, view_names
-from .types import Split, View
+from .intrinsics import read_camera, read_distortion
+from .listing import (
+    Listing,
+    check_unique,
+    find_image,
+    frames_of,
+    inside,
+    is_point_cloud,
+    mean_up,
+    number,
+    only_mesh,
+    read_json_object,
+    up_axis,
+    view_names,
+)
 
 UP = (0.0, 0.0, 1.0)
 UPRIGHT = 0.5

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from ..errors import BadInput
-from ..imaging import HDR_SUFFIXES, read_exr, read_image
-from .types import Camera, Distortion, FloatArray, Photo, View
+from ..base.errors import BadInput
+from ..base.images import HDR_SUFFIXES, read_exr, read_image
+from ..model.capture import Camera, Distortion, FloatArray, Photo, View
 
 PIXELS_AT_ONCE = 50_000_000
 """Of all photos that are decoded at one time; to undo a lens takes some 125 bytes for each."""

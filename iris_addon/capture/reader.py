@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import BadInput
-from ..imaging import HDR_SUFFIXES
+from ..base.errors import BadInput
+from ..base.images import HDR_SUFFIXES
+from ..model.capture import Capture, Mesh, View
 from .checks import check_photos, check_sees_mesh, check_units, seen_shares
 from .colmap import colmap_model, read_colmap, read_colmap_views
 from .exposures import apply_file, from_exif
 from .fipt import PhotoSet, fipt_root, read_fipt, read_fipt_views
 from .listing import Listing
-from .meshes import read_mesh
+from .mesh_files import read_mesh
 from .nerfstudio import read_nerfstudio, read_nerfstudio_views
-from .types import Capture, Mesh, View
 
 # glTF is y up by its standard; exporters that obey turn a z-up room on its side.
 Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -57,7 +57,13 @@ def read_capture(
     mesh, turned = _turn_glb(mesh, views, listing)
     warnings += [*mesh_warnings, *turned, *check_sees_mesh(views, mesh, listing.mesh_file)]
     return Capture(
-        listing.name, listing.root, tuple(views), tuple(val_views), mesh, up=listing.up, warnings=tuple(warnings)
+        name=listing.name,
+        root=listing.root,
+        views=tuple(views),
+        val_views=tuple(val_views),
+        mesh=mesh,
+        up=listing.up,
+        warnings=tuple(warnings),
     )
 
 

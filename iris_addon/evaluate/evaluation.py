@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from ..capture import read_capture
-from ..errors import BadInput
-from ..progress import Progress
-from ..result.types import Result
+from ..base.errors import BadInput
+from ..base.progress import Progress
+from ..capture.reader import read_capture
+from ..results.maps import MapRenderer
+from ..results.result import Result
 from . import metrics
 from .ground_truth import GroundTruth, read_ground_truth
 from .held_out import score_held_out
 from .map_scores import score_maps
-from .maps import MapRenderer
 from .relighting import RenderViews, inserted_views, novel_views, relit_views, render_all, score_pictures
 
 RENDERED = ("nvs_psnr", "nvs_ssim", "relight_psnr", "relight_ssim", "insert_psnr", "insert_psnr_around")
@@ -41,7 +41,7 @@ def evaluate(
     held-out photos (``nvs_*``), an exposure and a white balance fitted to each.
 
     Args:
-        gt_root: the capture, as :func:`iris_addon.capture.read_capture` takes it.
+        gt_root: the capture, as :func:`iris_addon.capture.reader.read_capture` takes it.
         render: path tracer for novel views, relighting and insertion; None leaves those out.
         samples: per pixel of each rendered view.
 

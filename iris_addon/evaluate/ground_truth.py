@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.errors import BadInput
+from ..base.files import read_json
+from ..base.images import read_exr, read_image, read_map
 from ..capture.fipt import fipt_root, read_fipt_views
-from ..capture.types import Split, View
-from ..errors import BadInput
-from ..imaging import read_exr, read_image, read_map
-from ..json_files import read_json
-from ..response.curve import N_SAMPLES, Response
+from ..model.capture import Split, View
+from ..model.response import N_SAMPLES, Response
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,9 @@ def read_ground_truth(path: Path) -> GroundTruth | None:
     if not any((folder / "train" / kind).is_dir() for kind in ("DiffCol", "BaseCol", "Emit")):
         return None
     val_views = read_fipt_views(root, "val") if (root / "val" / "transforms.json").is_file() else ()
-    return GroundTruth(root, folder, read_fipt_views(root, "train"), val_views, _response(folder))
+    return GroundTruth(
+        root=root, folder=folder, views=read_fipt_views(root, "train"), val_views=val_views, response=_response(folder)
+    )
 
 
 def read_lights(truth: GroundTruth) -> dict | None:

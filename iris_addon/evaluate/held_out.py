@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import least_squares
 
-from ..capture import load_photo
-from ..capture.types import Photo, View
-from ..response.curve import Response
-from ..result.types import Result
+from ..capture.photos import load_photo
+from ..model.capture import Photo, View
+from ..model.response import Response
+from ..results.result import Result
 from . import metrics
 from .metrics import FloatArray
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..progress import Progress
+from ..base.progress import Progress
+from ..results.maps import MapRenderer, ViewMaps
 from . import metrics
 from .ground_truth import GroundTruth
-from .maps import MapRenderer, ViewMaps
 from .metrics import FloatArray, Mask
 
 FULLY_ROUGH = 0.999

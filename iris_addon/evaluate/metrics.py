@@ -9,15 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from ..response.curve import LUMINANCE, Response
+from ..model.response import Response
 
 FloatArray = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
 MIN_MSE = 1e-10
 """Equal images score 100 dB, so that a mean over images stays finite."""
-
-MIDDLE_GREY = 0.18
 
 
 # ---- images --------------------------------------------------------------------------------------------------------
@@ -31,11 +29,6 @@ def quantise8(image: FloatArray) -> FloatArray:
 def to_ldr(radiance: FloatArray, response: Response, exposure: float | FloatArray) -> FloatArray:
     """floor(255 f(clip(radiance · exposure))) / 255, the photo a camera takes of ``radiance`` (H, W, 3)."""
     return np.floor(255.0 * response.apply(np.clip(radiance * exposure, 0.0, 1.0)) + 1e-9) / 255.0
-
-
-def grey_exposure(radiance: FloatArray) -> float:
-    """The exposure that puts the median luminance of ``radiance`` (..., 3) at middle grey, 0.18."""
-    return MIDDLE_GREY / max(float(np.median(radiance @ LUMINANCE)), 1e-12)
 
 
 def mse(image: FloatArray, truth: FloatArray, mask: Mask | None = None) -> float:

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from scipy.optimize import minimize_scalar
 
-from ..capture.types import Camera
-from ..progress import Progress
-from ..response.curve import Response, gamma
-from ..result.edits import SceneEdit
-from ..result.edits_json import insertion_edits, new_lights_edit, one_emitter_edit
-from ..result.types import Result
+from ..base.progress import Progress
+from ..edits.jobs import insertion_edits, new_lights_edit, one_emitter_edit
+from ..edits.scene_edit import SceneEdit
+from ..model.capture import Camera
+from ..model.response import Response, gamma
+from ..results.result import Result
 from . import metrics
 from .ground_truth import GroundTruth, read_lights, read_mask, read_objects, read_rgb
 from .metrics import FloatArray, Mask
@@ -110,7 +110,14 @@ def novel_views(
     ]
     images = render_all(result, [view.camera for view, _ in chosen], None, render, samples, seed, progress)
     return [
-        Picture("nvs_psnr", view.name, image, photo, result.response, view.exposure or 1.0)
+        Picture(
+            metric="nvs_psnr",
+            view=view.name,
+            radiance=image,
+            truth=photo,
+            response=result.response,
+            exposure=view.exposure or 1.0,
+        )
         for (view, photo), image in zip(chosen, images, strict=True)
     ]
 
@@ -160,7 +167,15 @@ def _beside(
     """Rendering and reference through the true response, exposed for the reference's median."""
     response = truth.response or gamma()
     exposure = metrics.grey_exposure(reference)
-    return Picture(metric, view, image, metrics.to_ldr(reference, response, exposure), response, exposure, mask)
+    return Picture(
+        metric=metric,
+        view=view,
+        radiance=image,
+        truth=metrics.to_ldr(reference, response, exposure),
+        response=response,
+        exposure=exposure,
+        mask=mask,
+    )
 
 
 def render_all(

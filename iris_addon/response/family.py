@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from .curve import N_SAMPLES, Response
+from ..model.response import N_SAMPLES, Response
 
 FITTED = "power-spline"
 """Name of the family in a response."""

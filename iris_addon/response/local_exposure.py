@@ -1,203 +1,117 @@
-"""What a camera does to exposure from place to place within a photo: local tone mapping and vignetting.
+"""Whether a camera exposes places of a photo differently, found from overlap: patches that photos show in other places.
 
-A photo is z = f(L t g(p)). With y = log luminance of what reaches the sensor, B its Gaussian mean around the pixel p
-and r the distance from the middle of the photo over that of its corners,
-
-    log g(p) = -strength (B(p) - median B) - falloff r(p)^2
-
-The first term compresses contrast between regions and keeps it within them, as the base layer of Durand & Dorsey 2002
-does; phones and cameras' "shadow boost" work alike. The second is cos^4 and mechanical vignetting to their first order.
-Both are smooth, so that a small picture of each photo is enough to find and to undo them.
+A patch beside a window in one photo and alone in another tells how strongly contrast is compressed; one in the middle
+and in a corner tells the vignetting. What all photos compress alike is invisible to them, but has the same parameters.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 
-from ..parallel import filled
-from .curve import LUMINANCE, SATURATED, Response
+from ..model.local_exposure import ALIKE, LocalExposure, LocalSettings, SmallPhotos
+from . import family
+from .overlap_problem import OverlapProblem
 
-ROWS, COLUMNS = 24, 32
-"""Of small photos, whatever the shape of the large ones."""
-CELL = 8
-"""Rows and columns of pixels that are looked at in each cell, if there are more."""
-DARKEST = 1e-4
-"""Relative exposure below which all is black."""
-SETTLED, MOST_TURNS = 1e-3, 40
-"""Change of log exposure at which undoing a tone mapping ends, and turns after which it does anyway."""
+LOCAL_GAIN = 0.95
+"""Disagreement of held-out patches, relative to that without, at which a parameter earns its place."""
+A_LITTLE = {"strength": 0.1, "falloff": 0.2}
+MOST = {"strength": 0.9, "falloff": 2.0}
+"""Of each parameter: what is tried first, which has to help, and its upper bound."""
+SCALES, HEADROOMS = (1 / 24, 1 / 12, 1 / 6, 1 / 3), (1.0, 2.0, 4.0, 8.0)
+TOLERANCE = 0.01
+STEPS = 8
+"""Of the curve, each time that parameters were found under it."""
 
-
-@dataclass(frozen=True)
-class LocalSettings:
-    """Parameters of the model, common to all photos.
-
-    Attributes:
-        strength: share by which contrast between regions is compressed, 0 to 1.
-        scale: standard deviation of the Gaussian mean, in widths of the photo.
-        headroom: relative exposure that clipped pixels are taken to have had in that mean.
-        falloff: natural logarithm by which corners are darker than the middle.
-    """
-
-    strength: float = 0.0
-    scale: float = 1 / 12
-    headroom: float = 1.0
-    falloff: float = 0.0
-
-    def gain(self, photo: NDArray[np.floating], response: Response) -> NDArray[np.float64]:
-        """(H, W, 1) factor of the exposure that the camera gave places of ``photo`` (H, W, 3), or (1, 1, 1) of 1."""
-        if not self.strength and not self.falloff:
-            return np.ones((1, 1, 1))
-        height, width = photo.shape[:2]
-        z, clipped = small_photo(photo, np.ones((height, width), bool))
-        small = SmallPhotos(z[None], clipped[None], np.array([[height, width]]))
-        every = np.arange(height * width)
-        return small.local_exposure(self, response).at(np.zeros_like(every), every).reshape(height, width, 1)
-
-
-ALIKE = LocalSettings()
-"""All places of a photo are exposed alike."""
+Knots = list[NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
-class LocalExposure:
-    """Gain of every place of every photo.
-
-    Attributes:
-        log_gain: (V, 24, 32) float32 natural logarithm.
-        sizes: (V, 2) height and width of the photos.
-    """
+class _Fit:
+    """Settings, the curve that goes with them, and the disagreement of held-out patches under both."""
 
     settings: LocalSettings
-    log_gain: NDArray[np.float32]
-    sizes: NDArray[np.int64]
+    knots: Knots
+    error: float
 
-    def at(self, view: NDArray[np.integer], pixel: NDArray[np.integer]) -> NDArray[np.float64]:
-        """(n,) factor of the exposure at row-major pixels (n,) of views (n,)."""
 
-        def gain(rows: slice) -> NDArray[np.float64]:
-            height, width = self.sizes[view[rows]].T
-            row, column = np.divmod(pixel[rows], width)
-            above, down = _between((row + 0.5) / height * ROWS - 0.5, ROWS)
-            left, right = _between((column + 0.5) / width * COLUMNS - 0.5, COLUMNS)
-            upper, lower = (
-                (1 - right) * self.log_gain[view[rows], line, left] + right * self.log_gain[view[rows], line, left + 1]
-                for line in (above, above + 1)
-            )
-            return np.exp((1 - down) * upper + down * lower)
+def find_local_exposure(
+    training: OverlapProblem, testing: OverlapProblem, small: SmallPhotos, knots: Knots, forced: bool
+) -> LocalExposure | None:
+    """The local tone mapping and vignetting that held-out patches bear out; None where they do not.
 
-        return filled(np.empty(len(view)), gain)
-
-    def arrays(self) -> dict[str, NDArray]:
-        """Plain arrays for a checkpoint."""
-        return {
-            "local_settings": np.array(astuple(self.settings)),
-            "local_log_gain": self.log_gain,
-            "local_sizes": self.sizes,
-        }
-
-    @staticmethod
-    def from_arrays(arrays: Mapping[str, NDArray]) -> LocalExposure | None:
-        """Inverse of :meth:`arrays`; None where there are none."""
-        if "local_settings" not in arrays:
-            return None
-        settings = LocalSettings(*arrays["local_settings"].tolist())
-        return LocalExposure(settings, arrays["local_log_gain"], arrays["local_sizes"])
-
-    def raised(self, exponent: float) -> LocalExposure:
-        """That of the same photos, explained by radiance to the power ``exponent``."""
-        own = self.settings
-        raised = replace(own, headroom=own.headroom**exponent, falloff=own.falloff * exponent)
-        return replace(self, settings=raised, log_gain=(self.log_gain * exponent).astype(np.float32))
+    Args:
+        knots: of the curve under which places are alike.
+        forced: whether all parameters are taken, whatever held-out patches say.
+    """
+    search = _Search(training, testing, small)
+    fit = _Fit(ALIKE, knots, testing.disagreement(knots))
+    if not np.isfinite(fit.error):  # no patch was held out: nothing could be borne out
+        return None
+    untried = list(A_LITTLE)
+    while untried:
+        ends = {name: search.along((name,), fit, forced) for name in untried}
+        name, best = min(ends.items(), key=lambda end: end[1].error)
+        if not forced and best.error > LOCAL_GAIN * fit.error:
+            break
+        fit = best
+        untried.remove(name)
+    if not untried:  # corners are dark for one reason or the other: one by one they would creep along a valley
+        fit = search.along(tuple(A_LITTLE), fit, forced=True)
+    if fit.settings == ALIKE:
+        return None
+    return small.local_exposure(fit.settings, family.to_response(fit.knots))
 
 
 @dataclass(frozen=True)
-class SmallPhotos:
-    """Photos of any size as pictures of one small size.
+class _Search:
+    training: OverlapProblem
+    testing: OverlapProblem
+    small: SmallPhotos
 
-    Attributes:
-        z: (V, 24, 32, 3) float32 mean display values.
-        clipped: (V, 24, 32) float32 share of pixels and channels that are clipped.
-        sizes: (V, 2) height and width of the photos.
-    """
+    def along(self, names: tuple[str, ...], start: _Fit, forced: bool) -> _Fit:
+        """The best fit that differs from ``start`` in some parameters and in the curve; ``start`` where a little of
+        them does not help."""
+        settings, knots = start.settings, start.knots
+        mapped = "strength" in names
+        scales = [{"scale": scale} for scale in SCALES] if mapped else [{}]
+        headrooms = [{"headroom": height} for height in HEADROOMS] if mapped else [{}]
+        little = {name: A_LITTLE[name] for name in names}
+        tried = min(self._error(replace(settings, **little, **scale), knots) for scale in scales)
+        if not forced and tried >= self._error(settings, knots):
+            return start
+        for choices in (scales, scales, headrooms, headrooms):
+            ends = [self._best(names, replace(settings, **choice), knots) for choice in choices]
+            settings = min(ends, key=lambda end: end[1])[0]
+            knots = self._exposed(self.training, settings, knots).minimise(knots, STEPS)
+        return _Fit(settings, knots, self._exposed(self.testing, settings, knots).disagreement(knots))
 
-    z: NDArray[np.float32]
-    clipped: NDArray[np.float32]
-    sizes: NDArray[np.int64]
+    def _best(self, names: tuple[str, ...], start: LocalSettings, knots: Knots) -> tuple[LocalSettings, float]:
+        """The parameters at which patches agree best under a given curve, and how well."""
+        at = np.array([getattr(start, name) for name in names])
+        found = minimize(
+            lambda x: self._error(replace(start, **dict(zip(names, x.tolist(), strict=True))), knots),
+            at,
+            method="Nelder-Mead",
+            bounds=[(0.0, MOST[name]) for name in names],
+            options={
+                "initial_simplex": np.vstack([at, at + np.diag([A_LITTLE[name] for name in names])]),
+                "xatol": TOLERANCE,
+                "fatol": np.inf,  # steps decide: at a distance errors hardly differ
+            },
+        )
+        return replace(start, **dict(zip(names, found.x.tolist(), strict=True))), float(found.fun)
 
-    def local_exposure(self, settings: LocalSettings, response: Response) -> LocalExposure:
-        """The gains that the photos were given, if ``response`` is their curve and ``settings`` are right.
+    def _error(self, settings: LocalSettings, knots: Knots) -> float:
+        return self._exposed(self.training, settings, knots).disagreement(knots)
 
-        The mean was taken of exposures before they were compressed. These solve y = y' + strength (B(y) - median B(y))
-        for the log exposures y' that are seen, a contraction.
-        """
-        seen = np.log(np.maximum(response.invert(np.minimum(self.z + 0.5 / 255, 1.0)) @ LUMINANCE, DARKEST))
-        seen += self.clipped * np.log(settings.headroom)
-        shift = np.zeros(seen.shape)
-        if settings.strength:
-            for _ in range(MOST_TURNS):
-                before, shift = shift, settings.strength * self._base(seen + shift, settings.scale)
-                if np.abs(shift - before).max() < SETTLED:
-                    break
-        return LocalExposure(settings, (-shift - settings.falloff * self._radius2()).astype(np.float32), self.sizes)
-
-    def _base(self, log_exposure: NDArray[np.float64], scale: float) -> NDArray[np.float64]:
-        """(V, 24, 32) Gaussian means over their median in each photo."""
-        # Cells are as wide as they are high in photos of 4:3 only; photos of one capture are mostly alike.
-        height, width = np.median(self.sizes, axis=0)
-        base = gaussian(scale * width / height * ROWS, ROWS) @ log_exposure @ gaussian(scale * COLUMNS, COLUMNS).T
-        return base - np.median(base, axis=(1, 2), keepdims=True)
-
-    def _radius2(self) -> NDArray[np.float64]:
-        """(V, 24, 32) squared distance from the middle, 1 in the corners."""
-        x = (np.arange(COLUMNS) + 0.5) / COLUMNS * 2 - 1
-        y = (np.arange(ROWS) + 0.5) / ROWS * 2 - 1
-        height, width = self.sizes.T[:, :, None, None].astype(np.float64)
-        return ((x * width) ** 2 + (y[:, None] * height) ** 2) / (width**2 + height**2)
-
-
-def gaussian(deviation: float, n: int) -> NDArray[np.float64]:
-    """(n, n) weights of cells in the Gaussian mean around each; those beyond an end are taken for the last one."""
-    reach = int(np.ceil(4 * deviation))
-    offset = np.arange(-reach, reach + 1)
-    weight = np.exp(-0.5 * (offset / deviation) ** 2)
-    cell = np.arange(n)[:, None]
-    mean = np.zeros((n, n))
-    np.add.at(mean, (np.broadcast_to(cell, (n, len(offset))), np.clip(cell + offset, 0, n - 1)), weight / weight.sum())
-    return mean
+    def _exposed(self, problem: OverlapProblem, settings: LocalSettings, knots: Knots) -> OverlapProblem:
+        return exposed(problem, self.small.local_exposure(settings, family.to_response(knots)))
 
 
-def _between(position: NDArray[np.floating], n: int) -> tuple[NDArray[np.int64], NDArray[np.floating]]:
-    """Index of the cell before each position among ``n``, and the way from its middle to the next one's, in [0, 1]."""
-    position = np.clip(position, 0.0, n - 1.0)
-    before = np.minimum(position.astype(np.int64), n - 2)
-    return before, position - before
-
-
-def small_photo(
-    values: NDArray[np.floating], valid: NDArray[np.bool_]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """(24, 32, 3) display values and (24, 32) share that is clipped, of a photo (H, W, 3) where it is valid (H, W)."""
-    height, width = valid.shape
-    step = max(1, min(height // (ROWS * CELL), width // (COLUMNS * CELL)))
-    values, valid = values[::step, ::step], valid[::step, ::step]
-    return shrink(values, valid), shrink((values >= SATURATED).mean(-1, keepdims=True), valid)[..., 0]
-
-
-def shrink(values: NDArray[np.floating], valid: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """(24, 32, C) mean of the valid pixels (H, W) of ``values`` (H, W, C) per cell; the median of cells without any."""
-    height, width = valid.shape
-    rows, columns = np.arange(ROWS) * height // ROWS, np.arange(COLUMNS) * width // COLUMNS
-
-    def sums(pixels: NDArray) -> NDArray[np.float64]:
-        return np.add.reduceat(np.add.reduceat(pixels, rows, axis=0, dtype=np.float64), columns, axis=1)
-
-    count = sums(valid[..., None])
-    small = sums(np.where(valid[..., None], values, 0)) / np.maximum(count, 1)
-    filled = count[..., 0] > 0
-    if filled.any():
-        small[~filled] = np.median(small[filled], axis=0)
-    return small.astype(np.float32)
+def exposed(problem: OverlapProblem, local: LocalExposure) -> OverlapProblem:
+    """``problem`` of photos whose places are exposed differently."""
+    return replace(problem, log_gain=np.log(local.at(problem.view, problem.pixel)))

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..grouping import group_equal, group_sums
-from .curve import SATURATED
+from ..base.group_by import group_equal, group_sums
+from ..model.response import SATURATED
 
 MIXED_SAY = 1e-3
 """Say of a pixel on an edge: any other that shows the place outweighs it."""
@@ -87,16 +87,16 @@ def observe(
 
     neither = np.zeros((m, 3), np.float32)
     return Observations(
-        (unique // n_views).astype(np.int32),
-        (unique % n_views).astype(np.int16),
-        count.astype(np.float32),
-        mean.astype(np.float32),
-        np.sqrt(np.maximum(square - mean**2, 0.0)).astype(np.float32),
-        neither if hdr else share(z >= SATURATED),
-        neither if hdr else share(z <= 0),
-        order[groups.order[groups.start]],
-        _middle(pixel, widths[view], group, widths[unique % n_views], count),
-        group,
+        patch=(unique // n_views).astype(np.int32),
+        view=(unique % n_views).astype(np.int16),
+        count=count.astype(np.float32),
+        z=mean.astype(np.float32),
+        spread=np.sqrt(np.maximum(square - mean**2, 0.0)).astype(np.float32),
+        saturated=neither if hdr else share(z >= SATURATED),
+        black=neither if hdr else share(z <= 0),
+        sample=order[groups.order[groups.start]],
+        pixel=_middle(pixel, widths[view], group, widths[unique % n_views], count),
+        sample_to_observation=group,
     )
 
 

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..config import AUTO, Refinements
+from ..model.local_exposure import LocalExposure, SmallPhotos
+from ..model.response import Response
 from . import family
-from .curve import Response
-from .local_exposure import LocalExposure, SmallPhotos
-from .local_search import exposed, find_local_exposure
+from .local_exposure import exposed, find_local_exposure
 from .observations import Observations
 from .overlap_problem import MIN_EXPOSURE_SPREAD, MIN_UNKNOWN_SPREAD, OverlapProblem
 
@@ -118,16 +118,22 @@ def fit_overlap(
     if small is not None and refinements.local_exposure is not False:
         local = find_local_exposure(training, testing, small, knots, refinements.local_exposure is True)
     if local is not None:
-        problem, training, testing = (exposed(part, local) for part in (problem, training, testing))
+        problem, training, testing = (exposed(region, local) for region in (problem, training, testing))
         knots, error = _fit_curves(training, testing, refinements)
     if exposures is not None and refinements.corrected_exposures is not False:
         gain = np.inf if refinements.corrected_exposures else EXPOSURE_GAIN
         log_t = _right_exposures(training, testing, knots, gain)
         if log_t is not None:
-            problem, training, testing = (replace(part, log_t=log_t) for part in (problem, training, testing))
+            problem, training, testing = (replace(region, log_t=log_t) for region in (problem, training, testing))
             knots, error = _fit_curves(training, testing, refinements)
     response = family.to_response(knots)
-    return OverlapFit(response, problem.exposures(response), error, len(knots) == 3, local)
+    return OverlapFit(
+        response=response,
+        exposures=problem.exposures(response),
+        residual=error,
+        per_channel=len(knots) == 3,
+        local=local,
+    )
 
 
 def _of_one_exposure(problem: OverlapProblem) -> bool:
@@ -157,7 +163,7 @@ def _fit_curves(
 
 
 def _first_guess(problem: OverlapProblem) -> NDArray[np.float64]:
-    """Knots to start from: the median measured response, or a power that leads lower on a part of the patches.
+    """Knots to start from: the median measured response, or a power that leads lower on a region of the patches.
 
     From the median alone a curve that crushes the shadows ends where it fits neither those nor the lights.
     """

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..grouping import group_sums
-from .curve import Response
+from ..base.group_by import group_sums
+from ..model.response import Response
 from .observations import Observations
 
 MODEL_NOISE = 0.03
@@ -102,13 +102,21 @@ def linearise_bytes(
     x, noise = exposed(response, z, black)
     bound = np.where(saturated > CLIPPED_SHARE, 1.0 / t, 0.0)
     ceiling = np.where(black > CLIPPED_SHARE, darkest(response) / t, np.inf)
-    return Linearised(x / t, saturated == 0, bound, ceiling, 1.0 / (MODEL_NOISE**2 + noise**2))
+    return Linearised(
+        radiance=x / t, open=saturated == 0, bound=bound, ceiling=ceiling, precision=1.0 / (MODEL_NOISE**2 + noise**2)
+    )
 
 
 def radiance_itself(radiance: NDArray[np.float64]) -> Linearised:
     """Observations (M, 3) of HDR photos: open from end to end."""
     shape = radiance.shape
-    return Linearised(radiance, np.ones(shape, bool), np.zeros(shape), np.full(shape, np.inf), np.full(shape, SURE))
+    return Linearised(
+        radiance=radiance,
+        open=np.ones(shape, bool),
+        bound=np.zeros(shape),
+        ceiling=np.full(shape, np.inf),
+        precision=np.full(shape, SURE),
+    )
 
 
 def darkest(response: Response) -> NDArray[np.float64]:

@@ -1,6 +1,6 @@
 """Surface patches: the cells on which radiance and irradiance are kept.
 
-A patch is what lies in one cell of a grid, faces one way and belongs to one part. The grid's cell size doubles from
+A patch is what lies in one cell of a grid, faces one way and belongs to one region. The grid's cell size doubles from
 level to level and follows the pixel footprint of the photos block by block, so that a patch covers a few pixels
 wherever a camera was close and little is spent where none was. Triangles play no role: a mesh of ten million of them
 or with long slivers gives the same patches, and every point on the surface finds its patch by hashing.
@@ -16,9 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..grouping import Groups
-from ..kernels import Integer, Real, inlined, kernel
-from ..parallel import BLOCK, over_blocks
+from ..base.compiled import Integer, Real, inlined, kernel
+from ..base.group_by import Groups, group_equal, group_means
+from ..base.parallel import BLOCK, over_blocks
+from ..model.capture import Mesh
+from ..rays.sampling import Origins
+from .primary_rays import PixelSamples
 
 N_LEVELS = 6
 FINEST = 0.01
@@ -118,23 +121,23 @@ def _side(x: Real) -> Integer:
 
 @inlined
 def _cell_key(
-    cells: Cells, level: Integer, x: Real, y: Real, z: Real, nx: Real, ny: Real, nz: Real, part: Integer
+    cells: Cells, level: Integer, x: Real, y: Real, z: Real, nx: Real, ny: Real, nz: Real, region: Integer
 ) -> Integer:
     """Hash of (cell of ``level``, 26 directions of the normal, part)."""
     facing = 9 * _side(nx) + 3 * _side(ny) + _side(nz)
     x, y, z = x - cells.origin[0], y - cells.origin[1], z - cells.origin[2]
     key = _mix(np.uint64(0), _cell(x, y, z, cells.per_metre / (1 << level)))
-    return _mix(key, (np.int64(part) * 27 + facing) * N_LEVELS + level)
+    return _mix(key, (np.int64(region) * 27 + facing) * N_LEVELS + level)
 
 
 @kernel
 def _cell_keys(
-    cells: Cells, position: NDArray, normal: NDArray, part: NDArray[np.integer], keys: NDArray[np.uint64]
+    cells: Cells, position: NDArray, normal: NDArray, region: NDArray[np.integer], keys: NDArray[np.uint64]
 ) -> None:
     for i in range(len(keys)):
         x, y, z = position[i, 0], position[i, 1], position[i, 2]
         level = _level_at(cells, x, y, z)
-        keys[i] = _cell_key(cells, level, x, y, z, normal[i, 0], normal[i, 1], normal[i, 2], part[i])
+        keys[i] = _cell_key(cells, level, x, y, z, normal[i, 0], normal[i, 1], normal[i, 2], region[i])
 
 
 @kernel
@@ -151,22 +154,22 @@ class Lookup(NamedTuple):
 
 
 @inlined
-def patch_at(lookup: Lookup, x: Real, y: Real, z: Real, nx: Real, ny: Real, nz: Real, part: Integer) -> Integer:
+def patch_at(lookup: Lookup, x: Real, y: Real, z: Real, nx: Real, ny: Real, nz: Real, region: Integer) -> Integer:
     """Patch of a surface point, -1 where there is none; the normal is on the side looked at."""
     level = _level_at(lookup.cells, x, y, z)
-    patch = number_of(lookup.patches, _cell_key(lookup.cells, level, x, y, z, nx, ny, nz, part))
+    patch = number_of(lookup.patches, _cell_key(lookup.cells, level, x, y, z, nx, ny, nz, region))
     if patch < 0 and level != N_LEVELS - 1:  # what no photo shows there has patches of the coarsest size
-        patch = number_of(lookup.patches, _cell_key(lookup.cells, N_LEVELS - 1, x, y, z, nx, ny, nz, part))
+        patch = number_of(lookup.patches, _cell_key(lookup.cells, N_LEVELS - 1, x, y, z, nx, ny, nz, region))
     return patch
 
 
 @kernel
 def _patches_at(
-    lookup: Lookup, position: NDArray, normal: NDArray, part: NDArray[np.integer], patch: NDArray[np.int32]
+    lookup: Lookup, position: NDArray, normal: NDArray, region: NDArray[np.integer], patch: NDArray[np.int32]
 ) -> None:
     for i in range(len(patch)):
         x, y, z = position[i, 0], position[i, 1], position[i, 2]
-        patch[i] = patch_at(lookup, x, y, z, normal[i, 0], normal[i, 1], normal[i, 2], part[i])
+        patch[i] = patch_at(lookup, x, y, z, normal[i, 0], normal[i, 1], normal[i, 2], region[i])
 
 
 @dataclass(frozen=True)
@@ -188,11 +191,11 @@ class PatchGrid:
     cell_patches: NDArray[np.int32]
 
     def patches(
-        self, position: NDArray[np.floating], normal: NDArray[np.floating], part: NDArray[np.integer]
+        self, position: NDArray[np.floating], normal: NDArray[np.floating], region: NDArray[np.integer]
     ) -> NDArray[np.int32]:
         """(n,) patch of each surface point, -1 where there is none; ``normal`` is on the side looked at."""
         patch = np.empty(len(position), np.int32)
-        _patches_at(self.lookup, position, normal, part, patch)
+        _patches_at(self.lookup, position, normal, region, patch)
         return patch
 
     @cached_property
@@ -215,11 +218,11 @@ def block_keys(position: NDArray[np.floating], origin: NDArray[np.float64], scal
 
 
 def cell_keys(
-    grid: Cells, position: NDArray[np.floating], normal: NDArray[np.floating], part: NDArray[np.integer]
+    grid: Cells, position: NDArray[np.floating], normal: NDArray[np.floating], region: NDArray[np.integer]
 ) -> NDArray[np.uint64]:
     """Hash of (cell at the block's level, 26 directions of the normal, part) for each point."""
     keys = np.empty(len(position), np.uint64)
-    over_blocks(len(keys), BLOCK, lambda rows: _cell_keys(grid, position[rows], normal[rows], part[rows], keys[rows]))
+    over_blocks(len(keys), BLOCK, lambda rows: _cell_keys(grid, position[rows], normal[rows], region[rows], keys[rows]))
     return keys
 
 
@@ -238,3 +241,111 @@ def choose_levels(
     histogram = np.bincount(blocks.group * N_LEVELS + level, minlength=n * N_LEVELS).reshape(n, N_LEVELS)
     quartile = (np.cumsum(histogram, axis=1) <= (blocks.count // 4)[:, None]).sum(1)
     return quartile.astype(np.int8)
+
+
+# ---- From pixels on the mesh to patches: the surface that all later rooms speak about -------------------------------
+
+
+FIRST_PIXELS_PER_PATCH = 3.0
+ORIGINS_PER_PATCH = 8
+AROUND = 0.1
+"""Metres over which normals are compared."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Patches that photos see.
+
+    Attributes:
+        grid: surface point to patch.
+        sample_patch: (n,) int32 patch of every pixel sample.
+        position, normal: (P, 3) float32 mean over the patch's pixels; the normal has unit length.
+        footprint: (P,) float32 metres, that of one of its pixels.
+        part: (P,) int32.
+        count: (P,) int64 pixels.
+        spread: (P,) how the region's normals differ around each patch: 0 in a plane, at most sqrt(2/3).
+        origins: points on each patch from which rays start.
+        pixels_per_patch: edge length of a patch in pixels that met the patch budget.
+    """
+
+    grid: PatchGrid
+    sample_patch: NDArray[np.int32]
+    position: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    footprint: NDArray[np.float32]
+    region: NDArray[np.int32]
+    count: NDArray[np.int64]
+    spread: NDArray[np.float64]
+    origins: Origins
+    pixels_per_patch: float
+
+
+def build_surface(
+    mesh: Mesh, samples: PixelSamples, regions: NDArray[np.int32], max_patches: int, rng: np.random.Generator
+) -> Surface:
+    """Patches as fine as ``max_patches`` allows.
+
+    Args:
+        regions: (F,) part per face.
+    """
+    used = mesh.vertices[np.unique(mesh.faces)]
+    # Of what most pixels show: a backdrop far away is no sign of another unit of length.
+    some = samples.position[:: 1 + len(samples.position) // 100_000]
+    extent = float(np.ptp(np.percentile(some, (2, 98), axis=0), axis=0).max())
+    scale = max(extent / 300.0, 1e-6) if extent > 300.0 else 1.0
+    origin = used.min(0) - scale * np.array([0.1234, 0.2345, 0.3456])
+    region = regions[samples.face]
+    pixels_per_patch = FIRST_PIXELS_PER_PATCH
+    blocks = group_equal(block_keys(samples.position, origin, scale))
+    while True:
+        levels = choose_levels(blocks, samples.footprint, scale, pixels_per_patch)
+        keys = cell_keys(cells(origin, scale, blocks.keys, levels), samples.position, samples.normal, region)
+        groups = group_equal(keys)
+        n = len(groups.keys)
+        if n <= max_patches or pixels_per_patch > 100:
+            break
+        pixels_per_patch *= max(1.1, min(2.0, (n / max_patches) ** 0.5))
+        if (levels == N_LEVELS - 1).mean() > 0.5:
+            # Where most cells are as coarse as they get, only a coarser grid helps: captures far larger than a room.
+            scale *= 2
+            blocks = group_equal(block_keys(samples.position, origin, scale))
+    patch, order, start, count = groups.group, groups.order, groups.start, groups.count
+    grid = PatchGrid(
+        origin=origin,
+        scale=scale,
+        block_keys=blocks.keys,
+        block_levels=levels,
+        cell_keys=groups.keys,
+        cell_patches=np.arange(n, dtype=np.int32),
+    )
+    pick = order[start[:, None] + (rng.random((n, ORIGINS_PER_PATCH)) * count[:, None]).astype(np.int64)]
+    normal = group_means(samples.normal, patch, n)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+    position = group_means(samples.position, patch, n).astype(np.float32)
+    region_of_patch = region[order[start]]
+    cell = np.floor((position - origin) / (AROUND * scale)).astype(np.int64)
+    around = np.unique(np.column_stack([cell, region_of_patch]), axis=0, return_inverse=True)[1].reshape(-1)
+    return Surface(
+        grid=grid,
+        sample_patch=patch,
+        position=position,
+        normal=normal.astype(np.float32),
+        footprint=samples.footprint[order[start + count // 2]],
+        region=region_of_patch,
+        count=count,
+        spread=normal_spread(samples.normal, around[patch])[around],
+        origins=Origins(samples.position[pick], samples.normal[pick]),
+        pixels_per_patch=pixels_per_patch,
+    )
+
+
+def normal_spread(normal: NDArray[np.floating], group: NDArray[np.integer]) -> NDArray[np.float64]:
+    """(m,) root mean square sine of the angle between the unit normals (n, 3) of each group and their common axis.
+
+    The axis is the direction that has most of their second moment, so the two sides of a sheet agree.
+    """
+    m = int(group.max()) + 1
+    products = np.concatenate([normal * np.roll(normal, -k, axis=1) for k in (0, 1)], 1)
+    xx, yy, zz, xy, yz, zx = (group_means(products, group, m)).T
+    moment = np.stack([xx, xy, zx, xy, yy, yz, zx, yz, zz], 1).reshape(m, 3, 3)
+    return np.sqrt(np.clip(1 - np.linalg.eigvalsh(moment)[:, -1], 0.0, None))

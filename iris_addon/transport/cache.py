@@ -11,15 +11,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..array_files import read_arrays, write_arrays
-from ..capture.types import Capture
-from ..errors import IrisError
-from ..progress import Progress
-from ..surface.build import Surface
-from ..surface.patches import PatchGrid
-from ..user_cache import user_cache
-from .gather import GatherRays, Origins
-from .tracer import Tracer
+from ..base.errors import IrisError
+from ..base.files import read_arrays, user_cache, write_arrays
+from ..base.progress import Progress
+from ..model.capture import Capture
+from ..rays.sampling import Origins
+from ..rays.tracer import Tracer
+from ..surface.patches import PatchGrid, Surface
+from .gather import GatherRays
 from .transport import Transport, build_transport
 
 FORMAT = 4
@@ -37,20 +36,20 @@ def cached_transport(
     capture: Capture,
     tracer: Tracer,
     surface: Surface,
-    parts: NDArray[np.int32],
+    regions: NDArray[np.int32],
     n_rays: int,
     seed: int,
     rng: np.random.Generator,
     progress: Progress,
 ) -> Transport:
     """:func:`build_transport`, read back where the same was traced before."""
-    path = cache_folder() / f"transport-{_key(capture, surface, parts, n_rays, seed)}.npz"
+    path = cache_folder() / f"transport-{_key(capture, surface, regions, n_rays, seed)}.npz"
     known = _read(path)
     if known is not None:
         with suppress(OSError):  # a cache that may only be read still serves
             os.utime(path)
         return known
-    transport = build_transport(tracer, surface, parts, n_rays, rng, progress)
+    transport = build_transport(tracer, surface, regions, n_rays, rng, progress)
     try:
         write_arrays(path, _arrays(transport))
     except IrisError as error:
@@ -61,9 +60,9 @@ def cached_transport(
     return transport
 
 
-def _key(capture: Capture, surface: Surface, parts: NDArray[np.int32], n_rays: int, seed: int) -> str:
-    digest = hashlib.sha256(repr((FORMAT, n_rays, seed, len(surface.part), surface.pixels_per_patch)).encode())
-    for array in (capture.mesh.vertices, capture.mesh.faces, parts, surface.grid.cell_keys, surface.origins.position):
+def _key(capture: Capture, surface: Surface, regions: NDArray[np.int32], n_rays: int, seed: int) -> str:
+    digest = hashlib.sha256(repr((FORMAT, n_rays, seed, len(surface.region), surface.pixels_per_patch)).encode())
+    for array in (capture.mesh.vertices, capture.mesh.faces, regions, surface.grid.cell_keys, surface.origins.position):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()[:32]
 
@@ -83,7 +82,7 @@ _GRID = ("origin", "block_keys", "block_levels", "cell_keys", "cell_patches")
 
 
 def _arrays(t: Transport) -> dict[str, NDArray]:
-    arrays = {"n_seen": np.array(t.n_seen), "target": t.target, "unseen_target": t.unseen_target, "part": t.part}
+    arrays = {"n_seen": np.array(t.n_seen), "target": t.target, "unseen_target": t.unseen_target, "region": t.region}
     for name, origins in (("origins", t.origins), ("unseen_origins", t.unseen_origins)):
         arrays |= {f"{name}.position": origins.position, f"{name}.normal": origins.normal}
     for name, rays in (("rays", t.rays), ("unseen_rays", t.unseen_rays)):
@@ -98,16 +97,16 @@ def _read(path: Path) -> Transport | None:
         return None
     try:
         return Transport(
-            int(a["n_seen"]),
-            Origins(a["origins.position"], a["origins.normal"]),
-            Origins(a["unseen_origins.position"], a["unseen_origins.normal"]),
-            GatherRays(*(a[f"rays.{field}"] for field in _RAYS)),
-            GatherRays(*(a[f"unseen_rays.{field}"] for field in _RAYS)),
-            a["target"],
-            a["unseen_target"],
-            a["part"],
-            PatchGrid(a["grid.origin"], float(a["grid.scale"]), *(a[f"grid.{field}"] for field in _GRID[1:])),
-            np.zeros(len(a["part"])),
+            n_seen=int(a["n_seen"]),
+            origins=Origins(a["origins.position"], a["origins.normal"]),
+            unseen_origins=Origins(a["unseen_origins.position"], a["unseen_origins.normal"]),
+            rays=GatherRays(*(a[f"rays.{field}"] for field in _RAYS)),
+            unseen_rays=GatherRays(*(a[f"unseen_rays.{field}"] for field in _RAYS)),
+            target=a["target"],
+            unseen_target=a["unseen_target"],
+            region=a["region"],
+            grid=PatchGrid(a["grid.origin"], float(a["grid.scale"]), *(a[f"grid.{field}"] for field in _GRID[1:])),
+            kappa=np.zeros(len(a["region"])),
         )
     except (KeyError, ValueError, TypeError):
         # A foreign file: traced again and overwritten.

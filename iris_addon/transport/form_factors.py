@@ -14,14 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..grouping import entries_of
-from ..kernels import Integer, Real, inlined, kernel, rows_of
-from ..parallel import BLOCK, over_each, random_blocks
-from ..progress import Progress
-from .diffuse import schlick
-from .gather import GatherRays, Origins
-from .sampling import Vector, grazing, r2_sequence, vector
-from .tracer import Tracer
+from ..base.compiled import Integer, Real, inlined, kernel, rows_of
+from ..base.group_by import entries_of
+from ..base.parallel import BLOCK, over_each, random_blocks
+from ..base.progress import Progress
+from ..brdf.diffuse import schlick
+from ..rays.sampling import Origins, Vector, grazing, r2_sequence, vector
+from ..rays.tracer import Tracer
+from .gather import GatherRays
 
 POINT_SETS = 1024
 """Sets of points on an emitter, of which every patch takes one at random. Drawing points anew for each patch costs as
@@ -48,7 +48,7 @@ def emitter_form_factors(
     progress: Progress,
 ) -> NDArray[np.float32]:
     """``B`` (P, E, 2): the share of a patch's cosine-weighted hemisphere that each emitter fills, with visibility,
-    and the same weighted by Schlick's S, for diffuse lobes (:func:`iris_addon.transport.diffuse.under_lobe`).
+    and the same weighted by Schlick's S, for diffuse lobes (:func:`iris_addon.brdf.diffuse.under_lobe`).
 
     Args:
         emitters: face indices of each emitter.

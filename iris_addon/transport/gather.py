@@ -11,28 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernels import kernel
-from ..parallel import BLOCK, over_random_blocks
-from ..progress import Progress
-from .sampling import cosine_direction, grazing, r2_sequence, vector
-from .tracer import Tracer
-
-
-@dataclass(frozen=True)
-class Origins:
-    """Points on patches from which rays start: ``k`` per patch, picked among the pixels that saw the patch.
-
-    Attributes:
-        position: (P, k, 3) float32 metres.
-        normal: (P, k, 3) float32 unit, on the visible side.
-    """
-
-    position: NDArray[np.float32]
-    normal: NDArray[np.float32]
-
-    def flat(self, rows: slice) -> tuple[NDArray[np.float32], NDArray[np.float32], int]:
-        """The points of some patches for kernels: positions and normals, (rows · k, 3) each, and k."""
-        return self.position[rows].reshape(-1, 3), self.normal[rows].reshape(-1, 3), self.position.shape[1]
+from ..base.compiled import Integer, Real, inlined, kernel
+from ..base.parallel import BLOCK, over_random_blocks
+from ..base.progress import Progress
+from ..rays.sampling import Origins, cosine_direction, dot, grazing, r2_sequence, vector
+from ..rays.tracer import Tracer
+from ..surface.patches import Lookup, PatchGrid, patch_at
 
 
 @dataclass(frozen=True)
@@ -124,4 +108,71 @@ def gather(
         schlick_end[rows] = s
 
     over_random_blocks(n, BLOCK // n_rays, work, rng, progress.update)
-    return GatherRays(face, direction, distance, schlick_start, schlick_end), point
+    return GatherRays(
+        face=face, direction=direction, distance=distance, schlick_start=schlick_start, schlick_end=schlick_end
+    ), point
+
+
+# ---- The patches that rays meet -------------------------------------------------------------------------------------
+
+
+UNKNOWN, ESCAPED = -1, -2
+"""In place of a patch: a surface without one, and nothing met at all."""
+
+
+def facing_normals(tracer: Tracer, face: NDArray[np.integer], direction: NDArray[np.floating]) -> NDArray[np.float32]:
+    """(n, 3) normals of hit faces, turned against the directions the rays came along."""
+    normal = tracer.normals[face]
+    return normal * np.where(dot(normal, direction) > 0, np.float32(-1), np.float32(1))[:, None]
+
+
+@inlined
+def find_patch(
+    grid: Lookup,
+    normals: NDArray[np.float32],
+    regions: NDArray[np.int32],
+    face: Integer,
+    x: Real,
+    y: Real,
+    z: Real,
+    dx: Real,
+    dy: Real,
+    dz: Real,
+) -> Integer:
+    """Patch of the point (x, y, z) on ``face`` that a ray along (dx, dy, dz) hits, or UNKNOWN; ESCAPED if no face."""
+    if face < 0:
+        return np.int64(ESCAPED)
+    nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
+    if nx * dx + ny * dy + nz * dz > 0:
+        nx, ny, nz = -nx, -ny, -nz
+    return patch_at(grid, x, y, z, nx, ny, nz, regions[face])
+
+
+@kernel
+def _find_patches(
+    grid: Lookup,
+    normals: NDArray[np.float32],
+    regions: NDArray[np.int32],
+    face: NDArray[np.int32],
+    point: NDArray[np.floating],
+    direction: NDArray[np.floating],
+    patch: NDArray[np.int32],
+) -> None:
+    for i in range(len(patch)):
+        x, y, z = point[i, 0], point[i, 1], point[i, 2]
+        dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
+        patch[i] = find_patch(grid, normals, regions, face[i], x, y, z, dx, dy, dz)
+
+
+def find_patches(
+    tracer: Tracer,
+    grid: PatchGrid,
+    regions: NDArray[np.int32],
+    face: NDArray[np.int32],
+    point: NDArray[np.floating],
+    direction: NDArray[np.floating],
+) -> NDArray[np.int32]:
+    """(n,) patch of each hit; UNKNOWN or ESCAPED where there is none."""
+    patch = np.empty(len(face), np.int32)
+    _find_patches(grid.lookup, tracer.normals, regions, face, point, direction, patch)
+    return patch

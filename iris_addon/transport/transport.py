@@ -8,22 +8,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..grouping import group_equal
-from ..kernels import Integer, Real, inlined, kernel
-from ..parallel import BLOCK, filled, over_blocks
-from ..progress import Progress
-from ..surface.build import ORIGINS_PER_PATCH, Surface
-from ..surface.patches import PatchGrid, cell_keys, cells
-from .diffuse import burley_roughness
-from .gather import GatherRays, Origins, gather
-from .light_moments import LightMoments
-from .patch_hits import ESCAPED, UNKNOWN, facing_normals, find_patches
-from .tracer import Tracer
+from ..base.compiled import Integer, Real, inlined, kernel
+from ..base.errors import BadInput
+from ..base.group_by import group_equal
+from ..base.parallel import BLOCK, filled, over_blocks
+from ..base.progress import Progress
+from ..brdf.diffuse import burley_roughness, grazing_gain
+from ..rays.sampling import Origins, dot
+from ..rays.tracer import Tracer
+from ..surface.patches import ORIGINS_PER_PATCH, PatchGrid, Surface, cell_keys, cells
+from .gather import ESCAPED, UNKNOWN, GatherRays, facing_normals, find_patches, gather
 
 UNSEEN_RAYS_SHARE = 4
 """Unseen patches get one in so many of the rays: their radiance is second-hand anyway."""
@@ -41,7 +41,7 @@ class Transport:
         part: (N,) part of each patch.
         grid: from surface points to all N patches.
         device: where torch sums over rays.
-        kappa: (N,) grazing gain of the diffuse lobe of each patch, see :mod:`iris_addon.transport.diffuse`.
+        kappa: (N,) grazing gain of the diffuse lobe of each patch, see :mod:`iris_addon.brdf.diffuse`.
         moments: where the light of the seen patches comes from, once that is about known and their lobe is Burley's;
             without, what they send is that of light from all sides.
     """
@@ -53,7 +53,7 @@ class Transport:
     unseen_rays: GatherRays
     target: NDArray[np.int32]
     unseen_target: NDArray[np.int32]
-    part: NDArray[np.int32]
+    region: NDArray[np.int32]
     grid: PatchGrid
     kappa: NDArray[np.float64]
     device: str = "cpu"
@@ -190,7 +190,7 @@ def table_rows(target: NDArray[np.int32], face: NDArray[np.int32], dark_faces: N
 def targets_of(
     tracer: Tracer,
     grid: PatchGrid,
-    parts: NDArray[np.int32],
+    regions: NDArray[np.int32],
     rays: GatherRays,
     point: NDArray[np.float32],
 ) -> NDArray[np.int32]:
@@ -199,7 +199,7 @@ def targets_of(
 
     def target(block: slice) -> NDArray[np.int32]:
         along = direction[block].astype(np.float32)
-        return find_patches(tracer, grid, parts, face[block], point[block], along)
+        return find_patches(tracer, grid, regions, face[block], point[block], along)
 
     return filled(np.empty(len(face), np.int32), target).reshape(rays.face.shape)
 
@@ -207,7 +207,7 @@ def targets_of(
 def _unseen_patches(
     tracer: Tracer,
     surface: Surface,
-    parts: NDArray[np.int32],
+    regions: NDArray[np.int32],
     rays: GatherRays,
     hit_point: NDArray[np.float32],
     target: NDArray[np.int32],
@@ -218,48 +218,134 @@ def _unseen_patches(
     face = rays.face[row, column]
     point = hit_point[row, column]
     normal = facing_normals(tracer, face, rays.direction[row, column].astype(np.float32))
-    none = np.zeros(0, np.uint64), np.zeros(0, np.int8)
-    keys = cell_keys(cells(surface.grid.origin, surface.grid.scale, *none), point, normal, parts[face])
+    keys = cell_keys(cells(surface.grid.origin, surface.grid.scale, *none), point, normal, regions[face])
     groups = group_equal(keys)
     count = groups.count
     kept = np.sort(np.argsort(-count, kind="stable")[:limit])
-    # Such patches are large, and what rays of the others met of them is the part that matters.
+    # Such patches are large, and what rays of the others met of them is the region that matters.
     step = np.arange(ORIGINS_PER_PATCH) * count[kept, None] // ORIGINS_PER_PATCH
     at = groups.order[groups.start[kept, None] + step]
-    number = np.arange(len(kept), dtype=np.int32) + np.int32(len(surface.part))
-    grid = PatchGrid(surface.grid.origin, surface.grid.scale, *none, groups.keys[kept], number)
-    return grid, Origins(point[at], normal[at]), parts[face[at[:, 0]]]
+    number = np.arange(len(kept), dtype=np.int32) + np.int32(len(surface.region))
+    grid = PatchGrid(
+        origin=surface.grid.origin,
+        scale=surface.grid.scale,
+        block_keys=np.zeros(0, np.uint64),
+        block_levels=np.zeros(0, np.int8),
+        cell_keys=groups.keys[kept],
+        cell_patches=number,
+    )
+    return grid, Origins(point[at], normal[at]), regions[face[at[:, 0]]]
 
 
 def build_transport(
     tracer: Tracer,
     surface: Surface,
-    parts: NDArray[np.int32],
+    regions: NDArray[np.int32],
     n_rays: int,
     rng: np.random.Generator,
     progress: Progress,
 ) -> Transport:
     """Trace the gather rays of all patches and name the patch that each one hits."""
     rays, point = gather(tracer, surface.origins, n_rays, rng, progress)
-    target = targets_of(tracer, surface.grid, parts, rays, point)
-    unseen_grid, unseen_origins, unseen_part = _unseen_patches(
-        tracer, surface, parts, rays, point, target, limit=len(surface.part) // 2
+    target = targets_of(tracer, surface.grid, regions, rays, point)
+    unseen_grid, unseen_origins, unseen_region = _unseen_patches(
+        tracer, surface, regions, rays, point, target, limit=len(surface.region) // 2
     )
     row, column = np.nonzero(target == UNKNOWN)
     along = rays.direction[row, column].astype(np.float32)
     grid = surface.grid.joined(unseen_grid)
-    target[row, column] = find_patches(tracer, grid, parts, rays.face[row, column], point[row, column], along)
+    target[row, column] = find_patches(tracer, grid, regions, rays.face[row, column], point[row, column], along)
     unseen_rays, point = gather(tracer, unseen_origins, max(16, n_rays // UNSEEN_RAYS_SHARE), rng, progress)
-    unseen_target = targets_of(tracer, grid, parts, unseen_rays, point)
+    unseen_target = targets_of(tracer, grid, regions, unseen_rays, point)
     return Transport(
-        len(surface.part),
-        surface.origins,
-        unseen_origins,
-        rays,
-        unseen_rays,
-        target,
-        unseen_target,
-        np.concatenate([surface.part, unseen_part]),
-        grid,
-        np.zeros(len(surface.part) + len(unseen_part)),
+        n_seen=len(surface.region),
+        origins=surface.origins,
+        unseen_origins=unseen_origins,
+        rays=rays,
+        unseen_rays=unseen_rays,
+        target=target,
+        unseen_target=unseen_target,
+        region=np.concatenate([surface.region, unseen_region]),
+        grid=grid,
+        kappa=np.zeros(len(surface.region) + len(unseen_region)),
     )
+
+
+# ---- Burley's lobe towards any direction, from a few sums over the light of a patch ---------------------------------
+#
+# A factor of the light times one of the view, with a mean for the angle between the two
+# (:mod:`iris_addon.brdf.diffuse`), serves where light comes from all sides. Beside a window it does not: a rough
+# wall is brighter seen from where its light comes from than seen against it, so that what stands beside the window gets
+# more of it back. The exact lobe is linear in the direction of light, cos²θd being (1 + l·v) / 2: a few sums over the
+# light of a patch serve all directions.
+
+
+@dataclass(frozen=True)
+class LightMoments:
+    """Means over the light that reaches each seen patch, weighted by what it adds to irradiance.
+
+    Attributes:
+        direction: (P, 3) mean of l, the unit vector towards the light.
+        grazing: (P,) mean of S, Schlick's (1 - cos θi)^5.
+        grazing_direction: (P, 3) mean of S l.
+    """
+
+    direction: NDArray[np.float32]
+    grazing: NDArray[np.float32]
+    grazing_direction: NDArray[np.float32]
+
+    def view_factor(
+        self,
+        patch: NDArray[np.integer],
+        roughness: NDArray[np.floating],
+        schlick: NDArray[np.floating],
+        toward: NDArray[np.floating],
+    ) -> NDArray[np.float32]:
+        """What Burley's lobe sends in a direction over albedo times irradiance / pi, (..., n).
+
+        The irradiance is that of the patch under its lobe, ``1 + κ S``. The product of both S is small; in it the mean
+        angle stays.
+
+        Args:
+            patch: (n,) patch seen.
+            roughness: (..., n) or (..., 1).
+            schlick: (n,) S of the direction.
+            toward: (n, 3) unit vectors away from the patch.
+        """
+        grazing, k = self.grazing[patch], roughness - 0.5
+        kappa = grazing_gain("burley", roughness)
+        light = 1 + k * grazing + roughness * dot(self.grazing_direction[patch], toward)
+        view = k + roughness * dot(self.direction[patch], toward) + kappa**2 * grazing
+        return ((light + schlick * view) / (1 + kappa * grazing)).astype(np.float32)
+
+    def lobes(self, roughness: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(P, 2, 4) lobe of every patch of ``roughness`` (P,): :meth:`view_factor` is (1, S) M (1, v), v being the unit
+        vector away from the patch."""
+        patch = np.arange(len(self.grazing))
+
+        def factor(schlick: float, axis: int | None = None) -> NDArray[np.float32]:
+            toward = np.zeros((len(patch), 3), np.float32)
+            if axis is not None:
+                toward[:, axis] = 1
+            return self.view_factor(patch, roughness, np.full(len(patch), schlick, np.float32), toward)
+
+        # It is linear in v, and in S: eight values tell all.
+        values = np.stack([np.stack([factor(s), *(factor(s, axis) for axis in range(3))]) for s in (0.0, 1.0)])
+        values[:, 1:] -= values[:, :1]
+        values[1] -= values[0]
+        return np.moveaxis(values, 2, 0)
+
+
+# ---- What a solve computes on ---------------------------------------------------------------------------------------
+
+
+def choose_device(wanted: Literal["auto", "cpu", "cuda"]) -> str:
+    """The torch device to use: a GPU where there is one, unless told otherwise.
+
+    Raises:
+        BadInput: a GPU was asked for and torch finds none.
+    """
+    available = torch.cuda.is_available()
+    if wanted == "cuda" and not available:
+        raise BadInput("torch finds no CUDA device", "use --device auto, or install the CUDA build of torch")
+    return "cuda" if wanted != "cpu" and available else "cpu"

@@ -52,7 +52,7 @@ class Table:
 
     def add(self, suite: str, step: str, verdict: str, began: float, says: str) -> None:
         """A row, printed at once."""
-        row = Row(suite, step, verdict, time.monotonic() - began, says)
+        row = Row(suite=suite, step=step, verdict=verdict, seconds=time.monotonic() - began, says=says)
         self.rows.append(row)
         print(f"{suite:7} {step:22} {verdict:7} {row.seconds:6.1f} s  {says}", flush=True)
 

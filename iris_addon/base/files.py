@@ -1,0 +1,222 @@
+"""Files that appear whole or not at all.
+
+Everything the project writes goes through here, so that an interrupted or failed write never harms the file that was
+there before. Imports nothing that Blender lacks.
+"""
+
+from __future__ import annotations
+
+import errno
+import glob
+import json
+import os
+import stat
+import sys
+import uuid
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import BadInput, IrisError
+
+
+def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
+    """Let ``write`` fill a temporary file beside ``path``, then move it there in one step.
+
+    Missing folders are made. The temporary name has the suffix of ``path``, because writers choose the format by it.
+
+    Raises:
+        IrisError: the file cannot be written (full disk, no permission); ``path`` is what it was before.
+    """
+    temporary = path.with_name(f".{path.stem}-{uuid.uuid4().hex[:8]}{path.suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(temporary)
+        os.replace(temporary, path)
+    except OSError as error:
+        fix = "free some space and run again" if error.errno == errno.ENOSPC else "check the folder and its permissions"
+        raise IrisError(f"cannot be written ({error.strerror or error})", fix, path) from error
+    finally:
+        # A second failure while tidying up must not hide the first one.
+        try:
+            temporary.unlink(missing_ok=True)
+        except OSError:
+            pass
+
+
+def abandoned(path: Path) -> Iterator[Path]:
+    """Temporary files of writes to ``path`` that were killed."""
+    yield from path.parent.glob(f".{glob.escape(path.stem)}-{'[0-9a-f]' * 8}{glob.escape(path.suffix)}")
+
+
+# ---- Files of plain arrays by name, .npz ----------------------------------------------------------------------------
+
+
+def write_arrays(path: Path, arrays: Mapping[str, NDArray], *, compressed: bool = False) -> None:
+    """Write ``arrays``; raises IrisError where they cannot be written, and ``path`` is then what it was before.
+
+    The archive is made in memory: one that cannot be closed, because the disk is full, complains long after.
+    """
+    archive = BytesIO()
+    (np.savez_compressed if compressed else np.savez)(archive, **arrays)
+    atomic_write(path, lambda temporary: temporary.write_bytes(archive.getbuffer()))
+
+
+def read_arrays(path: Path) -> dict[str, NDArray] | None:
+    """The arrays of a file that only saves time; None where it is missing, damaged or holds more than plain arrays."""
+    if not path.is_file():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except (ValueError, TypeError, OSError, EOFError, zipfile.BadZipFile):
+        # TypeError: an .npy under this name is no archive to open.
+        return None
+
+
+# ---- JSON as this project writes and checks it: numpy values out, validated arrays in -------------------------------
+
+
+MAX_JSON_BYTES = 256 << 20
+MEND = "restore the file or solve again"
+
+
+def write_json(path: Path, content: object) -> None:
+    """Write ``content`` as JSON in one step; numpy values are welcome, what is not finite becomes null.
+
+    Raises:
+        IrisError: the file cannot be written.
+    """
+    atomic_write(path, lambda temporary: dump_json(temporary, content))
+
+
+def dump_json(path: Path, content: object) -> None:
+    """Write ``content`` to ``path`` as it is, for folders that are moved in place as a whole; raises OSError."""
+    path.write_text(json.dumps(plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def plain(value: object) -> Any:
+    """``value`` with numpy arrays, numpy numbers, tuples and paths as JSON has them; NaN and infinity become None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    return str(value) if isinstance(value, Path) else value
+
+
+def read_json(path: Path, largest: int = MAX_JSON_BYTES, mend: str = "correct or restore the file") -> dict[str, Any]:
+    """The JSON object in ``path``; raises BadInput, also for more than ``largest`` bytes, which are not read."""
+    try:
+        if path.stat().st_size > largest:
+            raise BadInput(f"is larger than {largest >> 20} MiB", mend, path)
+        content = json.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise BadInput(f"cannot be read ({error.strerror})", "check the path, or restore the file", path) from error
+    except (ValueError, RecursionError) as error:
+        raise BadInput(f"is not valid JSON ({error})", mend, path) from error
+    if not isinstance(content, dict):
+        raise BadInput("is not a JSON object", mend, path)
+    return content
+
+
+def numbers(value: object, shape: tuple[int | None, ...], what: str, path: Path) -> NDArray[np.float64]:
+    """``value`` as finite float64 of ``shape`` (None: any length); raises BadInput naming ``what`` and ``path``."""
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (ValueError, TypeError) as error:
+        raise BadInput(f"'{what}' is not numbers", MEND, path) from error
+    fits = array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
+    if not fits or not np.isfinite(array).all():
+        expected = " x ".join("n" if n is None else str(n) for n in shape) or "one"
+        raise BadInput(f"'{what}' should be {expected} finite numbers", MEND, path)
+    return array
+
+
+def json_object(value: object, what: str, path: Path) -> dict[str, Any]:
+    """``value`` if it is a JSON object; raises BadInput naming ``what`` and ``path``."""
+    if not isinstance(value, dict):
+        raise BadInput(f"'{what}' is missing or not a JSON object", MEND, path)
+    return value
+
+
+def to_ranges(indices: NDArray[np.integer]) -> list[list[int]]:
+    """Sorted unique ``indices`` as [first, last + 1] pairs."""
+    indices = np.unique(indices)
+    if not len(indices):
+        return []
+    breaks = np.flatnonzero(np.diff(indices) > 1)
+    return np.column_stack([indices[np.r_[0, breaks + 1]], indices[np.r_[breaks, -1]] + 1]).tolist()
+
+
+def from_ranges(value: object, n_faces: int, what: str, path: Path) -> NDArray[np.int64]:
+    """Face indices from the pairs of :func:`to_ranges`; raises BadInput if they leave [0, n_faces) or repeat."""
+    ranges = numbers(value if value else np.empty((0, 2)), (None, 2), what, path).astype(np.int64)
+    if len(ranges) and (ranges.min() < 0 or ranges.max() > n_faces or (ranges[:, 0] >= ranges[:, 1]).any()):
+        raise BadInput(f"'{what}' names faces beyond the {n_faces} of the mesh", MEND, path)
+    if len(ranges) > 1 and (ranges[1:, 0] < ranges[:-1, 1]).any():
+        raise BadInput(f"'{what}' names a face twice", MEND, path)
+    return np.concatenate([np.arange(a, b) for a, b in ranges] or [np.empty(0, np.int64)]).astype(np.int64)
+
+
+# ---- The user's cache folder, by the convention of each system ------------------------------------------------------
+
+
+def user_cache() -> Path:
+    """Where files are kept that save time and that nobody misses."""
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "iris" / "cache"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "iris"
+    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "iris"
+
+
+# ---- Folders that this project made itself, told from links that lead to somebody else's ----------------------------
+#
+# A result may come from a stranger, as an archive or a repository that holds links. What is written, moved or deleted
+# in a folder below it would be written, moved or deleted wherever such a link leads.
+
+
+WINDOWS_JUNCTION = 0xA0000003
+"""``st_reparse_tag`` of a junction, which ``lstat`` shows as a plain folder."""
+
+
+def is_own_folder(path: Path) -> bool:
+    """Whether ``path`` is a folder and no link to one."""
+    found = _lstat(path)
+    return found is not None and stat.S_ISDIR(found.st_mode) and not _is_junction(found)
+
+
+def is_own_file(path: Path) -> bool:
+    """Whether ``path`` is a regular file and no link to one."""
+    found = _lstat(path)
+    return found is not None and stat.S_ISREG(found.st_mode)
+
+
+def require_own_folder(path: Path) -> None:
+    """Make sure that ``path`` is free for a folder of ours, or is one.
+
+    Raises:
+        BadInput: a link or a file has its name.
+    """
+    if _lstat(path) is not None and not is_own_folder(path):
+        raise BadInput("is a link or a file where a folder is written", "delete it, or choose another folder", path)
+
+
+def _lstat(path: Path) -> os.stat_result | None:
+    try:
+        return path.lstat()
+    except (OSError, ValueError):
+        return None
+
+
+def _is_junction(found: os.stat_result) -> bool:
+    return getattr(found, "st_reparse_tag", 0) == WINDOWS_JUNCTION

@@ -1,0 +1,305 @@
+"""A result on the objects it was solved from: undoable, and undone exactly by :func:`restore`.
+
+Each object gets another mesh and keeps everything else. Where its own polygons can carry the result, that mesh is a
+copy of its own with UVs and materials added; where they cannot (modifiers, instances, an n-gon cut by the atlas) it is
+made of the triangles that were solved, with the modifiers switched off. The original mesh is never touched. Objects
+point to it by custom properties, so that it is saved with the file and needs no add-on to be found.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+from numpy.typing import NDArray
+
+from ...base.errors import BadInput
+from ...edits.scene_edit import SceneEdit
+from ...model.capture import Mesh
+from ...results.result import Result
+from ..render.light_mixing import is_taken_apart, stop_mixing
+from ..scene_out.backdrop import add_backdrop
+from ..scene_out.build import face_materials, plain_mesh
+from ..scene_out.materials import UV_MAP, add_confidence
+from ..scene_out.scene_state import forget_scene, keep_scene, require_object_mode, restore_scene, show_like_the_photos
+from ..scene_out.world import make_world
+from .camera_look import stop_matching
+from .photo_cameras import go_back
+
+ORIGINAL_MESH, ORIGINAL, SLOT, MADE = "iris_original_mesh", "iris_original", "iris_slot_", "iris_made"
+APPLIED = "iris_applied"
+SAME_UV = 1e-5
+
+
+@dataclass(frozen=True)
+class FaceRun:
+    """The faces [start, stop) of the solved mesh, which came from one object.
+
+    Attributes:
+        object: its name.
+        instance: the faces are those of something that the object instances.
+        to_capture: (4, 4) from the space of the object's mesh to that of the capture.
+    """
+
+    object: str
+    start: int
+    stop: int
+    instance: bool
+    to_capture: NDArray[np.float64]
+
+
+def apply_to_objects(result: Result, runs: Sequence[FaceRun], scene: bpy.types.Scene, key: str) -> bool:
+    """Put ``result`` onto the objects of ``runs`` and its outside light into the world of ``scene``.
+
+    Args:
+        key: stands for the result; the same key again changes nothing.
+
+    Returns:
+        Whether anything was changed.
+
+    Raises:
+        BadInput: the scene has changed since it was solved. Nothing was changed then.
+    """
+    if is_applied(scene, runs, key):
+        return False
+    objects = [_find(run, scene) for run in runs]
+    require_object_mode(objects)
+    if runs and runs[-1].stop != len(result.mesh.faces):
+        raise BadInput("the result has other faces than the objects of this scene", "undo the edit, or solve again")
+    restore(scene)
+    own_uv = _kept_uv_map(result, runs, objects)
+    before = {*bpy.data.materials, *bpy.data.images}
+    materials, slot_of_face = face_materials(result, SceneEdit(), own_uv or UV_MAP)
+    add_confidence(materials[0], result.textures)
+    for run, thing in sorted(zip(runs, objects, strict=True), key=lambda pair: pair[0].instance):
+        _apply_run(result, run, thing, materials, slot_of_face, own_uv)
+    keep_scene(scene)
+    to_blender = np.array(objects[0].matrix_world) @ np.linalg.inv(runs[0].to_capture)
+    scene.world = make_world(result.outside, 1.0, to_blender[:3, :3] / np.cbrt(np.linalg.det(to_blender[:3, :3])))
+    if result.backdrop is not None:
+        shell = add_backdrop(result.backdrop, 1.0, scene.collection)
+        shell.matrix_world = Matrix(to_blender.tolist()) @ Matrix.Translation(shell.location)
+        shell[MADE] = shell.data[MADE] = True
+    show_like_the_photos(result, scene)
+    images = set(bpy.data.images) - before
+    for image in images:  # all of them, those of world and backdrop too: undo and reload bring unpacked ones back black
+        image.pack()
+    for made in (*images, *(set(bpy.data.materials) - before), scene.world):
+        made[MADE] = key
+    scene[APPLIED] = key
+    return True
+
+
+def is_applied(scene: bpy.types.Scene, runs: Sequence[FaceRun], key: str) -> bool:
+    """Whether the result ``key`` is on the objects of ``runs`` already."""
+    if scene.get(APPLIED) != key:
+        return False
+    objects = [scene.objects.get(run.object) for run in runs]
+    return all(thing is not None and ORIGINAL in thing for thing in objects)
+
+
+def restore(scene: bpy.types.Scene) -> int:
+    """Give the objects of ``scene`` back what they had and remove what was made; returns the number of objects.
+
+    Raises:
+        BadInput: one of them is being edited. Nothing was changed then.
+    """
+    require_object_mode(thing for thing in scene.objects if ORIGINAL in thing or is_taken_apart(thing))
+    stop_matching(scene)
+    stop_mixing(scene)
+    kept = [thing for thing in scene.objects if ORIGINAL in thing]
+    for thing in kept:
+        _restore_object(thing)
+    go_back(scene)
+    if APPLIED in scene:
+        restore_scene(scene)
+        forget_scene(scene)
+        del scene[APPLIED]
+    _remove_made(scene)
+    return len(kept)
+
+
+# ---- one object ----------------------------------------------------------------------------------------------------
+
+
+def _find(run: FaceRun, scene: bpy.types.Scene) -> bpy.types.Object:
+    thing = scene.objects.get(run.object)
+    if thing is None:
+        raise BadInput(f"the object '{run.object}' is gone or renamed", "undo that, or solve again")
+    if not thing.is_editable:
+        raise BadInput(
+            f"the object '{run.object}' is linked from another file", "make it local: Object > Relations > Make Local"
+        )
+    return thing
+
+
+def _apply_run(
+    result: Result,
+    run: FaceRun,
+    thing: bpy.types.Object,
+    materials: Sequence[bpy.types.Material],
+    slot_of_face: NDArray[np.int32],
+    own_uv: str | None,
+) -> None:
+    faces = slice(run.start, run.stop)
+    used, slots = np.unique(slot_of_face[faces], return_inverse=True)
+    assert result.mesh.uv is not None
+    uv = result.mesh.uv[faces]
+    if np.linalg.det(run.to_capture[:3, :3]) < 0:  # corners of a mirrored object were turned round
+        uv = uv[:, ::-1]
+    data = None if run.instance or thing.type != "MESH" else _dressed_copy(thing, uv, slots.ravel(), own_uv)
+    as_solved = data is None
+    if data is None:
+        data = plain_mesh(_local_mesh(result.mesh, run), f"{thing.name} IRIS")
+        data.polygons.foreach_set("material_index", slots.ravel().astype(np.int32))
+    for index in used:
+        data.materials.append(materials[index])
+    data[MADE] = True
+    if run.instance or thing.type != "MESH":
+        _stand_in(thing, data, run)
+    else:
+        _keep_object(thing)
+        thing.data = data
+        for slot in thing.material_slots:
+            slot.link = "DATA"
+        if as_solved:
+            for modifier in thing.modifiers:
+                modifier.show_viewport = modifier.show_render = False
+
+
+def _dressed_copy(
+    thing: bpy.types.Object, uv: NDArray[np.float32], slots: NDArray[np.integer], own_uv: str | None
+) -> bpy.types.Mesh | None:
+    """A copy of the object's mesh with UVs (F, 3, 2) and slots (F,) per triangle; None where its polygons cannot
+    carry them."""
+    if any(modifier.show_render or modifier.show_viewport for modifier in thing.modifiers):
+        return None
+    data = thing.data
+    polygon, loops = triangles_of(data)
+    if len(polygon) != len(slots):
+        return None
+    slot_of_polygon = np.zeros(len(data.polygons), np.int32)
+    slot_of_polygon[polygon] = slots
+    per_loop = np.zeros((len(data.loops), 2), np.float32)
+    per_loop[loops] = uv
+    if (slot_of_polygon[polygon] != slots).any() or np.abs(per_loop[loops] - uv).max(initial=0) > SAME_UV:
+        return None
+    copy = data.copy()
+    copy.name = f"{thing.name} IRIS"
+    copy.materials.clear()
+    copy.polygons.foreach_set("material_index", slot_of_polygon)
+    if own_uv is None:
+        layer = copy.uv_layers.get(UV_MAP) or copy.uv_layers.new(name=UV_MAP, do_init=False)
+        if layer is None:  # Blender stops at eight UV maps
+            bpy.data.meshes.remove(copy)
+            return None
+        layer.uv.foreach_set("vector", per_loop.ravel())
+    return copy
+
+
+def triangles_of(data: bpy.types.Mesh) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Polygon (F,) and loops (F, 3) of the triangles Blender cuts ``data`` into."""
+    n = len(data.loop_triangles)
+    polygon, loops = np.empty(n, np.int32), np.empty(3 * n, np.int32)
+    data.loop_triangles.foreach_get("polygon_index", polygon)
+    data.loop_triangles.foreach_get("loops", loops)
+    return polygon, loops.reshape(n, 3)
+
+
+def _local_mesh(mesh: Mesh, run: FaceRun) -> Mesh:
+    """The faces of ``run`` in the space of its object, only the vertices they use."""
+    faces = mesh.faces[run.start : run.stop]
+    used, corners = np.unique(faces, return_inverse=True)
+    to_object = np.linalg.inv(run.to_capture)
+    points = mesh.vertices[used] @ to_object[:3, :3].T + to_object[:3, 3]
+    corners = corners.reshape(-1, 3)
+    uv = None if mesh.uv is None else mesh.uv[run.start : run.stop]
+    if np.linalg.det(to_object[:3, :3]) < 0:
+        corners, uv = corners[:, ::-1], None if uv is None else uv[:, ::-1]
+    return Mesh(points, corners, uv)
+
+
+def _stand_in(thing: bpy.types.Object, data: bpy.types.Mesh, run: FaceRun) -> None:
+    """A mesh object where an instance or a curve was, and the original hidden."""
+    stand_in = bpy.data.objects.new(f"{thing.name} IRIS", data)
+    stand_in.matrix_world = Matrix(run.to_capture.tolist())
+    stand_in[MADE] = True
+    for collection in thing.users_collection:
+        collection.objects.link(stand_in)
+    if ORIGINAL not in thing:  # a mesh that instances beside itself was applied to first
+        _keep_object(thing)
+        thing.hide_render = thing.hide_viewport = True
+
+
+def _keep_object(thing: bpy.types.Object) -> None:
+    """Write down on ``thing`` what :func:`_restore_object` needs."""
+    slots = thing.material_slots
+    thing[ORIGINAL] = json.dumps(
+        {
+            "links": [slot.link for slot in slots],
+            "modifiers": {m.name: [m.show_viewport, m.show_render] for m in thing.modifiers},
+            "hidden": [thing.hide_viewport, thing.hide_render],
+            "active_slot": thing.active_material_index,
+        }
+    )
+    if thing.type != "MESH":
+        return
+    thing[ORIGINAL_MESH] = thing.data
+    for index, slot in enumerate(slots):
+        if slot.link == "OBJECT" and slot.material is not None:
+            thing[f"{SLOT}{index}"] = slot.material
+
+
+def _restore_object(thing: bpy.types.Object) -> None:
+    kept: dict[str, Any] = json.loads(thing[ORIGINAL])
+    mesh = thing.get(ORIGINAL_MESH)
+    if mesh is not None:
+        thing.data = mesh
+    for index, (slot, link) in enumerate(zip(thing.material_slots, kept["links"], strict=False)):
+        slot.link = link
+        if link == "OBJECT":
+            slot.material = thing.get(f"{SLOT}{index}")
+    for name, (viewport, render) in kept["modifiers"].items():
+        modifier = thing.modifiers.get(name)
+        if modifier is not None:
+            modifier.show_viewport, modifier.show_render = viewport, render
+    thing.hide_viewport, thing.hide_render = kept["hidden"]
+    thing.active_material_index = kept["active_slot"]
+    for name in (ORIGINAL, ORIGINAL_MESH, *(f"{SLOT}{index}" for index in range(len(kept["links"])))):
+        if name in thing:
+            del thing[name]
+
+
+def _remove_made(scene: bpy.types.Scene) -> None:
+    """Remove the stand-ins of ``scene``, and what :func:`apply_to_objects` made and nothing uses any more."""
+    bpy.data.batch_remove([thing for thing in scene.objects if MADE in thing])
+    for kind in ("meshes", "worlds", "materials", "images"):  # users before what they use
+        bpy.data.batch_remove([block for block in getattr(bpy.data, kind) if MADE in block and not block.users])
+
+
+# ---- materials -----------------------------------------------------------------------------------------------------
+
+
+def _kept_uv_map(result: Result, runs: Sequence[FaceRun], objects: Sequence[bpy.types.Object]) -> str | None:
+    """Name of the objects' own UV map that the result is laid out on; None where the solver made an atlas."""
+    names = set()
+    for run, thing in zip(runs, objects, strict=True):
+        if run.instance or thing.type != "MESH":
+            return None
+        layer = next((layer for layer in thing.data.uv_layers if layer.active_render), None)
+        _, loops = triangles_of(thing.data)
+        assert result.mesh.uv is not None
+        if layer is None or len(loops) != run.stop - run.start:
+            return None
+        flat = np.empty(2 * len(thing.data.loops), np.float32)
+        layer.uv.foreach_get("vector", flat)
+        difference = flat.reshape(-1, 2)[loops] - result.mesh.uv[run.start : run.stop]
+        if np.abs(difference).max(initial=0) > SAME_UV:
+            return None
+        names.add(layer.name)
+    return names.pop() if len(names) == 1 else None

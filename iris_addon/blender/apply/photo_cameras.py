@@ -1,0 +1,61 @@
+"""Cameras of an imported capture stand where the solve found its photos to be taken, and go back with the rest."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ...model.capture import View
+from ...results.result import Result
+from ..camera import read_camera, set_lens
+
+GIVEN = "iris_given"
+"""Custom property of a camera that was moved: its place and lens before."""
+LENS = ("sensor_fit", "sensor_width", "lens", "shift_x", "shift_y", "clip_start", "clip_end")
+
+
+def stand_where_found(result: Result, cameras: Mapping[str, bpy.types.Object], scene: bpy.types.Scene) -> int:
+    """Move the cameras of the photos, children in the frame of the capture, by what ``result`` found wrong with them.
+
+    Args:
+        cameras: by name of the photo.
+
+    Returns:
+        How many were moved.
+    """
+    given = []
+    for name, thing in cameras.items():
+        camera = read_camera(scene, thing)
+        camera.c2w[:] = np.array(thing.matrix_basis)
+        given.append(View(name, camera, None))
+    moved = 0
+    for before, after in zip(given, result.as_taken(given), strict=True):
+        if after.camera is before.camera:
+            continue
+        thing, moved = cameras[before.name], moved + 1
+        place = [list(row) for row in thing.matrix_basis]
+        thing[GIVEN] = json.dumps({"place": place, **{name: getattr(thing.data, name) for name in LENS}})
+        set_lens(thing.data, after.camera)
+        thing.matrix_basis = Matrix(after.camera.c2w.tolist())
+    return moved
+
+
+def go_back(scene: bpy.types.Scene) -> None:
+    """Undo :func:`stand_where_found`."""
+    for thing in scene.objects:
+        if GIVEN in thing:
+            given = json.loads(thing[GIVEN])
+            thing.matrix_basis = Matrix(given.pop("place"))
+            for name, value in given.items():
+                setattr(thing.data, name, value)
+            del thing[GIVEN]
+
+
+def forget_given(thing: bpy.types.Object) -> None:
+    """``thing`` has been given a place and a lens anew: there is nothing to go back to."""
+    if GIVEN in thing:
+        del thing[GIVEN]

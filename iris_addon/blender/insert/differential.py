@@ -1,0 +1,261 @@
+"""Objects put into a photo by differential rendering (Debevec 1998, section 6), in the photo's own response.
+
+Two pairs of renders, each pair with and without the edit under the same random numbers: where nothing changes both
+renders of a pair are the same to the last bit, so that noise cancels and the photo stays. What the two pairs do not
+agree on is noise, and the difference is shrunk by it (:func:`shrunk_difference`). What is inserted is shown as it was
+rendered, so its noise shows; it fills a small part of most pictures, which is rendered once more with more samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...edits.scene_edit import SceneEdit
+from ...model.capture import Camera
+from ...model.response import SATURATED, Response
+from ...results.result import Result
+from ..render.cycles import aim, render_coverage, render_linear, set_cycles
+from ..scene_out.build import build_scene
+
+COVERAGE_SAMPLES = 32
+CLOSER = 8
+"""Most samples of a pixel that shows something inserted, in those of any other. For up to an eighth of the picture that
+costs no more than one render of the whole."""
+MARGIN = 8  # pixels of its surroundings that the denoiser sees
+NOISE_RADIUS = 3  # pixels around one over which noise is estimated
+
+Pair = tuple[NDArray[np.floating], NDArray[np.floating]]
+Box = tuple[tuple[int, int], tuple[int, int]]
+
+
+@dataclass(frozen=True)
+class Differential:
+    """How an edit changes one view.
+
+    Attributes:
+        without: (H, W, 3) linear radiance of the room as solved.
+        with_edit: (H, W, 3) linear radiance with the edit.
+        change: (H, W, 3) their difference, less its noise.
+        covered: (H, W) share of each pixel that something inserted covers.
+    """
+
+    without: NDArray[np.floating]
+    with_edit: NDArray[np.floating]
+    change: NDArray[np.floating]
+    covered: NDArray[np.floating]
+
+
+def insert_onto_photo(
+    result: Result,
+    camera: Camera,
+    photo: NDArray[np.floating],
+    exposure: NDArray[np.floating],
+    edit: SceneEdit,
+    *,
+    samples: int = 128,
+    seed: int = 0,
+    max_bounces: int = 24,
+    gpu: bool = False,
+) -> NDArray[np.float64]:
+    """(H, W, 3) display values of the photo as it would have been with ``edit`` in the room.
+
+    Args:
+        photo: (H, W, 3) display values in [0, 1] of the undistorted photo.
+        exposure: factor from radiance to the argument of the response, to be broadcast with the photo.
+    """
+    if edit.changes_nothing:
+        return np.array(photo, dtype=np.float64)
+    without = render_pair(result, camera, None, samples=samples, seed=seed, max_bounces=max_bounces, gpu=gpu)
+    changed = render_change(result, camera, edit, without, samples=samples, seed=seed, max_bounces=max_bounces, gpu=gpu)
+    return change_photo(photo, changed, result.response, exposure)[0]
+
+
+def render_pair(
+    result: Result,
+    camera: Camera,
+    edit: SceneEdit | None,
+    *,
+    samples: int,
+    seed: int,
+    max_bounces: int = 24,
+    gpu: bool = False,
+) -> Pair:
+    """The view twice, (H, W, 3) linear radiance each, with half of ``samples`` and random numbers of its own each."""
+    built = build_scene(result, edit)
+    try:
+        aim(built, camera)
+        return render_halves(built.scene, samples=samples, seed=seed, max_bounces=max_bounces, gpu=gpu)
+    finally:
+        built.free()
+
+
+def render_change(
+    result: Result,
+    camera: Camera,
+    edit: SceneEdit,
+    without: Pair,
+    *,
+    samples: int,
+    seed: int,
+    max_bounces: int = 24,
+    gpu: bool = False,
+) -> Differential:
+    """How ``edit`` changes the view that ``without`` (:func:`render_pair` of the room alone, same settings) shows."""
+    built = build_scene(result, edit)
+    try:
+        aim(built, camera)
+        backdrop = () if built.backdrop is None else (built.backdrop,)
+        room = (built.room, *built.lamps, *built.lights, *backdrop)
+        return render_differential(
+            built.scene, room, without, samples=samples, seed=seed, max_bounces=max_bounces, gpu=gpu
+        )
+    finally:
+        built.free()
+
+
+def render_differential(
+    scene: bpy.types.Scene,
+    room: Iterable[bpy.types.Object],
+    without: Pair,
+    *,
+    samples: int,
+    seed: int,
+    max_bounces: int = 24,
+    gpu: bool = False,
+) -> Differential:
+    """As :func:`render_change`, of a scene as it stands, in which all but ``room`` was inserted."""
+    settings: dict[str, Any] = {"max_bounces": max_bounces, "gpu": gpu}
+    halves = render_halves(scene, samples=samples, seed=seed, **settings)
+    change = shrunk_difference((halves[0] - without[0], halves[1] - without[1]))
+    covered = coverage(scene, room)
+    with_edit = np.mean(halves, axis=0)
+    rows, columns = (np.flatnonzero(covered.any(axis=axis)) for axis in (1, 0))
+    if rows.size:
+        box = ((rows[0], rows[-1] + 1), (columns[0], columns[-1] + 1))
+        with border(scene, box, covered.shape) as share:
+            if (times := min(CLOSER, int(1 / share))) > 1:
+                set_cycles(scene, samples=times * samples, denoise=True, seed=seed, **settings)
+                with_edit = np.where(covered[..., None] > 0, render_linear(scene), with_edit)
+    return Differential(np.mean(without, axis=0), with_edit, change, covered)
+
+
+@contextmanager
+def border(scene: bpy.types.Scene, box: Box, shape: tuple[int, ...]) -> Iterator[float]:
+    """Inside, only ``box`` and MARGIN pixels around it are rendered, whatever else is black.
+
+    Args:
+        box: rows and columns, (first, beyond the last) each.
+        shape: (H, W) of the picture.
+
+    Yields:
+        the share of the picture that is rendered.
+    """
+    (top, bottom), (left, right) = (
+        (max(low - MARGIN, 0) / size, min(high + MARGIN, size) / size)
+        for (low, high), size in zip(box, shape, strict=True)
+    )
+    render = scene.render
+    before = render.use_border, render.use_crop_to_border
+    render.use_border, render.use_crop_to_border = True, False
+    render.border_min_x, render.border_max_x = left, right
+    render.border_min_y, render.border_max_y = 1 - bottom, 1 - top
+    try:
+        yield (bottom - top) * (right - left)
+    finally:
+        render.use_border, render.use_crop_to_border = before
+
+
+def render_halves(scene: bpy.types.Scene, *, samples: int, seed: int, max_bounces: int = 24, gpu: bool = False) -> Pair:
+    """As :func:`render_pair`, of a scene as it stands from its active camera; changes how ``scene`` renders."""
+    images = []
+    for half in (0, 1):
+        count = max(samples // 2, 1)
+        set_cycles(scene, samples=count, denoise=True, seed=2 * seed + half, max_bounces=max_bounces, gpu=gpu)
+        images.append(render_linear(scene))
+    return images[0], images[1]
+
+
+def shrunk_difference(differences: Pair) -> NDArray[np.float64]:
+    """(H, W, 3) mean of two estimates of one difference, shrunk towards 0 where they do not agree.
+
+    A Wiener filter with the empirical signal: each value is multiplied by 1 − σ²/d², where d² is the mean square of
+    the difference around it and σ² the part of that which the two estimates say is noise.
+    """
+    first, second = (np.asarray(d, np.float64) for d in differences)
+    mean = (first + second) / 2
+    noise = _local_mean((first - second) ** 2 / 4)
+    signal = _local_mean(mean**2)
+    share = 1.0 - np.divide(noise, signal, out=np.ones_like(noise), where=signal > 0)
+    return mean * np.clip(share, 0.0, 1.0)
+
+
+def change_photo(
+    photo: NDArray[np.floating], changed: Differential, response: Response, exposure: NDArray[np.floating]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The photo with the change in it: display values and linear radiance, (H, W, 3) each.
+
+    The difference goes back through the response, so that a pixel whose light does not change keeps its value exactly.
+    Where the photo is saturated, the render stands in for it if that is brighter: a shadow over a blown-out wall need
+    not show.
+    """
+    seen = response.invert(photo)
+    light = np.where(photo >= SATURATED, np.maximum(seen, changed.without * exposure), seen)
+    after = change_light(light, changed, exposure)
+    display = np.clip(photo + (response.apply(after) - response.apply(light)), 0.0, 1.0)
+    return display, after / exposure
+
+
+def change_light(
+    light: NDArray[np.floating], changed: Differential, exposure: NDArray[np.floating] | float
+) -> NDArray[np.float64]:
+    """(H, W, 3) the light P of a photo with the change in it, both as radiance times ``exposure``.
+
+    With the render O of the room alone, the render W with the edit, and the coverage A of what was put in, a pixel that
+    shows nothing of it becomes, with the change D = W − O less its noise,
+
+        P (1 + D / O)   where light is lost,        P + D   where it is gained,
+
+    so that a shadow darkens by a factor, which the texture of the photo keeps, and a reflection or a bounce adds what
+    it adds. A pixel that shows it becomes W + (1 − A) (P − O): the render, and the right blend on its rim.
+    """
+    without = changed.without * exposure
+    gained = np.maximum(changed.change, 0.0) * exposure
+    lost = np.clip(-changed.change * exposure, 0.0, without)
+    beside = light * (1.0 - np.divide(lost, without, out=np.zeros_like(lost), where=without > 0)) + gained
+    covered = changed.covered[..., None]
+    shown = np.maximum(changed.with_edit * exposure + (1 - covered) * (light - without), 0.0)
+    return np.where(covered > 0, shown, beside)
+
+
+def coverage(scene: bpy.types.Scene, room: Iterable[bpy.types.Object]) -> NDArray[np.float32]:
+    """(H, W) share of each pixel in which something else than ``room`` is seen, which may stand in front of it."""
+    held_out = {thing: thing.is_holdout for thing in room}
+    transparent = scene.render.film_transparent
+    try:
+        scene.render.film_transparent = True
+        for thing in held_out:
+            thing.is_holdout = True
+        set_cycles(scene, samples=COVERAGE_SAMPLES, denoise=False, seed=0, max_bounces=0)
+        return render_coverage(scene)
+    finally:
+        scene.render.film_transparent = transparent
+        for thing, before in held_out.items():
+            thing.is_holdout = before
+
+
+def _local_mean(values: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(H, W, C) mean over a square of 2 · NOISE_RADIUS + 1 pixels around each, cut off at the border."""
+    for axis in (0, 1):
+        n = values.shape[axis]
+        total = np.concatenate([np.zeros_like(values.take([0], axis)), np.cumsum(values, axis)], axis)
+        low, high = np.maximum(np.arange(n) - NOISE_RADIUS, 0), np.minimum(np.arange(n) + NOISE_RADIUS + 1, n)
+        count = np.expand_dims(high - low, tuple(a for a in range(values.ndim) if a != axis))
+        values = (total.take(high, axis) - total.take(low, axis)) / count
+    return values

@@ -1,0 +1,151 @@
+"""What an artist put into a solved room, onto the photo that the active camera took.
+
+The artist's own scene is rendered, so that everything Blender renders can be put in: modifiers, hair, glass, other
+lights, lamps turned down. The room as it was photographed is the same scene without all that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...base.errors import BadInput
+from ...model.local_exposure import LocalSettings
+from ...model.response import Response
+from ..apply.on_objects import APPLIED, MADE, ORIGINAL
+from ..apply.scene_files import write_whole
+from ..images import image_from_array, read_image
+from ..render.light_mixing import APART
+from ..scene_out.lights import as_recovered, lamp_materials
+from .differential import change_photo, render_differential, render_halves
+
+RENDERS = 2
+"""Steps of the work: the room alone, and with what was put in."""
+
+
+def composite(
+    scene: bpy.types.Scene,
+    photo: NDArray[np.floating],
+    response: Response,
+    exposure: NDArray[np.floating],
+    *,
+    samples: int = 128,
+    seed: int = 0,
+    gpu: bool = False,
+    on_step: Callable[[int], None] = lambda done: None,
+) -> NDArray[np.float64]:
+    """(H, W, 3) display values of ``photo`` with what has been added to the room and changed of its lamps.
+
+    Changes how ``scene`` renders: give it a copy. Its active camera must be that of the photo.
+
+    Args:
+        photo: (H, W, 3) display values in [0, 1].
+        exposure: factor from radiance to the argument of the response, to be broadcast with the photo.
+        on_step: told how many of RENDERS are done; may raise to stop.
+
+    Raises:
+        BadInput: no result is on the objects of ``scene``, or it has no camera.
+    """
+    if APPLIED not in scene:
+        raise BadInput("no result is applied to the scene", "apply one first")
+    if scene.camera is None:
+        raise BadInput("the scene has no active camera", "look at the photo first")
+    render = scene.render
+    render.resolution_y, render.resolution_x = photo.shape[:2]
+    render.resolution_percentage, render.use_border = 100, False
+    with as_photographed(scene):
+        without = render_halves(scene, samples=samples, seed=seed, gpu=gpu)
+    on_step(1)
+    room = [thing for thing in scene.objects if _of_the_room(thing)]
+    changed = render_differential(scene, room, without, samples=samples, seed=seed, gpu=gpu)
+    on_step(2)
+    return change_photo(photo, changed, response, exposure)[0]
+
+
+@contextmanager
+def as_photographed(scene: bpy.types.Scene) -> Iterator[None]:
+    """The room alone, its lamps and the light from outside as they were recovered."""
+    added = [thing for thing in scene.objects if not _of_the_room(thing) and not thing.hide_render]
+    background = _recovered_background(scene)
+    strength = None if background is None else background.inputs["Strength"].default_value
+    try:
+        for thing in added:
+            thing.hide_render = True
+        if background is not None:
+            background.inputs["Strength"].default_value = 1.0
+        with as_recovered(lamp_materials(scene.objects)):
+            yield
+    finally:
+        for thing in added:
+            thing.hide_render = False
+        if background is not None:
+            background.inputs["Strength"].default_value = strength
+
+
+def _of_the_room(thing: bpy.types.Object) -> bool:
+    return ORIGINAL in thing or MADE in thing or APART in thing
+
+
+def _recovered_background(scene: bpy.types.Scene) -> bpy.types.Node | None:
+    """The node with the strength of the recovered world; None where the artist has another world."""
+    world = scene.world
+    if world is None or MADE not in world or world.node_tree is None:
+        return None
+    return world.node_tree.nodes.get("Background")
+
+
+# ---- as a job ------------------------------------------------------------------------------------------------------
+
+
+def write_copy(scene: bpy.types.Scene, path: Path) -> None:
+    """Write ``scene`` as a .blend for :func:`composite_file`; raises IrisError if that fails."""
+    write_whole(path, lambda part: bpy.data.libraries.write(str(part), {scene}, path_remap="ABSOLUTE", compress=True))
+
+
+def composite_file(
+    blend: Path,
+    photo: Path,
+    out: Path,
+    response: Response,
+    exposure: NDArray[np.floating],
+    local: LocalSettings,
+    *,
+    samples: int,
+    seed: int = 0,
+    gpu: bool = False,
+    on_step: Callable[[int], None] = lambda done: None,
+) -> None:
+    """:func:`composite` of the scene in ``blend`` onto the file ``photo``, as the PNG ``out``. Opens ``blend``.
+
+    Args:
+        exposure: (3,) of the photo, which ``local`` says how the camera changed from place to place.
+
+    Raises:
+        BadInput: a file cannot be read, or as :func:`composite`.
+        IrisError: ``out`` cannot be written.
+    """
+    try:
+        bpy.ops.wm.open_mainfile(filepath=str(blend.absolute()), load_ui=False)
+    except RuntimeError as error:
+        raise BadInput("cannot be opened", "give a .blend with a solved room", blend) from error
+    scenes = [scene for scene in bpy.data.scenes if APPLIED in scene]
+    if not scenes:
+        raise BadInput("has no scene with a result on its objects", "apply a result and save", blend)
+    sampling = {"samples": samples, "seed": seed, "gpu": gpu}
+    pixels = read_image(photo)
+    at_places = exposure * local.gain(pixels, response)
+    _write_png(out, composite(scenes[0], pixels, response, at_places, **sampling, on_step=on_step))
+
+
+def _write_png(path: Path, display: NDArray[np.floating]) -> None:
+    image = image_from_array(path.stem, display)
+    image.file_format = "PNG"
+    try:
+        write_whole(path, lambda part: image.save(filepath=str(part)))
+    finally:
+        bpy.data.images.remove(image)

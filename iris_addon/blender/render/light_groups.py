@@ -1,0 +1,197 @@
+"""One Cycles light group per lamp: a single render holds every lamp's share, and relighting is a weighted sum.
+
+The shares are mixed by :mod:`iris_addon.edits.light_shares`, or by artists in the compositor with the node group
+"IRIS Lights". A light that is off when the room is rendered has no share.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...base.errors import IrisError
+from ...edits.light_shares import LightShares
+from ...edits.scene_edit import OUTSIDE, SceneEdit
+from ...model.capture import Camera
+from ...results.result import Result
+from ..camera import add_camera, look_through
+from ..scene_out.backdrop import is_backdrop
+from ..scene_out.build import build_scene
+from ..version import can_denoise, compositor_denoise, compositor_mix, multilayer_exr
+from .cycles import denoise_pictures, set_cycles
+
+MIX_GROUP = "IRIS Lights"
+
+
+def render_light_shares(
+    result: Result,
+    camera: Camera,
+    *,
+    edit: SceneEdit | None = None,
+    samples: int = 64,
+    seed: int = 0,
+    denoise: bool = False,
+    max_bounces: int = 24,
+    gpu: bool = False,
+) -> LightShares:
+    """Path-trace one view of ``result`` as changed by ``edit``, every light's part kept apart.
+
+    With ``denoise`` each share is denoised by itself: that of a light which is dim now may be turned up later.
+
+    Lights are named "IRIS Lamp 00" … by the id of the recovered lamp, "IRIS Outside" for light from beyond the mesh,
+    and as :func:`~iris_addon.blender.scene_out.build.build_scene` names what the edit adds.
+    """
+    built = build_scene(result, edit, lamps_apart=True)
+    try:
+        set_cycles(built.scene, samples=samples, denoise=denoise, seed=seed, max_bounces=max_bounces, gpu=gpu)
+        names = group_lights(built.scene, [*built.lamps, *built.lights, *built.inserted])
+        look_through(built.scene, camera, add_camera(camera, "IRIS View", built.scene.collection))
+        return _render_shares(built.scene, names, denoise and can_denoise())
+    finally:
+        built.free()
+
+
+def group_lights(scene: bpy.types.Scene, things: Sequence[bpy.types.Object]) -> list[str]:
+    """Give each light and emissive object among ``things``, and the world, a light group; returns their names.
+
+    What cameras see through holes goes with the world.
+    """
+    layer = scene.view_layers[0]
+    names = []
+    for thing in filter(_emits, things):
+        if is_backdrop(thing):
+            continue
+        name = _group_name(thing)
+        if name not in names:
+            layer.lightgroups.add(name=name)
+            names.append(name)
+        thing.lightgroup = name
+    if scene.world is not None:
+        layer.lightgroups.add(name=OUTSIDE)
+        scene.world.lightgroup = OUTSIDE
+        names.append(OUTSIDE)
+        for thing in filter(is_backdrop, scene.objects):
+            thing.lightgroup = OUTSIDE
+    return names
+
+
+def _group_name(thing: bpy.types.Object) -> str:
+    """The object's name, without the number that Blender appends to ours when another scene has the like.
+
+    Image files cannot have a dot in the name of a pass.
+    """
+    name = thing.name.removesuffix(" Mesh")
+    return re.sub(r"\.\d{3,}$", "", name) if name.startswith("IRIS ") else name.replace(".", "_")
+
+
+# ---- in the compositor ---------------------------------------------------------------------------------------------
+
+
+def light_mix_group(names: Sequence[str]) -> bpy.types.NodeTree:
+    """The node group "IRIS Lights": per light a picture, a strength and a colour in; their sum out."""
+    tree = bpy.data.node_groups.new(MIX_GROUP, "CompositorNodeTree")
+    tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+    source, target = tree.nodes.new("NodeGroupInput"), tree.nodes.new("NodeGroupOutput")
+    total = None
+    for row, name in enumerate(names):
+        picture = tree.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketColor")
+        picture.default_value, picture.hide_value = (0.0, 0.0, 0.0, 1.0), True
+        strength = tree.interface.new_socket(f"{name} Strength", in_out="INPUT", socket_type="NodeSocketFloat")
+        strength.default_value, strength.min_value, strength.max_value = 1.0, 0.0, 100.0
+        color = tree.interface.new_socket(f"{name} Color", in_out="INPUT", socket_type="NodeSocketColor")
+        color.default_value = (1.0, 1.0, 1.0, 1.0)
+        light, tint, tinted = compositor_mix(tree, "MULTIPLY")
+        colored, factor, scaled = compositor_mix(tree, "MULTIPLY")
+        tree.links.new(source.outputs[name], light)
+        tree.links.new(source.outputs[color.name], tint)
+        tree.links.new(tinted, colored)
+        tree.links.new(source.outputs[strength.name], factor)
+        sockets = [tinted, scaled]
+        if total is not None:
+            before, added, summed = compositor_mix(tree, "ADD")
+            tree.links.new(total, before)
+            tree.links.new(scaled, added)
+            sockets.append(summed)
+        total = sockets[-1]
+        for column, socket in enumerate(sockets):
+            socket.node.location = (250.0 + 200.0 * column, -220.0 * row)
+    target.location = (1000.0, 0.0)
+    if total is not None:
+        tree.links.new(total, target.inputs["Image"])
+    return tree
+
+
+def mixed_picture(scene: bpy.types.Scene, tree: bpy.types.NodeTree, names: Sequence[str]) -> bpy.types.NodeSocket:
+    """Socket of the picture of ``scene`` behind new nodes in ``tree``: render layers, "IRIS Lights", denoising if any.
+
+    The light groups are denoised after they are mixed, guided by the render's albedo and normals: before, each dim one
+    would lose detail.
+    """
+    layers, node = tree.nodes.new("CompositorNodeRLayers"), tree.nodes.new("CompositorNodeGroup")
+    layers.scene = scene
+    node.node_tree = light_mix_group(names)
+    node.name = node.label = MIX_GROUP
+    node.width = 260.0
+    for name in names:
+        tree.links.new(layers.outputs[f"Combined_{name}"], node.inputs[name])
+    denoise = can_denoise()
+    scene.view_layers[0].cycles.denoising_store_passes = denoise
+    if not denoise:
+        return node.outputs["Image"]
+    clean = compositor_denoise(tree)
+    tree.links.new(node.outputs["Image"], clean.inputs["Image"])
+    tree.links.new(layers.outputs["Denoising Albedo"], clean.inputs["Albedo"])
+    tree.links.new(layers.outputs["Denoising Normal"], clean.inputs["Normal"])
+    return clean.outputs["Image"]
+
+
+# ---- pixels --------------------------------------------------------------------------------------------------------
+
+
+def _render_shares(scene: bpy.types.Scene, names: Sequence[str], denoise: bool) -> LightShares:
+    import OpenEXR  # absent from Blender's own Python
+
+    scene.view_layers[0].cycles.denoising_store_passes = denoise
+    with tempfile.TemporaryDirectory(prefix="iris-") as folder, multilayer_exr(scene.render.image_settings):
+        path = Path(folder) / "shares.exr"
+        bpy.ops.render.render(scene=scene.name)
+        bpy.data.images["Render Result"].save_render(str(path), scene=scene)
+        if not path.is_file():
+            raise IrisError("Cycles gave no image", "look at Blender's console for the reason, often memory")
+        # One part per pass in files of 5.0 and later, one part with all passes before.
+        parts = OpenEXR.File(str(path), separate_channels=True).parts
+        channels = {name: channel.pixels for part in parts for name, channel in part.channels.items()}
+    shares = {name: _pick(channels, f"Combined_{name}") for name in names}
+    if denoise:
+        guides = _pick(channels, "Denoising Albedo"), _pick(channels, "Denoising Normal", "XYZ")
+        shares = denoise_pictures(shares, *guides)
+    return LightShares(_pick(channels, "Combined"), shares)
+
+
+def _pick(channels: Mapping[str, NDArray[np.floating]], name: str, letters: str = "RGB") -> NDArray[np.float32]:
+    """(H, W, 3) of the pass ``name``, whatever its view layer is called."""
+    found = {key.rpartition(".")[2]: pixels for key, pixels in channels.items() if key.split(".")[-2:-1] == [name]}
+    return np.stack([found[channel] for channel in letters], -1).astype(np.float32)
+
+
+def _emits(thing: bpy.types.Object) -> bool:
+    """Whether a material of ``thing`` gives light, or it is a lamp itself."""
+    if thing.type == "LIGHT":
+        return True
+    nodes = (
+        node
+        for slot in thing.material_slots
+        if slot.material is not None and slot.material.node_tree is not None
+        for node in slot.material.node_tree.nodes
+    )
+    for node in nodes:
+        strength = node.inputs.get("Emission Strength") if node.bl_idname == "ShaderNodeBsdfPrincipled" else None
+        if node.bl_idname == "ShaderNodeEmission" or (strength and (strength.is_linked or strength.default_value > 0)):
+            return True
+    return False

@@ -1,0 +1,212 @@
+"""A capture as Blender objects: the room's mesh, a camera per photo with the photo behind it, upright.
+
+What is read is the folder that ``inspect`` wrote (:mod:`iris_addon.capture.inspection`), so that every format the
+solver knows comes in the same way, with Blender's own Python and numpy alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+
+from ...base.errors import BadInput
+from ...base.files import json_object, numbers, read_arrays, read_json
+from ...model.capture import Camera, Mesh
+from ..apply.on_objects import APPLIED, ORIGINAL_MESH, restore
+from ..apply.photo_cameras import forget_given
+from ..camera import add_camera, look_through, set_lens
+from ..scene_out.build import plain_mesh
+from ..scene_out.scene_state import require_object_mode
+
+MEND = "check the capture again"
+COLLECTION = "IRIS Capture"
+
+
+@dataclass(frozen=True)
+class InspectedView:
+    """What was found out about one photo; see :mod:`iris_addon.capture.inspection`.
+
+    Attributes:
+        shift: pixels by which the photo's edges lie beside those of the mesh, where ``verdict`` is "shifted".
+    """
+
+    name: str
+    photo: Path
+    camera: Camera
+    exposure: float | None
+    saturated: float
+    histogram: tuple[float, ...]
+    seen: float
+    score: float
+    shift: float
+    verdict: str
+
+
+@dataclass(frozen=True)
+class Inspected:
+    """The content of an inspection folder."""
+
+    name: str
+    up: tuple[float, float, float]
+    warnings: tuple[str, ...]
+    views: tuple[InspectedView, ...]
+    mesh: Mesh
+
+
+def read_inspected(folder: Path) -> Inspected:
+    """Read what ``inspect`` wrote. Touches no bpy, so that a thread may do it; raises BadInput."""
+    path = folder / "capture.json"
+    content = read_json(path)
+    listed = content.get("views")
+    if not isinstance(listed, list) or not listed:
+        raise BadInput("lists no photos", MEND, path)
+    views = tuple(_view(json_object(row, "views", path), path) for row in listed)
+    x, y, z = numbers(content.get("up"), (3,), "up", path).tolist()
+    warnings = tuple(str(warning) for warning in content.get("warnings", []))
+    return Inspected(
+        name=str(content.get("name")), up=(x, y, z), warnings=warnings, views=views, mesh=_mesh(folder / "mesh.npz")
+    )
+
+
+def _view(row: dict[str, Any], path: Path) -> InspectedView:
+    try:
+        lens, alignment = row["camera"], row["alignment"]
+        camera = Camera(
+            int(lens["width"]),
+            int(lens["height"]),
+            *(float(lens[key]) for key in ("fx", "fy", "cx", "cy")),
+            c2w=numbers(lens["c2w"], (4, 4), "c2w", path),
+        )
+        return InspectedView(
+            name=str(row["name"]),
+            photo=Path(row["photo"]),
+            camera=camera,
+            exposure=None if row["exposure"] is None else float(row["exposure"]),
+            saturated=float(row["saturated"]),
+            histogram=tuple(float(value) for value in row["histogram"]),
+            seen=float(row["seen"]),
+            score=float(alignment["score"]),
+            shift=float(alignment["shift"]),
+            verdict=str(alignment["verdict"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise BadInput(f"a photo is described wrongly ({error!r})", MEND, path) from error
+
+
+def _mesh(path: Path) -> Mesh:
+    arrays = read_arrays(path)
+    if arrays is None or not {"vertices", "faces"} <= arrays.keys():
+        raise BadInput("is missing or damaged", MEND, path)
+    faces = arrays["faces"].astype(np.int64)
+    if faces.size and not 0 <= faces.min() <= faces.max() < len(arrays["vertices"]):
+        raise BadInput("names vertices it does not have", MEND, path)
+    return Mesh(arrays["vertices"], faces, arrays.get("uv"), arrays.get("regions"))
+
+
+def add_capture(inspected: Inspected, scene: bpy.types.Scene) -> tuple[bpy.types.Object, list[bpy.types.Object]]:
+    """Add mesh and cameras to ``scene``, children of an empty that turns the capture's up axis to +Z.
+
+    Returns:
+        The mesh object, and the camera of each photo.
+    """
+    collection = bpy.data.collections.new(COLLECTION)
+    scene.collection.children.link(collection)
+    anchor = bpy.data.objects.new(inspected.name, None)
+    anchor.matrix_world = Vector(inspected.up).rotation_difference(Vector((0.0, 0.0, 1.0))).to_matrix().to_4x4()
+    collection.objects.link(anchor)
+    room = bpy.data.objects.new(f"{inspected.name} mesh", plain_mesh(inspected.mesh, f"{inspected.name} mesh"))
+    room.parent = anchor
+    collection.objects.link(room)
+    photos = bpy.data.collections.new("IRIS Photos")
+    collection.children.link(photos)
+    cameras = [_add_view(view, anchor, photos) for view in inspected.views]
+    look_through(scene, inspected.views[0].camera, cameras[0])
+    return room, cameras
+
+
+def refresh_capture(
+    inspected: Inspected, scene: bpy.types.Scene, room: bpy.types.Object, present: Mapping[str, bpy.types.Object]
+) -> list[bpy.types.Object]:
+    """What was read again onto the objects of :func:`add_capture`; returns the camera of each photo.
+
+    A result that was applied is taken off where it is that of another mesh.
+
+    Args:
+        present: cameras by view. Those that are gone are made again.
+
+    Raises:
+        BadInput: the room is being edited.
+    """
+    require_object_mode([room])
+    spare = plain_mesh(inspected.mesh, room.name)
+    if _content(room.get(ORIGINAL_MESH, room.data)) != _content(spare):
+        if APPLIED in scene:
+            restore(scene)
+        room.data, spare = spare, room.data
+    if not spare.users:
+        bpy.data.meshes.remove(spare)
+    cameras = []
+    for view in inspected.views:
+        camera = present.get(view.name)
+        if camera is None:
+            camera = _add_view(view, room.parent, room.users_collection[0])
+        forget_given(camera)
+        set_lens(camera.data, view.camera)
+        camera.matrix_basis = Matrix(view.camera.c2w.tolist())
+        camera.data.iris_exposure = view.exposure or 0.0
+        cameras.append(camera)
+    return cameras
+
+
+def _content(data: bpy.types.Mesh) -> tuple[bytes, bytes]:
+    points, corners = np.empty(3 * len(data.vertices), np.float32), np.empty(len(data.loops), np.int32)
+    data.vertices.foreach_get("co", points)
+    data.loops.foreach_get("vertex_index", corners)
+    return points.tobytes(), corners.tobytes()
+
+
+def _add_view(
+    view: InspectedView, anchor: bpy.types.Object | None, collection: bpy.types.Collection
+) -> bpy.types.Object:
+    camera = add_camera(view.camera, view.name, collection)
+    camera.parent = anchor
+    camera.data.display_size = 0.1
+    show_photo(camera, view.photo)
+    camera.data.iris_exposure = view.exposure or 0.0
+    return camera
+
+
+def show_photo(camera: bpy.types.Object, photo: Path, alpha: float = 0.5) -> None:
+    """Put ``photo`` over what ``camera`` sees; the file is read when it is first drawn."""
+    image = bpy.data.images.load(str(photo), check_existing=True)
+    behind = camera.data.background_images.new()
+    behind.image, behind.alpha = image, alpha
+    behind.display_depth, behind.frame_method = "FRONT", "STRETCH"
+    camera.data.show_background_images = True
+
+
+def show_instead(camera: bpy.types.Object, image: bpy.types.Image | None) -> None:
+    """Show ``image`` in place of the photo of ``camera``; None shows the photo again. The photo stays the first."""
+    shown = camera.data.background_images
+    while len(shown) > 1:
+        shown.remove(shown[-1])
+    if image is not None:
+        instead = shown.new()
+        instead.image, instead.alpha = image, 1.0
+        instead.display_depth, instead.frame_method = "FRONT", "STRETCH"
+    if len(shown):
+        shown[0].show_background_image = image is None
+
+
+def photo_of(camera: bpy.types.Object) -> bpy.types.Image | None:
+    """The photo that ``camera`` shows, if it shows one."""
+    if camera.type != "CAMERA":
+        return None
+    shown: Sequence[Any] = camera.data.background_images
+    return next((behind.image for behind in shown if behind.source == "IMAGE" and behind.image is not None), None)

@@ -1,0 +1,215 @@
+"""A solved room as Blender data: mesh, materials, lamps, world, and what an edit adds to it.
+
+Everything is made from the plain arrays of a :class:`~iris_addon.results.result.Result`, in its own scene, so that
+nothing the user has open is touched; :meth:`BuiltScene.free` takes all of it away again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import bmesh
+import bpy
+import numpy as np
+from mathutils import Matrix
+from numpy.typing import NDArray
+
+from ...edits.scene_edit import SceneEdit, Sphere, lamp_name
+from ...model.capture import Mesh
+from ...results.result import Result
+from .backdrop import add_backdrop
+from .lights import add_light
+from .materials import LAMP_ID, RECOVERED, UV_MAP, black_material, lamp_material, sphere_material, surface_material
+from .placing import Room, add_object
+from .world import make_world
+
+
+@dataclass
+class BuiltScene:
+    """What :func:`build_scene` made.
+
+    Attributes:
+        room: the room's mesh, faces in the order of the result; without the lamps if those were kept apart.
+        lamps: the recovered lamps as objects of their own, in the order of the result; empty if they are in ``room``.
+        backdrop: what cameras see through holes of the mesh; None where the result has none.
+        lights: lights added by the edit.
+        inserted: balls and objects added by the edit.
+    """
+
+    scene: bpy.types.Scene
+    room: bpy.types.Object
+    lamps: list[bpy.types.Object] = field(default_factory=list)
+    backdrop: bpy.types.Object | None = None
+    lights: list[bpy.types.Object] = field(default_factory=list)
+    inserted: list[bpy.types.Object] = field(default_factory=list)
+    owned: set[bpy.types.ID] = field(default_factory=set)
+
+    def free(self) -> None:
+        """Remove the scene and every datablock that was made for it."""
+        # What a renderer keeps between renders would outlive the scene it points to, and Blender walks over it when the
+        # next scene is built: now and then onto memory that is no longer there.
+        self.scene.render.use_persistent_data = False
+        bpy.data.batch_remove(self.owned)
+        self.owned = set()
+
+
+def build_scene(result: Result, edit: SceneEdit | None = None, *, lamps_apart: bool = False) -> BuiltScene:
+    """A new scene with the room of ``result`` as changed by ``edit``, in the capture's axes and metres.
+
+    Args:
+        result: ``mesh.uv`` must be set.
+        edit: None leaves the room as recovered.
+        lamps_apart: every recovered lamp is an object of its own.
+    """
+    edit = edit or SceneEdit()
+    before = set(datablocks())
+    try:
+        scene = bpy.data.scenes.new("IRIS")
+        room, *lamps = add_room(result, edit, scene.collection, lamps_apart=lamps_apart)
+        built = BuiltScene(scene, room, lamps)
+        scene.world = make_world(result.outside, edit.outside_scale, np.eye(3), edit.panoramas, result.up)
+        if result.backdrop is not None:
+            built.backdrop = add_backdrop(result.backdrop, edit.outside_scale, scene.collection)
+        for number, light in enumerate(edit.lights):
+            built.lights.append(add_light(light, f"IRIS Light {number:02d}", scene.collection))
+        for number, sphere in enumerate(edit.spheres):
+            built.inserted.append(add_sphere(sphere, f"IRIS Ball {number:02d}", scene.collection))
+        ground = Room(result.mesh, result.up)
+        for number, thing in enumerate(edit.objects):
+            built.inserted += add_object(thing, f"IRIS Object {number:02d}", ground, scene.collection)
+    except BaseException:
+        bpy.data.batch_remove(set(datablocks()) - before)
+        raise
+    built.owned = set(datablocks()) - before
+    return built
+
+
+def add_room(
+    result: Result, edit: SceneEdit, collection: bpy.types.Collection, *, lamps_apart: bool = False
+) -> list[bpy.types.Object]:
+    """The room as a mesh object named "IRIS Room Mesh": UV map "IRIS", flat shaded, a material slot per lamp.
+
+    With ``lamps_apart`` the recovered lamps follow it as objects "IRIS Lamp 00" … and are its children.
+    """
+    slots, slot_of_face = face_materials(result, edit)
+    every_face = np.arange(len(slot_of_face))
+    lamps = [(lamp_name(lamp.id), lamp.faces) for lamp in result.emitters] if lamps_apart else []
+    rest = np.setdiff1d(every_face, np.concatenate([faces for _, faces in lamps])) if lamps else every_face
+    made = []
+    for name, faces in [("IRIS Room Mesh", rest), *lamps]:
+        data = room_mesh(_region(result.mesh, faces) if lamps else result.mesh, name)
+        used, own_slot = np.unique(slot_of_face[faces], return_inverse=True)
+        for slot in used:
+            data.materials.append(slots[slot])
+        data.polygons.foreach_set("material_index", own_slot.astype(np.int32))
+        made.append(bpy.data.objects.new(name, data))
+        collection.objects.link(made[-1])
+        if len(made) > 1:
+            made[-1].parent = made[0]
+    return made
+
+
+def _region(mesh: Mesh, faces: NDArray[np.integer]) -> Mesh:
+    """Some ``faces`` of ``mesh`` with the vertices they use."""
+    used, corners = np.unique(mesh.faces[faces], return_inverse=True)
+    uv = None if mesh.uv is None else mesh.uv[faces]
+    return Mesh(mesh.vertices[used], corners.reshape(-1, 3), uv)
+
+
+def room_mesh(mesh: Mesh, name: str) -> bpy.types.Mesh:
+    """``mesh`` as a flat-shaded Blender mesh with face order kept and ``mesh.uv`` as UV map "IRIS"."""
+    if mesh.uv is None:
+        raise ValueError("the mesh of a result must have UVs")
+    return plain_mesh(mesh, name)
+
+
+def plain_mesh(mesh: Mesh, name: str) -> bpy.types.Mesh:
+    """As :func:`room_mesh`, and without a UV map where ``mesh`` has none."""
+    vertices, faces = _separate_awkward_faces(mesh)
+    n = len(faces)
+    data = bpy.data.meshes.new(name)
+    data.vertices.add(len(vertices))
+    data.vertices.foreach_set("co", vertices.astype(np.float32).ravel())
+    data.loops.add(3 * n)
+    data.loops.foreach_set("vertex_index", faces.astype(np.int32).ravel())
+    data.polygons.add(n)
+    data.polygons.foreach_set("loop_start", np.arange(0, 3 * n, 3, dtype=np.int32))
+    if mesh.uv is not None:
+        layer = data.uv_layers.new(name=UV_MAP, do_init=False)
+        layer.uv.foreach_set("vector", np.ascontiguousarray(mesh.uv, np.float32).ravel())
+    data.update(calc_edges=True)
+    data.shade_flat()
+    return data
+
+
+def add_sphere(sphere: Sphere, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
+    """A smooth ball, round to 0.03 % of its radius."""
+    data = bpy.data.meshes.new(name)
+    mesh = bmesh.new()
+    bmesh.ops.create_uvsphere(mesh, u_segments=128, v_segments=64, radius=sphere.radius)
+    mesh.to_mesh(data)
+    mesh.free()
+    data.shade_smooth()
+    data.materials.append(sphere_material(name, sphere))
+    ball = bpy.data.objects.new(name, data)
+    ball.matrix_world = Matrix.Translation(tuple(sphere.center))
+    collection.objects.link(ball)
+    return ball
+
+
+def face_materials(
+    result: Result, edit: SceneEdit, uv_map: str = UV_MAP
+) -> tuple[list[bpy.types.Material], NDArray[np.int32]]:
+    """The materials of the room's slots, and (F,) the slot of each face: 0 the surface, then lamps, then black."""
+    emission = result.face_emission() if edit.face_emission is None else np.asarray(edit.face_emission, float)
+    slot_of_face = np.zeros(len(emission), np.int32)
+    slots = [surface_material(result.textures, uv_map, result.diffuse_lobe)]
+
+    lit = np.flatnonzero(emission.max(axis=1) > 0)
+    emitter_of_face = np.full(len(emission), -1)
+    for emitter in result.emitters:
+        emitter_of_face[emitter.faces] = emitter.id
+    lamps, lamp_of_face = np.unique(np.c_[emitter_of_face[lit], emission[lit]], axis=0, return_inverse=True)
+    slot_of_face[lit] = len(slots) + lamp_of_face.ravel()
+    for emitter_id, *radiance in lamps:
+        name = lamp_name(int(emitter_id)) if emitter_id >= 0 else "IRIS Lamp"
+        slots.append(lamp_material(name, radiance))
+        slots[-1][LAMP_ID], slots[-1][RECOVERED] = int(emitter_id), [float(value) for value in radiance]
+
+    if edit.black_faces is not None:
+        black = edit.black_faces & (slot_of_face == 0)  # a lamp is black already
+        if black.any():
+            slot_of_face[black] = len(slots)
+            slots.append(black_material())
+    return slots, slot_of_face
+
+
+def _separate_awkward_faces(mesh: Mesh) -> tuple[NDArray[np.floating], NDArray[np.int64]]:
+    """``mesh`` with own vertices for faces that Blender calls invalid: a repeated corner, or another face's corners.
+
+    It would drop them, and so shift the face indices that emitters refer to.
+    """
+    faces = mesh.faces
+    corners = np.sort(faces, axis=1)
+    awkward = (corners[:, 0] == corners[:, 1]) | (corners[:, 1] == corners[:, 2])
+    _, first = np.unique(corners, axis=0, return_index=True)
+    duplicate = np.ones(len(faces), bool)
+    duplicate[first] = False
+    awkward |= duplicate
+    own = mesh.vertices[faces[awkward]].reshape(-1, 3)
+    faces = faces.copy()
+    faces[awkward] = len(mesh.vertices) + np.arange(len(own)).reshape(-1, 3)
+    return np.concatenate([mesh.vertices, own]), faces
+
+
+BLOCK_KINDS = (
+    *("scenes", "collections", "objects", "meshes", "curves", "cameras", "lights", "armatures", "actions"),
+    *("materials", "node_groups", "images", "worlds"),
+)
+
+
+def datablocks() -> Iterator[bpy.types.ID]:
+    """Everything in the session of a kind that building or importing a scene adds to."""
+    for kind in BLOCK_KINDS:
+        yield from getattr(bpy.data, kind)

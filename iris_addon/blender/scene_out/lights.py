@@ -1,0 +1,171 @@
+"""Lights an edit adds: one-sided quads as emissive meshes, the others as Blender's own lights.
+
+Blender gives point and spot lights the watts that would leave to all sides, whatever their cone: energy E is the
+radiant intensity E / 4π. A sun's energy is its irradiance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+from numpy.typing import NDArray
+
+from ...edits.scene_edit import Light, Quad, SpotLight, SunLight
+from .materials import LAMP_ID, RECOVERED, black_material, one_sided_lamp_material
+
+ENERGY_PER_INTENSITY = 4 * np.pi
+
+
+def add_light(light: Light, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
+    """An object named ``name`` that shines as ``light`` says."""
+    if isinstance(light, Quad):
+        return add_quad(light, name, collection)
+    if isinstance(light, SunLight):
+        data = _light_data(name, "SUN", light.irradiance, 1.0)
+        data.angle = np.radians(light.angle)
+        matrix = _aimed(light.direction)
+    elif isinstance(light, SpotLight):
+        data = _light_data(name, "SPOT", light.intensity, ENERGY_PER_INTENSITY)
+        data.spot_size, data.spot_blend, data.shadow_soft_size = np.radians(light.angle), light.blend, light.radius
+        matrix = Matrix.Translation(tuple(light.position)) @ _aimed(light.direction)
+    else:
+        data = _light_data(name, "POINT", light.intensity, ENERGY_PER_INTENSITY)
+        data.shadow_soft_size = light.radius
+        matrix = Matrix.Translation(tuple(light.position))
+    thing = bpy.data.objects.new(name, data)
+    thing.matrix_world = matrix
+    collection.objects.link(thing)
+    return thing
+
+
+def add_quad(quad: Quad, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
+    """A one-sided rectangular light; its winding is made to agree with ``quad.normal``."""
+    corners = np.asarray(quad.corners, float)
+    if np.cross(corners[1] - corners[0], corners[2] - corners[0]) @ quad.normal < 0:
+        corners = corners[::-1]
+    data = bpy.data.meshes.new(name)
+    data.from_pydata(corners.tolist(), [], [(0, 1, 2, 3)])
+    if np.max(quad.radiance) > 0:
+        data.materials.append(one_sided_lamp_material(name, quad.radiance))
+    else:
+        data.materials.append(black_material(name))
+    light = bpy.data.objects.new(name, data)
+    collection.objects.link(light)
+    return light
+
+
+def _light_data(name: str, kind: str, power: NDArray[np.floating], factor: float) -> bpy.types.Light:
+    """Blender's light whose colour times energy is ``power`` (3,) times ``factor``."""
+    data = bpy.data.lights.new(name, kind)
+    peak = float(np.max(power))
+    data.energy = peak * factor
+    data.color = tuple(np.asarray(power) / peak) if peak > 0 else (0.0, 0.0, 0.0)
+    return data
+
+
+def _aimed(direction: NDArray[np.floating]) -> Matrix:
+    """Blender's lights shine along their -Z."""
+    return Vector(tuple(direction)).to_track_quat("-Z", "Y").to_matrix().to_4x4()
+
+
+# A recovered lamp is a plain emissive material; switching, dimming and tinting it is turning two of its sockets
+
+
+OFF_STRENGTH = "iris_strength"
+"""Custom property: the strength of a lamp that is switched off."""
+
+
+def lamp_materials(objects: Iterable[bpy.types.Object]) -> list[bpy.types.Material]:
+    """The materials of lamps on ``objects``, by the id of their emitter."""
+    used = {slot.material for thing in objects for slot in thing.material_slots if slot.material is not None}
+    lamps = [material for material in used if LAMP_ID in material]
+    return sorted(lamps, key=lambda material: (material[LAMP_ID], material.name))
+
+
+def is_plain(material: bpy.types.Material | None) -> bool:
+    """Whether it is as it was made, so that it can be turned here."""
+    return _shader(material) is not None
+
+
+def is_on(material: bpy.types.Material | None) -> bool:
+    """Whether it shines."""
+    return material is not None and OFF_STRENGTH not in material
+
+
+def switch(material: bpy.types.Material | None, on: bool) -> None:
+    """Let it shine with the strength it had, or not at all."""
+    shader = _shader(material)
+    if material is None or shader is None or on == is_on(material):
+        return
+    socket = shader.inputs["Emission Strength"]
+    if on:
+        socket.default_value = material[OFF_STRENGTH]
+        del material[OFF_STRENGTH]
+    else:
+        material[OFF_STRENGTH] = socket.default_value
+        socket.default_value = 0.0
+
+
+def strength(material: bpy.types.Material | None) -> float:
+    """Radiance of the brightest channel, also of a lamp that is off."""
+    shader = _shader(material)
+    if material is None or shader is None:
+        return 0.0
+    return float(material.get(OFF_STRENGTH, shader.inputs["Emission Strength"].default_value))
+
+
+def set_strength(material: bpy.types.Material | None, value: float) -> None:
+    """Set the radiance of the brightest channel; a lamp that is off stays off."""
+    shader = _shader(material)
+    if material is None or shader is None:
+        return
+    if OFF_STRENGTH in material:
+        material[OFF_STRENGTH] = value
+    else:
+        shader.inputs["Emission Strength"].default_value = value
+
+
+def color(material: bpy.types.Material | None) -> tuple[float, float, float]:
+    """Linear colour of its light."""
+    shader = _shader(material)
+    if material is None or shader is None:
+        return (0.0, 0.0, 0.0)
+    red, green, blue, _ = shader.inputs["Emission Color"].default_value
+    return (red, green, blue)
+
+
+def set_color(material: bpy.types.Material | None, value: Sequence[float]) -> None:
+    """Set the linear colour of its light."""
+    shader = _shader(material)
+    if shader is not None:
+        shader.inputs["Emission Color"].default_value = (*value, 1.0)
+
+
+@contextmanager
+def as_recovered(materials: Iterable[bpy.types.Material]) -> Iterator[None]:
+    """Lamps shine inside as they did when they were made; those that the artist has built anew stay as they are."""
+    before = []
+    for material in materials:
+        shader = _shader(material)
+        if shader is None or RECOVERED not in material:
+            continue
+        tint, level = shader.inputs["Emission Color"], shader.inputs["Emission Strength"]
+        before.append((tint, tuple(tint.default_value), level, level.default_value))
+        radiance = [float(value) for value in material[RECOVERED]]
+        level.default_value = max(radiance)
+        tint.default_value = (*(value / max(radiance) for value in radiance), 1.0)
+    try:
+        yield
+    finally:
+        for tint, color_before, level, strength_before in before:
+            tint.default_value, level.default_value = color_before, strength_before
+
+
+def _shader(material: bpy.types.Material | None) -> bpy.types.Node | None:
+    """The Principled BSDF; None without a material, and where the artist has built the lamp anew."""
+    nodes = material.node_tree.nodes if material is not None and material.node_tree is not None else ()
+    return next((node for node in nodes if node.bl_idname == "ShaderNodeBsdfPrincipled"), None)

@@ -1,0 +1,261 @@
+"""The materials of a solved room: one textured Principled surface, lamps, black, and the balls put in.
+
+The Principled distribution is GGX (single scatter), the lobe the solver fits, rather than Blender's default with
+multiple scattering. The dielectric part is that of IOR 1.5 everywhere.
+
+The solver's model adds the two lobes, ``kd / π + specular``; Cycles lays the dielectric over the diffuse base and
+takes what it may reflect off the base. :func:`layered_base_color` gives the base colour that leaves the diffuse albedo
+as recovered; without it a light room comes out a quarter too dark.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...brdf.diffuse import MEAN_COS2, MEAN_SCHLICK
+from ...brdf.ggx import layered_factor
+from ...edits.scene_edit import Material, Sphere
+from ...model.recovered import DiffuseLobe, Textures
+from ..images import LINEAR, image_from_array
+from ..version import node_tree
+
+SURFACE = "IRIS Surface"
+UV_MAP = "IRIS"
+CONFIDENCE = "IRIS Confidence"
+LAMP_ID = "iris_lamp"
+"""Custom property of a lamp's material: the id of its emitter in the result."""
+
+RECOVERED = "iris_recovered"
+"""Custom property of a lamp's material: the radiance (3,) it was made with."""
+
+LAYER_ROUGHNESS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
+LAYER_TRANSMITTANCE = {
+    "GGX": (0.9077, 0.9083, 0.9109, 0.9164, 0.9235, 0.9305, 0.9366, 0.9417, 0.9459, 0.9487, 0.9513),
+    "MULTI_GGX": (0.9081, 0.9088, 0.9125, 0.9199, 0.9291, 0.9388, 0.9483, 0.9573, 0.9652, 0.9723, 0.9782),
+}
+"""Share of the base's light that is left under the dielectric (IOR 1.5) of each of Principled's distributions, averaged
+over the cosine-weighted hemisphere; measured in Cycles with a ball in a white world."""
+
+
+def layer_transmittance(roughness: NDArray[np.floating] | float, distribution: str = "GGX") -> NDArray[np.float64]:
+    """(...) what the dielectric layer of Cycles' Principled leaves of the diffuse base's light, (0, 1]."""
+    return np.asarray(np.interp(roughness, LAYER_ROUGHNESS, LAYER_TRANSMITTANCE[distribution]))
+
+
+def layered_base_color(
+    base_color: NDArray[np.floating], roughness: NDArray[np.floating], metallic: NDArray[np.floating]
+) -> NDArray[np.float32]:
+    """Base colour (..., 3) for Cycles' Principled whose diffuse albedo is that of ``base_color`` in the solver's model.
+
+    Metals have no layer and keep theirs. Capped at 1: beyond, a surface would reflect more than it gets.
+    """
+    gain = (1 - metallic) / layer_transmittance(roughness) + metallic
+    return np.minimum(base_color * gain[..., None], 1.0).astype(np.float32)
+
+
+def surface_material(textures: Textures, uv_map: str = UV_MAP, diffuse: DiffuseLobe = "lambert") -> bpy.types.Material:
+    """The material of everything that is not a lamp: base colour, roughness and metallic from the atlas."""
+    material, shader = _principled(SURFACE)
+    tree = material.node_tree
+    uv = tree.nodes.new("ShaderNodeUVMap")
+    uv.uv_map, uv.location = uv_map, (-700, 0)
+    base_color = layered_base_color(textures.base_color, textures.roughness, textures.metallic)
+    maps = (
+        ("Base Color", image_from_array("IRIS Base Color", base_color, colorspace=LINEAR, float_buffer=True)),
+        ("Metallic", image_from_array("IRIS Metallic", textures.metallic)),
+        ("Roughness", image_from_array("IRIS Roughness", textures.roughness)),
+    )
+    for row, (socket, image) in enumerate(maps):
+        node = tree.nodes.new("ShaderNodeTexImage")
+        node.image, node.extension, node.location = image, "EXTEND", (-450, 300 - 300 * row)
+        tree.links.new(uv.outputs["UV"], node.inputs["Vector"])
+        tree.links.new(node.outputs["Color"], shader.inputs[socket])
+    if diffuse == "burley":
+        insert_burley(tree, shader)
+    return material
+
+
+def add_confidence(material: bpy.types.Material, textures: Textures) -> None:
+    """An image node that is linked to nothing: what the solid view shows when it is the active one."""
+    node = material.node_tree.nodes.new("ShaderNodeTexImage")
+    node.name = node.label = CONFIDENCE
+    node.image = image_from_array(CONFIDENCE, textures.confidence)
+    node.extension, node.location = "EXTEND", (-450, -700)
+    uv = next(node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeUVMap")
+    material.node_tree.links.new(uv.outputs["UV"], node.inputs["Vector"])
+
+
+def lamp_material(name: str, radiance: Sequence[float] | np.ndarray) -> bpy.types.Material:
+    """A black surface that emits ``radiance`` (3,) from both sides, as colour of maximum 1 times strength."""
+    material, shader = _black(name)
+    _emit(shader, radiance)
+    material.cycles.emission_sampling = "FRONT_BACK"
+    return material
+
+
+def one_sided_lamp_material(name: str, radiance: Sequence[float] | np.ndarray) -> bpy.types.Material:
+    """A black surface that emits ``radiance`` (3,) from the side its normal points to and nothing from the other."""
+    material, shader = _black(name)
+    _emit(shader, radiance)
+    tree = material.node_tree
+    geometry = tree.nodes.new("ShaderNodeNewGeometry")
+    front = tree.nodes.new("ShaderNodeMath")
+    geometry.location, front.location = (-450, -200), (-250, -200)
+    front.operation = "MULTIPLY_ADD"  # strength · (1 − backfacing)
+    strength = shader.inputs["Emission Strength"].default_value
+    front.inputs[1].default_value, front.inputs[2].default_value = -strength, strength
+    tree.links.new(geometry.outputs["Backfacing"], front.inputs[0])
+    tree.links.new(front.outputs["Value"], shader.inputs["Emission Strength"])
+    material.cycles.emission_sampling = "FRONT"
+    return material
+
+
+def black_material(name: str = "IRIS Black") -> bpy.types.Material:
+    """A surface that neither reflects nor emits."""
+    return _black(name)[0]
+
+
+def sphere_material(name: str, sphere: Sphere | Material) -> bpy.types.Material:
+    """The Principled material of what is put in; its values mean what they mean for the room."""
+    material, shader = _principled(name)
+    roughness, metallic = np.array(sphere.roughness), np.array(sphere.metallic)
+    base_color = layered_base_color(np.array(sphere.base_color), roughness, metallic)
+    shader.inputs["Base Color"].default_value = (*base_color, 1.0)
+    shader.inputs["Roughness"].default_value = sphere.roughness
+    shader.inputs["Metallic"].default_value = sphere.metallic
+    shader.inputs["Specular IOR Level"].default_value = sphere.specular
+    if isinstance(sphere, Material) and max(sphere.emission) > 0:
+        _emit(shader, sphere.emission)
+        material.cycles.emission_sampling = "FRONT_BACK"
+    return material
+
+
+def _principled(name: str) -> tuple[bpy.types.Material, bpy.types.ShaderNodeBsdfPrincipled]:
+    material = bpy.data.materials.new(name)
+    tree = node_tree(material)
+    shader = tree.nodes.new("ShaderNodeBsdfPrincipled")
+    output = tree.nodes.new("ShaderNodeOutputMaterial")
+    output.location = (350, 0)
+    shader.distribution = "GGX"
+    shader.inputs["IOR"].default_value = 1.5
+    shader.inputs["Specular IOR Level"].default_value = 0.5
+    tree.links.new(shader.outputs["BSDF"], output.inputs["Surface"])
+    return material, shader
+
+
+def _black(name: str) -> tuple[bpy.types.Material, bpy.types.ShaderNodeBsdfPrincipled]:
+    material, shader = _principled(name)
+    shader.inputs["Base Color"].default_value = (0.0, 0.0, 0.0, 1.0)
+    shader.inputs["Roughness"].default_value = 1.0
+    shader.inputs["Specular IOR Level"].default_value = 0.0
+    return material, shader
+
+
+def _emit(shader: bpy.types.ShaderNodeBsdfPrincipled, radiance: Sequence[float] | np.ndarray) -> None:
+    radiance = np.asarray(radiance, float)
+    strength = float(radiance.max())
+    shader.inputs["Emission Color"].default_value = (*(radiance / strength), 1.0)
+    shader.inputs["Emission Strength"].default_value = strength
+
+
+# ---- Burley's diffuse lobe in Cycles, whose Principled surface is Lambertian under a dielectric layer ---------------
+#
+# The solver's lobe is a factor of the light times a factor of the view (:mod:`iris_addon.brdf.diffuse`). A base
+# colour may depend on the view alone, so it takes the view factor, and the light factor's mean. A path's next vertex is
+# "the view" of the surface it leaves, so this holds for bounced light as well.
+#
+# Renderers with this lobe add the specular one. Principled takes that off, more at grazing angles than head-on about
+# the mean that the base colour allows for (:func:`iris_addon.brdf.ggx.layered_factor`); the group gives it back.
+
+
+GROUP = "IRIS Burley Diffuse"
+TABLE, TABLE_SIZE = "IRIS Unlayered", (16, 128)
+"""Image of what the layer's factor is taken back by: over roughness, upwards, and over the cosine to the viewer."""
+
+
+def insert_burley(tree: bpy.types.NodeTree, shader: bpy.types.ShaderNodeBsdfPrincipled) -> None:
+    """Put the group between the base colour of ``shader`` and what feeds it."""
+    node = tree.nodes.new("ShaderNodeGroup")
+    node.node_tree, node.location = burley_group(), (-180, 200)
+    for name, socket in (("Color", "Base Color"), ("Roughness", "Roughness"), ("Metallic", "Metallic")):
+        for link in shader.inputs[socket].links:
+            tree.links.new(link.from_socket, node.inputs[name])
+    tree.links.new(node.outputs["Color"], shader.inputs["Base Color"])
+
+
+def remove_burley(tree: bpy.types.NodeTree) -> None:
+    """Undo :func:`insert_burley`; a tree without the group stays as it is."""
+    for node in [n for n in tree.nodes if n.bl_idname == "ShaderNodeGroup" and n.node_tree.name.startswith(GROUP)]:
+        source = node.inputs["Color"].links[0].from_socket
+        for link in list(node.outputs["Color"].links):
+            tree.links.new(source, link.to_socket)
+        tree.nodes.remove(node)
+
+
+def burley_group() -> bpy.types.NodeTree:
+    """The node group: Color, Roughness and Metallic in, the base colour as seen from the incoming direction out."""
+    group = bpy.data.node_groups.new(GROUP, "ShaderNodeTree")
+    for name, kind in (("Color", "NodeSocketColor"), ("Roughness", "NodeSocketFloat"), ("Metallic", "NodeSocketFloat")):
+        group.interface.new_socket(name, in_out="INPUT", socket_type=kind)
+    group.interface.new_socket("Color", in_out="OUTPUT", socket_type="NodeSocketColor")
+    source, sink = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
+    geometry = group.nodes.new("ShaderNodeNewGeometry")
+    source.location, geometry.location, sink.location = (-900, 0), (-900, -250), (900, 0)
+
+    facing = group.nodes.new("ShaderNodeVectorMath")
+    facing.operation, facing.location = "DOT_PRODUCT", (-700, -250)
+    group.links.new(geometry.outputs["Incoming"], facing.inputs[0])
+    group.links.new(geometry.outputs["Normal"], facing.inputs[1])
+    cosine = _math(group, "ABSOLUTE", facing.outputs["Value"], at=(-520, -250))
+    schlick = _math(group, "POWER", _math(group, "SUBTRACT", 1.0, cosine, at=(-340, -250)), 5.0, at=(-160, -250))
+    kappa = _math(group, "MULTIPLY_ADD", source.outputs["Roughness"], 2 * MEAN_COS2, -0.5, at=(-340, -50))
+    view = _math(group, "MULTIPLY_ADD", kappa, schlick, 1.0, at=(20, -250))
+    light = _math(group, "MULTIPLY_ADD", kappa, MEAN_SCHLICK, 1.0, at=(20, -50))
+    lobe = _math(group, "MULTIPLY", view, light, at=(200, -150))
+    unlayered = _unlayered(group, cosine, source.outputs["Roughness"])
+    excess = _math(group, "MULTIPLY_ADD", lobe, unlayered, -1.0, at=(380, -150))
+    # A metal has no diffuse part: its base colour is that of its highlight.
+    dielectric = _math(group, "SUBTRACT", 1.0, source.outputs["Metallic"], at=(380, -350))
+    gain = _math(group, "MULTIPLY_ADD", excess, dielectric, 1.0, at=(560, -150))
+    scaled = group.nodes.new("ShaderNodeVectorMath")
+    scaled.operation, scaled.location = "SCALE", (720, 0)
+    group.links.new(source.outputs["Color"], scaled.inputs[0])
+    group.links.new(gain, scaled.inputs["Scale"])
+    group.links.new(scaled.outputs["Vector"], sink.inputs["Color"])
+    return group
+
+
+def _unlayered(
+    tree: bpy.types.NodeTree, cosine: bpy.types.NodeSocket, roughness: bpy.types.NodeSocket
+) -> bpy.types.NodeSocket:
+    """One over the factor of the layer, looked up."""
+    rows, columns = TABLE_SIZE
+    factor = layered_factor(np.linspace(0, 1, rows)[:, None], np.linspace(0, 1, columns)[None])
+    node = tree.nodes.new("ShaderNodeTexImage")
+    node.image = image_from_array(TABLE, 1 / factor[::-1], float_buffer=True)
+    node.extension, node.location = "EXTEND", (-160, -500)
+    at = tree.nodes.new("ShaderNodeCombineXYZ")
+    at.location = (-340, -500)
+    # Values lie at the centres of texels.
+    for axis, value, size, height in (("X", cosine, columns, -430), ("Y", roughness, rows, -600)):
+        placed = _math(tree, "MULTIPLY_ADD", value, (size - 1) / size, 0.5 / size, at=(-520, height))
+        tree.links.new(placed, at.inputs[axis])
+    tree.links.new(at.outputs["Vector"], node.inputs["Vector"])
+    return node.outputs["Color"]
+
+
+def _math(
+    tree: bpy.types.NodeTree, operation: str, *values: bpy.types.NodeSocket | float, at: tuple[float, float]
+) -> bpy.types.NodeSocket:
+    node = tree.nodes.new("ShaderNodeMath")
+    node.operation, node.location = operation, at
+    for socket, value in zip(node.inputs, values, strict=False):
+        if isinstance(value, float):
+            socket.default_value = value
+        else:
+            tree.links.new(value, socket)
+    return node.outputs["Value"]

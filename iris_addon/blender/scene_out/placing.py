@@ -1,0 +1,227 @@
+"""Shapes and objects put into the room: made or imported, then stood up, scaled in metres and set on a surface."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import cached_property
+
+import bmesh
+import bpy
+import numpy as np
+from mathutils import Euler, Matrix, Vector
+from mathutils.bvhtree import BVHTree
+from numpy.typing import NDArray
+
+from ...base.errors import BadInput
+from ...edits.scene_edit import ObjectFile, Placement, Primitive
+from ...model.capture import Mesh
+from ..version import require_build_option, require_gltf
+from .materials import sphere_material
+
+CONTACT_GAP = 2e-4  # metres between an object and what it stands on: faces in one plane flicker
+LEVEL_RADIUS = 0.06  # metres around a point over which its surface is levelled
+SAME_SURFACE = 0.7  # cosine between normals from which on faces are of one surface
+REACH = 1e-2  # metres that something placed just under a surface is lifted before it falls
+
+
+class Room:
+    """The room as placing sees it.
+
+    Attributes:
+        up: unit up vector.
+    """
+
+    def __init__(self, mesh: Mesh, up: tuple[float, float, float]) -> None:
+        self.mesh, self.up = mesh, Vector(up)
+
+    @cached_property
+    def _tree(self) -> BVHTree:
+        return BVHTree.FromPolygons(self.mesh.vertices.tolist(), self.mesh.faces.tolist())
+
+    def along(self, origin: Vector, direction: Vector) -> tuple[Vector, Vector] | None:
+        """Point and normal (towards ``origin``) of the first surface along a ray, or None."""
+        point, normal, _face, _distance = self._tree.ray_cast(origin, direction)
+        return None if point is None else (point, self._level(point, -normal if normal.dot(direction) > 0 else normal))
+
+    def nearest(self, at: Vector) -> tuple[Vector, Vector]:
+        """Nearest point of the room and the normal there, on the side of ``at`` where that is to be told."""
+        point, normal, _face, _distance = self._tree.find_nearest(at)
+        return point, self._level(point, -normal if normal.dot(at - point) < 0 else normal)
+
+    def _level(self, at: Vector, normal: Vector) -> Vector:
+        """The mean normal of the surface around ``at``, as far as it goes on evenly: one face of a scan is noise."""
+        mean = normal * 1e-9  # a face that lies alone keeps its own
+        for _point, other, face, _distance in self._tree.find_nearest_range(at, LEVEL_RADIUS):
+            a, b, c = (Vector(self.mesh.vertices[k]) for k in self.mesh.faces[face])
+            other = -other if other.dot(normal) < 0 else other
+            if other.dot(normal) > SAME_SURFACE:
+                mean += other * (b - a).cross(c - a).length
+        return mean.normalized()
+
+
+def add_object(
+    thing: Primitive | ObjectFile, name: str, room: Room, collection: bpy.types.Collection
+) -> list[bpy.types.Object]:
+    """``thing`` in ``collection``, under one empty that places it; returns all of it.
+
+    Raises:
+        BadInput: the file cannot be used, or there is no surface where one is asked for.
+    """
+    if isinstance(thing, Primitive):
+        objects = [_add_primitive(thing, name, collection)]
+    else:
+        objects = import_objects(thing, collection)
+        if thing.material is not None:
+            _use_material(objects, sphere_material(name, thing.material))
+    bpy.context.evaluated_depsgraph_get()  # world matrices of what was just imported
+    for layer in collection.id_data.view_layers if isinstance(collection.id_data, bpy.types.Scene) else ():
+        layer.update()
+    anchor = bpy.data.objects.new(name, None)
+    anchor.matrix_world = placement_matrix(thing.placement, room, corners_of(objects))
+    collection.objects.link(anchor)
+    for child in objects:
+        if child.parent is None:
+            child.parent = anchor
+    return [anchor, *objects]
+
+
+def placement_matrix(placed: Placement, room: Room, corners: NDArray[np.floating]) -> Matrix:
+    """The matrix that carries an object's axes (+Z up) to where it stands.
+
+    Args:
+        corners: (n, 3) points of the object in its own axes; its lowest one touches the surface it is snapped to.
+    """
+    at, normal = _support(placed, room)
+    upright = Vector((0.0, 0.0, 1.0)).rotation_difference(normal).to_matrix().to_4x4()
+    turned = Euler(np.radians(placed.rotation)).to_matrix().to_4x4() @ Matrix.Diagonal((*placed.scale, 1.0))
+    heights = corners @ np.array(turned)[2, :3] if len(corners) else np.zeros(1)
+    extent = float(np.ptp(heights))
+    scale = 1.0
+    if placed.height is not None:
+        if extent <= 0:
+            raise BadInput("an object without height cannot be scaled to one", "give 'scale' in place of 'height'")
+        scale = placed.height / extent
+    lift = CONTACT_GAP - scale * float(heights.min()) if placed.snap != "none" else 0.0
+    return Matrix.Translation(at) @ upright @ Matrix.Translation((0.0, 0.0, lift)) @ Matrix.Scale(scale, 4) @ turned
+
+
+def _support(placed: Placement, room: Room) -> tuple[Vector, Vector]:
+    """Where the object stands and which way is up for it."""
+    at, normal = Vector(placed.location), room.up
+    if placed.ray is not None:
+        hit = room.along(*map(Vector, placed.ray))
+        if hit is None:
+            raise BadInput("there is no surface behind 'pixel'", "point at the room, or give 'location'")
+        at, normal = hit
+    elif placed.snap == "surface":
+        at, normal = room.nearest(at)
+    if placed.snap != "down":
+        return at, normal if placed.snap == "surface" else room.up
+    if placed.ray is not None and normal.dot(room.up) > 0.5:
+        return at, room.up  # it was pointed at what it is to stand on
+    hit = room.along(at + REACH * (room.up + normal), -room.up)
+    if hit is None:
+        raise BadInput(
+            f"there is nothing below {[round(v, 3) for v in at]} to stand on", "move the object, or use snap 'surface'"
+        )
+    return hit[0], room.up
+
+
+def _add_primitive(thing: Primitive, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
+    """A mesh of the shape's ``size`` around the origin."""
+    data = bpy.data.meshes.new(name)
+    mesh = bmesh.new()
+    if thing.shape == "card":
+        bmesh.ops.create_grid(mesh, x_segments=1, y_segments=1, size=0.5)
+    elif thing.shape == "box":
+        bmesh.ops.create_cube(mesh, size=1.0)
+    elif thing.shape == "sphere":
+        bmesh.ops.create_uvsphere(mesh, u_segments=128, v_segments=64, radius=0.5)
+    else:
+        top = 0.5 if thing.shape == "cylinder" else 0.0
+        bmesh.ops.create_cone(mesh, cap_ends=True, segments=96, radius1=0.5, radius2=top, depth=1.0)
+    size = thing.size if thing.shape != "card" else (*thing.size[:2], 1.0)
+    bmesh.ops.scale(mesh, vec=size, verts=mesh.verts)
+    mesh.to_mesh(data)
+    mesh.free()
+    if thing.shape == "sphere":
+        data.shade_smooth()
+    elif thing.shape in ("cylinder", "cone"):
+        for polygon in data.polygons:
+            polygon.use_smooth = len(polygon.vertices) < 5  # the mantle is round, its caps are flat
+        data.set_sharp_from_angle(angle=np.radians(40.0))
+    data.materials.append(sphere_material(name, thing.material))
+    shape = bpy.data.objects.new(f"{name} Mesh", data)
+    collection.objects.link(shape)
+    return shape
+
+
+def _use_material(objects: Iterable[bpy.types.Object], material: bpy.types.Material) -> None:
+    for thing in objects:
+        if thing.type == "MESH":
+            thing.data.materials.clear()
+            thing.data.materials.append(material)
+
+
+def corners_of(objects: Iterable[bpy.types.Object]) -> NDArray[np.float64]:
+    """(n, 3) in world space: vertices of the meshes, and corners of the boxes of anything else that has an extent."""
+    found = [np.empty((0, 3))]
+    for thing in objects:
+        if thing.type == "MESH":
+            points = np.empty((len(thing.data.vertices), 3), np.float32)  # a type that foreach_get takes at once
+            thing.data.vertices.foreach_get("co", points.ravel())
+        elif thing.type in ("CURVE", "SURFACE", "FONT", "META"):
+            points = np.array(thing.bound_box)
+        else:
+            continue
+        matrix = np.array(thing.matrix_world)
+        found.append(np.asarray(points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3])
+    return np.concatenate(found)
+
+
+# ---- Objects of .blend, .glb/.gltf, .obj and .usd files as Blender data ---------------------------------------------
+
+
+KINDS = ".blend, .glb, .gltf, .obj, .usd, .usda, .usdc or .usdz"
+
+
+def import_objects(source: ObjectFile, collection: bpy.types.Collection) -> list[bpy.types.Object]:
+    """Everything in the file as objects of ``collection`` alone, where the file has them.
+
+    Raises:
+        BadInput: the file is missing, unreadable, of a kind not known, or has no objects in it.
+    """
+    if not source.file.is_file():
+        raise BadInput("no such object file", "correct 'file' of the object", source.file)
+    before = set(bpy.data.objects)
+    try:
+        _import_file(source)
+    except (RuntimeError, OSError) as error:
+        raise BadInput(f"cannot be imported ({str(error).strip()})", "export the object again", source.file) from error
+    objects = [thing for thing in bpy.data.objects if thing not in before]
+    if not objects:
+        raise BadInput("has no objects in it", "choose a file with a mesh", source.file)
+    for thing in objects:
+        for owner in tuple(thing.users_collection):
+            owner.objects.unlink(thing)
+        collection.objects.link(thing)
+    return objects
+
+
+def _import_file(source: ObjectFile) -> None:
+    path, kind = str(source.file), source.file.suffix.lower()
+    if kind == ".blend":
+        with bpy.data.libraries.load(path) as (found, wanted):
+            wanted.objects = found.objects
+    elif kind in (".glb", ".gltf"):
+        require_gltf()
+        bpy.ops.import_scene.gltf(filepath=path)
+    elif kind == ".obj":
+        require_build_option("io_wavefront_obj", "An .obj file")
+        bpy.ops.wm.obj_import(filepath=path)
+    elif kind in (".usd", ".usda", ".usdc", ".usdz"):
+        require_build_option("usd", "A .usd file")
+        # The world of the file would replace that of the open scene.
+        bpy.ops.wm.usd_import(filepath=path, create_world_material=False, import_cameras=False)
+    else:
+        raise BadInput(f"'{kind}' is no kind of object file known here", f"use {KINDS}", source.file)

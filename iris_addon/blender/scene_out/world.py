@@ -1,0 +1,96 @@
+"""Light from outside the mesh as a Blender world."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+from numpy.typing import NDArray
+
+from ...base.errors import BadInput
+from ...edits.scene_edit import OUTSIDE, Panorama
+from ...model.recovered import OutsideLight
+from ...model.sphere import equirect_directions, sh_radiance
+from ..images import LINEAR, image_from_array
+from ..version import node_tree
+
+WIDTH, HEIGHT = 512, 256  # far finer than order 2 needs: Cycles wraps rows too, so half a texel at each pole is wrong
+
+
+def make_world(
+    outside: OutsideLight | None,
+    scale: float,
+    to_blender: NDArray[np.floating],
+    panoramas: Sequence[Panorama] = (),
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0),
+) -> bpy.types.World:
+    """A world that shines ``scale`` times ``outside`` and ``panoramas`` on top; black without either.
+
+    A constant becomes a plain background, higher orders an equirectangular float image. The image is laid out in
+    Blender's own world axes: ``to_blender`` (3, 3) is the rotation from the capture's axes to them, so that turning
+    the room later means turning the panorama by a Mapping node.
+
+    Args:
+        up: of the capture, where the top of the panoramas points.
+
+    Raises:
+        BadInput: the picture of a panorama cannot be read.
+    """
+    world = bpy.data.worlds.new(OUTSIDE)
+    tree = node_tree(world)
+    output = tree.nodes.new("ShaderNodeOutputWorld")
+    output.location = (250, 0)
+    shader = _sky(tree, None if outside is None else outside.sh, scale, to_blender)
+    for panorama in panoramas:
+        added = tree.nodes.new("ShaderNodeAddShader")
+        tree.links.new(shader.outputs[0], added.inputs[0])
+        tree.links.new(_panorama_background(tree, panorama, to_blender @ np.asarray(up)).outputs[0], added.inputs[1])
+        shader = added
+    tree.links.new(shader.outputs[0], output.inputs["Surface"])
+    return world
+
+
+def _sky(
+    tree: bpy.types.NodeTree, sh: NDArray[np.floating] | None, scale: float, to_blender: NDArray[np.floating]
+) -> bpy.types.Node:
+    """A background with the radiance of the harmonics ``sh`` (n, 3) in the capture's axes."""
+    background = tree.nodes.new("ShaderNodeBackground")
+    background.inputs["Strength"].default_value = scale
+    if sh is None:
+        background.inputs["Color"].default_value = (0.0, 0.0, 0.0, 1.0)
+    elif len(sh) == 1:
+        radiance = sh_radiance(sh, np.array([0.0, 0.0, 1.0]))
+        background.inputs["Color"].default_value = (*radiance, 1.0)
+    else:
+        panorama = sh_radiance(sh, equirect_directions(WIDTH, HEIGHT) @ to_blender)
+        texture = tree.nodes.new("ShaderNodeTexEnvironment")
+        texture.location = (-300, 0)
+        texture.image = image_from_array(OUTSIDE, panorama, colorspace=LINEAR, float_buffer=True)
+        tree.links.new(texture.outputs["Color"], background.inputs["Color"])
+    return background
+
+
+def _panorama_background(tree: bpy.types.NodeTree, panorama: Panorama, up: NDArray[np.floating]) -> bpy.types.Node:
+    try:
+        image = bpy.data.images.load(str(panorama.file.absolute()), check_existing=False)
+    except RuntimeError as error:
+        raise BadInput("cannot be read as a panorama", "correct 'file' of the light", panorama.file) from error
+    coordinates = tree.nodes.new("ShaderNodeTexCoord")
+    mapping = tree.nodes.new("ShaderNodeMapping")
+    texture = tree.nodes.new("ShaderNodeTexEnvironment")
+    background = tree.nodes.new("ShaderNodeBackground")
+    for column, node in enumerate((coordinates, mapping, texture, background)):
+        node.location = (-900 + 220 * column, -300)
+    # The mapping takes a direction of the world to one of the picture: the inverse of how the picture is turned.
+    turned = Vector((0.0, 0.0, 1.0)).rotation_difference(Vector(up)).to_matrix()
+    turned = turned @ Matrix.Rotation(np.radians(panorama.rotation), 3, "Z")
+    mapping.vector_type = "POINT"
+    mapping.inputs["Rotation"].default_value = turned.inverted().to_euler()
+    texture.image = image
+    background.inputs["Strength"].default_value = panorama.scale
+    tree.links.new(coordinates.outputs["Generated"], mapping.inputs["Vector"])
+    tree.links.new(mapping.outputs["Vector"], texture.inputs["Vector"])
+    tree.links.new(texture.outputs["Color"], background.inputs["Color"])
+    return background

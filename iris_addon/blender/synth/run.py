@@ -1,0 +1,151 @@
+"""synth: a posed LDR capture with full ground truth out of a Blender scene, in FIPT's layout.
+
+    scene.blend ─► scene.ply          what a scan would give
+                 ─► train/, val/, cam/ photos: radiance · exposure through a response curve, 8 bits; poses
+                 ─► relight/, insert/  jobs, with their references rendered under gt/
+                 ─► gt/                radiance, Principled maps, emitters, response: for scoring only
+
+Limits: perspective cameras of one focal length without lens shift; surfaces that are Principled, Diffuse, Glossy or
+mixes of these; lamps that are meshes of constant emission. Lamp objects and the world light the photos, but the ground
+truth of emitters cannot name them, and the relighting references switch them off.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ...base.errors import BadInput
+from ...base.progress import Progress
+from ..camera import read_camera
+from . import photos
+from .references import write_references
+from .renders import Studio, add_outputs, render_maps
+from .scene import prepare, read_geometry, write_ply
+from .writer import CaptureWriter, Shot
+
+LEVELS = (0.25, 0.5, 1.0, 2.0, 4.0)
+"""Exposures; the brightest views get the lowest."""
+STAGE_WEIGHTS = {"maps": 0.03, "views": 0.7, "references": 0.27}
+
+
+def synth(
+    scene_blend: Path,
+    out: Path,
+    *,
+    cameras: Sequence[str] | None = None,
+    resolution: tuple[int, int] = (320, 240),
+    response: str | Path = "film",
+    samples: int = 256,
+    seed: int = 0,
+    compact: bool = False,
+    progress: Progress | None = None,
+) -> None:
+    """Render the capture folder ``out`` from ``scene_blend``.
+
+    The folder appears once it is complete; until then the work goes on in a hidden folder beside it.
+
+    Args:
+        cameras: names of the camera objects to use, None for all, in the order of their names. Those whose name begins
+            with "val" or whose custom property ``iris_split`` is "val" give the validation views.
+        resolution: width and height in pixels.
+        response: 'film', 'gamma', 'linear' or a file (see :func:`~iris_addon.blender.synth.photos.read_response`).
+        samples: per pixel, before denoising.
+        compact: leave out what no metric needs (constant exposure, radiance of training views, maps of validation
+            views, BaseCol, Depth, Normal) and store pictures with lossy compression.
+
+    Raises:
+        BadInput: ``out`` is not empty, or the scene is outside the limits above.
+    """
+    progress = progress or Progress(weights=STAGE_WEIGHTS)
+    out = Path(out)
+    if out.exists() and any(out.iterdir()):
+        raise BadInput("is not empty", "choose another --out or remove the folder", out)
+    curve = photos.read_response(response)
+    scene = _open(Path(scene_blend), resolution)
+    train, val = _shots(scene, cameras)
+    prepare(scene)
+    geometry = read_geometry(scene)
+    if not geometry.emitters:
+        raise BadInput("no visible mesh emits light", "light the scene with emissive meshes", scene_blend)
+    add_outputs(scene, geometry.materials)
+
+    partial = out.with_name(f".{out.name}-partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    writer = CaptureWriter(partial, compact, curve)
+    studio = Studio(scene, samples, seed)
+    with progress.stage("maps"):
+        maps = []
+        for k, shot in enumerate(train + val):
+            maps.append(render_maps(scene, shot.camera, shot.thing))
+            progress.update((k + 1) / len(train + val))
+    with progress.stage("views"):
+        radiance = []
+        for k, shot in enumerate(train + val):
+            radiance.append(studio.radiance(shot.camera))
+            progress.update((k + 1) / len(train + val))
+
+    write_ply(partial / "scene.ply", geometry.mesh)
+    writer.split("train", train, radiance[: len(train)], maps[: len(train)])
+    writer.split("val", val, radiance[len(train) :], maps[len(train) :])
+    scale = writer.photos(radiance, maps, len(train), LEVELS)
+    writer.scene(geometry)
+    writer.meta(Path(scene_blend).stem, train, val, scene, scale=scale, samples=samples, seed=seed)
+    if val:
+        with progress.stage("references"):
+            write_references(partial, studio, geometry, [shot.camera for shot in val], lossy=compact, progress=progress)
+    if out.exists():
+        out.rmdir()
+    partial.rename(out)
+
+
+# ---- reading the scene ----------------------------------------------------------------------------------------------
+
+
+def _open(path: Path, resolution: tuple[int, int]) -> bpy.types.Scene:
+    try:
+        bpy.ops.wm.open_mainfile(filepath=str(path.absolute()))
+    except RuntimeError as error:
+        raise BadInput(
+            "cannot be opened by Blender", "give a .blend file of this or an earlier version", path
+        ) from error
+    scene = bpy.context.scene
+    scene.render.resolution_x, scene.render.resolution_y = resolution
+    scene.render.resolution_percentage = 100
+    scene.render.pixel_aspect_x = scene.render.pixel_aspect_y = 1.0
+    scene.render.film_transparent = scene.render.use_border = False
+    return scene
+
+
+def _shots(scene: bpy.types.Scene, names: Sequence[str] | None) -> tuple[list[Shot], list[Shot]]:
+    """Training and validation views in the order of their names."""
+    things = {thing.name: thing for thing in scene.objects if thing.type == "CAMERA"}
+    missing = [name for name in names or () if name not in things]
+    if missing:
+        raise BadInput(
+            f"no camera named {', '.join(missing)}", f"the scene has {', '.join(things) or 'none'}", bpy.data.filepath
+        )
+    shots = [Shot(things[name], read_camera(scene, things[name])) for name in sorted(names or things)]
+    train = [shot for shot in shots if not _is_validation(shot.thing)]
+    if not train:
+        raise BadInput(
+            "no camera for training views", "add cameras whose names do not begin with 'val'", bpy.data.filepath
+        )
+    first = train[0].camera
+    for shot in shots:
+        c = shot.camera
+        if not np.allclose([c.fx, c.fy, c.cx, c.cy], [first.fx, first.fx, c.width / 2, c.height / 2], rtol=1e-6):
+            raise BadInput(
+                f"camera '{shot.thing.name}' has another focal length or a lens shift",
+                "give all cameras one focal length and no shift; the format stores a single angle",
+                bpy.data.filepath,
+            )
+    return train, [shot for shot in shots if _is_validation(shot.thing)]
+
+
+def _is_validation(thing: bpy.types.Object) -> bool:
+    return thing.name.lower().startswith("val") or thing.get("iris_split") == "val"

@@ -1,0 +1,213 @@
+"""A Blender scene as a scanner and the ground truth see it: one triangle mesh, materials and emitters per face."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...base.errors import BadInput
+from ...base.files import atomic_write
+from ...model.capture import Mesh
+
+
+@dataclass(frozen=True)
+class SceneEmitter:
+    """One lamp: the faces of one object that have one emissive material. Faces [first, last) of the mesh."""
+
+    name: str
+    material: bpy.types.Material
+    radiance: NDArray[np.float64]
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
+class SceneGeometry:
+    """The evaluated scene in world space.
+
+    Attributes:
+        mesh: triangles; faces of emitters come last, emitter by emitter.
+        material: (F,) uint16 index into ``materials``, counted from 1 as the IndexMA maps do.
+        emitter: (F,) int16 index into ``emitters``, −1 for other faces.
+    """
+
+    mesh: Mesh
+    material: NDArray[np.uint16]
+    emitter: NDArray[np.int16]
+    materials: tuple[bpy.types.Material, ...]
+    emitters: tuple[SceneEmitter, ...]
+
+    def areas(self) -> NDArray[np.float64]:
+        """(F,) square metres."""
+        a, b, c = self.mesh.vertices[self.mesh.faces].transpose(1, 0, 2)
+        return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
+def prepare(scene: bpy.types.Scene) -> None:
+    """Make the viewport's evaluation, which gives the mesh, equal to what Cycles renders, and fill empty material
+    slots."""
+    default = None
+    for thing in scene.objects:
+        thing.hide_viewport = thing.hide_render
+        for modifier in thing.modifiers:
+            modifier.show_viewport = modifier.show_render
+            if modifier.type in ("SUBSURF", "MULTIRES"):
+                modifier.levels = modifier.render_levels
+        if thing.type != "MESH" or (thing.data.materials and all(slot.material for slot in thing.material_slots)):
+            continue
+        default = default or bpy.data.materials.new("default")
+        if default.node_tree is None:  # before Blender 5.0
+            default.use_nodes = True
+        if not thing.data.materials:
+            thing.data.materials.append(default)
+        for slot in thing.material_slots:
+            slot.material = slot.material or default
+
+
+@dataclass
+class _Piece:
+    """The triangles of one object instance that share a material."""
+
+    name: str
+    material: bpy.types.Material
+    radiance: NDArray[np.float64]
+    corners: NDArray[np.float64]  # (n, 3) vertices in world space
+    faces: NDArray[np.int64]
+
+
+def read_geometry(scene: bpy.types.Scene) -> SceneGeometry:
+    """Triangulate what ``scene`` renders, in an order that depends on names alone.
+
+    Raises:
+        BadInput: there is nothing to render, or an emission is not constant.
+    """
+    pieces = sorted(_pieces(scene), key=lambda piece: bool(piece.radiance.any()))  # stable: lamps go last
+    if not pieces:
+        raise BadInput(
+            "the scene has no visible mesh", "make its objects visible in renders", bpy.data.filepath or None
+        )
+    materials = tuple({piece.material.name: piece.material for piece in pieces}.values())
+    index = {material.name: k + 1 for k, material in enumerate(materials)}
+    emitters: list[SceneEmitter] = []
+    vertices, faces, material, emitter = [], [], [], []
+    n_vertices = n_faces = 0
+    for piece in pieces:
+        n = len(piece.faces)
+        vertices.append(piece.corners)
+        faces.append(piece.faces + n_vertices)
+        material.append(np.full(n, index[piece.material.name], np.uint16))
+        emitter.append(np.full(n, len(emitters) if piece.radiance.any() else -1, np.int16))
+        if piece.radiance.any():
+            emitters.append(
+                SceneEmitter(
+                    name=piece.name, material=piece.material, radiance=piece.radiance, first=n_faces, last=n_faces + n
+                )
+            )
+        n_vertices, n_faces = n_vertices + len(piece.corners), n_faces + n
+    mesh = Mesh(np.concatenate(vertices).astype(np.float32).astype(np.float64), np.concatenate(faces))
+    return SceneGeometry(
+        mesh=mesh,
+        material=np.concatenate(material),
+        emitter=np.concatenate(emitter),
+        materials=materials,
+        emitters=tuple(emitters),
+    )
+
+
+def _pieces(scene: bpy.types.Scene) -> list[_Piece]:
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    found: list[tuple[str, tuple[int, ...], list[_Piece]]] = []
+    for instance in depsgraph.object_instances:
+        thing = instance.object
+        if not instance.show_self or thing.type not in ("MESH", "CURVE", "SURFACE", "META", "FONT"):
+            continue
+        mesh = thing.to_mesh()
+        if mesh is None:
+            continue
+        key = tuple(instance.persistent_id) if instance.is_instance else ()
+        found.append((thing.name, key, _split_by_material(thing, mesh, np.array(instance.matrix_world))))
+        thing.to_mesh_clear()
+    return [piece for _name, _key, pieces in sorted(found, key=lambda f: f[:2]) for piece in pieces]
+
+
+def _split_by_material(thing: bpy.types.Object, mesh: bpy.types.Mesh, to_world: NDArray[np.float64]) -> list[_Piece]:
+    mesh.calc_loop_triangles()
+    n = len(mesh.loop_triangles)
+    faces, slots = np.empty(3 * n, np.int32), np.empty(n, np.int32)
+    mesh.loop_triangles.foreach_get("vertices", faces)
+    mesh.loop_triangles.foreach_get("material_index", slots)
+    points = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.vertices.foreach_get("co", points)
+    world = points.reshape(-1, 3) @ to_world[:3, :3].T + to_world[:3, 3]
+    slots = np.minimum(slots, len(thing.material_slots) - 1)
+    pieces = []
+    for slot in np.unique(slots):
+        used, renumbered = np.unique(faces.reshape(-1, 3)[slots == slot], return_inverse=True)
+        material = thing.material_slots[slot].material.original
+        pieces.append(
+            _Piece(
+                name=thing.name,
+                material=material,
+                radiance=emitted_radiance(material),
+                corners=world[used],
+                faces=renumbered.reshape(-1, 3),
+            )
+        )
+    return pieces
+
+
+def surface_shader(material: bpy.types.Material) -> bpy.types.Node | None:
+    """The shader node at the surface of the active output, or None."""
+    output = material.node_tree.get_output_node("CYCLES") or material.node_tree.get_output_node("ALL")
+    if output is None or not output.inputs["Surface"].is_linked:
+        return None
+    return output.inputs["Surface"].links[0].from_node
+
+
+def emitted_radiance(material: bpy.types.Material) -> NDArray[np.float64]:
+    """(3,) radiance of a material, zero if it does not emit.
+
+    Raises:
+        BadInput: a node other than a plain value drives the emission, so there is no one radiance to write down.
+    """
+    pending, radiance = [surface_shader(material)], np.zeros(3)
+    while pending:
+        node = pending.pop()
+        if node is None:
+            continue
+        if node.bl_idname in ("ShaderNodeMixShader", "ShaderNodeAddShader"):
+            pending += [link.from_node for socket in node.inputs if socket.type == "SHADER" for link in socket.links]
+        names = {
+            "ShaderNodeEmission": ("Color", "Strength"),
+            "ShaderNodeBsdfPrincipled": ("Emission Color", "Emission Strength"),
+        }
+        if node.bl_idname not in names:
+            continue
+        color, strength = (node.inputs[name] for name in names[node.bl_idname])
+        if not strength.is_linked and strength.default_value == 0:
+            continue
+        if color.is_linked or strength.is_linked or node != surface_shader(material):
+            raise BadInput(
+                f"the emission of material '{material.name}' is mixed or driven by nodes",
+                "give it a plain Emission or Principled surface with a constant colour and strength",
+                bpy.data.filepath or None,
+            )
+        radiance = radiance + np.array(color.default_value[:3]) * strength.default_value
+    return radiance
+
+
+def write_ply(path: Path, mesh: Mesh) -> None:
+    """Write (V, 3) positions and triangles as binary PLY, nothing else: what a scan gives."""
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(mesh.vertices)}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        f"element face {len(mesh.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    records = np.empty(len(mesh.faces), [("n", "u1"), ("corners", "<i4", 3)])
+    records["n"], records["corners"] = 3, mesh.faces
+    body = mesh.vertices.astype("<f4").tobytes() + records.tobytes()
+    atomic_write(path, lambda temporary: temporary.write_bytes(header.encode() + body))

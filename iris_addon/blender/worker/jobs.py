@@ -1,0 +1,221 @@
+"""Work that runs outside Blender, by the folder it writes into: what runs now, and what a folder says about the past.
+
+A job outlives undo, the scene and the file that is open, so it belongs to none of them. What a scene remembers is the
+folder; this module tells from it, and from the processes of this Blender, how things stand. Nothing here touches bpy.
+
+``job-NAME.json`` in the folder is written when a job starts and when it ends. A record that says "running" although
+nothing runs is that of a Blender which was killed.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+from ...base.errors import Cancelled, IrisError
+from ...base.files import write_json
+from .process import ADDON, Worker
+
+JobName = Literal["inspect", "solve", "composite", "environment", "test"]
+State = Literal["missing", "running", "done", "failed", "cancelled", "interrupted"]
+
+
+@dataclass(frozen=True)
+class Record:
+    """How a job stands: ``what`` is wrong and its ``fix`` where it failed."""
+
+    state: State
+    what: str = ""
+    fix: str = ""
+
+
+MISSING = Record("missing")
+INTERRUPTED = Record("interrupted", "Blender ended while this ran", "start it again: finished stages are kept")
+CANCELLED = Record("cancelled")
+
+
+@dataclass
+class Job:
+    """A process that runs for ``folder``; ``on_end`` is told once, on the thread that polls. If that raises IrisError,
+    the job has failed."""
+
+    name: JobName
+    folder: Path
+    worker: Worker
+    on_end: Callable[[Record], None]
+
+
+_running: dict[tuple[JobName, Path], Job] = {}
+_ended: dict[tuple[JobName, Path], Record] = {}
+"""What ended here, for the case that its record could not be written: the disk is full."""
+
+
+def start(name: JobName, folder: Path, command: list[str], on_end: Callable[[Record], None]) -> Job:
+    """Start ``command`` as the job ``name`` of ``folder``.
+
+    Raises:
+        IrisError: it runs already, the folder cannot be written, or the program not started.
+    """
+    key = (name, folder)
+    if key in _running:
+        raise IrisError(f"{folder}: this runs already", "wait for it or cancel it")
+    worker = Worker(command, folder / f"{name}.log")
+    try:
+        _write(name, folder, Record("running"))
+    except IrisError:
+        worker.close()
+        raise
+    _running[key] = job = Job(name, folder, worker, on_end)
+    return job
+
+
+def running(name: JobName, folder: Path) -> Job | None:
+    """The job ``name`` of ``folder`` if it runs in this Blender."""
+    return _running.get((name, folder))
+
+
+def all_running() -> Iterator[Job]:
+    """Everything that runs."""
+    yield from list(_running.values())
+
+
+def record(name: JobName, folder: Path) -> Record:
+    """How the job ``name`` of ``folder`` stands."""
+    if (name, folder) in _running:
+        return Record("running")
+    if (name, folder) in _ended and folder.is_dir():
+        return _ended[name, folder]
+    try:
+        content = json.loads(_path(name, folder).read_text(encoding="utf-8"))
+        found = Record(content["state"], content["what"], content["fix"])
+    except (OSError, ValueError, KeyError, TypeError):  # nobody wrote one, or somebody else did
+        return MISSING
+    return INTERRUPTED if found.state == "running" else found
+
+
+def poll() -> bool:
+    """Take news of every job and end those that are through; True if anything changed. Call it on the main thread."""
+    news = False
+    for key, job in list(_running.items()):
+        news |= job.worker.poll()
+        if not job.worker.running:
+            del _running[key]
+            _finish(job)
+            news = True
+    return news
+
+
+def wait(job: Job) -> None:
+    """Block until ``job`` has ended, and end it."""
+    job.worker.wait()
+    if _running.pop((job.name, job.folder), None) is not None:
+        _finish(job)
+
+
+def stop_all() -> None:
+    """End everything within about a second; finished stages stay on disk. Nobody is left to take a result."""
+    for job in all_running():
+        job.worker.interrupt()
+    for key, job in list(_running.items()):
+        del _running[key]
+        _end(job)
+        _tell(job, CANCELLED)
+
+
+def _finish(job: Job) -> None:
+    _tell(job, _end(job))
+
+
+def _tell(job: Job, ended: Record) -> None:
+    try:
+        job.on_end(ended)
+    except IrisError as error:
+        _note(job, Record("failed", error.what, error.fix))
+    except Exception as error:  # a timer that raises is gone, and with it the news of every other job
+        _note(job, Record("failed", f"{type(error).__name__}: {error}", "report this, with the log"))
+
+
+def _end(job: Job) -> Record:
+    job.worker.close()
+    try:
+        job.worker.raise_if_failed()
+        ended = Record("done")
+    except Cancelled:
+        ended = CANCELLED
+    except IrisError as error:
+        ended = Record("failed", error.what, error.fix)
+    _note(job, ended)
+    return ended
+
+
+def _note(job: Job, ended: Record) -> None:
+    try:
+        _write(job.name, job.folder, ended)
+    except IrisError as error:
+        job.worker.log.append(f"error: {error}")
+    _ended[job.name, job.folder] = ended
+
+
+def _path(name: JobName, folder: Path) -> Path:
+    return folder / f"job-{name}.json"
+
+
+def _write(name: JobName, folder: Path, content: Record) -> None:
+    path = _path(name, folder)
+    try:
+        write_json(path, {**asdict(content), "time": time.time()})
+    except IrisError as error:
+        raise IrisError(error.what, "free some disk space, or choose another folder for the result") from error
+
+
+# ---- Command lines of the jobs that Blender starts. Nothing here touches bpy ----------------------------------------
+
+
+RUN = ADDON / "headless" / "run.py"
+JSON_LINES = ["--json", "--stop-with-stdin"]
+
+
+def inspect_command(python: str, capture: Path, out: Path) -> list[str]:
+    """A look at ``capture`` into ``out``."""
+    return [*_program(python), "inspect", *_absolute(capture, "--out", out), *JSON_LINES]
+
+
+def solve_command(python: str, capture: Path, out: Path, preset: str, device: str = "auto", seed: int = 0) -> list[str]:
+    """A solve of ``capture`` into ``out`` that goes on where an earlier one stopped."""
+    options = ["--preset", preset, "--device", device, "--seed", str(seed), "--resume"]
+    return [*_program(python), "solve", *_absolute(capture, "--out", out), *options, *JSON_LINES]
+
+
+def composite_command(
+    blender: str, blend: Path, result: Path, photo: Path, view: str, out: Path, samples: int
+) -> list[str]:
+    """What stands in the room of ``blend`` onto ``photo``, as the picture ``out``.
+
+    Args:
+        blender: the program; empty where Blender is a module of this Python.
+    """
+    in_blender = [blender, "-b", "--factory-startup", "--python-exit-code", "1", "-P", str(RUN), "--"]
+    program = in_blender if blender else _program(sys.executable)
+    files = _absolute(blend, "--result", result, "--photo", photo, "--view", view, "--out", out)
+    return [*program, "composite", *files, "--samples", str(samples), *JSON_LINES]
+
+
+def environment_command(folder: Path, test_only: Path | None = None) -> list[str]:
+    """Make the solver's environment in ``folder`` with Blender's own Python, or only test that of ``test_only``."""
+    script = [sys.executable, "-I", "-X", "utf8", "-B", str(ADDON / "headless" / "make_environment.py")]
+    return [*script, "--test", str(test_only)] if test_only is not None else [*script, *_absolute(folder)]
+
+
+def _absolute(*arguments: str | Path) -> list[str]:
+    # A worker has another current folder than Blender.
+    return [str(argument.absolute()) if isinstance(argument, Path) else argument for argument in arguments]
+
+
+def _program(python: str) -> list[str]:
+    # -B: nothing may be written into the add-on's folder.
+    return [python, "-B", str(RUN)]

@@ -1,0 +1,257 @@
+"""The mesh of a room out of a PLY, OBJ or GLB file, faces in file order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from ..base.errors import BadInput
+from ..model.capture import DEGENERATE_AREA, FloatArray, Mesh
+
+MESH_SUFFIXES = (".ply", ".obj", ".glb")
+MAX_MESH_BYTES = 2 << 30
+MAX_FACES = 20_000_000
+UV_TOLERANCE = 1e-4
+MAX_UV_OVERLAP = 0.01
+
+
+def read_mesh(path: Path) -> tuple[Mesh, tuple[str, ...]]:
+    """Read and check a mesh.
+
+    Returns:
+        The mesh with UVs only where they can serve as an atlas, and warnings.
+
+    Raises:
+        BadInput: missing, damaged, not PLY/OBJ/GLB, too large, empty, NaN vertices, only degenerate triangles.
+    """
+    _check_file(path)
+    try:
+        mesh = read_obj(path) if path.suffix.lower() == ".obj" else _read_with_trimesh(path)
+    except BadInput:
+        raise
+    except Exception as error:  # parsers of three formats fail in as many ways as a file can be damaged
+        raise BadInput(
+            f"is damaged or not a mesh ({type(error).__name__}: {error})", "export the mesh again", path
+        ) from error
+    _check_geometry(mesh, path)
+
+    warnings = []
+    if excess := non_manifold_edges(mesh.faces):
+        warnings.append(f"{path.name}: {excess} edges are shared by more than two faces")
+    if mesh.uv is not None and (reason := unusable_uv(mesh.uv)):
+        warnings.append(f"{path.name}: its UVs {reason}; a new atlas is made")
+        mesh = replace(mesh, uv=None)
+    return mesh, tuple(warnings)
+
+
+def _check_file(path: Path) -> None:
+    if not path.is_file():
+        raise BadInput("no such mesh", "put the file there or correct the path that names it", path)
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise BadInput("is not a mesh format read here", "export the mesh as PLY, OBJ or GLB", path)
+    size = path.stat().st_size
+    if size > MAX_MESH_BYTES:
+        raise BadInput(f"is larger than {MAX_MESH_BYTES >> 30} GiB", "decimate the mesh", path)
+    if path.suffix.lower() == ".ply" and sum(ply_counts(path).values()) > size:
+        raise BadInput("announces more elements than the file can hold", "copy or export the mesh again", path)
+
+
+def ply_counts(path: Path) -> dict[str, int]:
+    """How many elements of each kind the header of a PLY file announces, e.g. {"vertex": 8, "face": 12}."""
+    with path.open("rb") as file:
+        header = file.read(1 << 16).split(b"end_header")[0].decode("ascii", "replace")
+    words = [line.split() for line in header.splitlines()]
+    return {line[1]: int(line[2]) for line in words if len(line) == 3 and line[0] == "element" and line[2].isdigit()}
+
+
+# ---- PLY and GLB ---------------------------------------------------------------------------------------------------
+
+
+def _read_with_trimesh(path: Path) -> Mesh:
+    loaded = trimesh.load(path, process=False, maintain_order=True)
+    if isinstance(loaded, trimesh.Scene):
+        return _concatenate_nodes(loaded)
+    if not isinstance(loaded, trimesh.Trimesh):
+        raise BadInput("has points and no faces", "export a mesh with faces", path)
+    return _convert(loaded, np.eye(4))
+
+
+def _concatenate_nodes(scene: trimesh.Scene) -> Mesh:
+    """One mesh of all nodes of a glTF scene in world space, one region per node."""
+    meshes = []
+    for node in scene.graph.nodes_geometry:
+        transform, name = scene.graph[node]
+        geometry = scene.geometry[name]
+        if isinstance(geometry, trimesh.Trimesh):
+            meshes.append(_convert(geometry, transform))
+    if not meshes:
+        return Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))
+    offsets = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
+    uvs = [mesh.uv for mesh in meshes if mesh.uv is not None]
+    regions = np.repeat(np.arange(len(meshes), dtype=np.int32), [len(mesh.faces) for mesh in meshes])
+    return Mesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate([mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=False)]),
+        np.concatenate(uvs) if len(uvs) == len(meshes) else None,
+        regions if len(meshes) > 1 else None,
+    )
+
+
+def _convert(geometry: trimesh.Trimesh, transform: FloatArray) -> Mesh:
+    faces = np.asarray(geometry.faces, np.int64)
+    vertices = np.asarray(geometry.vertices, np.float64) @ transform[:3, :3].T + transform[:3, 3]
+    per_vertex = getattr(geometry.visual, "uv", None)
+    uv = None
+    if per_vertex is not None and len(per_vertex) == len(vertices):
+        uv = np.asarray(per_vertex, np.float32)[faces]
+    return Mesh(vertices, faces, uv)
+
+
+# ---- checks --------------------------------------------------------------------------------------------------------
+
+
+def _check_geometry(mesh: Mesh, path: Path) -> None:
+    vertices, faces = mesh.vertices, mesh.faces
+    if len(faces) == 0:
+        raise BadInput("has no faces", "export a mesh with faces, not a point cloud", path)
+    if len(faces) > MAX_FACES:
+        raise BadInput(f"has {len(faces)} faces, more than {MAX_FACES}", "decimate the mesh", path)
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise BadInput("has faces that name vertices it does not have", "export the mesh again", path)
+    if not np.isfinite(vertices).all():
+        count = int((~np.isfinite(vertices).all(1)).sum())
+        raise BadInput(f"has {count} vertices with NaN or infinite coordinates", "remove these vertices", path)
+    if (face_areas(mesh) <= DEGENERATE_AREA).all():
+        raise BadInput("has only triangles without area", "export the mesh again, in metres", path)
+
+
+def face_areas(mesh: Mesh) -> FloatArray:
+    """(F,) areas in square metres."""
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
+def non_manifold_edges(faces: NDArray[np.int64]) -> int:
+    """How many edges of ``faces`` (F, 3) belong to more than two faces."""
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    keys = edges[:, 0] * (int(faces.max()) + 1) + edges[:, 1]
+    return int((np.unique(keys, return_counts=True)[1] > 2).sum())
+
+
+def unusable_uv(uv: NDArray[np.float32]) -> str | None:
+    """Why per-corner coordinates ``uv`` (F, 3, 2) cannot address one texture for the whole mesh; None when they can."""
+    if not np.isfinite(uv).all():
+        return "are not finite"
+    if uv.min() < -UV_TOLERANCE or uv.max() > 1 + UV_TOLERANCE:
+        return "leave the unit square"
+    edge_a, edge_b = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    areas = 0.5 * np.abs(edge_a[:, 0] * edge_b[:, 1] - edge_a[:, 1] * edge_b[:, 0])
+    if areas.sum() < 0.01:
+        return "cover almost nothing of the texture"
+    if areas.sum() > 1 + MAX_UV_OVERLAP or uv_overlap(uv) > MAX_UV_OVERLAP:
+        return "use the same place of the texture for several faces"
+    return None
+
+
+def uv_overlap(uv: NDArray[np.float32], side: int = 256) -> float:
+    """Share of the covered texture that more than one face of ``uv`` (F, 3, 2) covers, sampled on side² points.
+
+    Each face lies in the UV plane at a height of its own; a point is unique when rays from above and from below meet
+    the same face.
+    """
+    from ..rays.tracer import Tracer  # the tracer needs this package's types: a cycle at import time
+
+    heights = np.linspace(0, 1, len(uv))
+    corners = np.concatenate([uv, np.broadcast_to(heights[:, None, None], (len(uv), 3, 1))], -1).reshape(-1, 3)
+    sheets = Tracer(Mesh(corners.astype(np.float64), np.arange(len(corners)).reshape(-1, 3)))
+    grid = (np.arange(side) + 0.37) / side  # off the texel grid, where edges of many atlases lie
+    points = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
+    down, up = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0])
+    faces = [
+        sheets.closest(
+            np.column_stack([points, np.full(len(points), height)]), np.broadcast_to(direction, (len(points), 3))
+        ).face
+        for height, direction in ((2.0, down), (-1.0, up))
+    ]
+    covered = (faces[0] >= 0) & (faces[1] >= 0)
+    return float((faces[0] != faces[1])[covered].mean()) if covered.any() else 0.0
+
+
+# Wavefront OBJ, read by hand: general readers sort faces by material, and the order of the file must not change
+
+
+@dataclass
+class _Lines:
+    """Tables of an OBJ file as they grow line by line; ``faces`` and ``face_uv`` are triangles of table indices."""
+
+    vertices: list[tuple[float, float, float]] = field(default_factory=list)
+    uv: list[tuple[float, float]] = field(default_factory=list)
+    faces: list[tuple[int, int, int]] = field(default_factory=list)
+    face_uv: list[tuple[int, int, int]] = field(default_factory=list)
+    groups: list[str] = field(default_factory=list)
+    materials: list[str] = field(default_factory=list)
+
+    def add_face(self, corners: list[str], group: str, material: str) -> None:
+        """Add a polygon as a fan; an absent texture index is -1."""
+        points, texels = [], []
+        for corner in corners:
+            indices = corner.split("/")
+            points.append(_index(indices[0], len(self.vertices)))
+            texels.append(_index(indices[1], len(self.uv)) if len(indices) > 1 and indices[1] else -1)
+        for k in range(1, len(points) - 1):
+            self.faces.append((points[0], points[k], points[k + 1]))
+            self.face_uv.append((texels[0], texels[k], texels[k + 1]))
+            self.groups.append(group)
+            self.materials.append(material)
+
+
+def _index(text: str, count: int) -> int:
+    """Zero-based index; OBJ counts from 1, and negative numbers count back from the last line read."""
+    index = int(text)
+    return index - 1 if index > 0 else count + index
+
+
+def read_obj(path: Path) -> Mesh:
+    """Triangles of an OBJ file in file order; regions are its materials, or its groups when it has one material.
+
+    Raises:
+        ValueError, IndexError: the file is malformed.
+    """
+    lines, group, material = _Lines(), "", ""
+    with path.open(encoding="utf-8", errors="replace") as file:
+        for line in file:
+            keyword, _, rest = line.strip().partition(" ")
+            if keyword == "v":
+                x, y, z = rest.split()[:3]
+                lines.vertices.append((float(x), float(y), float(z)))
+            elif keyword == "vt":
+                u, v = rest.split()[:2]
+                lines.uv.append((float(u), float(v)))
+            elif keyword == "f":
+                lines.add_face(rest.split(), group, material)
+            elif keyword in ("o", "g"):
+                group = rest.strip()
+            elif keyword == "usemtl":
+                material = rest.strip()
+
+    corners = np.array(lines.face_uv, np.int64).reshape(-1, 3)
+    uv = None
+    if len(corners) and lines.uv and corners.min() >= 0:
+        uv = np.array(lines.uv, np.float32)[corners]
+    labels = lines.materials if len(set(lines.materials)) > 1 else lines.groups
+    return Mesh(
+        np.array(lines.vertices, np.float64).reshape(-1, 3),
+        np.array(lines.faces, np.int64).reshape(-1, 3),
+        uv,
+        region_labels(labels),
+    )
+
+
+def region_labels(names: list[str]) -> np.ndarray | None:
+    """(F,) int32 labels in order of first appearance, or None when all names are one."""
+    order = {name: label for label, name in enumerate(dict.fromkeys(names))}
+    return np.array([order[name] for name in names], np.int32) if len(order) > 1 else None

@@ -1,0 +1,98 @@
+"""Every light's share of a picture: on disk, and mixed to the picture under changed lights without rendering again.
+
+Light is linear: the picture under lamps of other strength and colour is the sum of the pictures under each lamp alone,
+each times its change.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.errors import BadInput
+from ..base.files import atomic_write
+from ..results.result import Result
+from .jobs import lamp_radiance
+from .scene_edit import OUTSIDE, lamp_name
+from .values import Json, json_map, known_keys, number
+
+COMBINED = "combined"
+
+
+@dataclass(frozen=True)
+class LightShares:
+    """What each light gives to one view.
+
+    Attributes:
+        combined: (H, W, 3) linear radiance under all of them.
+        shares: by name of the light, (H, W, 3) its part of the radiance; the sum is ``combined`` but for denoising.
+    """
+
+    combined: NDArray[np.float32]
+    shares: dict[str, NDArray[np.float32]]
+
+
+def mix_shares(
+    shares: Mapping[str, NDArray[np.floating]], gains: Mapping[str, Sequence[float] | NDArray[np.floating]]
+) -> NDArray[np.float64]:
+    """(H, W, 3) radiance with the light of each name multiplied by its (3,) gain; lights not named keep theirs."""
+    total = np.zeros(next(iter(shares.values())).shape, np.float64)
+    for name, share in shares.items():
+        total += np.asarray(gains.get(name, 1.0)) * share
+    return total
+
+
+def light_gains(result: Result, spec: Json) -> dict[str, NDArray[np.float64]]:
+    """(3,) factor on each light's share under a relighting job that changes recovered light alone.
+
+    Raises:
+        BadInput: the job adds lights, or gives a lamp a colour that it had none of.
+    """
+    spec = json_map(spec, "the relighting job")
+    if spec.get("lights"):
+        raise BadInput("adds 'lights', which no share shows", "leave out --shares, so that they are rendered")
+    known_keys(spec, {"recovered", "outside", "lights", "camera", "length"}, "the relighting job")
+    gains = {OUTSIDE: np.full(3, number(spec.get("outside", 1.0), "outside"))}
+    changed = lamp_radiance(result, json_map(spec.get("recovered", {}), "recovered"))
+    for emitter, radiance in zip(result.emitters, changed, strict=True):
+        was = np.asarray(emitter.radiance, float)
+        if ((was <= 0) & (radiance > 0)).any():
+            what = f"gives lamp {emitter.id} a colour of which it has nothing to scale"
+            raise BadInput(what, "leave out --shares, so that it is rendered")
+        gains[lamp_name(emitter.id)] = np.divide(radiance, was, out=np.zeros(3), where=was > 0)
+    return gains
+
+
+def write_shares(path: Path, light: LightShares) -> None:
+    """Write ``light`` as one EXR of float32 with a part per light, the whole picture first; raises IrisError."""
+    import OpenEXR  # absent from Blender's own Python
+
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    parts = [
+        OpenEXR.Part(dict(header), {"RGB": np.ascontiguousarray(pixels, np.float32)}, name)
+        for name, pixels in {COMBINED: light.combined, **light.shares}.items()
+    ]
+    encoded = io.BytesIO()
+    OpenEXR.File(parts).write(encoded)
+    atomic_write(path, lambda temporary: temporary.write_bytes(encoded.getbuffer()))
+
+
+def read_shares(path: Path) -> LightShares:
+    """What :func:`write_shares` wrote; raises BadInput."""
+    import OpenEXR
+
+    mend = "render them again with --light-shares"
+    if not path.is_file():
+        raise BadInput("no such file of light shares", mend, path)
+    try:
+        parts = {part.name(): part.channels["RGB"].pixels for part in OpenEXR.File(str(path)).parts}
+    except (RuntimeError, ValueError, OSError, KeyError) as error:
+        raise BadInput(f"holds no light shares ({error})", mend, path) from error
+    if COMBINED not in parts or len(parts) < 2:
+        raise BadInput("holds no light shares", mend, path)
+    return LightShares(parts.pop(COMBINED), parts)

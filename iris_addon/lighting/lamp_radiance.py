@@ -1,0 +1,310 @@
+"""The radiance of given lamps: evidence, light balance, and the light that unseen surfaces pass on."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.progress import Progress
+from ..brdf.diffuse import under_lobe
+from ..response.radiance import GroupRadiance
+from ..transport.form_factors import emitter_form_factors, emitter_of_face
+from .balance import MAX_ALBEDO, Evidence, fitted_patches, noticeable, solve_balance
+from .candidates import tie_fixtures
+from .problem import LightProblem, Lights
+
+SEARCH_SHADOW_RAYS, SHADOW_RAYS = (6, 13), (13, 64)
+"""From a patch to a lamp: fewest and most in the search, and for the lamps that were found. Noise here makes lamps too
+dim and walls too white."""
+NOISE_WIDTH = 1.0
+"""Standard deviation, in patch sizes, over which neighbours are averaged for the light balance: noise of the rays makes
+direct light look less reliable than indirect, lamps too dim and walls too white."""
+TURNED = 0.5
+"""Change of log irradiance per sine of the angle that a surface is turned by: light from one side as order 1 of
+spherical harmonics has it, E (1 + TURNED cos)."""
+BEYOND_BOUND = 2.0
+"""What a lamp that photos clip is expected to be, in bounds; a speck whose light nobody feels stays about there."""
+WHOLLY_ON = 0.8
+"""Quantile of a lamp's patches at which its radiance is read: where its edge or a blind shows too, they are darker."""
+
+
+def solve_lights(
+    problem: LightProblem,
+    observed: GroupRadiance,
+    emitters: list[NDArray[np.int64]],
+    before: Lights,
+    progress: Progress,
+    form_factors: NDArray[np.float32] | None = None,
+    weight: NDArray[np.float64] | None = None,
+    diffuse: NDArray[np.float64] | None = None,
+    near: bool = False,
+    asked: NDArray[np.bool_] | None = None,
+) -> Lights:
+    """Radiance of given emitters.
+
+    Args:
+        observed: radiance of the seen patches, which is what they cast on others.
+        before: lights of the previous pass, for the light that unseen patches reflect.
+        form_factors: ``B`` when it is already known for these emitters.
+        weight: (P,) say of each seen patch, by default :func:`say_of`.
+        diffuse: (P, 3) radiance without its specular part, once materials are known.
+        near: whether the light is about that of ``before``; one pass from there then does.
+        asked: (P,) patches to fit, by default all; the others only help to average noise away.
+
+    Returns:
+        The lights; ``before`` where there is nothing to solve for, or no patch to tell it from.
+    """
+    if not emitters and not len(before.hidden_radiance):
+        return before
+    n_faces = len(problem.regions)
+    mask = np.zeros(n_faces, bool)
+    for faces in emitters:
+        mask[faces] = True
+    if form_factors is None:
+        form_factors = form_factors_of(problem, emitters, progress)
+    hidden = problem.hidden
+    on_lamp = patches_on(problem, mask)
+    radiance = _start_radiance(observed, before, on_lamp, patches_on(problem, before.mask) if near else None)
+    radiance[problem.transport.n_seen :] *= _light_kept(problem, before, emitters)[problem.transport.n_seen :]
+    evidence = _with_hidden(_lamp_evidence(problem, emitters), before.hidden_radiance)
+    kappa = problem.transport.kappa
+    direct = under_lobe(form_factors, kappa)
+    if problem.bounce is not None:
+        direct += problem.bounce.form_factors(emitters, n_faces)
+    all_factors = np.concatenate([direct, under_lobe(hidden.form_factors, kappa)], 1)
+    level = noticeable(observed.radiance, all_factors[: problem.transport.n_seen])
+    start = _first_finite(evidence.measured, evidence.expected, level)
+    if near:
+        known = _columns(emitters, before.emitters)
+        start[np.flatnonzero(known >= 0)] = before.radiance[known[known >= 0]]
+    usable = observed.known.all(1) & ~on_lamp[: problem.transport.n_seen]
+    say = usable * (say_of(problem, observed) if weight is None else weight)
+    n = problem.transport.n_seen
+    shaded = observed.radiance if diffuse is None else diffuse
+    region = problem.transport.region
+    rows = fitted_patches(shaded, say if asked is None else say * asked)
+    if not len(rows):
+        return before
+    # Means over neighbours of one albedo, of both sides of L = a (I + B e) alike, so that the balance holds.
+    kernel = problem.field.kernel(NOISE_WIDTH, rows, np.where(say > 0, region[:n], -1))
+    smooth_shaded, smooth_factors = (kernel @ values[:n].astype(np.float32) for values in (shaded, all_factors))
+    for known_about in (True,) if near else (False, True):
+        unknown = mean_radiance(radiance, problem)
+        indirect = problem.transport.gather_radiance(radiance, unknown, mask)
+        for more in (problem.bounce, problem.aimed):
+            if more is not None:
+                indirect = indirect + more.gather_radiance(radiance, unknown, mask)
+        if hidden.holes is not None:
+            indirect = indirect + hidden.holes.irradiance(kappa)
+        balance = solve_balance(
+            smooth_shaded,
+            kernel @ indirect[:n],
+            smooth_factors,
+            region[rows],
+            say[rows],
+            evidence,
+            start,
+            problem.robust_log,
+            known_about,
+        )
+        start = balance.radiance
+        irradiance = indirect + all_factors @ balance.radiance
+        albedo = dict(zip(balance.region_ids.tolist(), balance.region_albedo, strict=True))
+        radiance = _infer_unseen(problem, observed, radiance, irradiance, albedo, on_lamp)
+    lamps = len(emitters)
+    return Lights(
+        emitters=emitters,
+        radiance=balance.radiance[:lamps],
+        hidden_radiance=balance.radiance[lamps:],
+        log_std=balance.log_std[:lamps],
+        form_factors=form_factors,
+        mask=mask,
+        irradiance=irradiance,
+        patch_radiance=radiance,
+        region_albedo=albedo,
+        held_out=balance.held_out,
+    )
+
+
+def say_of(problem: LightProblem, observed: GroupRadiance) -> NDArray[np.float64]:
+    """(P,) say of each seen patch in the light balance, by the pixels behind it and by how well its light is known.
+
+    On folds, leaves and the noise of a scan normals differ from point to point, and the light there is off by as much.
+    That is an error of a regressor of (5), which makes lamps too dim; flat patches do not have it.
+    """
+    off = TURNED * problem.surface.spread / problem.robust_log
+    return np.sqrt(np.minimum(observed.weight, 50.0)) / (1 + off**2)
+
+
+def _first_finite(*choices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Element-wise first choice that is finite and positive."""
+    result = choices[-1]
+    for choice in reversed(choices[:-1]):
+        result = np.where(np.isfinite(choice) & (choice > 0), choice, result)
+    return np.nan_to_num(result)
+
+
+def _with_hidden(lamps: Evidence, expected: NDArray[np.float64]) -> Evidence:
+    """Evidence on lamps and hidden sources together; nobody saw the latter, so they only have an expectation."""
+    n, h = len(lamps.tie), len(expected)
+    nothing = np.full((h, 3), np.nan)
+    first_free = int(lamps.tie.max()) + 1 if n else 0
+    return Evidence(
+        np.concatenate([lamps.bound, np.zeros((h, 3))]),
+        np.concatenate([lamps.measured, nothing]),
+        np.concatenate([lamps.tie, first_free + np.arange(h)]),
+        np.concatenate([lamps.expected, expected]),
+    )
+
+
+def lights_without_lamps(problem: LightProblem, observed: GroupRadiance) -> Lights:
+    """The first guess of irradiance: everything glows as it was seen, lamps included."""
+    n = problem.transport.n_patches
+    radiance = np.zeros((n, 3))
+    radiance[: len(observed.radiance)] = observed.radiance
+    unknown = mean_radiance(radiance, problem)
+    radiance[len(observed.radiance) :] = unknown
+    none = np.zeros(len(problem.regions), bool)
+    hidden = np.tile(unknown, (problem.hidden.form_factors.shape[1], 1))
+    irradiance = problem.transport.gather_radiance(radiance, unknown, none)
+    irradiance = irradiance + problem.hidden.irradiance(hidden, problem.transport.kappa)
+    no_factors = np.zeros((n, 0, 2), np.float32)
+    return Lights(
+        emitters=[],
+        radiance=np.zeros((0, 3)),
+        hidden_radiance=hidden,
+        log_std=np.zeros(0),
+        form_factors=no_factors,
+        mask=none,
+        irradiance=irradiance,
+        patch_radiance=radiance,
+    )
+
+
+def form_factors_of(
+    problem: LightProblem,
+    emitters: list[NDArray[np.int64]],
+    progress: Progress,
+    limits: tuple[int, int] = SHADOW_RAYS,
+    known: Lights | None = None,
+) -> NDArray[np.float32]:
+    """(N, E, 2) form factors of lamps at all patches, seen and unseen.
+
+    Args:
+        limits: fewest and most shadow rays from a patch to a lamp; between them the budget is shared out evenly.
+        known: lights whose lamps, where they are among ``emitters``, need not be traced again.
+    """
+    columns = _columns(emitters, known.emitters) if known else np.full(len(emitters), -1)
+    fresh = [faces for faces, k in zip(emitters, columns, strict=True) if k < 0]
+    rng = np.random.default_rng([problem.seed, 17])
+    t = problem.transport
+    samples = int(np.clip(problem.shadow_rays // max(1, len(emitters)), *limits))
+    seen = emitter_form_factors(problem.tracer, t.origins, t.rays, fresh, samples, rng, progress)
+    unseen = emitter_form_factors(
+        problem.tracer, t.unseen_origins, t.unseen_rays, fresh, max(4, samples // 4), rng, progress
+    )
+    traced = np.concatenate([seen, unseen])
+    if known is None:
+        return traced
+    factors = np.empty((t.n_patches, len(emitters), 2), np.float32)
+    factors[:, columns < 0] = traced
+    factors[:, columns >= 0] = known.form_factors[:, columns[columns >= 0]]
+    return factors
+
+
+def _columns(emitters: list[NDArray[np.int64]], known: list[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """(E,) index of each emitter among those ``known``, -1 where it is none of them."""
+    column = {faces.tobytes(): k for k, faces in enumerate(known)}
+    return np.array([column.get(faces.tobytes(), -1) for faces in emitters], np.int64)
+
+
+def _lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> Evidence:
+    """Bounds and measurements per lamp from the pixels on it."""
+    seen, face, patch = problem.brightness, problem.samples.face, problem.surface.sample_patch
+    label = emitter_of_face(emitters, len(problem.regions))
+    on_lamp = np.flatnonzero(label[face] >= 0)
+    order = on_lamp[np.argsort(label[face[on_lamp]], kind="stable")]
+    pieces = np.split(patch[order], np.cumsum(np.bincount(label[face[order]], minlength=len(emitters)))[:-1])
+    bound = np.zeros((len(emitters), 3))
+    measured = np.full((len(emitters), 3), np.nan)
+    for index, piece in enumerate(pieces[: len(emitters)]):
+        if len(piece) == 0:
+            continue  # no photo shows it
+        bound[index] = np.median(seen.bound[piece], axis=0)
+        for channel in range(3):
+            # An open pixel below what others saw clipped is the lamp's edge.
+            values = seen.measured[piece, channel]
+            open_ = values >= 0.98 * bound[index, channel]
+            if open_.mean() > 0.3:
+                measured[index, channel] = np.quantile(values[open_], WHOLLY_ON)
+    expected = np.where((bound > 0) & np.isnan(measured), BEYOND_BOUND * bound, np.nan)
+    return Evidence(bound, measured, tie_fixtures(emitters, problem.tracer.areas), expected)
+
+
+def patches_on(problem: LightProblem, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(N,) patches that lie on emitting faces."""
+    on = np.zeros(problem.transport.n_patches, bool)
+    share = np.bincount(problem.surface.sample_patch, mask[problem.samples.face], problem.transport.n_seen)
+    on[: problem.transport.n_seen] = share > 0.5 * problem.surface.count
+    return on
+
+
+def lamp_of_patch(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """(P,) index of the emitter that most of each seen patch lies on, -1 where that is none."""
+    label = emitter_of_face(emitters, len(problem.regions))[problem.samples.face]
+    on = np.flatnonzero(label >= 0)
+    pair, pixels = np.unique(problem.surface.sample_patch[on] * len(emitters) + label[on], return_counts=True)
+    patch, lamp = np.divmod(pair, max(1, len(emitters)))
+    most = pixels > 0.5 * problem.surface.count[patch]
+    result = np.full(problem.transport.n_seen, -1, np.int64)
+    result[patch[most]] = lamp[most]
+    return result
+
+
+def _start_radiance(
+    observed: GroupRadiance, before: Lights, on_lamp: NDArray[np.bool_], was_lamp: NDArray[np.bool_] | None
+) -> NDArray[np.float64]:
+    """(N, 3) what patches cast as far as it is known: seen ones what was observed, or what ``before`` inferred of all
+    that were no lamp then."""
+    n = len(observed.radiance)
+    radiance = before.patch_radiance.copy()
+    known = np.ones(n, bool) if was_lamp is None else was_lamp[:n]
+    radiance[:n][known] = observed.radiance[known]
+    radiance[on_lamp] = 0.0
+    return radiance
+
+
+def _light_kept(problem: LightProblem, before: Lights, emitters: list[NDArray[np.int64]]) -> NDArray[np.float64]:
+    """(N, 3) share of the light of ``before`` at each patch that is not that of lamps which are none any more."""
+    lost = np.flatnonzero(_columns(before.emitters, emitters) < 0)
+    direct = under_lobe(before.form_factors[:, lost], problem.transport.kappa) @ before.radiance[lost]
+    return np.clip(1 - direct / np.maximum(before.irradiance, 1e-9), 0.0, 1.0)
+
+
+def mean_radiance(radiance: NDArray[np.float64], problem: LightProblem) -> NDArray[np.float64]:
+    """(3,) stand-in for surfaces that have no patch: the mean of what is seen, darkened as hidden places are."""
+    return 0.7 * np.median(radiance[: problem.transport.n_seen], axis=0)
+
+
+def _infer_unseen(
+    problem: LightProblem,
+    observed: GroupRadiance,
+    radiance: NDArray[np.float64],
+    irradiance: NDArray[np.float64],
+    albedo: dict[int, NDArray[np.float64]],
+    on_lamp: NDArray[np.bool_],
+) -> NDArray[np.float64]:
+    """Radiance of patches without an observation: the albedo of their part times the irradiance at them."""
+    typical = np.median(np.stack(list(albedo.values())), axis=0) if albedo else np.full(3, 0.5)
+    table = np.tile(np.clip(typical, 0.05, 0.9), (int(problem.regions.max()) + 1, 1))
+    for region, value in albedo.items():
+        table[region] = np.clip(value, 0.0, MAX_ALBEDO)
+    inferred = table[problem.transport.region] * irradiance
+    result = radiance.copy()
+    n = problem.transport.n_seen
+    result[n:] = inferred[n:]
+    # A clipped patch reflects at least its bound and about what its region does.
+    clipped = ~observed.known
+    result[:n] = np.where(clipped, np.maximum(observed.bound, inferred[:n]), result[:n])
+    result[on_lamp] = 0.0
+    return result

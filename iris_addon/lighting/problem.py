@@ -1,0 +1,139 @@
+"""What is known of the light: the problem that is posed, and its solution."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..rays.tracer import Tracer
+from ..surface.irradiance import IrradianceField
+from ..surface.patches import Surface
+from ..surface.primary_rays import PixelSamples
+from ..transport.aimed_rays import SparseRays
+from ..transport.transport import Transport
+from .balance import ROBUST_LOG
+from .candidates import MAX_LAMPS, Brightness
+from .hidden import HiddenSources
+
+
+@dataclass(frozen=True)
+class Lights:
+    """Emitters and the light they cast.
+
+    Attributes:
+        emitters: faces of each.
+        radiance: (E, 3).
+        hidden_radiance: (H, 3) of the directions of outside light.
+        log_std: (E,) uncertainty of log radiance.
+        form_factors: (N, E, 2) ``B`` for all patches, seen and unseen, plain and times Schlick's S.
+        mask: (F,) bool, faces that emit.
+        irradiance: (N, 3) irradiance / pi of every patch, all light.
+        patch_radiance: (N, 3) reflected radiance of every patch, observed or inferred.
+        part_albedo: albedo per region id, from the balance.
+        held_out: robust loss of the balance on patches it was not fitted to.
+    """
+
+    emitters: list[NDArray[np.int64]]
+    radiance: NDArray[np.float64]
+    hidden_radiance: NDArray[np.float64]
+    log_std: NDArray[np.float64]
+    form_factors: NDArray[np.float32]
+    mask: NDArray[np.bool_]
+    irradiance: NDArray[np.floating]
+    patch_radiance: NDArray[np.float64]
+    region_albedo: dict[int, NDArray[np.float64]] = field(default_factory=dict)
+    held_out: float = np.inf
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should know."""
+        if len(self.emitters) >= MAX_LAMPS:
+            what = f"no more than {MAX_LAMPS} lamps are told apart, those with most pixels"
+            return (f"{what}: give lamps that belong together one material",)
+        if self.emitters or self.hidden_radiance.any():
+            return ()
+        return ("no light was found, so the room renders black: add photos that show a lamp or a window",)
+
+    def arrays(self) -> dict[str, NDArray]:
+        """Plain arrays for a checkpoint."""
+        names = ("radiance", "hidden_radiance", "log_std", "form_factors", "mask", "irradiance", "patch_radiance")
+        ids = np.array(list(self.region_albedo), np.int64)
+        return {
+            "lights.held_out": np.array(self.held_out),
+            **{f"lights.{name}": getattr(self, name) for name in names},
+            "lights.sizes": np.array([len(faces) for faces in self.emitters], np.int64),
+            "lights.faces": np.concatenate([*self.emitters, np.zeros(0, np.int64)]),
+            "lights.part_ids": ids,
+            "lights.part_albedo": np.array(list(self.region_albedo.values())).reshape(len(ids), 3),
+        }
+
+    @staticmethod
+    def from_arrays(arrays: dict[str, NDArray]) -> Lights:
+        """Inverse of :meth:`arrays`."""
+        a = {name.removeprefix("lights."): value for name, value in arrays.items() if name.startswith("lights.")}
+        emitters = np.split(a.pop("faces"), np.cumsum(a.pop("sizes")))[:-1]
+        albedo = dict(zip(a.pop("part_ids").tolist(), a.pop("part_albedo"), strict=True))
+        held_out = float(a.pop("held_out"))
+        return Lights(emitters=emitters, region_albedo=albedo, held_out=held_out, **a)
+
+    def face_emission(self, n_faces: int) -> NDArray[np.float64]:
+        """(F, 3) radiance each face emits."""
+        emission = np.zeros((n_faces, 3))
+        for faces, radiance in zip(self.emitters, self.radiance, strict=True):
+            emission[faces] = radiance
+        return emission
+
+
+@dataclass(frozen=True)
+class LightProblem:
+    """All that does not change while lamps are searched for.
+
+    Attributes:
+        regions: (F,) part per face; patches, and observations of them, are told apart by it.
+        material: (n_regions,) label that regions of one material share, and patches have as their part.
+        adjacency: pairs of faces that share an edge.
+        brightness: how bright each seen patch was.
+        outshone_by: (n,) sample beside each that may have lent it all its light, -1 for none.
+        hidden: unknowns beside the lamps.
+        field: neighbourhoods of the seen patches.
+        bounce: once materials are known, what glossy surfaces pass on; patches then cast only their diffuse light.
+        aimed: rays to bright patches, where there are any, once the light is about known.
+        given: faces of the lamps where they are known beforehand, None to search for them.
+        robust_log: deviation of log albedo at which a patch starts to count as an outlier.
+    """
+
+    tracer: Tracer
+    samples: PixelSamples
+    surface: Surface
+    transport: Transport
+    regions: NDArray[np.int32]
+    material: NDArray[np.int32]
+    adjacency: tuple[NDArray[np.int64], NDArray[np.int64]]
+    brightness: Brightness
+    outshone_by: NDArray[np.int32]
+    hidden: HiddenSources
+    field: IrradianceField
+    shadow_rays: int
+    seed: int
+    bounce: Bounce | None = None
+    aimed: SparseRays | None = None
+    given: list[NDArray[np.int64]] | None = None
+    robust_log: float = ROBUST_LOG
+
+
+class Bounce(Protocol):
+    """Light by way of glossy surfaces, see :mod:`iris_addon.transport.glossy_bounce`."""
+
+    def gather_radiance(
+        self, radiance: NDArray[np.floating], unknown: NDArray[np.floating], emitter_faces: NDArray[np.bool_]
+    ) -> NDArray[np.float32]:
+        """(N, 3) irradiance / pi from other patches."""
+        ...
+
+    def form_factors(self, emitters: Sequence[NDArray[np.integer]], n_faces: int) -> NDArray[np.float32]:
+        """(N, E) share of each emitter's radiance."""
+        ...

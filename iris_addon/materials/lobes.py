@@ -1,0 +1,463 @@
+"""Specular radiance toward the cameras, by cached reflected rays.
+
+FIPT's split (Wu et al. 2023, eq. 6): ``L_r = kd Ld + ks Ls0(σ) + Ls1(σ)`` with F0 = 1 - F1, F1 = (1 - h·ωi)^5. The
+two lobes are integrals of incoming radiance. Most of their rays are drawn from the visible GGX normals, some are aimed
+at lamps. They are traced once per roughness, and what they hit is kept, so that a new guess of the lamps costs one
+look-up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.compiled import Integer, Real, inlined, kernel, rows_of
+from ..base.parallel import BLOCK, over_blocks, over_random_blocks
+from ..brdf.ggx import ray_alpha
+from ..brdf.ggx_sampling import visible_normal_density, visible_normal_weights
+from ..lighting.backdrop import Beyond
+from ..model.response import LUMINANCE
+from ..rays.sampling import Vector, ggx_direction, grazing, r2_sequence, vector
+from ..rays.tracer import Tracer
+from ..surface.patches import Lookup
+from ..surface.primary_rays import PixelSamples
+from ..transport.form_factors import emitter_of_face
+from ..transport.gather import ESCAPED, find_patch
+from ..transport.transport import Transport, radiance_table
+
+AIMED = 3
+"""One ray of so many is aimed at a lamp."""
+NEGLIGIBLE = 1e-7
+"""Of the light of a lamp: rays aimed at one that would carry less are not cast."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Light and materials that reflected rays meet.
+
+    Attributes:
+        regions: (F,) part per face.
+        sample_patch: (n,) patch of every pixel.
+        patch_radiance: (N, 3) reflected radiance.
+        face_emission: (F, 3).
+        unknown: (3,) radiance of surfaces without a patch.
+        beyond: what is met by rays that escape.
+        aim: where rays are aimed at lamps.
+    """
+
+    tracer: Tracer
+    transport: Transport
+    regions: NDArray[np.int32]
+    sample_patch: NDArray[np.integer]
+    patch_radiance: NDArray[np.floating]
+    face_emission: NDArray[np.floating]
+    unknown: NDArray[np.floating]
+    beyond: Beyond
+    aim: LampAim
+
+    def lobes(self, rays: LobeRays) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """``Ls0`` and ``Ls1`` (n, 3) of the points whose reflected rays these are."""
+        return rays.radiance(*self._met, self.face_emission, self.unknown)
+
+    @cached_property
+    def _met(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """(N + T, 3) radiance of what rays meet, patches and texels beyond them, and (N + T,) kappa of their lobes."""
+        beyond = self.beyond.radiance
+        radiance = np.concatenate([self.patch_radiance, beyond])
+        return radiance, np.concatenate([self.transport.kappa, np.zeros(len(beyond))])
+
+
+def trace_lobes(
+    scene: Scene,
+    samples: PixelSamples,
+    rows: NDArray[np.integer],
+    roughness: NDArray[np.floating],
+    n_rays: int,
+    rng: np.random.Generator,
+) -> LobeRays:
+    """Reflected rays of some pixels.
+
+    Args:
+        rows: (n,) the pixels among ``samples``.
+        roughness: (n,) Principled roughness.
+        n_rays: per pixel, those aimed at lamps included.
+    """
+    rays = LobeRays.nothing(len(rows), n_rays)
+
+    def work(block: slice, rng: np.random.Generator) -> None:
+        _trace_block(scene, samples, rows[block], roughness[block], rows_of(rays, block), rng)
+
+    over_random_blocks(len(rows), BLOCK // n_rays, work, rng)
+    return rays
+
+
+def _trace_block(
+    scene: Scene,
+    samples: PixelSamples,
+    rows: NDArray[np.integer],
+    roughness: NDArray[np.floating],
+    rays: LobeRays,
+    rng: np.random.Generator,
+) -> None:
+    """Fill ``rays``.
+
+    A ray counts for G1 F over the density of all rays of its pixel, which makes those drawn from the lobe and those
+    aimed at lamps alike; what is no lamp is left to the drawn ones.
+    """
+    n, n_rays = rays.target.shape
+    n_aimed = n_rays // AIMED if len(scene.aim.faces) else 0
+    n_drawn = n_rays - n_aimed
+    points = _Points(
+        samples.position[rows],
+        samples.normal[rows],
+        samples.direction[rows],
+        ray_alpha(roughness),
+        scene.sample_patch[rows],
+    )
+    meets = _Meets(scene.transport.grid.lookup, scene.tracer.normals, scene.regions)
+
+    cast = _Cast.empty(n * n_drawn)
+    count = _draw(points, scene.tracer.epsilon, r2_sequence(n, n_drawn, rng), cast, rays)
+    cast = rows_of(cast, slice(count))
+    hits = scene.tracer.closest(cast.start, cast.along)
+    _arrive(points, cast, hits.face, hits.distance, meets, scene.aim, n_drawn, n_aimed, rays)
+    _escape(rows_of(cast, hits.face < 0), scene, rays)
+    if n_aimed:
+        cast = _Cast.empty(n * n_aimed)
+        u = rng.random((n, n_aimed, 4), np.float32)
+        count = _aim(points, scene.tracer.epsilon, u, scene.aim, n_drawn, cast, rays)
+        cast = rows_of(cast, slice(count))
+        clear = scene.tracer.unoccluded(cast.start, cast.along, cast.length)
+        _arrive_on_lamps(cast, clear, meets, rays)
+
+
+class _Points(NamedTuple):
+    """Where n rays start: (n, 3) on the surface, unit normals and directions to the camera, (n,) GGX widths and
+    patches."""
+
+    position: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    toward: NDArray[np.float32]
+    alpha: NDArray[np.float32]
+    patch: NDArray[np.integer]
+
+
+class _Cast(NamedTuple):
+    """Rays to be traced: (m, 3) starts and unit directions, (m,) lengths of those that are aimed, and the row and
+    column of each among all."""
+
+    start: NDArray[np.float32]
+    along: NDArray[np.float32]
+    length: NDArray[np.float32]
+    row: NDArray[np.int32]
+    column: NDArray[np.int32]
+
+    @staticmethod
+    def empty(n: int) -> _Cast:
+        """Room for so many."""
+        start, along = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
+        return _Cast(start, along, np.empty(n, np.float32), np.empty(n, np.int32), np.empty(n, np.int32))
+
+
+class _Meets(NamedTuple):
+    """What tells the patch that a ray meets: the grid, normals (F, 3) and regions (F,) of faces."""
+
+    grid: Lookup
+    normals: NDArray[np.float32]
+    regions: NDArray[np.int32]
+
+
+@inlined
+def _cast_ray(
+    cast: _Cast, at: Integer, points: _Points, i: Integer, epsilon: float, d: Vector, column: Integer
+) -> None:
+    for axis in range(3):
+        cast.start[at, axis] = points.position[i, axis] + epsilon * points.normal[i, axis]
+        cast.along[at, axis] = d[axis]
+    cast.row[at], cast.column[at] = i, column
+
+
+@kernel
+def _draw(points: _Points, epsilon: float, u: NDArray[np.float32], cast: _Cast, rays: LobeRays) -> int:
+    """Rays off visible normals from points (n, S, 2) of the unit square; how many leave the surface."""
+    count = 0
+    for i in range(u.shape[0]):
+        n, o, alpha = vector(points.normal, i), vector(points.toward, i), points.alpha[i]
+        for j in range(u.shape[1]):
+            x, y, z, half = ggx_direction(n, o, alpha, u[i, j, 0], u[i, j, 1])
+            w0, w1 = visible_normal_weights(x * n[0] + y * n[1] + z * n[2], half, alpha)
+            if w0 + w1 > 0:
+                rays.weight0[i, j], rays.weight1[i, j] = w0, w1
+                _cast_ray(cast, count, points, i, epsilon, (x, y, z), j)
+                count += 1
+    return count
+
+
+@kernel
+def _arrive(
+    points: _Points,
+    cast: _Cast,
+    face: NDArray[np.int32],
+    distance: NDArray[np.float32],
+    meets: _Meets,
+    aim: LampAim,
+    n_drawn: int,
+    n_aimed: int,
+    rays: LobeRays,
+) -> None:
+    for k in range(len(face)):
+        i, j, f, reach = cast.row[k], cast.column[k], face[k], distance[k]
+        share = 1.0 / n_drawn
+        if f >= 0:
+            d = vector(cast.along, k)
+            cosine = d[0] * meets.normals[f, 0] + d[1] * meets.normals[f, 1] + d[2] * meets.normals[f, 2]
+            lamp = aim.label[f]
+            if n_aimed and lamp >= 0 and aim.chance[points.patch[i], lamp] > 0:
+                n, o = vector(points.normal, i), vector(points.toward, i)
+                drawn = visible_normal_density(n, o, d, points.alpha[i])
+                aimed = aimed_density(aim, points.patch[i], lamp, reach, cosine)
+                share = drawn / (n_drawn * drawn + n_aimed * aimed)
+            x, y, z = cast.start[k, 0] + reach * d[0], cast.start[k, 1] + reach * d[1], cast.start[k, 2] + reach * d[2]
+            rays.face[i, j] = f
+            rays.target[i, j] = find_patch(meets.grid, meets.normals, meets.regions, f, x, y, z, d[0], d[1], d[2])
+            rays.schlick[i, j] = grazing(abs(cosine))
+        rays.weight0[i, j] *= share
+        rays.weight1[i, j] *= share
+
+
+def _escape(cast: _Cast, scene: Scene, rays: LobeRays) -> None:
+    texel = scene.beyond.texels(cast.start, cast.along)
+    met = texel >= 0
+    rays.target[cast.row[met], cast.column[met]] = texel[met] + scene.transport.n_patches
+
+
+@kernel
+def _aim(
+    points: _Points, epsilon: float, u: NDArray[np.float32], aim: LampAim, n_drawn: int, cast: _Cast, rays: LobeRays
+) -> int:
+    """Rays to points on lamps from numbers (n, S, 4) in [0, 1); how many might carry something."""
+    count, n_aimed = 0, u.shape[1]
+    for i in range(u.shape[0]):
+        n, o, alpha, patch = vector(points.normal, i), vector(points.toward, i), points.alpha[i], points.patch[i]
+        for j in range(n_aimed):
+            lamp = lamp_after(aim, patch, (j + u[i, j, 0]) / n_aimed)
+            if lamp < 0:
+                break
+            face, x, y, z = point_on_lamp(aim, lamp, u[i, j, 1], u[i, j, 2], u[i, j, 3])
+            x -= points.position[i, 0] + epsilon * n[0]
+            y -= points.position[i, 1] + epsilon * n[1]
+            z -= points.position[i, 2] + epsilon * n[2]
+            length = max(math.sqrt(x * x + y * y + z * z), 1e-9)
+            x, y, z = x / length, y / length, z / length
+            half = math.sqrt(min(max(0.5 + 0.5 * (x * o[0] + y * o[1] + z * o[2]), 0.0), 1.0))
+            w0, w1 = visible_normal_weights(x * n[0] + y * n[1] + z * n[2], half, alpha)
+            if w0 + w1 > 0:
+                cosine = x * aim.normals[face, 0] + y * aim.normals[face, 1] + z * aim.normals[face, 2]
+                drawn = visible_normal_density(n, o, (x, y, z), alpha)
+                share = drawn / (n_drawn * drawn + n_aimed * aimed_density(aim, patch, lamp, length, cosine))
+                if (w0 + w1) * share > NEGLIGIBLE:
+                    column = n_drawn + j
+                    _cast_ray(cast, count, points, i, epsilon, (x, y, z), column)
+                    cast.length[count] = length
+                    rays.face[i, column] = face
+                    rays.weight0[i, column], rays.weight1[i, column] = w0 * share, w1 * share
+                    rays.schlick[i, column] = grazing(abs(cosine))
+                    count += 1
+    return count
+
+
+@kernel
+def _arrive_on_lamps(cast: _Cast, clear: NDArray[np.bool_], meets: _Meets, rays: LobeRays) -> None:
+    for k in range(len(clear)):
+        i, j, reach = cast.row[k], cast.column[k], cast.length[k]
+        face = rays.face[i, j]
+        if clear[k]:
+            d = vector(cast.along, k)
+            x, y, z = cast.start[k, 0] + reach * d[0], cast.start[k, 1] + reach * d[1], cast.start[k, 2] + reach * d[2]
+            rays.target[i, j] = find_patch(meets.grid, meets.normals, meets.regions, face, x, y, z, d[0], d[1], d[2])
+        else:
+            rays.face[i, j] = -1
+            rays.weight0[i, j] = rays.weight1[i, j] = rays.schlick[i, j] = 0.0
+
+
+# ---- Reflected rays kept: what they meet, and what that counts for in either specular lobe --------------------------
+
+
+class LobeRays(NamedTuple):
+    """Reflected rays of n points at one roughness each.
+
+    Attributes:
+        target: (n, S) int32 patch hit, N and on for the texels of what lies beyond the mesh, UNKNOWN or ESCAPED.
+        face: (n, S) int32 face hit, -1 where escaped.
+        weight0, weight1: (n, S) float32, what the radiance each ray meets counts for in either lobe.
+        schlick: (n, S) float32, S of the angle at which each ray arrives.
+    """
+
+    target: NDArray[np.int32]
+    face: NDArray[np.int32]
+    weight0: NDArray[np.float32]
+    weight1: NDArray[np.float32]
+    schlick: NDArray[np.float32]
+
+    @staticmethod
+    def nothing(n: int, n_rays: int) -> LobeRays:
+        """Rays that meet nothing."""
+        shape = n, n_rays
+        weight0, weight1, schlick = (np.zeros(shape, np.float32) for _ in range(3))
+        return LobeRays(np.full(shape, ESCAPED, np.int32), np.full(shape, -1, np.int32), weight0, weight1, schlick)
+
+    def radiance(
+        self,
+        met: NDArray[np.floating],
+        kappa: NDArray[np.floating],
+        face_emission: NDArray[np.floating],
+        unknown: NDArray[np.floating],
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """``Ls0`` and ``Ls1``, (n, 3) each.
+
+        Args:
+            met: (N + T, 3) reflected radiance of every patch, and radiance of every texel beyond the mesh.
+            kappa: (N + T,) of their diffuse lobes.
+            face_emission: (F, 3).
+            unknown: (3,) for hits without a patch.
+        """
+        n, samples = self.target.shape
+        lobes = np.empty((2, n, 3), np.float32)
+        table = radiance_table(met, unknown)
+        own = np.append(kappa, [0.0, 0.0])  # the last two for ESCAPED and UNKNOWN
+        emitted, emits = face_emission.astype(np.float32), face_emission.any(1)
+        over_blocks(
+            n, BLOCK // samples, lambda rows: _sum_up(rows_of(self, rows), table, own, emitted, emits, lobes[:, rows])
+        )
+        return lobes[0], lobes[1]
+
+
+@kernel
+def _sum_up(
+    rays: LobeRays,
+    table: NDArray[np.float32],
+    kappa: NDArray[np.float64],
+    emitted: NDArray[np.float32],
+    emits: NDArray[np.bool_],
+    lobes: NDArray[np.float32],
+) -> None:
+    """Both lobes (2, n, 3): emission of lamps and reflected radiance of patches, weighted."""
+    for i in range(rays.target.shape[0]):
+        for c in range(3):
+            lobes[0, i, c] = lobes[1, i, c] = 0.0
+        for j in range(rays.target.shape[1]):
+            w0, w1 = rays.weight0[i, j], rays.weight1[i, j]
+            if w0 + w1 > 0:
+                face, target, spread = rays.face[i, j], rays.target[i, j], 1.0
+                on_lamp = face >= 0 and emits[face]
+                if not on_lamp:
+                    spread += kappa[target] * rays.schlick[i, j]
+                for c in range(3):
+                    light = spread * (emitted[face, c] if on_lamp else table[target, c])
+                    lobes[0, i, c] += w0 * light
+                    lobes[1, i, c] += w1 * light
+
+
+# ---- Rays aimed at lamps, beside those that a lobe reflects ---------------------------------------------------------
+#
+# A wide lobe meets a small lamp with one ray in hundreds, which then stands for all of its light: a matte wall and a
+# varnished one look alike in such noise. Rays aimed at the lamps always know of them, and are in turn useless for sharp
+# lobes. Both are weighted by the balance heuristic (Veach 1997, eq. 9.8), as light at patches is
+# (:mod:`iris_addon.transport.form_factors`).
+
+
+class LampAim(NamedTuple):
+    """Where to look for lamps from each of P patches.
+
+    Attributes:
+        corners: (F, 3, 3) of the mesh, metres, and ``normals`` (F, 3) float32.
+        faces: (K,) faces of all E lamps, one lamp after the other.
+        cumulative: (K,) area of ``faces`` up to and with each, square metres.
+        end: (E,) of ``cumulative`` at the last face of each lamp.
+        area: (E,) square metres.
+        label: (F + 1,) lamp of every face, -1 for none; the last entry is that of no face at all.
+        chance: (P, E) that a ray is aimed at each lamp: its share of the light there. Rows of patches that no lamp
+            lights are zero.
+    """
+
+    corners: NDArray[np.floating]
+    normals: NDArray[np.float32]
+    faces: NDArray[np.int64]
+    cumulative: NDArray[np.float64]
+    end: NDArray[np.float64]
+    area: NDArray[np.float64]
+    label: NDArray[np.int64]
+    chance: NDArray[np.float32]
+
+    @staticmethod
+    def at(
+        tracer: Tracer,
+        emitters: Sequence[NDArray[np.integer]],
+        radiance: NDArray[np.floating],
+        form_factors: NDArray[np.floating],
+    ) -> LampAim:
+        """Aim by what lamps of ``radiance`` (E, 3) with ``form_factors`` (P, E) send."""
+        power = form_factors * np.maximum(radiance @ LUMINANCE, 0.0)
+        faces = np.concatenate([np.zeros(0, np.int64), *emitters]).astype(np.int64)
+        cumulative = np.cumsum(tracer.areas[faces], dtype=np.float64)
+        end = cumulative[np.cumsum([len(piece) for piece in emitters], dtype=np.int64) - 1]
+        return LampAim(
+            tracer.corners,
+            tracer.normals,
+            faces,
+            cumulative,
+            end,
+            np.diff(end, prepend=0.0),
+            emitter_of_face(emitters, len(tracer.areas)),
+            (power / np.maximum(power.sum(1, keepdims=True), 1e-12)).astype(np.float32),
+        )
+
+    @staticmethod
+    def nowhere(tracer: Tracer) -> LampAim:
+        """Of a room without lamps, or where lobes are to find them all."""
+        return LampAim.at(tracer, [], np.zeros((0, 3)), np.zeros((0, 0), np.float32))
+
+
+@inlined
+def lamp_after(aim: LampAim, patch: Integer, chosen: Real) -> Integer:
+    """Lamp that a number in [0, 1) chooses from ``patch``, -1 if no lamp lights it."""
+    last, total = -1, 0.0
+    for lamp in range(len(aim.area)):
+        total += aim.chance[patch, lamp]
+    upto = 0.0
+    for lamp in range(len(aim.area)):
+        if aim.chance[patch, lamp] > 0:
+            last = lamp
+            upto += aim.chance[patch, lamp]
+            if chosen * total < upto:
+                break
+    return last
+
+
+@inlined
+def point_on_lamp(aim: LampAim, lamp: Integer, along: Real, u: Real, v: Real) -> tuple[Integer, Real, Real, Real]:
+    """Face and place of a point spread evenly over a lamp, from three numbers in [0, 1)."""
+    area = aim.end[lamp] - aim.area[lamp] * along
+    face = aim.faces[min(np.searchsorted(aim.cumulative, area), len(aim.faces) - 1)]
+    if u + v > 1:
+        u, v = 1 - u, 1 - v
+    c, w = aim.corners, 1 - u - v
+    return (
+        face,
+        w * c[face, 0, 0] + u * c[face, 1, 0] + v * c[face, 2, 0],
+        w * c[face, 0, 1] + u * c[face, 1, 1] + v * c[face, 2, 1],
+        w * c[face, 0, 2] + u * c[face, 1, 2] + v * c[face, 2, 2],
+    )
+
+
+@inlined
+def aimed_density(aim: LampAim, patch: Integer, lamp: Integer, distance: Real, cosine: Real) -> Real:
+    """Probability per steradian with which a ray from ``patch`` is aimed at a point of ``lamp``, which lies
+    ``distance`` metres away and whose normal has ``cosine`` to the ray, either sign."""
+    return aim.chance[patch, lamp] / aim.area[lamp] * distance * distance / max(abs(cosine), 1e-6)

@@ -1,0 +1,276 @@
+"""Rounds of lamps and gloss: each takes what the other found.
+
+A glossy floor read as diffuse makes the lamps it mirrors look stronger; a lamp of the wrong strength makes the floor
+look glossier. Both are cheap to solve on cached rays, so they are solved in turn.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.group_by import group_means
+from ..base.progress import Progress
+from ..brdf.diffuse import grazing_gain
+from ..brdf.ggx import layered_factor
+from ..lighting.backdrop import Beyond
+from ..lighting.candidates import brightness
+from ..lighting.lamp_radiance import mean_radiance, say_of
+from ..lighting.problem import LightProblem, Lights
+from ..lighting.screens import Shown, with_screens
+from ..lighting.search import reconsider_lamps
+from ..response.observations import Observations
+from ..response.radiance import GroupRadiance, Linearised, group_radiance, raised_by_clipped
+from ..surface.regions import joined_regions
+from ..transport.aimed_rays import SparseRays, aim_at_bright
+from ..transport.glossy_bounce import GlossyBounce, trace_glossy_bounce
+from ..transport.transport import LightMoments
+from .gloss import FIT_RAYS, LEVELS, Gloss, GlossObservations, choose_observations, fit_gloss
+from .lobes import LampAim, LobeRays, Scene, trace_lobes
+from .shading import Shading
+from .specular import rough_lobes, specular_lobes, subtract_specular
+from .view_dependence import DiffuseChoice
+
+PASSED_ON = 0.6
+GLOSSY = 0.5
+GLOSSY_SAY = 0.3
+"""Glossy regions keep this say in the light balance: what is left of their highlights is a bias, not noise."""
+
+
+@dataclass(frozen=True)
+class MaterialProblem:
+    """What stays fixed over the rounds.
+
+    Attributes:
+        light: the light problem, brightness as seen.
+        mirrored: (M, 3) radiance of the pixel of each observation whose reflected rays are traced, see :mod:`.turning`.
+        observed: radiance per patch, all of it, without the view factor of rough surfaces.
+        part: (M,) part of each observation.
+        schlick: (M,) Schlick's S of the direction each observation was made from.
+        diffuse: the lobe of every diffuse surface.
+        gloss: None lets every region earn its gloss, True takes the best fit, False leaves all rough.
+        given: (n_regions,) what of the capture's own regions each is a piece of; None if it brings none.
+        beyond: what photos show where the mesh has holes.
+    """
+
+    light: LightProblem
+    observations: Observations
+    linear: Linearised
+    mirrored: NDArray[np.float64]
+    observed: GroupRadiance
+    region: NDArray[np.int32]
+    schlick: NDArray[np.floating]
+    diffuse: DiffuseChoice
+    specular_rays: int
+    seed: int
+    beyond: Beyond
+    gloss: bool | None = None
+    given: NDArray[np.int32] | None = None
+
+    def shading(self, lights: Lights) -> Shading:
+        """The light of ``lights`` at the seen patches."""
+        return Shading.under(lights, self.light, self.diffuse.lobe)
+
+    def view_factor(
+        self, shading: Shading, roughness: NDArray[np.floating], rows: NDArray[np.integer] | slice = slice(None)
+    ) -> NDArray[np.float32]:
+        """Factor by which the diffuse lobe differs from Lambert's towards the camera of each of the observations
+        ``rows``, (..., m), for any ``roughness`` (..., m)."""
+        o = self.observations
+        toward = self.light.samples.direction[o.sample[rows]]
+        return shading.view_factor(o.patch[rows], roughness, self.schlick[rows], toward)
+
+    def with_gloss(self, gloss: Gloss, moments: LightMoments | None = None) -> MaterialProblem:
+        """The same problem between patches whose diffuse lobes have the roughness of ``gloss``; ``moments`` say where
+        their light comes from, once that is about known."""
+        transport = self.light.transport
+        kappa = grazing_gain(self.diffuse.lobe, gloss.roughness)[transport.region]
+        light = replace(self.light, transport=replace(transport, kappa=kappa, moments=moments))
+        return replace(self, light=light, diffuse=self.diffuse.under(gloss.layered))
+
+    def materials_under(self, lights: Lights, scanned: NDArray[np.bool_]) -> NDArray[np.int32]:
+        """(n_regions,) label of each region, the same for regions of a scan (F,) that are one material under
+        ``lights``."""
+        light, seen = self.light, self.observed
+        if not scanned.any():
+            return light.material
+        n, n_faces = len(seen.radiance), len(light.regions)
+        albedo = np.maximum(seen.radiance, 1e-6) / np.maximum(lights.irradiance[:n], 1e-6)
+        patch, face = light.surface.sample_patch, light.samples.face
+        known = seen.known.all(1)[patch]
+        log_albedo = group_means(np.log(albedo)[patch[known]], face[known], n_faces)
+        pixels = np.bincount(face[known], minlength=n_faces)
+        return joined_regions(light.regions, light.adjacency, log_albedo, pixels, scanned)
+
+    def with_materials(self, material: NDArray[np.int32]) -> MaterialProblem:
+        """The same problem with regions of one material (n_regions,) joined: patches and observations have its
+        label."""
+        light = self.light
+        surface = replace(light.surface, region=material[light.surface.region])
+        transport = replace(light.transport, region=material[light.transport.region])
+        light = replace(light, material=material, surface=surface, transport=transport)
+        return replace(self, light=light, region=material[self.region])
+
+    def scene(self, lights: Lights) -> Scene:
+        """What reflected rays meet under ``lights``."""
+        light = self.light
+        seen = light.transport.n_seen
+        return Scene(
+            tracer=light.tracer,
+            transport=light.transport,
+            regions=light.regions,
+            sample_patch=light.surface.sample_patch,
+            patch_radiance=lights.patch_radiance,
+            face_emission=lights.face_emission(len(light.regions)),
+            unknown=mean_radiance(lights.patch_radiance, light),
+            beyond=self.beyond,
+            aim=LampAim.at(light.tracer, lights.emitters, lights.radiance, lights.form_factors[:seen, :, 0]),
+        )
+
+    def with_outside(self, directions: int, shown: bool) -> MaterialProblem:
+        """The same problem with so many directions of outside light, or with what photos show of it."""
+        hidden = self.light.hidden
+        hidden = hidden.as_shown() if shown else hidden.with_directions(directions)
+        return replace(self, light=replace(self.light, hidden=hidden))
+
+
+def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progress: Progress) -> tuple[Lights, Gloss]:
+    """Lamps and materials that explain the observations together, starting from lamps found by diffuse shading."""
+    fit = _GlossFit.prepare(problem, lights)
+    shading = problem.shading(lights)
+    gloss = fit.gloss(problem, lights, shading)
+    for round_ in range(rounds):
+        problem = problem.with_gloss(gloss, shading.moments)
+        shading = replace(shading, layered=gloss.layered)
+        specular = _observed_specular(problem, lights, shading, gloss, round_, progress)
+        o, n_patches = problem.observations, len(problem.observed.weight)
+        view_factor = problem.view_factor(shading, gloss.roughness[problem.region])
+        diffuse = group_radiance(problem.linear, o.patch, o.count, n_patches, specular, view_factor)
+        seen = brightness(o, problem.linear, n_patches, specular)
+        bounce = _continued_paths(problem, gloss, round_)
+        aimed = _aimed_rays(problem, lights, round_)
+        light_problem = replace(problem.light, brightness=seen, bounce=bounce, aimed=aimed)
+        say = _say(problem, gloss, diffuse)
+        cast = _cast_radiance(problem, gloss, diffuse, view_factor)
+        lights = reconsider_lamps(light_problem, cast, lights, say, diffuse.radiance, progress)
+        if round_ == rounds - 1:
+            shown = Shown(o, problem.linear, specular)
+            lights = with_screens(light_problem, cast, lights, shown, say, diffuse.radiance, progress)
+        shading = problem.shading(lights)
+        gloss = fit.gloss(problem, lights, shading)
+        progress.update((round_ + 1) / rounds)
+    return lights, gloss
+
+
+def _glossy_regions(gloss: Gloss) -> NDArray[np.bool_]:
+    """(n_regions,) regions on which light paths go on (IRIS: roughness up to 0.6)."""
+    return gloss.roughness <= PASSED_ON
+
+
+def _cast_radiance(
+    problem: MaterialProblem, gloss: Gloss, diffuse: GroupRadiance, view_factor: NDArray[np.floating]
+) -> GroupRadiance:
+    """What patches cast on others themselves: as seen where matte, the diffuse part alone where paths go on."""
+    region = problem.light.transport.region[: len(diffuse.weight)]
+    metal = (gloss.metallic[region] > 0.5)[:, None]
+    own = np.where(metal, 0.0, diffuse.radiance)
+    passes = _glossy_regions(gloss)[region][:, None] & (diffuse.known | metal)
+    o = problem.observations
+    matte = raised_by_clipped(problem.observed, problem.linear, o.patch, o.count, view_factor)
+    return replace(problem.observed, radiance=np.where(passes, own, matte))
+
+
+def _continued_paths(problem: MaterialProblem, gloss: Gloss, round_: int) -> GlossyBounce:
+    """Continued paths under the materials of this round."""
+    rng = np.random.default_rng([problem.seed, 37, round_])
+    light = problem.light
+    passes = _glossy_regions(gloss)
+    return trace_glossy_bounce(
+        light.tracer, light.transport, light.field, light.regions, gloss.roughness, gloss.specular, passes, rng
+    )
+
+
+def _aimed_rays(problem: MaterialProblem, lights: Lights, round_: int) -> SparseRays | None:
+    """Rays to what is bright under ``lights``."""
+    rng = np.random.default_rng([problem.seed, 41, round_])
+    light, cast = problem.light, lights.patch_radiance
+    return aim_at_bright(light.tracer, light.transport, light.regions, cast, lights.irradiance, lights.mask, rng)
+
+
+def _say(problem: MaterialProblem, gloss: Gloss, diffuse: GroupRadiance) -> NDArray[np.float64]:
+    """(P,) say of each patch in the light balance once materials are known."""
+    region = problem.light.transport.region[: len(diffuse.weight)]
+    matte = np.where(gloss.roughness[region] < GLOSSY, GLOSSY_SAY, 1.0) * (gloss.metallic[region] < 0.5)
+    # Where nearly all light was specular the remainder is what a wrong lobe leaves.
+    mostly_diffuse = diffuse.radiance.min(1) > 0.1 * problem.observed.radiance.min(1)
+    return say_of(problem.light, diffuse) * matte * mostly_diffuse
+
+
+def _observed_specular(
+    problem: MaterialProblem, lights: Lights, shading: Shading, gloss: Gloss, round_: int, progress: Progress
+) -> NDArray[np.float32]:
+    """(M, 3) specular radiance of every observation."""
+    rng = np.random.default_rng([problem.seed, 31, round_])
+    ls0, ls1 = specular_lobes(
+        problem.scene(lights),
+        gloss,
+        problem.light.samples,
+        problem.observations.sample,
+        problem.region,
+        shading.irradiance[problem.observations.patch],
+        problem.specular_rays,
+        rng,
+        progress,
+    )
+    return subtract_specular(ls0, ls1, gloss.metallic[problem.region])
+
+
+@dataclass(frozen=True)
+class _GlossFit:
+    """Observations to fit gloss on and their reflected rays at every level, two halves each, traced once."""
+
+    rows: NDArray[np.int64]
+    rays: list[list[LobeRays]]
+
+    @staticmethod
+    def prepare(problem: MaterialProblem, lights: Lights) -> _GlossFit:
+        o, light = problem.observations, problem.light
+        rng = np.random.default_rng([problem.seed, 29])
+        usable = problem.linear.open.all(1) & ~lights.mask[light.samples.face[o.sample]]
+        rows = choose_observations(problem.region, o.patch, np.where(usable, o.count, 0), rng)
+        scene, at = problem.scene(lights), o.sample[rows]
+        rays = [
+            [trace_lobes(scene, light.samples, at, np.full(len(at), level), n_rays // 2, rng) for _ in range(2)]
+            for level, n_rays in zip(LEVELS, FIT_RAYS, strict=False)
+        ]
+        return _GlossFit(rows, rays)
+
+    def gloss(self, problem: MaterialProblem, lights: Lights, shading: Shading) -> Gloss:
+        """Roughness and metallic per region under ``lights``."""
+        o, samples = problem.observations, problem.light.samples
+        scene = problem.scene(lights)
+        at = o.sample[self.rows]
+        local = problem.light.field.at_samples(samples.take(at), o.patch[self.rows], shading.irradiance)
+        lobes = [[scene.lobes(half) for half in halves] for halves in self.rays]
+        # The widest lobes come from irradiance, as everywhere.
+        rough = LEVELS[len(FIT_RAYS) :]
+        lobes += [[rough_lobes(np.full(len(at), level), samples.cosine[at], local)] for level in rough]
+        lobe, levels = problem.diffuse.lobe, np.array(LEVELS)[:, None]
+        observed = GlossObservations(
+            region=problem.region[self.rows],
+            patch=o.patch[self.rows],
+            weight=np.minimum(o.count[self.rows], 20.0),
+            position=samples.position[at],
+            radiance=problem.mirrored[self.rows],
+            irradiance=local,
+            diffuse=problem.view_factor(shading, levels, self.rows)
+            if lobe == "burley"
+            else np.ones((len(levels), len(at))),
+            lobes=lobes,
+            layer=None if lobe == "burley" else layered_factor(levels, samples.cosine[at]),
+            given=problem.given,
+        )
+        material = problem.light.material
+        return fit_gloss(observed, len(material), problem.gloss).of_regions(material)

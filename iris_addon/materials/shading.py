@@ -1,0 +1,122 @@
+"""Light at the seen patches, and what a diffuse lobe sends of it towards a camera.
+
+A rough wall is brighter seen from where its light comes from than seen against it, by a few per cent at grazing angles.
+Rooms are photographed from the middle, so that this is a trend between walls near the windows and far from them, which
+a light balance takes for weaker windows. Where the light of a patch comes from
+(:mod:`iris_addon.transport.transport`) tells how bright it is from anywhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.parallel import BLOCK, over_blocks
+from ..brdf.ggx import layered_factor
+from ..lighting.lamp_radiance import mean_radiance
+from ..lighting.problem import LightProblem, Lights
+from ..model.recovered import DiffuseLobe
+from ..transport.transport import LightMoments, radiance_table, table_rows
+
+
+@dataclass(frozen=True)
+class Shading:
+    """The light of all lamps at the seen patches.
+
+    Attributes:
+        irradiance: (P, 3) irradiance / pi without the noise of its rays.
+        moments: where it comes from, which only Burley's lobe asks.
+        layered: whether surfaces lie under a dielectric that takes its light off them.
+    """
+
+    irradiance: NDArray[np.float32]
+    moments: LightMoments | None
+    layered: bool = False
+
+    @staticmethod
+    def under(lights: Lights, problem: LightProblem, lobe: DiffuseLobe) -> Shading:
+        """The light that ``lights`` cast on surfaces of a diffuse ``lobe``."""
+        moments = light_moments(problem, lights) if lobe == "burley" else None
+        return Shading(smooth_irradiance(problem, lights), moments, lobe == "layered")
+
+    def view_factor(
+        self,
+        patch: NDArray[np.integer],
+        roughness: NDArray[np.floating],
+        schlick: NDArray[np.floating],
+        toward: NDArray[np.floating],
+    ) -> NDArray[np.float32]:
+        """Factor of the view: what the diffuse lobe sends a camera over albedo times irradiance / pi, (..., n).
+
+        The irradiance is that of the patch under its lobe, ``1 + κ S``.
+
+        Args:
+            patch: (n,) patch that each view sees.
+            roughness: (..., n) or (..., 1).
+            schlick: (n,) S of the direction to the camera.
+            toward: (n, 3) unit vectors to the camera.
+        """
+        if self.moments is not None:
+            return self.moments.view_factor(patch, roughness, schlick, toward)
+        if self.layered:
+            return layered_factor(roughness, 1 - schlick.astype(np.float64) ** 0.2).astype(np.float32)
+        return np.ones((*roughness.shape[:-1], len(patch)), np.float32)
+
+
+def smooth_irradiance(problem: LightProblem, lights: Lights) -> NDArray[np.float32]:
+    """(P, 3) irradiance / pi of the seen patches without the noise of their rays."""
+    return problem.field.denoise(lights.irradiance[: problem.transport.n_seen])
+
+
+def light_moments(problem: LightProblem, lights: Lights) -> LightMoments:
+    """Moments of the light of other patches and of the lamps.
+
+    A lamp counts as one point, its centre. Light from outside and by way of glossy surfaces is left to have the mean
+    direction of the rest.
+    """
+    sums = _gathered(problem, lights) + _of_lamps(problem, lights)
+    lit = lights.irradiance[: len(sums)]
+    sums = problem.field.denoise(sums, lit)
+    total = np.maximum(sums[:, :1], 1e-12)
+    # Nothing is known of the light of a patch that no ray found any for; it comes from ahead.
+    ahead = np.where(sums[:, :1] > 0, sums[:, 2:5] / total, problem.field.normal)
+    return LightMoments(ahead, sums[:, 1] / total[:, 0], sums[:, 5:] / total)
+
+
+def _gathered(problem: LightProblem, lights: Lights) -> NDArray[np.float32]:
+    """(P, 8) sums over the gather rays: light, light times S, and both times its direction."""
+    t = problem.transport
+    table = radiance_table(lights.patch_radiance, mean_radiance(lights.patch_radiance, problem)).mean(1)
+    sums = np.empty((t.n_seen, 8), np.float32)
+    n_rays = t.target.shape[1]
+
+    def work(rows: slice) -> None:
+        light = table[table_rows(t.target[rows], t.rays.face[rows], lights.mask)] / np.float32(n_rays)
+        both = np.stack([light, light * t.rays.schlick_start[rows]], 1)
+        sums[rows, :2] = both.sum(2)
+        sums[rows, 2:] = np.matmul(both, t.rays.direction[rows].astype(np.float32)).reshape(-1, 6)
+
+    over_blocks(t.n_seen, BLOCK // n_rays, work)
+    return sums
+
+
+def _of_lamps(problem: LightProblem, lights: Lights) -> NDArray[np.float32]:
+    """(P, 8) the same sums over the lamps."""
+    position, tracer = problem.field.position, problem.tracer
+    sums = np.zeros((len(position), 8), np.float32)
+    if not lights.emitters:
+        return sums
+    centre = [np.average(tracer.corners[f].mean(1), axis=0, weights=tracer.areas[f]) for f in lights.emitters]
+    centres, level = np.array(centre, np.float32), lights.radiance.mean(1).astype(np.float32)
+
+    def work(rows: slice) -> None:
+        toward = centres - position[rows, None]
+        toward /= np.maximum(np.linalg.norm(toward, axis=2, keepdims=True), 1e-6)
+        cast = lights.form_factors[rows] * level[:, None]
+        sums[rows, :2] = cast.sum(1)
+        sums[rows, 2:] = np.matmul(cast.transpose(0, 2, 1), toward).reshape(-1, 6)
+
+    over_blocks(len(position), BLOCK // len(centres), work)
+    return sums

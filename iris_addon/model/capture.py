@@ -1,0 +1,161 @@
+"""What a capture is once it has been read and checked: cameras, photos by reference, a mesh.
+
+Conventions of the whole engine: metres, scene-linear Rec.709, camera-to-world matrices as Blender and nerfstudio have
+them (columns x right, y up, z backward). Pixel (i, j) of a camera has its centre at (i + 0.5, j + 0.5) and its ray
+direction is ``R @ [(i + 0.5 - cx) / fx, -(j + 0.5 - cy) / fy, -1]``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.floating]
+
+Split = Literal["train", "val"]
+DEGENERATE_AREA = 1e-12
+"""Square metres up to which a face counts as none."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera. Lengths in pixels, ``c2w`` in metres.
+
+    Attributes:
+        c2w: (4, 4) camera to world, columns x right, y up, z backward.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    c2w: FloatArray
+
+    @property
+    def position(self) -> FloatArray:
+        """(3,) centre of projection in world space."""
+        return self.c2w[:3, 3]
+
+    def rays(self, pixel: NDArray[np.integer] | None = None) -> tuple[FloatArray, FloatArray]:
+        """Origins and unit directions through pixel centres, each (n, 3), world space.
+
+        Args:
+            pixel: (n,) row-major indices, by default all.
+        """
+        row, column = np.divmod(np.arange(self.width * self.height) if pixel is None else pixel, self.width)
+        i, j = column + 0.5, row + 0.5
+        local = np.stack([(i - self.cx) / self.fx, -(j - self.cy) / self.fy, -np.ones_like(i)], -1)
+        directions = local @ self.c2w[:3, :3].T
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        return np.broadcast_to(self.position, directions.shape), directions
+
+    def local(self, points: NDArray[np.floating]) -> FloatArray:
+        """(..., 3) world-space points in the frame of the camera: x right, y up, z backward."""
+        return (points - self.position) @ self.c2w[:3, :3]
+
+    def project(self, local: NDArray[np.floating]) -> FloatArray:
+        """(..., 2) image coordinates, right and down in pixels, of points (..., 3) ahead in the camera's frame."""
+        depth = -local[..., 2]
+        u = self.cx + self.fx * local[..., 0] / depth
+        v = self.cy - self.fy * local[..., 1] / depth
+        return np.stack([u, v], -1)
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """OpenCV radial-tangential lens distortion of the photo on disk; the camera describes the undistorted photo."""
+
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+    fisheye: bool = False
+
+
+@dataclass(frozen=True)
+class View:
+    """One photo: where it lies, how it was taken.
+
+    Attributes:
+        name: unique within the capture and its split, safe as a file name.
+        photo: image file, or None for a view that is only rendered.
+        exposure: factor from scene radiance to the argument of the response, ``z = f(radiance * exposure)``; None when
+            unknown.
+        distortion: of the file on disk; :func:`iris_addon.capture.photos.load_photo` removes it.
+    """
+
+    name: str
+    camera: Camera
+    photo: Path | None
+    exposure: float | None = None
+    distortion: Distortion | None = None
+    split: Split = "train"
+
+
+@dataclass(frozen=True)
+class Photo:
+    """Pixels of one photo, undistorted.
+
+    Attributes:
+        values: (H, W, 3) float32; display values z in [0, 1] for LDR, linear radiance for HDR.
+        valid: (H, W) bool; False where undistortion saw past the border or a pixel is not finite.
+        hdr: whether ``values`` are linear radiance.
+    """
+
+    values: NDArray[np.float32]
+    valid: NDArray[np.bool_]
+    hdr: bool
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles of the room. Face order is that of the file and never changes: emitters refer to it.
+
+    Attributes:
+        vertices: (V, 3) float64, metres.
+        faces: (F, 3) int64.
+        uv: (F, 3, 2) float32 per corner in [0, 1], or None.
+        regions: (F,) int32 region label per face when the file has regions (objects, materials), or None.
+    """
+
+    vertices: FloatArray
+    faces: NDArray[np.int64]
+    uv: NDArray[np.float32] | None = None
+    regions: NDArray[np.int32] | None = None
+
+    def with_uv(self, uv: NDArray[np.float32]) -> Mesh:
+        """The same mesh with other texture coordinates."""
+        return replace(self, uv=uv)
+
+
+@dataclass(frozen=True)
+class Capture:
+    """A capture folder, read and checked.
+
+    Attributes:
+        views: the photos the solver may look at (split ``train``).
+        val_views: held-out photos; the solver never opens them.
+        up: unit vector that points away from the floor, as far as the capture says it ((0, 0, 1) otherwise).
+        warnings: what a user should know before waiting for a solve.
+    """
+
+    name: str
+    root: Path
+    views: tuple[View, ...]
+    val_views: tuple[View, ...]
+    mesh: Mesh
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    warnings: tuple[str, ...] = field(default=())
+
+    @property
+    def exposures_known(self) -> bool:
+        """Whether every training photo comes with its exposure."""
+        return all(view.exposure is not None for view in self.views)

@@ -1,0 +1,257 @@
+"""Response and exposures of a capture, measured or given."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.errors import BadInput
+from ..base.files import read_json
+from ..base.parallel import BLOCK, over_blocks
+from ..config import SolveConfig
+from ..model import response as curve
+from ..model.capture import Capture
+from ..model.local_exposure import LocalExposure
+from ..model.response import N_SAMPLES, SATURATED, Response
+from ..surface.photo_samples import PhotoSamples
+from .family import FITTED
+from .observations import Observations
+from .overlap import fit_overlap
+from .radiance import Linearised, linearise_bytes, radiance_itself
+
+EXPONENT_SURE = 0.015
+"""Standard deviation of the log exponent up to which records are better than what light transport says of it."""
+LEAST_SPREAD = 1e-6
+"""Stops. Photos of one exposure have none."""
+
+
+@dataclass(frozen=True)
+class Photometry:
+    """From display values to radiance.
+
+    Attributes:
+        exposures: (V, 3) factor per training photo and channel.
+        held_out: display-value disagreement between views of held-out patches, NaN where nothing was fitted.
+        per_channel: whether each channel has its own curve.
+        known_exposures: whether the capture gave the exposures.
+        exposure_error: stops RMS by which photos speak against the exposures that were given, 0 where they do not.
+        exponent: of response, exposures and radiance over those that the prior chose.
+        local: what the camera adds from place to place, None where all places of a photo are alike.
+    """
+
+    response: Response
+    exposures: NDArray[np.float64]
+    held_out: float
+    per_channel: bool
+    known_exposures: bool
+    exposure_error: float = 0.0
+    exponent: float = 1.0
+    local: LocalExposure | None = None
+
+    @property
+    def hdr(self) -> bool:
+        """Whether the photos are radiance already."""
+        return self.response.family == "identity"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should know."""
+        if self.hdr:
+            return ()
+        found = []
+        if self.local is not None and self.local.settings.strength:
+            lost = f"{self.local.settings.strength:.0%} of the contrast between regions"
+            found.append(f"the photos are locally tone mapped ({lost}); it was undone")
+        if not self.known_exposures:
+            found.append("exposures are unknown: the overall brightness of lights is relative")
+        elif self.exposure_error:
+            error = f"{self.exposure_error:.2g} stops"
+            found.append(f"the recorded exposures do not fit the photos ({error}) and were corrected")
+        return tuple(found)
+
+    @property
+    def exponent_open(self) -> bool:
+        """Whether photos and what was recorded with them leave a common exponent of response, exposures and radiance
+        open."""
+        return self.exponent_error > EXPONENT_SURE
+
+    @property
+    def exponent_error(self) -> float:
+        """Standard deviation of the logarithm of that exponent, infinite where no exposures are recorded.
+
+        Wrong records leave a slope between them and the true ones that is off by their error, over their spread and
+        the root of their number (a linear regression).
+        """
+        if self.response.family != FITTED:
+            return 0.0
+        if not self.known_exposures:
+            return np.inf
+        spread = float(np.log2(self.exposures).mean(1).std())
+        return self.exposure_error / (max(spread, LEAST_SPREAD) * len(self.exposures) ** 0.5)
+
+    def raised(self, exponent: float) -> Photometry:
+        """The same photos explained by radiance to the power ``exponent``."""
+        return replace(
+            self,
+            response=self.response.raised(exponent),
+            exposures=self.exposures**exponent,
+            exponent=self.exponent * exponent,
+            local=None if self.local is None else self.local.raised(exponent),
+        )
+
+    def exposure_at(self, view: NDArray[np.integer], pixel: NDArray[np.integer]) -> NDArray[np.float64]:
+        """(n, 3) exposure factor of row-major pixels (n,) of views (n,)."""
+        exposure = self.exposures[view]
+        return exposure if self.local is None else exposure * self.local.at(view, pixel)[:, None]
+
+    def linearise_pixels(
+        self, z: NDArray[np.floating], view: NDArray[np.integer], pixel: NDArray[np.integer]
+    ) -> Linearised:
+        """Radiance of pixels (n, 3) with their precision; a single pixel is clipped or it is not."""
+        if self.hdr:
+            return radiance_itself(z / self.exposures[view])
+        empty = [np.empty(z.shape) for _ in range(4)]
+        whole = Linearised(empty[0], np.empty(z.shape, bool), *empty[1:])
+
+        def work(rows: slice) -> None:
+            t, some = self.exposure_at(view[rows], pixel[rows]), z[rows]
+            clipped, black = (some >= SATURATED).astype(np.float32), (some <= 0).astype(np.float32)
+            region = linearise_bytes(self.response, some, t, clipped, black)
+            for column in fields(Linearised):
+                getattr(whole, column.name)[rows] = getattr(region, column.name)
+
+        over_blocks(len(z), BLOCK, work)
+        return whole
+
+    def develop(
+        self, radiance: NDArray[np.floating], view: NDArray[np.integer], pixel: NDArray[np.integer]
+    ) -> NDArray[np.float64]:
+        """Display values (n, 3) of radiance; the radiance itself for HDR input."""
+        exposed = radiance * self.exposure_at(view, pixel)
+        return exposed if self.hdr else self.response.apply(exposed)
+
+    def report(self) -> dict[str, Any]:
+        """What was switched on and how well it predicts."""
+        return {
+            "family": self.response.family,
+            "curves": 3 if self.per_channel else 1,
+            "exposures": ("corrected" if self.exposure_error else "known") if self.known_exposures else "estimated",
+            "exposure_error_stops": round(self.exposure_error, 3),
+            "exponent": round(self.exponent, 3),
+            "local_exposure": None if self.local is None else asdict(self.local.settings),
+            "held_out_residual": None if np.isnan(self.held_out) else self.held_out,
+        }
+
+    def arrays(self) -> dict[str, NDArray]:
+        """Plain arrays for a checkpoint."""
+        return {
+            "samples": self.response.samples,
+            "family": np.array(self.response.family),
+            "coefficients": np.array(self.response.coefficients),
+            "exposures": self.exposures,
+            "held_out": np.array(self.held_out),
+            "flags": np.array([self.per_channel, self.known_exposures]),
+            "exposure_error": np.array(self.exposure_error),
+            **({} if self.local is None else self.local.arrays()),
+        }
+
+    @staticmethod
+    def from_arrays(arrays: dict[str, NDArray]) -> Photometry:
+        """Inverse of :meth:`arrays`."""
+        response = Response(arrays["samples"], str(arrays["family"]), tuple(arrays["coefficients"].tolist()))
+        per_channel, known = (bool(flag) for flag in arrays["flags"])
+        held_out, error = float(arrays["held_out"]), float(arrays["exposure_error"])
+        local = LocalExposure.from_arrays(arrays)
+        return Photometry(
+            response=response,
+            exposures=arrays["exposures"],
+            held_out=held_out,
+            per_channel=per_channel,
+            known_exposures=known,
+            exposure_error=error,
+            local=local,
+        )
+
+
+def measure_photometry(
+    capture: Capture, config: SolveConfig, observations: Observations, photos: PhotoSamples, rng: np.random.Generator
+) -> Photometry:
+    """Response and exposures as the configuration asks for them; those of radiance include its unit.
+
+    Raises:
+        BadInput: the response file cannot be used.
+    """
+    known = capture.exposures_known
+    given = np.array([view.exposure for view in capture.views], np.float64) if known else None
+    n = len(capture.views)
+    if photos.hdr:
+        factors = np.ones(n) if given is None or config.hdr is not None else given
+        exposures = np.repeat(photos.unit * factors[:, None], 3, 1)
+        return Photometry(
+            response=curve.identity(), exposures=exposures, held_out=np.nan, per_channel=False, known_exposures=True
+        )
+    fixed = _fixed_response(config)
+    fit = fit_overlap(observations, given, n, rng, fixed, config.refinements, photos.small)
+    error = 0.0 if given is None else float(np.sqrt(np.mean(np.log2(fit.exposures / given[:, None]) ** 2)))
+    error = error if error > 1e-6 else 0.0
+    return Photometry(
+        response=fit.response,
+        exposures=fit.exposures,
+        held_out=fit.residual,
+        per_channel=fit.per_channel,
+        known_exposures=known,
+        exposure_error=error,
+        local=fit.local,
+    )
+
+
+def _fixed_response(config: SolveConfig) -> Response | None:
+    if config.response == "auto":
+        return None
+    if config.response == "gamma":
+        return curve.gamma()
+    return read_response(Path(config.response))
+
+
+# ---- Response curves from files: a solved response.json, or a table as .npy or text ---------------------------------
+
+
+MAX_BYTES = 16 << 20
+
+
+def read_response(path: Path) -> Response:
+    """A monotone curve of 2 or more samples over x = 0 ... 1, for one or three channels.
+
+    Accepts response.json of a result, .npy with (n,) or (3, n), or a text table of one or three columns.
+
+    Raises:
+        BadInput: missing, too large, not a table, not finite or falling.
+    """
+    mend = "give a response.json of a solve, or a table with one or three curves"
+    if not path.is_file():
+        raise BadInput("there is no such response file", "check the path", path)
+    size = path.stat().st_size
+    if size == 0 or size > MAX_BYTES:
+        raise BadInput("the response file is empty" if size == 0 else "the response file is far too large", mend, path)
+    try:
+        if path.suffix == ".json":
+            table = np.asarray(read_json(path).get("samples"), np.float64)
+        elif path.suffix == ".npy":
+            table = np.load(path, allow_pickle=False).astype(np.float64)
+        else:
+            table = np.loadtxt(path, dtype=np.float64, ndmin=2).T
+    except (ValueError, TypeError, OSError, EOFError) as error:
+        raise BadInput(f"the response file cannot be read ({error})", mend, path) from error
+    table = np.atleast_2d(table)
+    if table.ndim != 2 or table.shape[0] not in (1, 3) or table.shape[1] < 2 or not np.isfinite(table).all():
+        raise BadInput(f"the response table has shape {table.shape} or is not finite", mend, path)
+    if (np.diff(table, axis=1) < -1e-6).any() or (table[:, -1] <= table[:, 0]).any():
+        raise BadInput("the response curve falls or is flat", "a response must rise with exposure", path)
+    table = (table - table[:, :1]) / (table[:, -1:] - table[:, :1])
+    x = np.linspace(0, 1, N_SAMPLES)
+    rows = [np.interp(x, np.linspace(0, 1, table.shape[1]), np.maximum.accumulate(row)) for row in table]
+    return Response(np.stack(rows if len(rows) == 3 else rows * 3), "file")

@@ -1,0 +1,172 @@
+"""emitters.json: the lamps of a result, light from outside its mesh, and the shell that its backdrop is painted on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.errors import BadInput
+from ..base.files import MEND, from_ranges, json_object, numbers, read_json, to_ranges
+from ..model.capture import Mesh
+from ..model.local_exposure import ALIKE, LocalSettings
+from ..model.recovered import Backdrop, Emitter, OutsideLight
+from ..model.response import N_SAMPLES, Response
+from .files import EMITTERS, RESPONSE, result_file
+from .result import Result
+
+SH_SIZES = (1, 4, 9)
+MAX_SHELL = 100_000
+
+
+class StoredShell(NamedTuple):
+    """Vertices (V, 3) and faces (F, 3) of a backdrop, and whether it has an albedo."""
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    reflects: bool
+
+
+def emitters_json(result: Result) -> dict[str, Any]:
+    """The content of emitters.json."""
+    backdrop = result.backdrop
+    return {
+        "emitters": [
+            {
+                "id": emitter.id,
+                "faces": to_ranges(emitter.faces),
+                "radiance": emitter.radiance,
+                "area": emitter.area,
+                "confidence": emitter.confidence,
+            }
+            for emitter in result.emitters
+        ],
+        "outside": None if result.outside is None else {"sh": result.outside.sh},
+        "backdrop": None if backdrop is None else _shell_json(backdrop),
+    }
+
+
+def _shell_json(backdrop: Backdrop) -> dict[str, Any]:
+    reflects = backdrop.albedo is not None
+    return {"vertices": backdrop.vertices, "faces": backdrop.faces, "reflects": reflects}
+
+
+def read_emitters(folder: Path, mesh: Mesh) -> tuple[tuple[Emitter, ...], OutsideLight | None, StoredShell | None]:
+    """Lamps, light from outside and the backdrop's shell of the result in ``folder``.
+
+    Raises:
+        BadInput: the file is missing or damaged.
+    """
+    path = result_file(folder, EMITTERS)
+    content = read_json(path)
+    listed = content.get("emitters")
+    if not isinstance(listed, list):
+        raise BadInput("'emitters' is missing or not a list", MEND, path)
+    emitters = tuple(_read_emitter(entry, f"emitters[{number}]", mesh, path) for number, entry in enumerate(listed))
+    outside, backdrop = content.get("outside"), content.get("backdrop")
+    return (
+        emitters,
+        None if outside is None else _read_outside(json_object(outside, "outside", path), path),
+        None if backdrop is None else _read_shell(json_object(backdrop, "backdrop", path), path),
+    )
+
+
+def _read_emitter(entry: object, where: str, mesh: Mesh, path: Path) -> Emitter:
+    content = json_object(entry, where, path)
+    radiance = numbers(content.get("radiance"), (3,), f"{where}.radiance", path)
+    if radiance.min() < 0:
+        raise BadInput(f"'{where}.radiance' is negative", MEND, path)
+    return Emitter(
+        id=int(numbers(content.get("id"), (), f"{where}.id", path)),
+        faces=from_ranges(content.get("faces"), len(mesh.faces), f"{where}.faces", path),
+        radiance=radiance,
+        area=float(numbers(content.get("area"), (), f"{where}.area", path)),
+        confidence=float(numbers(content.get("confidence"), (), f"{where}.confidence", path)),
+    )
+
+
+def _read_outside(content: dict[str, Any], path: Path) -> OutsideLight:
+    sh = numbers(content.get("sh"), (None, 3), "outside.sh", path)
+    if len(sh) not in SH_SIZES:
+        raise BadInput(f"'outside.sh' has {len(sh)} coefficients, not 1, 4 or 9", MEND, path)
+    return OutsideLight(sh)
+
+
+def _read_shell(content: dict[str, Any], path: Path) -> StoredShell:
+    vertices = numbers(content.get("vertices"), (None, 3), "backdrop.vertices", path)
+    faces = numbers(content.get("faces"), (None, 3), "backdrop.faces", path)
+    if not 4 <= len(vertices) <= MAX_SHELL or not 4 <= len(faces) <= MAX_SHELL:
+        raise BadInput("'backdrop' is no shell, or too large", MEND, path)
+    if (faces != np.floor(faces)).any() or faces.min() < 0 or faces.max() >= len(vertices):
+        raise BadInput("'backdrop.faces' names vertices that it does not have", MEND, path)
+    return StoredShell(vertices, faces.astype(np.int64), content.get("reflects") is True)
+
+
+# ---- response.json: the recovered camera of a result ----------------------------------------------------------------
+
+
+LOCAL_BOUNDS = {"strength": (0.0, 0.99), "scale": (1e-3, 10.0), "headroom": (1.0, 1e6), "falloff": (0.0, 20.0)}
+
+
+def response_json(result: Result) -> dict[str, Any]:
+    """The content of response.json."""
+    samples = result.response.samples
+    same = bool((samples == samples[0]).all())
+    return {
+        "family": result.response.family,
+        "coefficients": list(result.response.coefficients),
+        "samples": samples[0] if same else samples,
+        "exposures": {
+            name: {"factor": value, "exposure": value[1], "white_balance": value / value[1] if value[1] else value}
+            for name, value in ((name, np.asarray(value, float)) for name, value in result.exposures.items())
+        },
+        "local_exposure": asdict(result.local),
+    }
+
+
+def read_response(folder: Path) -> tuple[Response, dict[str, NDArray[np.float64]], LocalSettings]:
+    """The recovered camera of the result in ``folder``: its response, (3,) exposure × white balance by photo, and what
+    it did to exposure from place to place.
+
+    Raises:
+        BadInput: it is missing or damaged.
+    """
+    path = result_file(folder, RESPONSE)
+    content = read_json(path)
+    samples = content.get("samples")
+    if isinstance(samples, list) and len(samples) == 3:
+        table = numbers(samples, (3, N_SAMPLES), "samples", path)
+    else:
+        table = np.tile(numbers(samples, (N_SAMPLES,), "samples", path), (3, 1))
+    coefficients = numbers(content.get("coefficients", []), (None,), "coefficients", path)
+    exposures = {
+        name: numbers(json_object(value, name, path).get("factor"), (3,), f"exposures of {name}", path)
+        for name, value in json_object(content.get("exposures"), "exposures", path).items()
+    }
+    response = Response(table, str(content.get("family", "")), tuple(coefficients.tolist()))
+    local = json_object(content.get("local_exposure", {}), "local_exposure", path)
+    return response, exposures, _read_local(local, path)
+
+
+def exposure_of(photo: str, exposures: Mapping[str, NDArray[np.floating]]) -> NDArray[np.floating]:
+    """(3,) exposure × white balance of ``photo``, or the median of the photos where it is none of them."""
+    return exposures[photo] if photo in exposures else median_exposure(exposures)
+
+
+def median_exposure(exposures: Mapping[str, NDArray[np.floating]]) -> NDArray[np.float64]:
+    """(3,) exposure × white balance that is typical of the photos; 1 where none is known."""
+    return np.median(np.stack(list(exposures.values())), axis=0) if exposures else np.ones(3)
+
+
+def _read_local(content: Mapping[str, Any], path: Path) -> LocalSettings:
+    """Settings of local exposure; those that are missing are none."""
+    settings = {**asdict(ALIKE), **content}
+    for name, (low, high) in LOCAL_BOUNDS.items():
+        value = settings[name]
+        if not isinstance(value, int | float) or not low <= value <= high:
+            raise BadInput(f"'local_exposure.{name}' is {value!r}", f"a number from {low:g} to {high:g}", path)
+    return LocalSettings(**{name: float(settings[name]) for name in LOCAL_BOUNDS})

@@ -1,0 +1,211 @@
+"""Irradiance between patches: shading is smooth where albedo is not, so patches carry it and pixels interpolate."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
+
+from ..base.compiled import kernel
+from ..base.parallel import BLOCK, over_blocks
+from .patches import Surface
+from .primary_rays import PixelSamples
+
+NEIGHBOURS = 10
+NORMAL_WEIGHT = 4.0
+"""Patches that face 15 degrees away count as far as one patch size away."""
+KERNEL, DENOISED = 0.75, 1.0
+"""Standard deviation of the kernel that interpolates, and of the one that takes noise off, in patch sizes."""
+PLANE_WEIGHT = 5.0
+"""A patch a fifth of its size before or behind a point's plane counts as far as one patch size beside it: what lies
+parallel, like the pane behind a window's frame, is lit otherwise."""
+EDGE, POINT_EDGE = 0.2, 0.3
+"""Difference of log irradiance at which a neighbour counts as lit otherwise: of patches, whose values are noisy, and in
+the interpolation between them."""
+
+
+@dataclass(frozen=True)
+class IrradianceField:
+    """Neighbourhoods of patches in position and orientation; regions do not matter to irradiance.
+
+    Attributes:
+        neighbours: (P, K) int32, the patch itself first.
+        size: (P,) float32 edge length of each patch, metres.
+    """
+
+    position: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    neighbours: NDArray[np.int32]
+    size: NDArray[np.float32]
+
+    @staticmethod
+    def build(surface: Surface) -> IrradianceField:
+        """The field of the seen patches."""
+        size = np.maximum(surface.footprint * np.float32(surface.pixels_per_patch), 1e-4)
+        return IrradianceField.of(surface.position, surface.normal, size)
+
+    @staticmethod
+    def of(position: NDArray[np.float32], normal: NDArray[np.float32], size: NDArray[np.float32]) -> IrradianceField:
+        """Nearest patches of every patch, near in place and in orientation: (P, 3), (P, 3) unit and (P,) metres."""
+        # One metric for the tree: patch sizes vary from block to block, so neighbours are compared in log-mean size.
+        unit = float(np.exp(np.mean(np.log(size))))
+        features = np.concatenate([position / unit, NORMAL_WEIGHT * normal], 1)
+        k = min(NEIGHBOURS, len(features))
+        _, index = cKDTree(features).query(features, k=k, workers=-1)
+        return IrradianceField(position, normal, np.asarray(index, np.int32).reshape(len(features), k), size)
+
+    def kernel(
+        self, width: float, rows: NDArray[np.int64] | None = None, group: NDArray[np.integer] | None = None
+    ) -> csr_matrix:
+        """(n, P) matrix that averages patch values over neighbours with a Gaussian of ``width`` patch sizes.
+
+        It takes sampling noise off and is linear in the values; :meth:`denoise` is what stops at the edges of light.
+
+        Args:
+            rows: (n,) the patches whose averages are asked for, by default all.
+            group: (P,) label of every patch; averages are then over neighbours of the same label.
+        """
+        rows = np.arange(len(self.position)) if rows is None else rows
+        weight = self._weights(self.position[rows], self.normal[rows], rows, width, group=group)
+        ends = np.arange(0, weight.size + 1, weight.shape[1])
+        return csr_matrix((weight.ravel(), self.neighbours[rows].ravel(), ends), (len(rows), len(self.position)))
+
+    def denoise(
+        self, values: NDArray[np.floating], irradiance: NDArray[np.floating] | None = None
+    ) -> NDArray[np.float32]:
+        """Values (P, C) averaged over those neighbours of a patch that are lit like it.
+
+        Args:
+            irradiance: (P, 3) by which that is told; by default the values are irradiance themselves.
+        """
+        lit = _log_level(values if irradiance is None else irradiance)
+        table = np.ascontiguousarray(values, np.float32)
+        mean = np.empty_like(table)
+
+        def work(block: slice) -> None:
+            rows = np.arange(block.start, block.stop)
+            weight = self._weights(self.position[block], self.normal[block], rows, DENOISED, lit=lit, edge=EDGE)
+            _average(weight, self.neighbours, rows, table, mean[block])
+
+        over_blocks(len(table), BLOCK // NEIGHBOURS, work)
+        return mean
+
+    def spread(self, irradiance: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(P,) standard deviation of log ``irradiance`` (P, 3) over the neighbours of each patch, however they are lit:
+        large in corners, beside mouldings and close to lamps."""
+        lit, around = _log_level(irradiance), self.kernel(DENOISED)
+        mean = around @ lit
+        return np.sqrt(np.maximum(around @ lit**2 - mean**2, 0.0))
+
+    def at_samples(
+        self, samples: PixelSamples, patch: NDArray[np.int32], values: NDArray[np.floating]
+    ) -> NDArray[np.float32]:
+        """(n, C) patch values (P, C) interpolated at pixels; ``patch`` (n,) is the patch each pixel lies on."""
+        table, lit = np.ascontiguousarray(values, np.float32), _log_level(values)
+        result = np.empty((len(patch), table.shape[1]), np.float32)
+
+        def work(block: slice) -> None:
+            at, rows = (samples.position[block], samples.normal[block]), patch[block]
+            weight = self._weights(*at, rows, KERNEL, lit=lit, edge=POINT_EDGE)
+            _average(weight, self.neighbours, rows, table, result[block])
+
+        over_blocks(len(patch), BLOCK // NEIGHBOURS, work)
+        return result
+
+    def _weights(
+        self,
+        position: NDArray[np.float32],
+        normal: NDArray[np.float32],
+        patch: NDArray[np.integer],
+        width: float,
+        lit: NDArray[np.float32] | None = None,
+        edge: float = 1.0,
+        group: NDArray[np.integer] | None = None,
+    ) -> NDArray[np.float32]:
+        """(n, K) normalised kernel weights of the neighbours of each point's patch.
+
+        Args:
+            lit: (P,) log irradiance; neighbours count less where it differs by ``edge``.
+            group: (P,) label of every patch; those of another than the point's patch have no weight.
+        """
+        n = len(patch)
+        weight = np.empty((n, self.neighbours.shape[1]), np.float32)
+        lit = np.zeros(0, np.float32) if lit is None else lit
+        label = np.zeros(0, np.int64) if group is None else group.astype(np.int64)
+        rest = self.neighbours, self.position, self.normal, self.size, width, lit, edge, label
+
+        def work(rows: slice) -> None:
+            _weigh(position[rows], normal[rows], patch[rows], *rest, weight[rows])
+
+        over_blocks(n, BLOCK // NEIGHBOURS, work)
+        return weight
+
+
+@kernel
+def _weigh(
+    position: NDArray[np.float32],
+    normal: NDArray[np.float32],
+    patch: NDArray[np.integer],
+    neighbours: NDArray[np.int32],
+    centre: NDArray[np.float32],
+    facing: NDArray[np.float32],
+    size: NDArray[np.float32],
+    width: float,
+    lit: NDArray[np.float32],
+    edge: float,
+    label: NDArray[np.int64],
+    weight: NDArray[np.float32],
+) -> None:
+    """A Gaussian of the distance along the plane of a point, of that before or behind it, of the turn of the normal and
+    of the difference in light."""
+    for i in range(len(patch)):
+        own, least = patch[i], np.inf
+        reach = (size[own] * width) ** 2
+        for k in range(neighbours.shape[1]):
+            near = neighbours[own, k]
+            distance = height = turn = 0.0
+            for c in range(3):
+                offset, turned = centre[near, c] - position[i, c], facing[near, c] - normal[i, c]
+                distance += offset * offset
+                turn += turned * turned
+                height += offset * normal[i, c]
+            height *= PLANE_WEIGHT
+            square = (distance + height * height) / reach + turn * (NORMAL_WEIGHT / width) ** 2
+            if len(lit):
+                square += ((lit[near] - lit[own]) / edge) ** 2
+            if len(label) and label[near] != label[own]:
+                square = np.inf
+            weight[i, k] = square
+            least = min(least, square)
+        total = 0.0
+        for k in range(neighbours.shape[1]):
+            weight[i, k] = math.exp(-0.5 * (weight[i, k] - least))
+            total += weight[i, k]
+        for k in range(neighbours.shape[1]):
+            weight[i, k] /= total
+
+
+@kernel
+def _average(
+    weight: NDArray[np.float32],
+    neighbours: NDArray[np.int32],
+    patch: NDArray[np.integer],
+    values: NDArray[np.float32],
+    mean: NDArray[np.float32],
+) -> None:
+    for i in range(len(patch)):
+        for c in range(values.shape[1]):
+            mean[i, c] = 0.0
+        for k in range(weight.shape[1]):
+            near, say = neighbours[patch[i], k], weight[i, k]
+            for c in range(values.shape[1]):
+                mean[i, c] += say * values[near, c]
+
+
+def _log_level(irradiance: NDArray[np.floating]) -> NDArray[np.float32]:
+    """(P,) logarithm of the mean over channels."""
+    return np.log(np.maximum(irradiance.mean(1), 1e-9)).astype(np.float32)

@@ -1,0 +1,165 @@
+"""Where the pixels of the photos land on the mesh: the primary rays, traced once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from ..base.parallel import over_each
+from ..base.progress import Progress
+from ..model.capture import Camera
+from ..rays.sampling import dot
+from ..rays.tracer import Tracer, points_on_faces
+
+
+@dataclass(frozen=True)
+class PixelSamples:
+    """Pixels that see the mesh, all views one after the other.
+
+    Attributes:
+        view: (n,) int16 index of the view.
+        pixel: (n,) int32 row-major pixel index in the photo.
+        face: (n,) int32 face of the mesh.
+        barycentric: (n, 2) float32.
+        position: (n, 3) float32 metres.
+        normal: (n, 3) float32 geometric normal on the camera's side.
+        direction: (n, 3) float32 unit vector from the surface to the camera.
+        footprint: (n,) float32 metres on the surface spanned by one pixel, without foreshortening.
+    """
+
+    view: NDArray[np.int16]
+    pixel: NDArray[np.int32]
+    face: NDArray[np.int32]
+    barycentric: NDArray[np.float32]
+    position: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    direction: NDArray[np.float32]
+    footprint: NDArray[np.float32]
+
+    @cached_property
+    def cosine(self) -> NDArray[np.float32]:
+        """(n,) cosine between the normal and the direction to the camera, in (0, 1]."""
+        return np.clip(dot(self.normal, self.direction), 1e-3, 1.0).astype(np.float32)
+
+    def seen_faces(self, n_faces: int) -> NDArray[np.bool_]:
+        """(n_faces,) faces that a pixel shows."""
+        return np.bincount(self.face, minlength=n_faces) > 0
+
+    def take(self, rows: NDArray[np.integer]) -> PixelSamples:
+        """Some of the pixels."""
+        return PixelSamples(*(getattr(self, column.name)[rows] for column in fields(self)))
+
+
+def pixel_lattice(camera: Camera, stride: int, phase: int) -> NDArray[np.int32]:
+    """Row-major indices of one pixel in ``stride`` x ``stride``; ``phase`` shifts the lattice from view to view."""
+    row, column = divmod(phase % (stride * stride), stride)
+    rows = np.arange(row, camera.height, stride)
+    columns = np.arange(column, camera.width, stride)
+    return (rows[:, None] * camera.width + columns[None, :]).astype(np.int32).ravel()
+
+
+def as_picture(
+    values: NDArray[np.floating], pixel: NDArray[np.integer], camera: Camera, step: int = 1
+) -> NDArray[np.float32]:
+    """(H, W, 3) picture of ``values`` (n, 3) at pixels (n,); all others take the value of the nearest of these.
+
+    A ``step`` beyond 1 makes one of so many rows and columns, without ever filling the large one.
+    """
+    side = (-(-camera.height // step), -(-camera.width // step))
+    row, column = pixel // camera.width // step, pixel % camera.width // step
+    known = np.zeros(side, bool)
+    picture = np.zeros((*side, 3), np.float32)
+    known[row, column] = True
+    picture[row, column] = values
+    if not known.any():
+        return picture
+    nearest = np.asarray(distance_transform_edt(~known, return_distances=False, return_indices=True))
+    return picture[nearest[0], nearest[1]]
+
+
+def stride_for_budget(cameras: Sequence[Camera], budget: int) -> int:
+    """Smallest lattice spacing that keeps the pixels of all cameras within ``budget``."""
+    total = sum(camera.width * camera.height for camera in cameras)
+    return max(1, int(np.ceil(np.sqrt(total / budget) - 1e-9)))
+
+
+def trace_pixels(tracer: Tracer, cameras: Sequence[Camera], stride: int, progress: Progress) -> PixelSamples:
+    """Primary rays through the centres of a lattice of pixels of every camera."""
+    views = over_each(
+        range(len(cameras)),
+        lambda index: trace_view(tracer, cameras[index], index, pixel_lattice(cameras[index], stride, index)),
+        progress.update,
+    )
+    names = [column.name for column in fields(PixelSamples)]
+    return PixelSamples(*(np.concatenate([getattr(view, name) for view in views]) for name in names))
+
+
+def trace_view(tracer: Tracer, camera: Camera, index: int, pixel: NDArray[np.int32]) -> PixelSamples:
+    """Primary rays through the centres of pixels (k,) of view ``index``; those that miss the mesh are left out."""
+    origin, direction = camera.rays(pixel)
+    hits = tracer.closest(origin, direction)
+    kept = np.flatnonzero(hits.face >= 0)
+    face, barycentric = hits.face[kept], hits.barycentric[kept]
+    toward = -direction[kept].astype(np.float32)
+    normal = tracer.normals[face]
+    normal *= np.where((normal * toward).sum(1, keepdims=True) < 0, -1, 1).astype(np.float32)
+    return PixelSamples(
+        view=np.full(len(kept), index, np.int16),
+        pixel=pixel[kept],
+        face=face,
+        barycentric=barycentric,
+        position=points_on_faces(tracer.corners, face, barycentric).astype(np.float32),
+        normal=normal,
+        direction=toward,
+        footprint=hits.distance[kept] / np.float32(np.sqrt(camera.fx * camera.fy)),
+    )
+
+
+# ---- Which pixels lie side by side: the lattices of all photos in one array -----------------------------------------
+
+
+NO_PIXEL = -1
+"""A place of the lattice whose pixel is not among those asked about."""
+BEYOND_PHOTO = -2
+NEIGHBOURS = [(down, across) for down in (-1, 0, 1) for across in (-1, 0, 1) if down or across]
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """The lattices of all photos, see :func:`.samples.pixel_lattice`, in one array with a margin around each.
+
+    Attributes:
+        slot: (n,) place of each pixel in that array.
+        pitch: (n,) length of a row of its lattice there.
+        occupant: pixel at each place, :data:`NO_PIXEL` or :data:`BEYOND_PHOTO` for none.
+    """
+
+    slot: NDArray[np.int64]
+    pitch: NDArray[np.int64]
+    occupant: NDArray[np.int32]
+
+    @staticmethod
+    def of(
+        view: NDArray[np.integer], pixel: NDArray[np.integer], cameras: Sequence[Camera], stride: int, margin: int
+    ) -> Lattice:
+        """The lattice of pixels (n,) of views (n,), to be asked for pixels up to ``margin`` rows or columns away."""
+        wide = np.array([-(-camera.width // stride) + 2 * margin for camera in cameras])
+        high = np.array([-(-camera.height // stride) + 2 * margin for camera in cameras])
+        first = np.concatenate([[0], np.cumsum(wide * high)])
+        row, column = np.divmod(pixel, np.array([camera.width for camera in cameras])[view])
+        pitch = wide[view]
+        slot = first[view] + (row // stride + margin) * pitch + column // stride + margin
+        occupant = np.full(first[-1], BEYOND_PHOTO, np.int32)
+        for start, stop, width in zip(first[:-1], first[1:], wide, strict=True):
+            occupant[start:stop].reshape(-1, width)[margin:-margin, margin:-margin] = NO_PIXEL
+        occupant[slot] = np.arange(len(slot), dtype=np.int32)
+        return Lattice(slot, pitch, occupant)
+
+    def pixel_at(self, own: slice | NDArray[np.integer], down: int, across: int) -> NDArray[np.int32]:
+        """The pixel so many rows below and columns beside each of ``own``, negative where there is none."""
+        return self.occupant[self.slot[own] + down * self.pitch[own] + across]

@@ -1,0 +1,73 @@
+"""Compiled loops: kept from one process to the next, and made anew when any of their sources changes."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from iris_addon.base.compiled import rows_of
+
+ROOT = Path(__file__).parents[2]
+SUM = """
+import sys
+sys.path.insert(0, {root!r})
+import numpy as np
+from iris_addon.base.group_by import group_sums
+print(group_sums(np.ones((4, 2), np.float32), np.array([0, 1, 1, 3]), 4)[:, 0])
+"""
+
+
+def run(cache: Path, root: Path = ROOT) -> None:
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+    environment |= {"XDG_CACHE_HOME": str(cache), "HOME": str(cache), "LOCALAPPDATA": str(cache)}
+    code = SUM.format(root=str(root))
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == "[1. 2. 0. 1.]", done.stderr
+
+
+def kept(cache: Path) -> set[Path]:
+    return {path for path in cache.rglob("*") if path.suffix == ".nbc"}
+
+
+def test_a_second_process_compiles_nothing(tmp_path):
+    run(tmp_path)
+    first = {path: path.stat().st_mtime_ns for path in kept(tmp_path)}
+    run(tmp_path)
+    assert first and {path: path.stat().st_mtime_ns for path in kept(tmp_path)} == first
+
+
+def test_a_changed_kernel_is_compiled_anew_wherever_it_is_called_from(tmp_path):
+    """Numba itself looks at the file of the caller alone."""
+    root = tmp_path / "copy"
+    for module in ("__init__", "compiled", "errors", "files", "group_by", "parallel"):
+        name = f"base/{module}.py"
+        (root / "iris_addon" / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / "iris_addon" / name).write_bytes((ROOT / "iris_addon" / name).read_bytes())
+    (root / "iris_addon" / "__init__.py").touch()
+    run(tmp_path / "cache", root)
+    before = kept(tmp_path / "cache")
+    source = ["from .compiled import inlined", "@inlined", "def one():", "    return 1"]
+    (root / "iris_addon" / "base" / "called.py").write_text("\n".join(source))
+    run(tmp_path / "cache", root)
+    folders = {path.parents[1].name for path in kept(tmp_path / "cache") - before}
+    assert len(folders) == 1 and folders.isdisjoint(path.parents[1].name for path in before)
+
+
+def test_a_cache_folder_that_cannot_be_written_costs_time_alone(tmp_path):
+    nowhere = tmp_path / "file"
+    nowhere.touch()
+    run(nowhere)
+
+
+def test_rows_of_a_named_tuple():
+    class Pair(NamedTuple):
+        a: np.ndarray
+        b: np.ndarray
+
+    some = rows_of(Pair(np.arange(4), 10 * np.arange(4)), np.array([True, False, True, False]))
+    assert isinstance(some, Pair) and some.a.tolist() == [0, 2] and some.b.tolist() == [0, 20]

@@ -1,0 +1,542 @@
+"""The extension: built, validated, installed into a Blender of its own, used from import to export, disabled."""
+
+import sys
+import tomllib
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from iris_addon.capture.reader import read_capture
+from iris_addon.model.response import gamma
+from iris_addon.results.folder import save_result
+from tests.blender_home import ROOT, blender_ext, build_package, fake_solver, in_blender
+from tests.blender_room import box, room
+from tests.box_room import RoomCapture, box_mesh, write_mesh
+from tests.colmap_model import camera_of, poses, write_binary
+
+pytestmark = [
+    pytest.mark.bpy,
+    pytest.mark.skipif(sys.platform == "win32", reason="the stand-in solver is a script with a #! line"),
+]
+
+ALLOWED_OPS = (
+    "render.",
+    "object.bake",
+    "wm.open_mainfile",
+    "import_scene.",
+    "export_scene.",
+    "scene.view_layer_remove_lightgroup",
+    "wm.usd_",
+    "wm.obj_",
+    "wm.ply_",
+    "iris.",
+)
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory) -> Path:
+    return build_package(tmp_path_factory.mktemp("package") / "iris.zip")
+
+
+@pytest.fixture
+def solved(tmp_path) -> Path:
+    """A result for the box capture."""
+    mesh = replace(box_mesh(), uv=box().uv)
+    save_result(room(mesh=mesh, emission={3: (12, 10, 8)}), tmp_path / "solved")
+    return tmp_path / "solved"
+
+
+@pytest.fixture
+def worker(tmp_path, solved) -> Path:
+    """Reads captures as the real solver does, and has every solve ready."""
+    return fake_solver(
+        tmp_path,
+        f"""
+        command = sys.argv[sys.argv.index("-B") + 2]
+        if command == "inspect":
+            os.execv({sys.executable!r}, [{sys.executable!r}, *sys.argv[1:]])
+        out = sys.argv[sys.argv.index("--out") + 1]
+        print(json.dumps(dict(type="progress", stage="x", fraction=1, overall=1, seconds_left=0, message="")))
+        shutil.copytree({str(solved)!r}, out, dirs_exist_ok=True)
+        print(json.dumps(dict(type="done", result={{}})))
+        """,
+    )
+
+
+# ---- the package ---------------------------------------------------------------------------------------------------
+
+
+def test_the_package_is_valid_and_has_nothing_else_in_it(package):
+    checked = blender_ext("validate", str(package))
+    assert checked.returncode == 0, checked.stdout + checked.stderr
+    names = zipfile.ZipFile(package).namelist()
+    tops = {name.split("/")[0] for name in names}
+    assert {"blender_manifest.toml", "__init__.py", "iris_addon", "operators", "headless"} <= tops
+    assert not tops & {"tests", "benchmarks", "docs", "out", "dist", "pyproject.toml", ".ci", ".venv"}
+    assert not [name for name in names if "__pycache__" in name or "/gt/" in name]
+    demo = [name for name in names if name.startswith("assets/")]
+    assert "assets/demo_room/scene.ply" in demo and "assets/demo_room/train/transforms.json" in demo
+    assert all(name.startswith("assets/demo_room/") for name in demo if not name.endswith("/"))
+    assert package.stat().st_size < 4_000_000
+
+
+def test_what_is_downloaded_is_what_is_pinned():
+    pinned = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+    lines = (ROOT / "headless" / "solver_requirements.txt").read_text().splitlines()
+    assert [line for line in lines if not line.startswith("#")] == [p for p in pinned if not p.startswith("bpy")]
+
+
+def test_no_operator_of_blender_is_called_beyond_what_files_and_renders_need():
+    for path in [*(ROOT / "operators").rglob("*.py"), *(ROOT / "iris_addon").rglob("*.py")]:
+        for line in path.read_text(encoding="utf-8").splitlines():
+            for call in line.split("bpy.ops.")[1:]:
+                assert call.startswith(ALLOWED_OPS), f"{path}: {line.strip()}"
+
+
+# ---- on and off ----------------------------------------------------------------------------------------------------
+
+
+def test_enabling_and_disabling_leaves_no_trace(package, tmp_path):
+    in_blender(
+        package,
+        tmp_path,
+        """
+        def traces():
+            types = {name for name in dir(bpy.types) if "IRIS" in name.upper() and name != "ShaderFxIris"}
+            handlers = [len(getattr(bpy.app.handlers, n)) for n in dir(bpy.app.handlers) if n[0] != "_"
+                        and isinstance(getattr(bpy.app.handlers, n), list)]
+            menu = len(bpy.types.TOPBAR_MT_file_import._dyn_ui_initialize())
+            scene = hasattr(bpy.types.Scene, "iris") or hasattr(bpy.types.Camera, "iris_exposure")
+            return types, handlers, menu, scene, dir(bpy.ops.iris)
+
+        on = traces()
+        bpy.ops.preferences.addon_disable(module=KEY)
+        off = traces()
+        assert not off[0] and not off[3] and not off[4], off
+        assert on[2] == off[2] + 1 and on[1] == off[1]
+        for _ in range(2):
+            bpy.ops.preferences.addon_enable(module=KEY)
+            assert traces() == on
+            bpy.ops.preferences.addon_disable(module=KEY)
+            assert traces() == off
+        """,
+    )
+
+
+# ---- in use --------------------------------------------------------------------------------------------------------
+
+
+def test_from_capture_to_files_and_back(package, tmp_path, worker, nerfstudio_room: RoomCapture):
+    """Import, check, solve, review, apply, undo, apply, relight, export, save, restore; in a Blender without torch."""
+    body = f"""
+    preferences.python = {str(worker)!r}
+    settings = scene.iris
+    bpy.ops.iris.import_capture(filepath={str(nerfstudio_room.root / "transforms.json")!r})
+    assert [view.verdict for view in settings.views].count("shifted") == 0
+    assert len(settings.views) == 6 and scene.camera == settings.views[0].camera
+    assert all(len(view.camera.data.background_images) == 1 for view in settings.views)
+    assert len(settings.room.data.polygons) == 12 and settings.room.matrix_world.is_identity
+    for expected in (1, 2):
+        bpy.ops.iris.step_photo(by=1)
+        assert settings.view_index == expected and scene.camera == settings.views[expected].camera
+    blocks = len(bpy.data.objects)
+    bpy.ops.iris.check()
+    assert len(bpy.data.objects) == blocks and len(settings.views) == 6
+
+    assert not bpy.ops.iris.apply.poll()
+    bpy.ops.iris.solve()
+    bpy.ops.ed.undo_push(message="before the curve")
+    bpy.ops.iris.review(kind="curve")
+    assert tuple(bpy.data.images["IRIS Response"].size) == (256, 256)
+    bpy.ops.ed.undo_push(message="the curve")
+    bpy.ops.ed.undo()
+    assert "IRIS Response" not in bpy.data.images
+    bpy.ops.ed.redo()
+    assert max(bpy.data.images["IRIS Response"].pixels[0:1024]) > 0.5  # not a black one
+
+    settings = bpy.context.scene.iris
+    behind = settings.views[0].camera.data.background_images[0]
+    settings.overlay = 0.0
+    bpy.ops.iris.step_photo(by=0)
+    assert settings.overlay == behind.alpha == 0.5
+    bpy.ops.ed.undo_push(message="before")
+    plain = settings.room.data.name
+    bpy.ops.iris.apply()
+    bpy.ops.ed.undo_push(message="applied")
+    settings = bpy.context.scene.iris
+    assert settings.room.data.name != plain and len(settings.lamps) == 1
+    assert settings.lamps[0].strength == 12 and settings.lamps[0].area == 4
+    assert settings.overlay == settings.views[0].camera.data.background_images[0].alpha == 0.0  # it would hide the room
+    materials = len(bpy.data.materials)
+    bpy.ops.iris.apply()
+    assert len(bpy.data.materials) == materials and len(bpy.context.scene.iris.lamps) == 1
+    bpy.ops.ed.undo()
+    settings = bpy.context.scene.iris
+    assert settings.room.data.name == plain and not settings.lamps and "IRIS Surface" not in bpy.data.materials
+    assert "iris_applied" not in bpy.context.scene
+
+    bpy.ops.iris.apply()
+    lamp = bpy.context.scene.iris.lamps[0]
+    lamp.on = False
+    assert lamp.material.node_tree.nodes["Principled BSDF"].inputs["Emission Strength"].default_value == 0
+    lamp.on, lamp.strength = True, 5
+    assert lamp.material.node_tree.nodes["Principled BSDF"].inputs["Emission Strength"].default_value == 5
+    bpy.ops.iris.export(format="GLB", filepath=str(home / "room.glb"))
+    bpy.ops.iris.export(format="BLEND", filepath=str(home / "room.blend"))
+    bpy.ops.iris.export(format="TEXTURES", filepath=str(home / "textures"))
+    bpy.ops.iris.export(format="BLEND", filepath=str(home / "room.v2"))
+    assert all((home / name).is_file() for name in ("room.glb", "room.blend", "room.v2.blend"))
+    fails(bpy.ops.iris.export, "no file is named", format="GLB")
+    assert (home / "textures" / "base_color.exr").is_file()
+
+    bpy.ops.wm.save_as_mainfile(filepath=str(home / "mine.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(home / "mine.blend"))
+    scene = bpy.context.scene
+    assert scene.iris.lamps[0].strength == 5 and len(scene.iris.views) == 6
+    bpy.context.view_layer.objects.active = scene.iris.room
+    bpy.ops.object.mode_set(mode="EDIT")
+    fails(bpy.ops.iris.restore, "leave edit mode")
+    assert len(scene.iris.lamps) == 1
+    bpy.ops.object.mode_set(mode="OBJECT")
+    bpy.ops.iris.restore()
+    assert scene.iris.room.data.name == plain and not scene.iris.lamps
+    """
+    said = in_blender(package, tmp_path, body)
+    assert "Traceback" not in said
+    assert not [line for line in said.splitlines() if "Warning: " in line or "rna_uiItemO" in line]
+
+
+def test_a_capture_comes_in_by_the_menu_and_by_being_dropped(package, tmp_path, worker, nerfstudio_room):
+    """What Blender does with File > Import and with a file dropped into the 3D view, but for the mouse."""
+    in_blender(
+        package,
+        tmp_path,
+        f"""
+        from types import SimpleNamespace as N
+        handler = bpy.types.FileHandler.bl_rna_get_subclass_py("IRIS_FH_capture")
+        over = lambda area: handler.poll_drop(N(area=area))
+        assert over(N(type="VIEW_3D")) and not over(N(type="IMAGE_EDITOR")) and not over(None)
+        assert handler.bl_file_extensions == ".json;.bin"
+        entries = []
+        layout = N(operator=lambda name, text: entries.append(name))
+        for draw in bpy.types.TOPBAR_MT_file_import._dyn_ui_initialize():
+            if draw.__module__.startswith(KEY):
+                draw(N(layout=layout), None)
+        assert entries == [handler.bl_import_operator] == ["iris.import_capture"]
+
+        preferences.python = {str(worker)!r}
+        dropped = {str(nerfstudio_room.root / "transforms.json")!r}
+        assert bpy.ops.iris.import_capture("INVOKE_DEFAULT", filepath=dropped) == {{"FINISHED"}}
+        assert len(scene.iris.views) == 6 and scene.iris.room is not None
+        """,
+    )
+
+
+def test_a_model_of_colmap_comes_in_by_any_of_its_files(package, tmp_path, worker, nerfstudio_room):
+    capture = read_capture(nerfstudio_room.root)
+    model = nerfstudio_room.root / "sparse" / "0"
+    model.mkdir(parents=True)
+    write_binary(model, camera_of(capture), poses(capture))
+    photos = nerfstudio_room.root / "images"
+    photos.mkdir(exist_ok=True)
+    for photo in nerfstudio_room.photos:
+        photo.rename(photos / photo.name)
+    nerfstudio_room.transforms.unlink()
+    in_blender(
+        package,
+        tmp_path,
+        f"""
+        preferences.python = {str(worker)!r}
+        assert bpy.ops.iris.import_capture(filepath={str(model / "images.bin")!r}) == {{"FINISHED"}}
+        assert sorted(v.name for v in scene.iris.views) == {sorted(view.name for view in capture.views)!r}
+        assert scene.iris.room is not None
+        """,
+    )
+
+
+def test_the_panel_has_a_picture_of_what_the_solve_knows_so_far(package, tmp_path):
+    body = """
+    from importlib import import_module
+    preview = import_module(KEY + ".operators.preview")
+    files = import_module(KEY + ".iris_addon.preview_files")
+    assert preview.picture(home, "albedo") is None
+    def write(kind, ns, side):
+        image = bpy.data.images.new("x", side, side)
+        path = files.preview_path(home, kind)
+        image.filepath_raw, image.file_format = str(path), "PNG"
+        path.parent.mkdir(exist_ok=True)
+        image.save()
+        os.utime(path, ns=(ns, ns))
+    write("albedo", 10**18, 8)
+    write("light", 10**18, 16)
+    sides = lambda kind: tuple(preview.picture(home, kind).image_size)
+    assert sides("albedo") == (8, 8) and sides("light") == (16, 16) and sides("albedo") == (8, 8)
+    write("albedo", 2 * 10**18, 32)
+    assert sides("albedo") == (32, 32)  # the newest
+    assert preview.picture(home, "error") is None
+    """
+    in_blender(package, tmp_path, body)
+
+
+def test_a_scene_is_solved_on_its_own_objects(package, tmp_path, worker, nerfstudio_room):
+    body = f"""
+    preferences.python = {str(worker)!r}
+    bpy.ops.iris.import_capture(filepath={str(nerfstudio_room.root)!r})
+    for thing in list(scene.objects):
+        if thing.name in ("Cube", "Light", "Camera"):
+            bpy.data.objects.remove(thing)
+    room = scene.iris.room
+    was = [getattr(scene.iris, name) for name in ("source", "capture", "room", "result")]
+    scene.render.resolution_x *= 2
+    fails(bpy.ops.iris.use_scene, "another shape")
+    assert [getattr(scene.iris, name) for name in ("source", "capture", "room", "result")] == was
+    scene.render.resolution_x //= 2
+    bpy.ops.iris.use_scene()
+    assert scene.iris.source == "SCENE" and len(scene.iris.views) == 6
+    assert (Path(scene.iris.result) / "capture" / "transforms.json").is_file()
+    assert Path(scene.iris.result).is_relative_to(home)  # never into the extension's folder, nor beside the capture
+    assert all(view.camera is not None for view in scene.iris.views)
+    bpy.ops.iris.solve()
+    bpy.ops.iris.apply()
+    assert len(scene.iris.lamps) == 1 and room.data.name.endswith("IRIS")
+    # Solved again as it was, not in its new dress.
+    written = (Path(scene.iris.result) / "capture" / "mesh.obj").read_bytes()
+    bpy.ops.iris.solve()
+    assert (Path(scene.iris.result) / "capture" / "mesh.obj").read_bytes() == written
+    bpy.ops.iris.apply()
+    bpy.ops.iris.restore()
+    """
+    in_blender(package, tmp_path, body)
+
+
+def test_things_are_set_onto_the_surface_they_are_pointed_at(package, tmp_path, worker, nerfstudio_room):
+    """What a click does with the line of sight through it: to the floor, to a wall, in units of centimetres, beside."""
+    body = f"""
+    from mathutils import Vector
+    preferences.python = {str(worker)!r}
+    assert not bpy.ops.iris.place.poll()
+    bpy.ops.iris.import_capture(filepath={str(nerfstudio_room.root)!r})
+    bpy.ops.iris.solve()
+    bpy.ops.iris.apply()
+    bpy.data.objects.remove(scene.objects["Cube"])
+    room = [thing for thing in scene.objects if thing.type == "MESH"]
+    low = min((thing.matrix_world @ Vector(c) for thing in room for c in thing.bound_box), key=lambda c: c.z)
+    high = max((thing.matrix_world @ Vector(c) for thing in room for c in thing.bound_box), key=lambda c: c.x)
+    eye = sum((view.camera.matrix_world.translation for view in scene.iris.views), Vector()) / len(scene.iris.views)
+
+    def place(direction, **settings):
+        before = set(scene.objects)
+        assert bpy.ops.iris.place(origin=eye, direction=direction, **settings) == {{"FINISHED"}}
+        bpy.context.view_layer.update()
+        return sorted(set(scene.objects) - before, key=lambda thing: thing.type)
+
+    def extent(thing):
+        corners = [thing.matrix_world @ Vector(corner) for corner in thing.bound_box]
+        return [(min(c[k] for c in corners), max(c[k] for c in corners)) for k in range(3)]
+
+    anchor, ball = place((0, 0, -1), thing="MIRROR")
+    (x0, x1), (y0, y1), (z0, z1) = extent(ball)
+    assert abs(z0 - low.z) < 1e-3 and abs(z1 - z0 - 0.3) < 1e-3, (z0, z1, low.z)
+    assert abs((x0 + x1) / 2 - eye.x) < 1e-3 and abs((y0 + y1) / 2 - eye.y) < 1e-3
+    anchor, box = place((1, 0, 0), thing="BOX", size=0.5)
+    (x0, x1), _y, _z = extent(box)
+    assert abs(x1 - high.x) < 1e-3 and abs(x1 - x0 - 0.15) < 1e-3, (x0, x1, high.x)  # its underside on the wall
+
+    # The one that is selected is moved, with the size it has; what was put in first is stood upon as the room is.
+    assert bpy.context.view_layer.objects.active == anchor and bpy.context.selected_objects == [anchor]
+    assert place((0, 0, -1), thing="SELECTED") == []
+    (_x, _y, (z0, z1)) = extent(box)
+    assert abs(z0 - low.z - 0.3) < 2e-2 and abs(z1 - z0 - 0.15) < 1e-2, (z0, z1)
+    count = len(bpy.data.objects), len(bpy.data.meshes), len(bpy.data.materials)
+    fails(bpy.ops.iris.place, "there is no surface", thing="GREY", origin=(0, 0, 99), direction=(0, 0, 1))
+    assert count == (len(bpy.data.objects), len(bpy.data.meshes), len(bpy.data.materials))
+    bpy.context.view_layer.objects.active = scene.iris.room
+    fails(bpy.ops.iris.place, "is the room", thing="SELECTED", direction=(0, 0, 1))
+
+    scene.unit_settings.scale_length = 0.01
+    anchor, ball = place((0, 0, -1), thing="GREY")
+    assert abs(extent(ball)[2][1] - extent(ball)[2][0] - 30) < 0.1
+    """
+    in_blender(package, tmp_path, body)
+
+
+def test_what_was_added_goes_onto_the_photo_and_lights_are_mixed(package, tmp_path, solved, worker, nerfstudio_room):
+    save_result(
+        replace(room(mesh=replace(box_mesh(), uv=box().uv), emission={3: (12, 10, 8)}), response=gamma()), solved
+    )
+    body = f"""
+    import numpy as np
+    from mathutils import Vector
+    preferences.python = {str(worker)!r}
+    bpy.ops.iris.import_capture(filepath={str(nerfstudio_room.root)!r})
+    assert not bpy.ops.iris.onto_photo.poll() and not bpy.ops.iris.mix_lights.poll()
+    bpy.ops.iris.solve()
+    bpy.ops.iris.apply()
+    for name in ("Cube", "Light"):
+        bpy.data.objects.remove(scene.objects[name])
+    view = scene.iris.views[scene.iris.view_index]
+    eye = view.camera.matrix_world
+    bpy.ops.iris.place(thing="GREY", origin=eye.translation, direction=eye.to_3x3() @ Vector((0, 0, -1)))
+    assert bpy.ops.iris.onto_photo(samples=4) == {{"FINISHED"}}
+    shown = view.camera.data.background_images
+    assert len(shown) == 2 and shown[1].image.name == f"IRIS Onto {{view.name}}" and shown[1].image.has_data is not None
+    photo = np.empty(4 * shown[0].image.size[0] * shown[0].image.size[1], np.float32)
+    changed = photo.copy()
+    shown[0].image.pixels.foreach_get(photo)
+    shown[1].image.pixels.foreach_get(changed)
+    assert 0.001 < (np.abs(changed - photo) > 0.05).mean() < 0.9
+    out = Path({str(nerfstudio_room.root)!r} + "-iris")
+    assert not list(out.glob("onto-photo.*")) and (out / "onto-photos").is_dir()
+    at = scene.iris.view_index
+    bpy.ops.iris.review(kind="photo")
+    assert len(shown) == 1 and shown[0].show_background_image and scene.iris.view_index == at
+    shown[0].image.pack()
+    Path(bpy.path.abspath(shown[0].image.filepath)).unlink()
+    assert bpy.ops.iris.onto_photo(samples=4) == {{"FINISHED"}}
+    assert len(shown) == 2 and not list(out.glob("onto-photo.*"))
+
+    bpy.ops.iris.match_photo(on=True)
+    assert bpy.ops.iris.mix_lights(on=True) == {{"FINISHED"}}
+    assert "IRIS Lamp 00" in scene.objects and "iris_matched" in scene and "iris_mixed" in scene
+    tree = scene.node_tree if bpy.app.version < (5, 0, 0) else scene.compositing_node_group
+    assert {{"IRIS Lights", "IRIS Camera"}} <= {{node.name for node in tree.nodes}}
+    bpy.ops.iris.mix_lights(on=False)
+    assert "IRIS Lamp 00" not in scene.objects and "iris_matched" in scene and "iris_mixed" not in scene
+    bpy.ops.iris.match_photo(on=False)
+    assert not scene.get("iris_matched")
+    """
+    in_blender(package, tmp_path, body)
+
+
+def test_a_capture_that_has_changed_is_taken_in_by_checking_again(package, tmp_path, worker, nerfstudio_room):
+    """Poses, lenses and mesh onto the objects that are there; what is no capture takes nothing away."""
+    higher = tmp_path / "higher.ply"
+    mesh = box_mesh()
+    write_mesh(higher, replace(mesh, vertices=mesh.vertices * [1.0, 1.0, 1.01]))
+    body = f"""
+    import json
+    preferences.python = {str(worker)!r}
+    capture = Path({str(nerfstudio_room.root)!r})
+    bpy.ops.iris.import_capture(filepath=str(capture))
+    bpy.ops.iris.solve()
+    bpy.ops.iris.apply()
+    count, room = len(scene.objects), scene.iris.room
+    first = scene.iris.views[0].camera
+    (home / "other.json").write_text("{{}}")
+    fails(bpy.ops.iris.import_capture, "", filepath=str(home / "other.json"))
+    assert scene.iris.room == room and len(scene.iris.views) == 6 and "iris_applied" in scene
+    bpy.ops.iris.import_capture(filepath=str(capture))
+    assert len(scene.objects) == count and scene.iris.room == room and "iris_applied" in scene
+
+    poses = json.loads((capture / "transforms.json").read_text())
+    for frame in poses["frames"]:
+        frame["transform_matrix"][0][3] += 0.1
+    before = first.matrix_world.translation.copy()
+    (capture / "transforms.json").write_text(json.dumps(poses))
+    bpy.data.objects.remove(scene.iris.views[3].camera)
+    bpy.ops.iris.check()
+    bpy.context.view_layer.update()
+    assert len(scene.objects) == count and all(view.camera is not None for view in scene.iris.views)
+    assert abs((first.matrix_world.translation - before).length - 0.1) < 1e-5
+    assert scene.iris.room == room and "iris_applied" in scene  # its mesh is what it was
+
+    assert len(scene.iris.lamps) > 0
+    os.replace({str(higher)!r}, capture / "mesh.ply")
+    height = max(v.co.z for v in room.data.vertices) - min(v.co.z for v in room.data.vertices)
+    bpy.ops.iris.check()
+    now = max(v.co.z for v in room.data.vertices) - min(v.co.z for v in room.data.vertices)
+    assert scene.iris.room == room and len(scene.objects) == count and abs(now - 1.01 * height) < 1e-4
+    assert "iris_applied" not in scene and len(scene.iris.lamps) == 0  # the result is of another mesh
+    assert not [m for m in bpy.data.meshes if not m.users]
+    """
+    in_blender(package, tmp_path, body)
+
+
+# ---- what goes wrong -----------------------------------------------------------------------------------------------
+
+
+def test_each_mishap_has_its_message(package, tmp_path, worker, nerfstudio_room, monkeypatch):
+    killed = fake_solver(tmp_path, "import signal; os.kill(os.getpid(), signal.SIGKILL)", "killed")
+    bare = fake_solver(tmp_path, f"os.execv({sys.executable!r}, [{sys.executable!r}, '-S', *sys.argv[1:]])", "bare")
+    photo = sorted(nerfstudio_room.root.rglob("*.png"))[0]
+    body = f"""
+    capture = {str(nerfstudio_room.root)!r}
+    assert not bpy.ops.iris.import_capture.poll() and not bpy.ops.iris.solve.poll()
+    preferences.python = "/no/such/python"
+    fails(bpy.ops.iris.import_capture, "cannot be started", "set the solver's Python", filepath=capture)
+    preferences.python = {str(bare)!r}
+    fails(bpy.ops.iris.import_capture, "lacks numpy", filepath=capture)
+    preferences.python = {str(worker)!r}
+    photo = Path({str(photo)!r})
+    kept = photo.read_bytes()
+    photo.unlink()
+    fails(bpy.ops.iris.import_capture, "is missing", "add the photo", filepath=capture)
+    assert not scene.iris.views
+    photo.write_bytes(kept)
+    bpy.ops.iris.import_capture(filepath=capture)
+    preferences.python = {str(killed)!r}
+    fails(bpy.ops.iris.solve, "was killed (signal 9)", "goes on from the last finished stage")
+    fails(bpy.ops.iris.apply, "Solve first")
+
+    # The log and the reason can be looked at and copied.
+    bpy.ops.iris.show_log(job="solve")
+    assert "IRIS solve log" in bpy.data.texts
+
+    # A folder that cannot be written: a file stands where it should be.
+    preferences.python = {str(worker)!r}
+    (home / "in the way").write_text("")
+    scene.iris.result = str(home / "in the way" / "result")
+    fails(bpy.ops.iris.solve, "cannot be written", "another folder")
+    scene.iris.result = ""
+
+    # Everything that was written is deleted by hand.
+    bpy.ops.iris.solve()
+    shutil.rmtree(capture + "-iris")
+    assert not bpy.ops.iris.apply.poll()
+    bpy.ops.iris.solve()
+    (Path(capture + "-iris") / "materials" / "base_color.exr").unlink()
+    fails(bpy.ops.iris.apply, "base_color.exr", "restore the file or solve again")
+    bpy.data.objects.remove(scene.iris.room)
+    shutil.rmtree(capture + "-iris")
+    bpy.ops.iris.solve()
+    fails(bpy.ops.iris.apply, "import the capture again")
+    bpy.ops.iris.check()
+    bpy.ops.iris.apply()
+    """
+    in_blender(package, tmp_path, body)
+
+
+def test_going_online_is_asked_for_and_a_python_is_tested(package, tmp_path):
+    pytest.importorskip("torch")
+    body = f"""
+    assert not bpy.app.online_access
+    assert not bpy.ops.iris.make_environment.poll()
+    assert not bpy.ops.iris.test_python.poll()
+    preferences.python = {sys.executable!r}
+    assert bpy.ops.iris.test_python() == {{"FINISHED"}}
+    preferences.python = "/no/such/python"
+    fails(bpy.ops.iris.test_python, "cannot be started")
+    """
+    in_blender(package, tmp_path, body)
+
+
+def test_the_plot_of_a_response_goes_from_corner_to_corner():
+    from iris_addon.blender.review import curve_plot
+
+    picture = curve_plot(np.tile(np.linspace(0, 1, 1024) ** (1 / 2.2), (3, 1)))
+    white = (picture == 1.0).all(axis=-1)
+    assert white[-1, 0] and white[0, -1] and white.any(axis=0).all()
+    assert np.flatnonzero(white[:, 128])[0] == pytest.approx(256 * (1 - 0.5 ** (1 / 2.2)), abs=2)
+    colored = curve_plot(np.stack([np.linspace(0, 1, 1024) ** g for g in (0.4, 0.5, 0.6)]))
+    assert not (colored == 1.0).all(axis=-1).any()
+
+
+def test_a_histogram_becomes_a_line_of_blocks():
+    from iris_addon.blender.review import sparkline
+
+    assert sparkline([0, 0.01, 0.25, 1]) == "▁▂▅█"
+    assert sparkline([0, 0]) == "▁▁"
+    assert sparkline([1] * 31 + [0]) == "█" * 15 + "▆"

@@ -1,0 +1,95 @@
+"""Cameras of an imported capture go where the solve found its photos, and back again exactly."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from iris_addon.base.images import write_png
+from iris_addon.blender.apply.on_objects import FaceRun, apply_to_objects, restore
+from iris_addon.blender.apply.photo_cameras import stand_where_found
+from iris_addon.blender.camera import read_camera
+from iris_addon.blender.scene_in.capture_objects import Inspected, InspectedView, add_capture, refresh_capture
+from iris_addon.model.corrections import CameraCorrection, PoseCorrections, rigid
+from tests.blender_room import camera, room
+
+pytestmark = pytest.mark.bpy
+
+TWISTS = np.array([[0.02, -0.01, 0.03, 0.04, -0.02, 0.01], [-0.01, 0.02, 0.0, 0.01, 0.03, -0.05]])
+TOGETHER = CameraCorrection(10 / 16, 0.9, (0.01, -0.02), (0.0, 0.0))
+
+
+@pytest.fixture
+def imported(tmp_path: Path):
+    """A capture with two photos, Y up, as objects of an otherwise empty scene; and their names and cameras as read."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.types.Camera.iris_exposure = bpy.props.FloatProperty()  # of the add-on, which is not enabled here
+    write_png(tmp_path / "photo.png", np.zeros((12, 16, 3), np.uint8))
+    views = tuple(
+        InspectedView(
+            name=name,
+            photo=tmp_path / "photo.png",
+            camera=camera(position=(x, 0.1, 0.5)),
+            exposure=None,
+            saturated=0,
+            histogram=(1.0,),
+            seen=1,
+            score=1,
+            shift=0,
+            verdict="aligned",
+        )
+        for name, x in (("a", 0.0), ("b", 0.4))
+    )
+    inspected = Inspected(name="room", up=(0.0, 1.0, 0.0), warnings=(), views=views, mesh=room().mesh)
+    scene = bpy.context.scene
+    thing, cameras = add_capture(inspected, scene)
+    yield inspected, scene, thing, dict(zip("ab", cameras, strict=True))
+    del bpy.types.Camera.iris_exposure
+
+
+def corrected(inspected: Inspected):
+    """A result that found all cameras too long and each pose off in its own way; the cameras as it found them."""
+    longer = [TOGETHER.camera(view.camera) for view in inspected.views]
+    found = [replace(c, c2w=c.c2w @ rigid(t)) for c, t in zip(longer, TWISTS, strict=True)]
+    poses = PoseCorrections.between(longer, found)
+    report = {"model": {"camera": {"correction": TOGETHER.content(), "poses": poses.content()}}}
+    return replace(room(), report=report), found
+
+
+def test_cameras_stand_where_photos_were_found_and_go_back_exactly(imported):
+    inspected, scene, thing, cameras = imported
+    result, found = corrected(inspected)
+    before = {name: (c.matrix_basis.copy(), c.data.lens, c.data.shift_x, c.data.shift_y) for name, c in cameras.items()}
+    apply_to_objects(
+        result, [FaceRun(object=thing.name, start=0, stop=12, instance=False, to_capture=np.eye(4))], scene, "key"
+    )
+    assert stand_where_found(result, cameras, scene) == 2
+    bpy.context.view_layer.update()
+    upright = np.array(thing.parent.matrix_world)
+    for moved, expected in zip(cameras.values(), found, strict=True):
+        seen = read_camera(scene, moved)
+        assert np.allclose(seen.c2w, upright @ expected.c2w, atol=1e-5)
+        assert np.allclose([seen.fx, seen.fy, seen.cx, seen.cy], [9.0, 9.0, 8.16, 5.68], atol=1e-4)
+    restore(scene)
+    for name, (place, *lens) in before.items():
+        data = cameras[name].data
+        assert cameras[name].matrix_basis == place and [data.lens, data.shift_x, data.shift_y] == lens
+        assert not [key for key in cameras[name].keys() if key.startswith("iris")]  # noqa: SIM118 - no mapping
+
+
+def test_a_result_that_found_nothing_wrong_moves_nothing(imported):
+    _, scene, _, cameras = imported
+    places = [thing.matrix_basis.copy() for thing in cameras.values()]
+    assert stand_where_found(room(), cameras, scene) == 0
+    assert [thing.matrix_basis for thing in cameras.values()] == places
+
+
+def test_cameras_that_are_read_again_have_nothing_to_go_back_to(imported):
+    inspected, scene, thing, cameras = imported
+    stand_where_found(corrected(inspected)[0], cameras, scene)
+    elsewhere = replace(inspected.views[0], camera=camera(position=(0.0, 0.2, 0.9)))
+    refresh_capture(replace(inspected, views=(elsewhere, inspected.views[1])), scene, thing, cameras)
+    restore(scene)
+    assert np.allclose(np.array(cameras["a"].matrix_basis)[:3, 3], (0.0, 0.2, 0.9))

@@ -1,0 +1,115 @@
+"""COLMAP models, text and binary: the same cameras as the capture they were written from; damage is told."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from iris_addon.base.errors import BadInput
+from iris_addon.capture.photos import load_photo
+from iris_addon.capture.reader import read_capture, read_views
+from iris_addon.model.capture import Capture
+from tests.box_room import RoomCapture, render_walls
+from tests.colmap_model import Model, camera_of, poses, write_binary, write_text
+
+Writer = Callable[[Path, Model, list[tuple[str, list[float]]]], None]
+
+
+@pytest.fixture
+def colmap_room(nerfstudio_room: RoomCapture) -> tuple[Path, Capture]:
+    """A room whose photos lie in images/, its poses gone, and what it was as a nerfstudio capture."""
+    expected = read_capture(nerfstudio_room.root)
+    (nerfstudio_room.root / "images").mkdir(exist_ok=True)
+    for photo in nerfstudio_room.photos:
+        photo.rename(nerfstudio_room.root / "images" / photo.name)
+    nerfstudio_room.transforms.unlink()
+    (nerfstudio_room.root / "sparse" / "0").mkdir(parents=True)
+    return nerfstudio_room.root, expected
+
+
+@pytest.mark.parametrize("write", [write_text, write_binary])
+@pytest.mark.parametrize("named", [".", "sparse/0"])
+def test_cameras_are_those_of_the_model(write: Writer, named: str, colmap_room: tuple[Path, Capture]) -> None:
+    root, expected = colmap_room
+    write(root / "sparse" / "0", camera_of(expected), poses(expected))
+    capture = read_capture(root / named)
+    assert [view.name for view in capture.views] == sorted(view.name for view in expected.views)
+    by_name = {view.name: view for view in expected.views}
+    for view in capture.views:
+        wanted = by_name[view.name].camera
+        np.testing.assert_allclose(view.camera.c2w, wanted.c2w, atol=1e-12)
+        assert (view.camera.fx, view.camera.cx, view.camera.width) == (wanted.fx, wanted.cx, wanted.width)
+        shown = np.rint(load_photo(view).values * 255)
+        np.testing.assert_array_equal(shown, render_walls(view.camera, capture.mesh))
+    assert capture.up[2] > 0.99, "the photos were taken upright"
+    assert any("no unit" in warning for warning in capture.warnings)
+
+
+def test_lens_distortion_comes_along(colmap_room: tuple[Path, Capture]) -> None:
+    root, expected = colmap_room
+    _, width, height, (fx, _, cx, cy) = camera_of(expected)
+    write_text(root / "sparse" / "0", ("SIMPLE_RADIAL", width, height, (fx, cx, cy, -0.05)), poses(expected))
+    view = read_capture(root).views[0]
+    assert view.distortion is not None and view.distortion.k1 == -0.05 and not view.distortion.fisheye
+
+
+def test_the_mesh_may_be_that_of_the_dense_reconstruction(colmap_room: tuple[Path, Capture]) -> None:
+    root, expected = colmap_room
+    write_binary(root / "sparse" / "0", camera_of(expected), poses(expected))
+    (mesh,) = [path for path in root.iterdir() if path.suffix in (".ply", ".obj", ".glb")]
+    (root / "dense").mkdir()
+    mesh.rename(root / "dense" / mesh.name)
+    assert len(read_capture(root).mesh.faces) == len(expected.mesh.faces)
+
+
+def test_a_model_without_photos_and_mesh_still_has_cameras(colmap_room: tuple[Path, Capture], tmp_path: Path) -> None:
+    _, expected = colmap_room
+    write_binary(tmp_path, camera_of(expected), poses(expected))
+    views = read_views(tmp_path)
+    assert len(views) == len(expected.views) and all(view.photo is None for view in views)
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (lambda f: (f / "images.bin").write_bytes((f / "images.bin").read_bytes()[:-30]), "damaged"),
+        (lambda f: (f / "images.bin").write_bytes(struct.pack("<Q", 2**60)), "damaged"),
+        (lambda f: (f / "images.bin").write_bytes(struct.pack("<Q", 0)), "no images"),
+        (lambda f: (f / "cameras.bin").write_bytes(struct.pack("<QIiQQ", 1, 3, 6, 32, 24)), "number 6"),
+        (lambda f: (f / "cameras.bin").write_bytes(struct.pack("<Q", 0)), "no camera 3"),
+    ],
+)
+def test_a_damaged_model_is_named(
+    damage: Callable[[Path], object], said: str, colmap_room: tuple[Path, Capture]
+) -> None:
+    root, expected = colmap_room
+    folder = root / "sparse" / "0"
+    write_binary(folder, camera_of(expected), poses(expected))
+    damage(folder)
+    with pytest.raises(BadInput, match=said) as raised:
+        read_capture(root)
+    assert str(folder) in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("image", "said"),
+    [
+        (("000.png", [np.nan, 0, 0, 0, 0, 0, 0]), "NaN"),
+        (("000.png", [0.0, 0, 0, 0, 0, 0, 0]), "quaternion"),
+        (("nowhere.png", [1.0, 0, 0, 0, 0, 0, 0]), "nowhere: its photo is missing"),
+        (("../../secret.png", [1.0, 0, 0, 0, 0, 0, 0]), "outside the capture"),
+    ],
+)
+def test_an_image_that_cannot_be_is_named(
+    image: tuple[str, list[float]], said: str, colmap_room: tuple[Path, Capture]
+) -> None:
+    root, expected = colmap_room
+    images = poses(expected)
+    name = images[0][0] if image[0] == "000.png" else image[0]
+    write_text(root / "sparse" / "0", camera_of(expected), [(name, image[1]), *images[1:]])
+    with pytest.raises(BadInput, match=said):
+        read_capture(root)

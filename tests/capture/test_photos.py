@@ -1,0 +1,109 @@
+"""Lens distortion: a point the lens moves must come back to where a pinhole would put it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from iris_addon.base.errors import BadInput
+from iris_addon.base.images import write_png
+from iris_addon.capture.photos import load_photo
+from iris_addon.capture.reader import read_capture
+from iris_addon.model.capture import Camera, Distortion, View
+from tests.box_room import RoomCapture
+
+CAMERA = Camera(width=160, height=120, fx=130.0, fy=125.0, cx=83.0, cy=57.5, c2w=np.eye(4))
+LENS = Distortion(k1=-0.21, k2=0.06, p1=0.004, p2=-0.003, k3=-0.01)
+FISHEYE = Distortion(k1=-0.03, k2=0.008, k3=-0.002, k4=0.0004, fisheye=True)
+# Pinhole pixel positions spread over the image, away from its border.
+MARKERS = [(x, y) for x in (30.5, 83.0, 131.5) for y in (24.5, 57.5, 95.5)]
+
+
+def opencv(x: float, y: float, lens: Distortion) -> tuple[float, float]:
+    """cv::projectPoints, as its documentation writes it."""
+    r2 = x * x + y * y
+    radial = 1 + lens.k1 * r2 + lens.k2 * r2**2 + lens.k3 * r2**3
+    return (
+        x * radial + 2 * lens.p1 * x * y + lens.p2 * (r2 + 2 * x * x),
+        y * radial + lens.p1 * (r2 + 2 * y * y) + 2 * lens.p2 * x * y,
+    )
+
+
+def opencv_fisheye(x: float, y: float, lens: Distortion) -> tuple[float, float]:
+    """cv::fisheye::projectPoints, as its documentation writes it."""
+    r = np.hypot(x, y)
+    theta = np.arctan(r)
+    theta_d = theta * (1 + lens.k1 * theta**2 + lens.k2 * theta**4 + lens.k3 * theta**6 + lens.k4 * theta**8)
+    return (x, y) if r == 0 else (x * theta_d / r, y * theta_d / r)
+
+
+def photo_with_blob(path: Path, u: float, v: float) -> None:
+    """A soft white blob centred at (u, v), pixel centres at half integers."""
+    i, j = np.meshgrid(np.arange(CAMERA.width) + 0.5, np.arange(CAMERA.height) + 0.5)
+    blob = np.exp(-((i - u) ** 2 + (j - v) ** 2) / (2 * 2.0**2))
+    write_png(path, np.repeat(np.rint(blob * 255).astype(np.uint8)[..., None], 3, axis=-1))
+
+
+def centroid(image: np.ndarray) -> tuple[float, float]:
+    i, j = np.meshgrid(np.arange(image.shape[1]) + 0.5, np.arange(image.shape[0]) + 0.5)
+    return (i * image).sum() / image.sum(), (j * image).sum() / image.sum()
+
+
+@pytest.mark.parametrize(("lens", "project"), [(LENS, opencv), (FISHEYE, opencv_fisheye)])
+@pytest.mark.parametrize("marker", MARKERS)
+def test_marker_returns_to_its_pinhole_position(tmp_path: Path, lens, project, marker) -> None:
+    x, y = project((marker[0] - CAMERA.cx) / CAMERA.fx, (marker[1] - CAMERA.cy) / CAMERA.fy, lens)
+    photo_with_blob(tmp_path / "a.png", x * CAMERA.fx + CAMERA.cx, y * CAMERA.fy + CAMERA.cy)
+    photo = load_photo(View("a", CAMERA, tmp_path / "a.png", distortion=lens))
+    np.testing.assert_allclose(centroid(photo.values[..., 0]), marker, atol=0.15)
+
+
+def test_where_the_lens_saw_nothing_is_invalid(tmp_path: Path) -> None:
+    """Pincushion distortion pulls the corners of the pinhole image from beyond the photo."""
+    write_png(tmp_path / "a.png", np.full((120, 160, 3), 200, np.uint8))
+    photo = load_photo(View("a", CAMERA, tmp_path / "a.png", distortion=Distortion(k1=0.3)))
+    assert photo.valid[60, 80] and not photo.valid[0, 0] and not photo.valid[-1, -1]
+    np.testing.assert_allclose(photo.values[photo.valid], 200 / 255, atol=1e-6)
+    assert (photo.values[~photo.valid] == 0).all()
+
+
+def test_folded_region_of_the_polynomial_is_invalid(tmp_path: Path) -> None:
+    """r (1 - r^2) turns back at r = 0.577: beyond, the formula would show a mirrored second copy."""
+    write_png(tmp_path / "a.png", np.full((120, 160, 3), 200, np.uint8))
+    camera = Camera(width=160, height=120, fx=80.0, fy=80.0, cx=80.0, cy=60.0, c2w=np.eye(4))
+    photo = load_photo(View("a", camera, tmp_path / "a.png", distortion=Distortion(k1=-1.0)))
+    i, j = np.meshgrid(np.arange(160) + 0.5 - 80, np.arange(120) + 0.5 - 60)
+    np.testing.assert_array_equal(photo.valid, np.hypot(i, j) / 80 < np.sqrt(1 / 3))
+
+
+def test_photo_without_distortion_is_untouched(tmp_path: Path) -> None:
+    pixels = np.random.default_rng(0).integers(0, 256, (120, 160, 3), np.uint8)
+    write_png(tmp_path / "a.png", pixels)
+    photo = load_photo(View("a", CAMERA, tmp_path / "a.png"))
+    np.testing.assert_array_equal(np.rint(photo.values * 255), pixels)
+
+
+def test_coefficients_of_the_file_reach_the_view(nerfstudio_room: RoomCapture) -> None:
+    nerfstudio_room.meta.update({"k1": -0.1, "k2": 0.02, "p1": 0.001, "p2": -0.002})
+    nerfstudio_room.meta["frames"][1]["k1"] = -0.2
+    first, second, *_ = read_capture(nerfstudio_room.save()).views
+    assert first.distortion == Distortion(k1=-0.1, k2=0.02, p1=0.001, p2=-0.002)
+    assert second.distortion is not None and second.distortion.k1 == -0.2
+
+
+def test_zero_coefficients_are_a_pinhole(nerfstudio_room: RoomCapture) -> None:
+    nerfstudio_room.meta.update({"k1": 0, "k2": 0.0, "p1": 0, "p2": 0})
+    assert all(view.distortion is None for view in read_capture(nerfstudio_room.save()).views)
+
+
+def test_fisheye_is_read_even_without_coefficients(nerfstudio_room: RoomCapture) -> None:
+    nerfstudio_room.meta["camera_model"] = "OPENCV_FISHEYE"
+    assert read_capture(nerfstudio_room.save()).views[0].distortion == Distortion(fisheye=True)
+
+
+def test_other_camera_models_are_refused_by_name(nerfstudio_room: RoomCapture) -> None:
+    nerfstudio_room.meta["camera_model"] = "EQUIRECTANGULAR"
+    with pytest.raises(BadInput, match="camera model EQUIRECTANGULAR is not supported"):
+        read_capture(nerfstudio_room.save())

@@ -1,0 +1,353 @@
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import types
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from headless import cli, environment, make_environment
+from headless.batch import read_jobs
+from headless.run import arguments
+from headless.signals import put_back
+from iris_addon.base.errors import BadInput
+from iris_addon.base.images import read_exr, read_image
+from iris_addon.results.folder import SCHEMA_VERSION, load_result, save_result
+from tests.result_room import room
+from tests.truth_room import true_result, write_truth_room
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def run(*args: object, python: tuple[str, ...] = (sys.executable,), **env: str) -> subprocess.CompletedProcess[str]:
+    command = [*python, str(ROOT / "headless" / "run.py"), *map(str, args)]
+    kept = {name: value for name, value in os.environ.items() if name != "IRIS_PYTHON"}
+    return subprocess.run(command, capture_output=True, text=True, env={**kept, **env}, check=False, cwd="/")
+
+
+@pytest.fixture
+def stub_solve(monkeypatch):
+    """Replaces the engine by one that fails or succeeds by the name of the capture."""
+
+    def solve(capture, config, out, progress, resume=False):
+        with progress.stage("stub"):
+            if capture.name == "broken":
+                raise ValueError("no light\nat all")
+            if capture.name == "interrupted":
+                os.kill(os.getpid(), signal.SIGINT)
+            progress.update(0.5)
+        uv = room().mesh.uv
+        report = {"preset": config.preset, "seed": config.seed, "seconds": {"stub": 0.5}, "resume": resume}
+        result = replace(
+            true_result(), mesh=replace(capture.mesh, uv=uv), report={"schema_version": SCHEMA_VERSION, **report}
+        )
+        save_result(result, out)
+        return result
+
+    module = types.ModuleType("iris_addon.pipeline")
+    module.solve = solve
+    monkeypatch.setitem(sys.modules, "iris_addon.pipeline", module)
+
+
+# ---- exit codes and messages ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "args",
+    [(), ("bogus",), ("solve",), ("solve", "x", "--out", "y", "--preset", "best"), ("render", "r", "--samples", "0")],
+)
+def test_usage_errors_are_one_line_and_exit_2(args):
+    done = run(*args)
+    assert done.returncode == 2 and not done.stdout
+    assert done.stderr.startswith("error: ") and " — " in done.stderr and done.stderr.count("\n") == 1
+
+
+def test_help_lists_the_commands():
+    done = run("--help")
+    assert done.returncode == 0
+    assert all(name in done.stdout for name in environment.NEEDS)
+
+
+def test_bad_input_is_one_line_and_exits_3(tmp_path):
+    done = run("solve", tmp_path / "nothing", "--out", tmp_path / "out")
+    assert done.returncode == 3
+    assert done.stderr.startswith("error: ") and "nothing" in done.stderr and " — " in done.stderr
+    assert done.stderr.count("\n") == 1 and not (tmp_path / "out").exists()
+
+
+def test_debug_adds_a_traceback(tmp_path):
+    assert "Traceback" in run("solve", tmp_path / "nothing", "--out", tmp_path / "out", "--debug").stderr
+
+
+def test_json_errors_are_lines_on_stdout(tmp_path):
+    done = run("solve", tmp_path / "nothing", "--out", tmp_path / "out", "--json")
+    last = json.loads(done.stdout.splitlines()[-1])
+    assert done.returncode == 3
+    assert last["type"] == "error" and last["exit_code"] == 3 and "nothing" in last["what"] and last["fix"]
+
+
+BARE = (sys.executable, "-I", "-S")
+"""A Python without any package."""
+
+
+def test_missing_packages_exit_4_and_name_the_way_out(tmp_path):
+    done = run("solve", tmp_path, "--out", tmp_path / "out", python=BARE)
+    assert done.returncode == 4
+    assert "torch" in done.stderr and "IRIS_PYTHON" in done.stderr and done.stderr.count("\n") == 1
+
+
+IN_BLENDER = ("render", "apply")
+
+
+@pytest.mark.parametrize("command", ["evaluate", *(pytest.param(name, marks=pytest.mark.bpy) for name in IN_BLENDER)])
+def test_a_command_needs_no_more_packages_than_it_names(solved, command):
+    """Else a Python that lacks one of the others would fail where it should hand over to IRIS_PYTHON."""
+    if command in IN_BLENDER:
+        pytest.importorskip("bpy")
+    every = {name for needed in environment.NEEDS.values() for name in needed} - {"bpy"}  # its presence means Blender
+    without = f"import sys, runpy; sys.modules.update(dict.fromkeys({every - {*environment.NEEDS[command]}}));"
+    start = f"{without} sys.argv[:] = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__')"
+    result, room_ = str(solved / "result"), str(solved / "room")
+    more = ["--gt", room_, "--no-render"]
+    if command == "render":
+        more = ["--views", room_ + "/val", "--samples", "1", "--out", str(solved / "png")]
+    if command == "apply":
+        more = ["--blend", str(solved / "room.blend")]
+    done = run(command, result, *more, python=(sys.executable, "-c", start))
+    assert done.returncode == 0, done.stderr
+
+
+def test_iris_python_takes_over(tmp_path):
+    done = run("solve", tmp_path / "nothing", "--out", tmp_path / "out", python=BARE, IRIS_PYTHON=sys.executable)
+    assert done.returncode == 3 and "nothing" in done.stderr
+
+
+def test_iris_python_that_does_not_start_exits_4(tmp_path):
+    done = run("solve", tmp_path, "--out", tmp_path / "out", python=BARE, IRIS_PYTHON=str(tmp_path / "python"))
+    assert done.returncode == 4 and "cannot be started" in done.stderr
+
+
+def test_a_handler_that_is_not_pythons_becomes_the_default():
+    """Blender sets its own for Ctrl-C, of which Python knows no more than that it is there."""
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        put_back({signal.SIGTERM: None})
+        assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+    finally:
+        put_back({signal.SIGTERM: before})
+    assert signal.getsignal(signal.SIGTERM) == before
+
+
+def test_arguments_inside_blender_stand_after_two_dashes(monkeypatch):
+    monkeypatch.delitem(sys.modules, "bpy", raising=False)
+    assert arguments(["run.py", "solve", "--out", "x"]) == ["solve", "--out", "x"]
+    monkeypatch.setitem(sys.modules, "bpy", types.ModuleType("bpy"))
+    assert arguments(["blender", "-b", "-P", "run.py", "--", "solve", "x"]) == ["solve", "x"]
+    assert arguments(["blender", "-b"]) == []
+
+
+# ---- solve ---------------------------------------------------------------------------------------------------------
+
+
+def test_solve_hands_its_options_on_and_writes_the_folder(fipt_room, tmp_path, stub_solve, capsys):
+    out = tmp_path / "out"
+    code = cli.main(["solve", str(fipt_room.root), "--out", str(out), "--preset", "draft", "--seed", "7", "--resume"])
+    assert code == 0
+    report = load_result(out).report
+    assert (report["preset"], report["seed"], report["resume"]) == ("draft", 7, True)
+    assert str(out) in capsys.readouterr().out
+
+
+def test_json_lines_end_with_the_result(fipt_room, tmp_path, stub_solve, capsys):
+    assert cli.main(["solve", str(fipt_room.root), "--out", str(tmp_path / "out"), "--json"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [line["type"] for line in lines[:-1]] == ["progress"] * (len(lines) - 1) and len(lines) > 2
+    assert lines[-1]["type"] == "done" and lines[-1]["result"]["lights"] == 1
+
+
+def test_an_unforeseen_failure_is_one_line_and_exits_1(fipt_room, tmp_path, stub_solve, capsys):
+    fipt_room.root.rename(tmp_path / "broken")
+    assert cli.main(["solve", str(tmp_path / "broken"), "--out", str(tmp_path / "out")]) == 1
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.startswith("error: ValueError: no light at all — ")
+
+
+def test_a_path_that_is_in_the_way_is_named(fipt_room, tmp_path, capsys):
+    (tmp_path / "file").write_text("mine")
+    assert cli.main(["inspect", str(fipt_room.root), "--out", str(tmp_path / "file")]) == 1
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.startswith(f"error: {tmp_path / 'file'}: cannot be used") and "check the path" in error
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_a_worker_of_blender_is_mended_in_blender(tmp_path):
+    bare = (sys.executable, "-S")
+    by_hand = run("inspect", tmp_path, "--out", tmp_path, python=bare)
+    in_blender = run("inspect", tmp_path, "--out", tmp_path, "--json", "--stop-with-stdin", python=bare)
+    assert by_hand.returncode == in_blender.returncode == 4
+    assert "make setup" in by_hand.stderr and "Create Environment" in in_blender.stderr
+
+
+def test_the_test_of_an_environment_imports_all_that_a_solve_needs():
+    assert {name.partition(".")[0] for name in make_environment.IMPORTS} == {*environment.NEEDS["solve"]}
+
+
+def test_interrupting_cancels_and_exits_130(fipt_room, tmp_path, stub_solve, capsys):
+    fipt_room.root.rename(tmp_path / "interrupted")
+    handler = signal.getsignal(signal.SIGINT)
+    assert cli.main(["solve", str(tmp_path / "interrupted"), "--out", str(tmp_path / "out")]) == 130
+    assert "error: cancelled — " in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    assert signal.getsignal(signal.SIGINT) is handler
+
+
+# ---- batch ---------------------------------------------------------------------------------------------------------
+
+
+def write_jobs(path: Path, *jobs: dict[str, object]) -> Path:
+    text = ["[[job]]\n" + "\n".join(f"{key} = {json.dumps(value)}" for key, value in job.items()) for job in jobs]
+    path.write_text("\n".join(text))
+    return path
+
+
+def test_a_failing_job_is_reported_and_the_rest_go_on(tmp_path, stub_solve, capsys):
+    write_truth_room(tmp_path / "good")
+    write_truth_room(tmp_path / "broken")
+    jobs = write_jobs(
+        tmp_path / "jobs.toml",
+        {"capture": "missing"},
+        {"capture": "broken"},
+        {"capture": "good", "preset": "draft", "evaluate": True},
+        {"capture": "good", "name": "again", "out": "elsewhere"},
+    )
+    assert cli.main(["batch", str(jobs)]) == 1
+    summary = json.loads((tmp_path / "jobs" / "summary.json").read_text())["jobs"]
+    assert [(job["name"], job["status"]) for job in summary] == [
+        ("missing", "failed"), ("broken", "failed"), ("good", "done"), ("again", "done")
+    ]  # fmt: skip
+    assert "no such capture" in summary[0]["error"] and "no light" in summary[1]["error"]
+    assert summary[2]["metrics"]["emission_iou"] == 1.0 and summary[2]["figures"]["lights"] == 1
+    with (tmp_path / "jobs" / "summary.csv").open(newline="") as file:
+        table = list(csv.DictReader(file))
+    assert [row["status"] for row in table] == ["failed", "failed", "done", "done"]
+    assert table[2]["emission_iou"] == "1.0" and table[3]["emission_iou"] == ""
+    assert load_result(tmp_path / "jobs" / "good").report["preset"] == "draft"
+    assert load_result(tmp_path / "elsewhere").report["preset"] == "balanced"
+    out = capsys.readouterr().out
+    assert all(word in out for word in ("again", "failed", "no light", "summary.csv"))
+
+
+def test_a_traceback_that_cannot_be_written_does_not_stop_the_rest(tmp_path, stub_solve):
+    for name in ("broken", "good"):
+        write_truth_room(tmp_path / name)
+    (tmp_path / "file").write_text("")
+    jobs = write_jobs(tmp_path / "jobs.toml", {"capture": "broken", "out": "file/out"}, {"capture": "good"})
+    assert cli.main(["batch", str(jobs)]) == 1
+    failed, done = json.loads((tmp_path / "jobs" / "summary.json").read_text())["jobs"]
+    assert "no light" in failed["error"] and "cannot be written" in failed["error"] and done["status"] == "done"
+
+
+def test_batch_exits_0_when_all_is_done(fipt_room, tmp_path, stub_solve):
+    assert cli.main(["batch", str(write_jobs(tmp_path / "jobs.toml", {"capture": fipt_room.root.name}))]) == 0
+
+
+def test_a_cancelled_batch_keeps_its_summary(tmp_path, stub_solve):
+    for name in ("good", "interrupted", "later"):
+        write_truth_room(tmp_path / name)
+    names = [{"capture": name} for name in ("good", "interrupted", "later")]
+    assert cli.main(["batch", str(write_jobs(tmp_path / "jobs.toml", *names))]) == 130
+    summary = json.loads((tmp_path / "jobs" / "summary.json").read_text())["jobs"]
+    assert [job["status"] for job in summary] == ["done", "cancelled", "cancelled"]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[[job]", "not valid TOML"),
+        ("", "no [[job]]"),
+        ("x = 1\n[[job]]\ncapture = 'a'", "something else"),
+        ("[[job]]\nname = 'a'", "no capture"),
+        ("[[job]]\ncapture = 'a'\nspeed = 3", "unknown key 'speed'"),
+        ("[[job]]\ncapture = 'a'\npreset = 'best'", "preset"),
+        ("[[job]]\ncapture = 'a'\nseed = 'x'", "seed"),
+        ("[[job]]\ncapture = 'a'\nname = '../a'", "name"),
+        ("[[job]]\ncapture = 'a'\n[[job]]\ncapture = 'a'", "two jobs"),
+    ],
+)
+def test_a_wrong_job_file_is_bad_input_before_anything_runs(tmp_path, text, says):
+    path = tmp_path / "jobs.toml"
+    path.write_text(text)
+    with pytest.raises(BadInput) as caught:
+        read_jobs(path)
+    assert says in str(caught.value) and str(path) in str(caught.value)
+
+
+def test_paths_of_jobs_are_relative_to_their_file(tmp_path):
+    path = write_jobs(
+        tmp_path / "jobs.toml", {"capture": "a", "exposures": "times.csv", "response": "gamma", "hdr": "exr"}
+    )
+    (job,) = read_jobs(path)
+    assert job.capture == tmp_path / "a" and job.out == tmp_path / "jobs" / "a"
+    assert job.config.exposures == tmp_path / "times.csv" and job.config.hdr == tmp_path / "exr"
+    assert job.config.response == "gamma"
+
+
+# ---- pictures ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def solved(tmp_path):
+    write_truth_room(tmp_path / "room")
+    save_result(true_result(), tmp_path / "result")
+    return tmp_path
+
+
+def test_evaluate_writes_its_file(solved, capsys):
+    args = ["evaluate", str(solved / "result"), "--gt", str(solved / "room"), "--no-render"]
+    assert cli.main([*args, "--json", str(solved / "scores.json")]) == 0
+    scores = json.loads((solved / "scores.json").read_text())
+    assert scores["kd_psnr"] > 60 and "lpips" in scores["left_out"]
+    assert "left out: lpips" in capsys.readouterr().out
+    assert cli.main([*args, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["result"]["emission_iou"] == 1.0
+
+
+@pytest.mark.bpy
+def test_views_are_rendered_relit_and_filled(solved):
+    pytest.importorskip("bpy")
+    result, views = str(solved / "result"), str(solved / "room" / "val")
+    few = ["--views", views, "--samples", "4"]
+    assert cli.main(["render", result, *few, "--out", str(solved / "png")]) == 0
+    assert cli.main(["render", result, *few, "--out", str(solved / "exr"), "--linear"]) == 0
+    png, exr = read_image(solved / "png" / "000_0001.png"), read_exr(solved / "exr" / "000_0001.exr")
+    expected = true_result().response.apply(exr * 0.5) * 255  # the exposure the capture records for that view
+    assert np.abs(png - expected).max() < 1
+
+    job = solved / "lights.json"
+    job.write_text('{"recovered": {"all": {"scale": 2.0}}}')
+    assert cli.main(["relight", result, "--lights", str(job), *few, "--out", str(solved / "twice"), "--linear"]) == 0
+    assert np.allclose(read_exr(solved / "twice" / "000_0001.exr"), 2 * exr, rtol=0.05, atol=0.01)
+    job.write_text('{"recovered": {"17": {"off": true}}}')
+    assert cli.main(["relight", result, "--lights", str(job), *few, "--out", str(solved / "none")]) == 3
+
+    ball = {"shape": "sphere", "center": [2, 1.5, 1.25], "radius": 0.4}
+    job.write_text(json.dumps({"views": [{"view": 1, "objects": [ball]}]}))
+    assert cli.main(["insert", result, "--objects", str(job), *few, "--out", str(solved / "ball")]) == 0
+    assert [path.name for path in (solved / "ball").iterdir()] == ["001_0001.png"]
+    job.write_text(json.dumps({"views": [{"view": 9, "objects": [ball]}]}))
+    assert cli.main(["insert", result, "--objects", str(job), *few, "--out", str(solved / "ball")]) == 3
+
+
+@pytest.mark.bpy
+def test_apply_writes_a_blend(solved):
+    pytest.importorskip("bpy")
+    blend = solved / "scene.blend"
+    assert cli.main(["apply", str(solved / "result"), "--blend", str(blend)]) == 0
+    assert blend.stat().st_size > 1000

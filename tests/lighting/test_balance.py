@@ -1,0 +1,309 @@
+"""The light balance: lamps from the albedo they imply, in a room whose radiosity is solved exactly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from iris_addon.base.progress import Progress
+from iris_addon.lighting.balance import (
+    MAX_ALBEDO,
+    ROBUST_LOG,
+    ROOM_ALBEDO,
+    Balance,
+    DirectEvidence,
+    Evidence,
+    _Problem,
+    solve_balance,
+)
+from iris_addon.rays.tracer import Tracer
+from iris_addon.transport.form_factors import emitter_form_factors
+from iris_addon.transport.gather import gather
+from tests.engine_room import Room, furnished_room, room_origins
+
+
+@dataclass(frozen=True)
+class Shading:
+    """What the balance is given, one patch per face of the room, and the truth."""
+
+    radiance: np.ndarray
+    indirect: np.ndarray
+    form_factors: np.ndarray
+    region: np.ndarray
+    weight: np.ndarray
+    truth: np.ndarray
+
+    @property
+    def nothing_known(self) -> Evidence:
+        n = len(self.truth)
+        nan = np.full((n, 3), np.nan)
+        return Evidence(np.zeros((n, 3)), nan, np.arange(n), nan)
+
+    def solve(self, evidence: Evidence | None = None, start: np.ndarray | None = None) -> Balance:
+        begin = np.ones_like(self.truth) if start is None else start
+        return solve_balance(
+            self.radiance,
+            self.indirect,
+            self.form_factors,
+            self.region,
+            self.weight,
+            evidence or self.nothing_known,
+            begin,
+        )
+
+
+def exact_shading(room: Room) -> Shading:
+    """Radiosity to convergence under the very G and B that the balance gets: any error is the balance's own."""
+    tracer, rng = Tracer(room.mesh), np.random.default_rng(0)
+    origins = room_origins(room, tracer, 4, rng)
+    rays, _ = gather(tracer, origins, 128, rng, Progress())
+    lamps = room.lamps()
+    factors = emitter_form_factors(tracer, origins, rays, lamps, 48, rng, Progress())[..., 0].astype(np.float64)
+    truth = np.array([room.emission[room.regions[faces[0]]] for faces in lamps])
+    albedo = room.albedo[room.regions]
+    radiance = np.zeros_like(albedo)
+    for _ in range(60):
+        indirect = np.concatenate([radiance, np.zeros((1, 3))])[rays.face].mean(1)
+        radiance = albedo * (indirect + factors @ truth)
+    rows = np.flatnonzero((albedo.min(1) > 0) & (radiance.min(1) > 1e-3))
+    return Shading(
+        radiance=radiance[rows],
+        indirect=indirect[rows],
+        form_factors=factors[rows],
+        region=room.regions[rows],
+        weight=np.ones(len(rows)),
+        truth=truth,
+    )
+
+
+@pytest.fixture(scope="module")
+def shading() -> Shading:
+    return exact_shading(furnished_room())
+
+
+def one_lamp(shading: Shading) -> Shading:
+    """The same room under its second lamp alone. Light is linear, but radiosity has to be solved again."""
+    room = furnished_room()
+    emission = room.emission.copy()
+    emission[8] = 0
+    albedo = room.albedo.copy()
+    albedo[8] = 0.5
+    return exact_shading(replace(room, emission=emission, albedo=albedo))
+
+
+def test_two_lamps_come_back_exactly(shading: Shading) -> None:
+    balance = shading.solve()
+    assert balance.radiance == pytest.approx(shading.truth, rel=0.02)
+    expected = furnished_room().albedo[balance.region_ids]
+    assert balance.region_albedo == pytest.approx(expected, rel=0.02)
+
+
+def test_one_lamp_comes_back_exactly(shading: Shading) -> None:
+    alone = one_lamp(shading)
+    assert alone.truth.shape == (1, 3)
+    assert alone.solve().radiance == pytest.approx(alone.truth, rel=0.02)
+
+
+@pytest.mark.parametrize("factor", [0.05, 30.0])
+def test_the_start_does_not_matter(shading: Shading, factor: float) -> None:
+    assert shading.solve(start=shading.truth * factor).radiance == pytest.approx(shading.truth, rel=0.03)
+
+
+def test_where_no_light_comes_back_the_room_is_of_common_albedo(shading: Shading) -> None:
+    """Without interreflection light times albedo is all that photos tell; what rooms are like sets the level."""
+    from_lamps = shading.form_factors @ shading.truth
+    direct = shading.radiance * from_lamps / (shading.indirect + from_lamps)
+    dark = replace(shading, radiance=direct, indirect=np.zeros_like(direct))
+    for factor in (0.05, 30.0):
+        balance = dark.solve(start=shading.truth * factor)
+        share = np.bincount(np.searchsorted(balance.region_ids, shading.region), minlength=len(balance.region_ids))
+        mean = np.exp((share / share.sum()) @ np.log(balance.region_albedo))
+        assert mean.prod() ** (1 / 3) == pytest.approx(ROOM_ALBEDO, rel=0.05)
+        ratio = balance.radiance / shading.truth
+        assert ratio[0] == pytest.approx(ratio[1], rel=0.05)
+
+
+def test_texture_and_outliers_do_little(shading: Shading) -> None:
+    rng = np.random.default_rng(1)
+    texture = np.exp(rng.normal(0, 0.15, (len(shading.region), 1)))
+    wrong = rng.random(len(shading.region)) < 0.1
+    texture[wrong] *= rng.uniform(2, 6, (int(wrong.sum()), 1))  # highlights, stickers
+    noisy = replace(shading, radiance=shading.radiance * texture)
+    assert noisy.solve().radiance == pytest.approx(shading.truth, rel=0.15)
+
+
+def test_gradient_is_that_of_the_loss(shading: Shading) -> None:
+    rng = np.random.default_rng(2)
+    rows = rng.choice(len(shading.region), 200, replace=False)
+    ids, label = np.unique(shading.region[rows], return_inverse=True)
+    evidence = replace(shading.nothing_known, bound=shading.truth * 1.5, expected=shading.truth * 0.5)
+    evidence.measured[0] = shading.truth[0] * 1.1
+    problem = _Problem(
+        log_radiance=np.log(shading.radiance[rows]).T,
+        indirect=shading.indirect[rows].T,
+        form_factors=shading.form_factors[rows].T,
+        weight=np.full(len(rows), 1 / len(rows)),
+        region=label,
+        n_regions=len(ids),
+        direct=DirectEvidence.of(evidence, 2),
+        scale=ROBUST_LOG,
+    )
+    log_e = np.log(shading.truth) + rng.normal(0, 0.4, (2, 3))
+    albedo = problem.implied_albedo(log_e) + rng.normal(0, 0.3, (len(ids), 3))
+    albedo[0] = np.log(MAX_ALBEDO) + 0.2  # the penalty on white is in force
+    x = np.concatenate([log_e.ravel(), albedo.ravel()])
+    _, gradient = problem.loss(x)
+    h = 1e-6
+    numeric = [(problem.loss(x + h * e)[0] - problem.loss(x - h * e)[0]) / (2 * h) for e in np.eye(len(x))]
+    assert gradient == pytest.approx(np.array(numeric), rel=1e-4, abs=1e-7)
+
+
+def test_unknowns_are_measured_in_what_the_loss_feels(shading: Shading) -> None:
+    """At the solution the loss curves alike in all of them, a large wall and the smallest part."""
+    rng = np.random.default_rng(8)
+    region = shading.region + np.where(rng.random(len(shading.region)) < 0.03, 10, 0)  # a small piece off every wall
+    _, label = np.unique(region, return_inverse=True)
+    problem = _Problem(
+        log_radiance=np.log(shading.radiance).T,
+        indirect=shading.indirect.T,
+        form_factors=shading.form_factors.T,
+        weight=np.full(len(label), 1 / len(label)),
+        region=label,
+        n_regions=int(label.max()) + 1,
+        direct=DirectEvidence.of(shading.nothing_known, 2),
+        scale=ROBUST_LOG,
+    )
+    x = problem.joined(np.log(shading.truth))
+    unit, h = problem.units(x), 1e-4
+
+    def curvature(k: int) -> float:
+        step = h * unit[k] * np.eye(len(x))[k]
+        return ((problem.loss(x + step)[1] - problem.loss(x - step)[1]) / (2 * h))[k] * unit[k]
+
+    # The curvature of log(1 + r^2) is 2; the rest is what is expected of lamps and rooms.
+    assert np.array([curvature(k) for k in range(len(x))]) == pytest.approx(2 / ROBUST_LOG**2, rel=0.3)
+    assert unit.max() > 10 * unit.min()
+
+
+def test_saturation_is_a_lower_bound(shading: Shading) -> None:
+    below, above = shading.truth * 0.5, shading.truth * 1.4
+    assert shading.solve(replace(shading.nothing_known, bound=below)).radiance == pytest.approx(shading.truth, rel=0.03)
+    forced = shading.solve(replace(shading.nothing_known, bound=above)).radiance
+    assert (forced > 0.9 * above).all()
+
+
+def test_a_clipped_speck_whose_light_nobody_feels_stays_near_what_is_expected(shading: Shading) -> None:
+    """The room's other errors would have it glow a hundred times as bright, if it only fitted them a little."""
+    rng = np.random.default_rng(9)
+    speck = 1e-5 * rng.random((len(shading.region), 1))
+    error = np.exp(rng.normal(0, 0.05, (len(shading.region), 1)) + 500 * speck)
+    beside = replace(
+        shading,
+        form_factors=np.concatenate([shading.form_factors, speck], 1),
+        radiance=shading.radiance * error,
+        truth=np.concatenate([shading.truth, np.zeros((1, 3))]),
+    )
+    clipped = replace(beside.nothing_known, bound=np.array([[0.0] * 3, [0.0] * 3, [1.0] * 3]))
+    start = np.concatenate([shading.truth, np.full((1, 3), 2.0)])
+    told = replace(clipped, expected=np.array([[np.nan] * 3, [np.nan] * 3, [2.0] * 3]))
+    assert beside.solve(told, start).radiance[2] == pytest.approx(2.0, abs=2.0)
+    assert beside.solve(clipped, start).radiance[2].max() > 20
+
+
+def test_a_yellow_speck_that_photos_measured_leaves_the_lamps_alone(shading: Shading) -> None:
+    """A lemon in the sun, taken for a lamp: what is known of it is far sharper than what the room says of the
+    lamps, and unlike any tint. Steps in units of the room alone ended at lamps a fifth too dim."""
+    speck = 1e-5 * np.random.default_rng(9).random((len(shading.region), 1))
+    beside = replace(
+        shading,
+        form_factors=np.concatenate([shading.form_factors, speck], 1),
+        truth=np.concatenate([shading.truth, np.zeros((1, 3))]),
+    )
+    lemon = np.array([2.1, 2.1, 0.15])
+    evidence = replace(beside.nothing_known, measured=np.array([[np.nan] * 3, [np.nan] * 3, lemon]))
+    found = beside.solve(evidence, np.concatenate([np.ones((2, 3)), lemon[None]])).radiance
+    assert found[:2] == pytest.approx(shading.truth, rel=0.01)
+    assert found[2] == pytest.approx(lemon, rel=0.1)
+
+
+def test_what_is_known_of_lamps_is_as_precise_as_its_penalty_curves() -> None:
+    """Half the second derivative of the penalty, by central differences: bound, measured, expected, and tint alone."""
+    nan, log_e, h = np.nan, np.zeros((4, 3)), 1e-4
+    bound, measured, expected = (np.full((4, 3), value) for value in (np.log(1e-6), nan, nan))
+    bound[0], measured[1], expected[2] = 0.5, 0.3, -0.2
+    direct = DirectEvidence(bound, measured, expected)
+    each = np.eye(12).reshape(12, 4, 3)
+    slopes = [(direct.penalty(log_e + h * e)[1] - direct.penalty(log_e - h * e)[1])[e > 0][0] / (2 * h) for e in each]
+    assert direct.precision(log_e).ravel() == pytest.approx(np.array(slopes) / 2, rel=1e-6)
+
+
+def test_a_measurement_pulls(shading: Shading) -> None:
+    measured = np.full_like(shading.truth, np.nan)
+    measured[1] = shading.truth[1] * 1.2
+    balance = shading.solve(replace(shading.nothing_known, measured=measured))
+    assert (balance.radiance[1] > shading.truth[1] * 1.05).all()
+    assert balance.radiance[0] == pytest.approx(shading.truth[0], rel=0.1)
+
+
+def test_tied_fixtures_share_one_radiance(shading: Shading) -> None:
+    tied = replace(shading.nothing_known, tie=np.zeros(2, np.int64))
+    radiance = shading.solve(tied).radiance
+    assert (radiance[0] == radiance[1]).all()
+    low, high = np.sort(shading.truth, axis=0)
+    assert (radiance[0] > 0.9 * low).all() and (radiance[0] < 1.1 * high).all()
+
+
+def test_distant_patches_of_a_region_are_what_fixes_the_scale(shading: Shading) -> None:
+    """Cut every wall into tiles of even light with an albedo of their own: only neighbours are left to compare."""
+    order = np.lexsort((shading.radiance[:, 1], shading.region))
+    tiles = np.empty_like(shading.region)
+    tiles[order] = np.arange(len(order)) // 13
+    square = np.zeros(2)
+    for seed in range(4):
+        texture = np.exp(np.random.default_rng(seed).normal(0, 0.2, (len(shading.region), 1)))
+        noisy = replace(shading, radiance=shading.radiance * texture)
+        for k, region in enumerate((shading.region, tiles)):
+            square[k] += (np.log(replace(noisy, region=region).solve().radiance / shading.truth) ** 2).mean()
+    assert square[1] > 3 * square[0]
+
+
+def test_uncertainty_tells_the_lamp_that_lights_nothing() -> None:
+    room = furnished_room()
+    emission = room.emission.copy()
+    emission[9] *= 1e-3
+    shading = exact_shading(replace(room, emission=emission))
+    balance = shading.solve(start=shading.truth * 2)
+    assert balance.log_std[1] > 10 * balance.log_std[0]
+
+
+def test_a_lamp_far_from_its_start_does_not_overflow(shading: Shading) -> None:
+    stronger = replace(shading, form_factors=shading.form_factors * [1.0, 1e-3])
+    assert stronger.solve().radiance == pytest.approx(shading.truth * [[1], [1000]], rel=0.1)
+
+
+def test_patches_of_no_weight_have_no_say(shading: Shading) -> None:
+    rng = np.random.default_rng(4)
+    spoiled = rng.random(len(shading.region)) < 0.3
+    radiance = np.where(spoiled[:, None], rng.random((len(spoiled), 3)) * 5, shading.radiance)
+    balance = replace(shading, radiance=radiance, weight=np.where(spoiled, 0.0, 1.0)).solve()
+    assert balance.radiance == pytest.approx(shading.truth, rel=0.02)
+
+
+def test_patches_whose_light_is_badly_known_make_lamps_dim_unless_they_say_less(shading: Shading) -> None:
+    """Errors of the regressors, as where the normals of a mesh are noise."""
+    rng = np.random.default_rng(6)
+    shaken = rng.random(len(shading.region)) < 0.6
+    off = np.exp(np.where(shaken, rng.normal(0, 0.5, shaken.shape), 0.0))[:, None]
+    noisy = replace(shading, form_factors=shading.form_factors * off)
+    assert (noisy.solve().radiance < 0.9 * shading.truth).all()
+    knowing = replace(noisy, weight=1 / (1 + (np.where(shaken, 0.5, 0.0) / ROBUST_LOG) ** 2))
+    assert knowing.solve().radiance == pytest.approx(shading.truth, rel=0.05)
+
+
+def test_the_held_out_loss_rises_with_what_the_model_cannot_explain(shading: Shading) -> None:
+    rng = np.random.default_rng(5)
+    texture = np.exp(rng.normal(0, 0.3, (len(shading.region), 1)))
+    assert shading.solve().held_out < 0.01
+    assert replace(shading, radiance=shading.radiance * texture).solve().held_out > 0.3

@@ -1,0 +1,155 @@
+"""Which faces count as lamps: bright from every side, brighter than any surface could be, all over."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from iris_addon.lighting.candidates import (
+    Brightness,
+    brightness,
+    coplanar_with,
+    emitting_faces,
+    group_emitters,
+    reflectance_needed,
+    tie_fixtures,
+    with_gaps_closed,
+)
+from iris_addon.model.response import gamma
+from iris_addon.rays.tracer import Tracer
+from iris_addon.response.radiance import linearise
+from iris_addon.surface.topology import edge_adjacency
+from tests.engine_room import assemble, observe_off_edges, quad
+
+N_VIEWS = 12
+EXPOSURES = 2.0 ** np.linspace(-3, 3, N_VIEWS)
+
+
+def brightness_of(
+    radiance: np.ndarray, exposures: np.ndarray = EXPOSURES, specular: np.ndarray | None = None
+) -> Brightness:
+    """Photos of patches whose radiance (P, V) may depend on the view, and how bright they count."""
+    n = len(radiance)
+    patch, view = (a.ravel() for a in np.meshgrid(np.arange(n), np.arange(len(exposures)), indexing="ij"))
+    exposed = np.clip(radiance[patch, view] * exposures[view], 0, 1)[:, None]
+    z = np.floor(255 * gamma().apply(np.repeat(exposed, 3, 1))) / 255
+    o = observe_off_edges(patch, view, z, np.random.default_rng(0))
+    linear = linearise(o, gamma(), np.repeat(exposures[o.view, None], 3, 1))
+    return brightness(o, linear, n, None if specular is None else specular[patch, view][:, None].repeat(3, 1))
+
+
+def test_what_is_bright_from_every_side_counts_in_full() -> None:
+    radiance = np.array([0.3, 1.0, 4.0])[:, None] * np.ones(N_VIEWS)
+    assert brightness_of(radiance).floor[:, 0] == pytest.approx([0.3, 1.0, 4.0], rel=0.05)
+
+
+def test_a_highlight_in_few_views_does_not_count() -> None:
+    radiance = np.full((1, N_VIEWS), 0.3)
+    radiance[0, [2, 7]] = 6.0
+    assert brightness_of(radiance).floor[0, 0] == pytest.approx(0.3, rel=0.05)
+
+
+def test_the_mirror_image_of_a_lamp_is_taken_off() -> None:
+    specular = np.full((1, N_VIEWS), 2.0)
+    assert brightness_of(specular + 0.1).floor[0, 0] == pytest.approx(2.1, rel=0.05)
+    assert brightness_of(specular + 0.1, specular=specular).floor[0, 0] < 0.3
+
+
+def test_what_every_photo_clips_reaches_the_highest_bound() -> None:
+    exposures = np.array([1.0, 0.5, 2.0])
+    seen = brightness_of(np.full((1, 3), 50.0), exposures)
+    assert seen.floor[0] == pytest.approx(2.0)
+    assert seen.bound[0] == pytest.approx(2.0)
+    assert np.isnan(seen.measured[0]).all()
+
+
+def test_one_short_exposure_shows_how_bright_a_clipped_wall_really_is() -> None:
+    """Eleven photos in which the wall is white, one in which it is not: it needs a reflectance below 1."""
+    exposures = np.array([0.5] + [8.0] * 11)
+    seen = brightness_of(np.array([0.6, 6.0])[:, None] * np.ones(12), exposures)
+    needed = reflectance_needed(seen, np.full((2, 3), 0.8))
+    assert needed[0] < 1.0 < 2.4 < needed[1]
+
+
+def test_emitting_faces_shine_all_over() -> None:
+    sample_face = np.repeat([0, 1, 2], [10, 10, 10]).astype(np.int32)
+    passed = np.zeros(30, bool)
+    passed[:10] = True  # a lamp
+    passed[10:14] = True  # the reflection of a window on a large triangle
+    emitting, count = emitting_faces(passed, np.arange(30, dtype=np.int32), sample_face, 4)
+    assert emitting.tolist() == [True, False, False, False]
+    assert count.tolist() == [10, 10, 10, 0]
+
+
+# Grouping ------------------------------------------------------------------------------------------------------------
+
+
+def test_lamps_are_connected_faces_or_whole_regions() -> None:
+    panels = [quad([x, 0, 2], [0.5, 0, 0], [0, 0.5, 0]) for x in (0.0, 1.0, 2.0)]
+    wall = quad([0, 3, 0], [4, 0, 0], [0, 0, 2], 1.0)
+    mesh = assemble([*panels, wall], [0, 0, 1, 2])
+    assert mesh.regions is not None
+    areas = np.ones(len(mesh.faces))
+    emitting = np.zeros(len(mesh.faces), bool)
+    emitting[:6] = True
+    emitting[8] = True  # one bright triangle of the wall
+    count = np.full(len(mesh.faces), 20)
+    emitters = group_emitters(emitting, count, areas, mesh.regions, edge_adjacency(mesh))
+    assert [faces.tolist() for faces in emitters] == [[8], [0, 1, 2, 3], [4, 5]]
+
+
+def test_the_unseen_side_of_a_lamp_belongs_to_it() -> None:
+    mesh = assemble([quad([0, 0, 2], [1, 0, 0], [0, 1, 0]), quad([0, 0, 2.1], [1, 0, 0], [0, 1, 0])], [0, 0])
+    assert mesh.regions is not None
+    emitting, count = np.array([True, True, False, False]), np.array([30, 30, 0, 0])
+    emitters = group_emitters(emitting, count, np.ones(4), mesh.regions, edge_adjacency(mesh))
+    assert [faces.tolist() for faces in emitters] == [[0, 1, 2, 3]]
+
+
+def test_a_few_pixels_are_no_lamp_and_degenerate_faces_do_not_shine() -> None:
+    mesh = assemble([quad([k, 0, 0], [0.5, 0, 0], [0, 0.5, 0]) for k in range(2)], [0, 1])
+    assert mesh.regions is not None
+    areas = np.array([1.0, 0.0, 1.0, 1.0])
+    emitters = group_emitters(np.ones(4, bool), np.array([9, 9, 3, 3]), areas, mesh.regions, edge_adjacency(mesh))
+    assert [faces.tolist() for faces in emitters] == []
+    emitters = group_emitters(np.ones(4, bool), np.array([90, 9, 3, 3]), areas, mesh.regions, edge_adjacency(mesh))
+    assert [faces.tolist() for faces in emitters] == [[0]]
+
+
+def test_twins_are_tied_and_others_are_not() -> None:
+    areas = np.array([1, 1, 1, 1, 1, 1, 1, 1, 3.0, 1, 1, 1])
+    emitters = [np.array([0, 1, 2]), np.array([3, 4, 5]), np.array([6, 7, 8]), np.array([9, 10])]
+    label = tie_fixtures(emitters, areas)
+    assert label[0] == label[1]
+    assert len(set(label.tolist())) == 3
+    assert set(label.tolist()) == {0, 1, 2}
+    assert len(tie_fixtures([], areas)) == 0
+
+
+def test_a_pane_goes_on_in_its_plane_and_not_around_its_edge() -> None:
+    """A row of four faces and one apart; the first is certain."""
+    adjacency = np.array([0, 1, 2]), np.array([1, 2, 3])
+    up, side = [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]
+    certain = np.array([True, False, False, False, False])
+    bright = np.array([True, True, True, True, True])
+
+    def found(normals: list[list[float]], emitting: np.ndarray) -> list[int]:
+        return np.flatnonzero(coplanar_with(certain, emitting, np.array(normals), adjacency)).tolist()
+
+    assert found([up, up, up, side, up], bright) == [0, 1, 2]
+    assert found([up, [-x for x in up], up, up, up], bright) == [0, 1, 2, 3]  # wound the other way
+    assert found([up] * 5, bright & ~np.array([False, True, False, False, False])) == [0]  # a dark face between
+
+
+@pytest.mark.parametrize("emits_beside", [True, False])
+def test_triangles_smaller_than_pixels_are_region_of_the_lamp_around_them(emits_beside: bool) -> None:
+    """Every other triangle of a pane is hit by a pixel; gaps that border a wall, or lie around a corner, stay dark."""
+    mesh = assemble([quad([0, 0, 0], [1, 0, 0], [0, 1, 0], 0.1), quad([1, 0, 0], [0, 0, 1], [0, 1, 0], 0.1)], [0, 0])
+    tracer, adjacency = Tracer(mesh), edge_adjacency(mesh)
+    faces = np.arange(len(mesh.faces))
+    pane = faces < len(faces) // 2
+    seen = pane & (faces % 2 == 0)
+    emitting = seen & (emits_beside | (tracer.corners[:, :, 0].mean(1) < 0.3))
+    closed = with_gaps_closed(emitting, seen, tracer.normals, adjacency)
+    assert closed[emitting].all() and not closed[~pane].any()
+    assert (closed == pane).all() if emits_beside else not closed[tracer.corners[:, :, 0].min(1) > 0.35].any()

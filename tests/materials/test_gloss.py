@@ -1,0 +1,502 @@
+"""Gloss from view dependence, albedo per texel, what is filled in where no photo reached."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from iris_addon.base.progress import Progress
+from iris_addon.brdf.ggx import DIELECTRIC_F0, layered_factor, specular_integrals
+from iris_addon.brdf.ggx_sampling import visible_normal_density
+from iris_addon.lighting.backdrop import Beyond
+from iris_addon.lighting.balance import MAX_ALBEDO
+from iris_addon.materials import gloss as gloss_module
+from iris_addon.materials.gloss import (
+    LEVELS,
+    MIN_OBSERVATIONS,
+    Gloss,
+    GlossObservations,
+    RegionFits,
+    choose_observations,
+    fit_gloss,
+    rough_everywhere,
+)
+from iris_addon.materials.lobes import LampAim, trace_lobes
+from iris_addon.materials.lobes import Scene as LitScene
+from iris_addon.materials.specular import ROUGH, rough_lobes
+from iris_addon.rays.tracer import Tracer
+from iris_addon.results.maps import bilinear
+from iris_addon.surface.patches import Surface
+from iris_addon.surface.primary_rays import PixelSamples
+from iris_addon.textures.atlas import Atlas, interpolate_uv, rasterise_atlas
+from iris_addon.textures.bake import fuse_texels, pixel_albedo, pixel_weight
+from iris_addon.textures.charts import build_atlas
+from iris_addon.textures.principled import make_textures
+from iris_addon.transport.form_factors import emitter_form_factors
+from iris_addon.transport.transport import Transport
+from tests.engine_room import Room, assemble, cameras, furnished_room, irradiance_at, patched, quad, radiosity
+
+FLOOR, WALL = 4, 2
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The furnished room with its radiance on patches, and pixels of the floor and of one wall."""
+
+    room: Room
+    tracer: Tracer
+    samples: PixelSamples
+    surface: Surface
+    transport: Transport
+    patch_radiance: np.ndarray
+    irradiance: np.ndarray  # (P, 3)
+
+    @property
+    def face_emission(self) -> np.ndarray:
+        return self.room.emission[self.room.regions]
+
+    def lobes(self, rows: np.ndarray, roughness: float, n_rays: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+        lit = self.lit()
+        rng = np.random.default_rng(seed)
+        return lit.lobes(trace_lobes(lit, self.samples, rows, np.full(len(rows), roughness), n_rays, rng))
+
+    def lit(self, aim: LampAim | None = None) -> LitScene:
+        """The room under its lamps."""
+        return LitScene(
+            self.tracer,
+            self.transport,
+            self.room.regions,
+            self.surface.sample_patch,
+            self.patch_radiance,
+            self.face_emission,
+            np.full(3, 0.1),
+            Beyond(None),
+            aim or LampAim.nowhere(self.tracer),
+        )
+
+    def aim(self) -> LampAim:
+        """At the room's lamps, by what they send to each patch."""
+        lamps, t = self.room.lamps(), self.transport
+        rng = np.random.default_rng(0)
+        factors = emitter_form_factors(self.tracer, t.origins, t.rays, lamps, 16, rng, Progress())[..., 0]
+        radiance = np.array([self.room.emission[self.room.regions[faces[0]]] for faces in lamps])
+        return LampAim.at(self.tracer, lamps, radiance, factors)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    room = furnished_room()
+    seen = patched(room, cameras(12), 4000, 64)
+    tracer, surface, transport = seen.tracer, seen.surface, seen.transport
+    irradiance = irradiance_at(room, tracer, radiosity(room, tracer, 128), surface.origins, 128, 1)
+    radiance = np.zeros((transport.n_patches, 3))
+    radiance[: transport.n_seen] = room.albedo[surface.region] * irradiance
+    return Scene(
+        room=room,
+        tracer=tracer,
+        samples=seen.samples,
+        surface=surface,
+        transport=transport,
+        patch_radiance=radiance,
+        irradiance=irradiance,
+    )
+
+
+# Gloss ---------------------------------------------------------------------------------------------------------------
+
+
+def fit_floor(scene: Scene, radiance: np.ndarray, rows: np.ndarray, layer: np.ndarray | None = None) -> Gloss:
+    patch = scene.surface.sample_patch[rows]
+    irradiance = scene.irradiance[patch]
+    lobes = [[scene.lobes(rows, level, 16, 5 + 2 * k + half) for half in (0, 1)] for k, level in enumerate(LEVELS[:-1])]
+    lobes.append([rough_lobes(np.ones(len(rows)), scene.samples.cosine[rows], irradiance)] * 2)
+    region = scene.room.regions[scene.samples.face[rows]]
+    observed = GlossObservations(
+        region=region,
+        patch=patch,
+        weight=np.ones(len(rows)),
+        position=scene.samples.position[rows],
+        radiance=radiance,
+        irradiance=irradiance,
+        diffuse=np.ones((len(LEVELS), len(rows))),
+        lobes=lobes,
+        layer=layer,
+    )
+    return fit_gloss(observed, len(scene.room.albedo))
+
+
+def rows_on(scene: Scene, region: int) -> np.ndarray:
+    on = np.flatnonzero(scene.room.regions[scene.samples.face] == region)
+    return on[np.random.default_rng(2).permutation(len(on))[:600]]
+
+
+def seen(scene: Scene, rows: np.ndarray, color: np.ndarray, roughness: float, metallic: float) -> np.ndarray:
+    """Radiance of pixels under the reflectance model, lobes by many rays of their own."""
+    irradiance = scene.irradiance[scene.surface.sample_patch[rows]]
+    if roughness < ROUGH:
+        s0, s1 = scene.lobes(rows, roughness, 256, 99)
+    else:
+        s0, s1 = rough_lobes(np.full(len(rows), roughness), scene.samples.cosine[rows], irradiance)
+    kd = color * (1 - metallic)
+    ks = color * metallic + DIELECTRIC_F0 * (1 - metallic)
+    noise = np.random.default_rng(3).normal(1, 0.01, (len(rows), 1))
+    return (kd * irradiance + ks * s0 + s1) * noise
+
+
+@pytest.mark.parametrize("roughness", [0.1, 0.2])
+def test_a_polished_floor_is_glossy(scene: Scene, roughness: float) -> None:
+    rows = rows_on(scene, FLOOR)
+    gloss = fit_floor(scene, seen(scene, rows, scene.room.albedo[FLOOR], roughness, 0.0), rows)
+    assert gloss.decided[FLOOR]
+    assert gloss.roughness[FLOOR] == pytest.approx(roughness, abs=0.08)
+    assert gloss.metallic[FLOOR] == 0
+
+
+@pytest.mark.parametrize("region", [FLOOR, WALL])
+def test_a_matte_region_stays_matte(scene: Scene, region: int) -> None:
+    rows = rows_on(scene, region)
+    gloss = fit_floor(scene, seen(scene, rows, scene.room.albedo[region], 1.0, 0.0), rows)
+    assert gloss.roughness[region] > 0.6
+    assert gloss.metallic[region] == 0
+
+
+@pytest.mark.parametrize("roughness", [0.1, 0.32])
+def test_a_metal_wall_is_metal(scene: Scene, roughness: float) -> None:
+    rows = rows_on(scene, WALL)
+    gloss = fit_floor(scene, seen(scene, rows, np.array([0.9, 0.7, 0.4]), roughness, 1.0), rows)
+    assert gloss.metallic[WALL] == 1
+    np.testing.assert_allclose(gloss.specular[WALL], [0.9, 0.7, 0.4], rtol=0.1)
+    assert (np.delete(gloss.specular, WALL, 0) == DIELECTRIC_F0).all()
+    assert gloss.roughness[WALL] == pytest.approx(roughness, abs=0.12)
+
+
+@pytest.mark.parametrize("highlight", [False, True])
+def test_sheen_alone_is_no_gloss(highlight: bool) -> None:
+    """A wide lobe that fits is believed only where a narrow one fits better than none too."""
+    rng = np.random.default_rng(0)
+    n = 400
+    sheen, elsewhere = 0.1 * rng.random((2, n, 1)) * np.ones(3)
+    zero = np.zeros((n, 3))
+    narrow, close = (zero, elsewhere), (zero, 0.8 * sheen)
+    lobes = [narrow, narrow, narrow, close if highlight else narrow, (zero, sheen), (zero, zero)]
+    observed = GlossObservations(
+        region=np.zeros(n, int),
+        patch=np.repeat(np.arange(n // 4), 4),
+        weight=np.ones(n),
+        position=zero,
+        radiance=0.5 + sheen + 0.01 * rng.random((n, 3)),
+        irradiance=np.ones((n, 3)),
+        diffuse=np.ones((len(LEVELS), n)),
+        lobes=[[lobe] * 2 for lobe in lobes],
+    )
+    assert (fit_gloss(observed, 1).roughness[0] < 1) == highlight
+
+
+@pytest.mark.parametrize("odd_one_is_polished", [True, False])
+def test_a_region_is_not_outvoted_by_neighbours_of_its_colour(odd_one_is_polished: bool) -> None:
+    """A frame of the wall's colour on the wall: its own highlight stands, and the wall stays matte; nor is a wall that
+    shows no highlight polished because two frames on it are."""
+    rng = np.random.default_rng(7)
+    patches, views = 60, 5
+    n = patches * views
+    zero = np.zeros((3 * n, 3))
+    region = np.repeat(np.arange(3), n)
+    highlight = np.where(region == 0, 0.02, 0.1)[:, None] * (rng.random((3 * n, 1)) < 0.3) * np.ones(3)
+    polished = ((region == 0) == odd_one_is_polished)[:, None]
+    lobes = [(zero, highlight) for _ in LEVELS[:-2]]
+    observed = GlossObservations(
+        region=region,
+        patch=np.repeat(np.arange(3 * patches), views),
+        weight=np.where(region == 0, 1.0, 5.0),
+        position=zero,  # all in one place
+        radiance=0.5 * (1 + 0.01 * rng.normal(size=(3 * n, 1))) + highlight * polished,
+        irradiance=np.ones((3 * n, 3)),
+        diffuse=np.ones((len(LEVELS), 3 * n)),
+        lobes=[[lobe] * 2 for lobe in (*lobes, (zero, zero), (zero, zero))],
+    )
+    roughness = fit_gloss(observed, 3).roughness
+    glossy = roughness < 0.6
+    assert (glossy == [odd_one_is_polished, *[not odd_one_is_polished] * 2]).all()
+    assert (roughness[~glossy] == 1).all()
+
+
+@pytest.mark.parametrize("kin", [True, False])
+def test_pieces_of_one_region_of_the_capture_shine_alike(kin: bool) -> None:
+    """A knob that mirrors nothing bright, ten metres from the drawer whose lacquer it has."""
+    rng = np.random.default_rng(11)
+    patches, views = np.array([60, 3]), 5
+    region = np.repeat([0, 1], patches * views)
+    n = len(region)
+    zero = np.zeros((n, 3))
+    highlight = np.where(region == 0, 0.1, 0.0)[:, None] * (rng.random((n, 1)) < 0.3) * np.ones(3)
+    observed = GlossObservations(
+        region=region,
+        patch=np.repeat(np.arange(patches.sum()), views),
+        weight=np.ones(n),
+        position=np.where(region == 0, 0.0, 10.0)[:, None] * np.ones(3),
+        radiance=0.5 * (1 + 0.01 * rng.normal(size=(n, 1))) + highlight,
+        irradiance=np.ones((n, 3)),
+        diffuse=np.ones((len(LEVELS), n)),
+        lobes=[[lobe] * 2 for lobe in (*((zero, highlight) for _ in LEVELS[:-2]), (zero, zero), (zero, zero))],
+        given=np.zeros(2, int) if kin else np.arange(2),
+    )
+    roughness = fit_gloss(observed, 2).roughness
+    assert roughness[0] < 0.6
+    assert (roughness[1] < 0.6) == kin
+
+
+def test_gloss_by_chance_alone_is_rare() -> None:
+    """Lobes that have nothing to do with what was seen are found in about the share of regions that 1.5 standard errors
+    of a normal distribution leave (7 %), for each of the four levels that are traced; not in a third of them."""
+    rng = np.random.default_rng(5)
+    regions, patches, views = 60, 40, 4
+    n = regions * patches * views
+    zero = np.zeros((n, 3))
+    light = 0.5 * (1 + 0.03 * rng.normal(size=(n, 1))) * np.ones(3)
+    lobes = [(zero, np.abs(0.005 * rng.normal(size=(n, 1))) * np.ones(3)) for _ in LEVELS[:-2]]
+    observed = GlossObservations(
+        region=np.repeat(np.arange(regions), patches * views),
+        patch=np.repeat(np.arange(regions * patches), views),
+        weight=np.ones(n),
+        position=np.repeat(10.0 * np.arange(regions), patches * views)[:, None] * np.ones(3),  # none near another
+        radiance=light,
+        irradiance=np.ones((n, 3)),
+        diffuse=np.ones((len(LEVELS), n)),
+        lobes=[[lobe] * 2 for lobe in (*lobes, (zero, zero), (zero, zero))],
+    )
+    glossy = fit_gloss(observed, regions).roughness < 1
+    assert glossy.mean() < 0.2
+
+
+def test_the_standard_error_of_a_cost_is_its_spread_over_draws() -> None:
+    rng = np.random.default_rng(1)
+    draws, patches = 400, 50
+    n = draws * patches
+    views = rng.integers(1, 5, n)  # observations of each patch
+    patch, region = np.repeat(np.arange(n), views), np.repeat(np.arange(draws), patches)
+    fits = RegionFits(patch, region, np.ones(len(patch)), *np.ones((2, len(patch), 3)))
+    cost = rng.normal(0.3, 0.1, n)
+    error = fits.standard_error(cost)
+    assert fits.mean(cost).std() == pytest.approx(np.sqrt(np.mean(error**2)), rel=0.1)
+    alone = RegionFits(np.zeros(3, int), np.zeros(1, int), np.ones(3), *np.ones((2, 3, 3)))
+    assert alone.standard_error(np.array([-0.2])) == pytest.approx(0.2)
+
+
+def test_regions_that_hardly_anybody_saw_keep_the_default(scene: Scene) -> None:
+    rows = rows_on(scene, FLOOR)[: MIN_OBSERVATIONS - 1]
+    gloss = fit_floor(scene, seen(scene, rows, scene.room.albedo[FLOOR], 0.1, 0.0), rows)
+    assert not gloss.decided.any()
+    assert (gloss.roughness == rough_everywhere(len(gloss.roughness)).roughness).all()
+
+
+@pytest.mark.parametrize("aimed", [False, True])
+def test_lobes_of_uniform_light_are_the_integrals_of_the_model(scene: Scene, aimed: bool) -> None:
+    rows = rows_on(scene, WALL)[:300]
+    ones, faces = np.ones_like(scene.patch_radiance), np.zeros((len(scene.room.mesh.faces), 3))
+    faces[np.concatenate(scene.room.lamps())] = 1.0
+    lit = replace(scene.lit(scene.aim() if aimed else None), patch_radiance=ones, face_emission=faces, unknown=ones[0])
+    for roughness in (0.15, 0.5, 1.0):
+        s = scene.samples
+        rays = trace_lobes(lit, s, rows, np.full(len(rows), roughness), 128, np.random.default_rng(1))
+        s0, s1 = lit.lobes(rays)
+        f0, f1 = specular_integrals(np.full(len(rows), roughness), s.cosine[rows].astype(np.float64))
+        assert s0[:, 0].mean() == pytest.approx(f0.mean(), abs=0.01)
+        assert s1[:, 0].mean() == pytest.approx(f1.mean(), abs=0.005)
+
+
+def test_rays_aimed_at_lamps_find_the_same_light_with_less_noise(scene: Scene) -> None:
+    """Of a wide lobe a few rays meet the smaller lamp, or none does."""
+    rows = rows_on(scene, WALL)[:300]
+    lamps_alone = np.zeros_like(scene.patch_radiance)
+    truth, spread = [], []
+    for aim in (None, scene.aim()):
+        lit = replace(scene.lit(aim), patch_radiance=lamps_alone, unknown=np.zeros(3))
+        draws = []
+        for seed in range(24):
+            rays = trace_lobes(lit, scene.samples, rows, np.full(len(rows), 0.5), 15, np.random.default_rng(seed))
+            draws.append(lit.lobes(rays)[0].mean(1))
+        truth.append(np.mean(draws))
+        spread.append(np.std(draws, axis=0).mean())
+    assert truth[1] == pytest.approx(truth[0], rel=0.05)
+    assert spread[1] < 0.2 * spread[0]
+
+
+def test_a_lamp_that_was_aimed_at_and_is_none_any_more_reflects(scene: Scene) -> None:
+    rows = rows_on(scene, WALL)[:300]
+    dark = np.zeros((len(scene.room.mesh.faces), 3))
+    lobes = []
+    for aim in (None, scene.aim()):
+        lit = replace(scene.lit(aim), face_emission=dark, patch_radiance=np.ones_like(scene.patch_radiance))
+        lit = replace(lit, unknown=np.ones(3))
+        rays = trace_lobes(lit, scene.samples, rows, np.full(len(rows), 0.7), 128, np.random.default_rng(1))
+        lobes.append(lit.lobes(rays)[0].mean())
+    assert lobes[1] == pytest.approx(lobes[0], rel=0.01)
+
+
+UP, EYE = (0.0, 0.0, 1.0), (0.6, 0.0, 0.8)
+
+
+@pytest.mark.parametrize("roughness", [0.2, 0.5, 1.0])
+def test_the_density_of_reflected_directions_integrates_to_one(roughness: float) -> None:
+    n, rng = 400_000, np.random.default_rng(4)
+    incident = rng.normal(size=(n, 3))
+    incident /= np.linalg.norm(incident, axis=1, keepdims=True)
+    density = np.array([visible_normal_density(UP, EYE, tuple(i), roughness**2) for i in incident])
+    assert 4 * np.pi * density.mean() == pytest.approx(1, rel=0.05)
+
+
+def test_a_layer_lets_out_less_at_grazing_angles_and_the_same_on_average() -> None:
+    cosine = np.sqrt((np.arange(2000) + 0.5) / 2000)  # equal steps of the cosine-weighted hemisphere
+    for roughness in (0.1, 0.3, 0.7, 1.0):
+        factor = layered_factor(np.array(roughness), cosine)
+        assert factor.mean() == pytest.approx(1, abs=2e-3)
+        assert (np.diff(factor) > -1e-3).all()
+    assert layered_factor(np.array(0.3), np.array(0.05)) < 0.75
+    assert layered_factor(np.array(1.0), np.array(0.05)) > 0.95
+
+
+@pytest.mark.parametrize("layered", [False, True])
+def test_the_photos_tell_whether_varnish_takes_light_off_the_paint_below(scene: Scene, layered: bool) -> None:
+    rows = rows_on(scene, FLOOR)
+    factor = layered_factor(np.array(LEVELS)[:, None], scene.samples.cosine[rows])
+    irradiance = scene.irradiance[scene.surface.sample_patch[rows]]
+    below = scene.room.albedo[WALL] * irradiance
+    shown = seen(scene, rows, scene.room.albedo[WALL], 0.2, 0.0)
+    shown += (factor[LEVELS.index(0.2)][:, None] - 1) * below * layered
+    gloss = fit_floor(scene, shown, rows, factor)
+    assert gloss.layered == layered
+    assert gloss.roughness[FLOOR] == pytest.approx(0.2, abs=0.08)
+    assert Gloss.from_arrays(gloss.arrays()).layered == layered
+
+
+def test_observations_are_chosen_by_whole_patches() -> None:
+    region = np.repeat([0, 1], [3000, 50])
+    patch = np.concatenate([np.repeat(np.arange(300), 10), 300 + np.repeat(np.arange(5), 10)])
+    weight = np.ones(3050)
+    weight[::7] = 0
+    rows = choose_observations(region, patch, weight, np.random.default_rng(0))
+    assert (weight[rows] > 0).all() and (np.diff(rows) > 0).all()
+    assert (region[rows] == 1).sum() == (weight[3000:] > 0).sum()
+    chosen, count = np.unique(patch[rows], return_counts=True)
+    whole = np.bincount(patch, weight)[chosen]
+    assert (count == whole).sum() >= len(chosen) - 1  # the last one may be cut
+
+
+def test_many_regions_share_what_the_memory_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Small regions keep all, large ones are cut to the same size, and as much as allowed is used."""
+    monkeypatch.setattr(gloss_module, "ALL_OBSERVATIONS", 1000)
+    size = np.array([5, 30, 100, 400, 700, 900])
+    region = np.repeat(np.arange(len(size)), size)
+    rows = choose_observations(region, np.arange(len(region)), np.ones(len(region)), np.random.default_rng(0))
+    assert np.bincount(region[rows]).tolist() == [5, 30, 100, 288, 288, 288]
+    none = choose_observations(region, np.arange(len(region)), np.zeros(len(region)), np.random.default_rng(0))
+    assert len(none) == 0
+
+
+# Textures ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_pixels_albedo_inverts_the_model() -> None:
+    rng = np.random.default_rng(0)
+    color, irradiance, s0, s1 = (
+        rng.random((50, 3)) * 0.9,
+        rng.random((50, 3)) + 0.1,
+        rng.random((50, 3)),
+        rng.random((50, 3)),
+    )
+    for metallic in (0.0, 1.0):
+        m = np.full(50, metallic)
+        ks = color * metallic + DIELECTRIC_F0 * (1 - metallic)
+        radiance = color * (1 - metallic) * irradiance + ks * s0 + s1
+        specular = DIELECTRIC_F0 * (1 - metallic) * s0 + s1
+        assert pixel_albedo(radiance, specular, np.maximum(s0, 1e-3), irradiance, m) == pytest.approx(color, abs=0.02)
+    assert pixel_albedo(radiance * 100, specular, s0, irradiance, m).max() <= MAX_ALBEDO
+
+
+def test_near_head_on_well_lit_pixels_have_the_most_to_say() -> None:
+    """Pixels as one of the first, each worse in one thing: angle, distance, light, a highlight, an edge."""
+    cosine, footprint = np.array([1, 1, 1, 0.5, 1, 1, 1, 1]), np.array([1, 1, 1, 1, 2, 1, 1, 1]) * 0.01
+    irradiance, specular = np.ones((8, 3)), np.full((8, 3), 1e-6)
+    irradiance[5], specular[6] = 0.05, 1.0
+    weight = pixel_weight(cosine, footprint, irradiance, specular, np.arange(8) == 7, np.zeros(8, bool), 0.01, 1.0)[
+        :, 0
+    ]
+    assert weight[1:3] == pytest.approx(weight[0]) and (weight[3:] < 0.5 * weight[0]).all()
+    assert weight[0] == pytest.approx(4 * weight[4], rel=1e-3)
+    assert weight[6] < 0.01 * weight[0] and weight[7] < 0.01 * weight[0]
+
+
+def test_fusing_is_robust_and_says_which_channel_was_always_clipped() -> None:
+    texel = np.repeat([0, 1, 3], 12)
+    value = np.tile([0.4, 0.3, 0.2], (36, 1))
+    value[[3, 7]] = 0.95  # a highlight in two of twelve photos
+    weight = np.ones((36, 3))
+    weight[12:24, 0] = 0  # red clipped in every photo
+    texel, value = np.append(texel, 4), np.append(value, [[0.9, 0.9, 0.9]], 0)
+    weight = np.append(weight, [[0.0, 0.0, 0.0]], 0)  # clipped in every channel
+    fused = fuse_texels(texel, value, weight, 5)
+    assert fused.value[0] == pytest.approx([0.4, 0.3, 0.2], abs=0.04)
+    assert np.isnan(fused.value[1, 0]) and fused.value[1, 1:] == pytest.approx([0.3, 0.2], abs=1e-5)
+    assert fused.texel.tolist() == [0, 1, 3] and (fused.weight > 0).all()
+
+
+def test_unseen_faces_take_their_regions_mean_and_lamps_are_black() -> None:
+    """Three regions: a floor half of which nobody saw, a wall nobody saw at all, a lamp."""
+    mesh = assemble(
+        [
+            quad([0, 0, 0], [1, 0, 0], [0, 1, 0]),
+            quad([5, 0, 0], [1, 0, 0], [0, 1, 0]),
+            quad([0, 5, 0], [1, 0, 0], [0, 0, 1]),
+            quad([0, 0, 3], [1, 0, 0], [0, 1, 0]),
+        ],
+        [0, 0, 1, 2],
+    )
+    assert mesh.regions is not None
+    size, rng = 64, np.random.default_rng(0)
+    uv = build_atlas(mesh, np.full(8, 10.0), size)
+    n = 8000
+    face = rng.choice([0, 1, 6, 7], n).astype(np.int32)
+    barycentric = rng.random((n, 2)).astype(np.float32)
+    barycentric = np.where(barycentric.sum(1, keepdims=True) > 1, 1 - barycentric, barycentric)
+    empty = np.zeros((n, 3), np.float32)
+    samples = PixelSamples(
+        view=np.zeros(n, np.int16),
+        pixel=np.zeros(n, np.int32),
+        face=face,
+        barycentric=barycentric,
+        position=empty,
+        normal=empty,
+        direction=empty,
+        footprint=np.ones(n, np.float32),
+    )
+    atlas = Atlas.of(uv, size, face, barycentric)
+    color = np.where((face < 2)[:, None], [0.5, 0.25, 0.125], 0.9)
+    gloss = Gloss(np.array([0.2, 1.0, 0.5]), np.array([0.0, 1.0, 0.0]), np.full((3, 3), 0.04), np.ones(3, bool))
+    lamps = np.arange(8) >= 6
+    light = np.full(n, 0.02), gloss.metallic < 0.5
+    textures, at_pixels, paint = make_textures(
+        atlas, mesh.regions, lamps, gloss, samples, color, np.ones((n, 3)), *light
+    )
+    shown, _ = rasterise_atlas(uv, size)
+
+    def base(*faces: int) -> np.ndarray:
+        return textures.base_color[np.isin(shown, faces)]
+
+    assert base(0, 1) == pytest.approx(np.tile([0.5, 0.25, 0.125], (len(base(0, 1)), 1)), abs=1e-3)
+    assert base(2, 3) == pytest.approx(np.tile([0.5, 0.25, 0.125], (len(base(2, 3)), 1)), abs=1e-3)
+    assert base(6, 7).max() == 0
+    assert np.ptp(base(4, 5), axis=0).max() < 1e-6
+    assert (textures.confidence[np.isin(shown, [2, 3, 4, 5])] == 0).mean() > 0.9
+    assert textures.confidence[np.isin(shown, [0, 1])].mean() > 0.8
+    # A filter at the border of a chart reaches beyond it, and finds the same material there.
+    points = interpolate_uv(uv, face, barycentric)
+    for texture, of_region in ((textures.roughness, gloss.roughness), (textures.metallic, gloss.metallic)):
+        found = bilinear(texture[..., None], points)[:, 0]
+        assert found == pytest.approx(of_region[mesh.regions[face]], abs=1e-6)
+    assert (textures.roughness[np.isin(shown, [0, 1, 2, 3])] == np.float32(0.2)).all()
+    assert (textures.metallic[np.isin(shown, [4, 5])] == 1).all()
+    assert paint.plain_regions == 2, "the wall that nobody saw says nothing"
+    assert at_pixels[face < 2] == pytest.approx(color[face < 2], abs=1e-3)
+    assert np.isfinite(textures.base_color).all()

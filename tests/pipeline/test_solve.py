@@ -1,0 +1,315 @@
+"""The whole solve on a small room of known truth: lamps, albedo, response; repeatable, cancellable, resumable."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from threading import Event
+
+import numpy as np
+import pytest
+
+from iris_addon.base.errors import BadInput, Cancelled
+from iris_addon.base.images import read_image, write_exr, write_png
+from iris_addon.base.progress import Progress, ProgressEvent
+from iris_addon.config import SolveConfig, preset
+from iris_addon.lighting.balance import MAX_ALBEDO
+from iris_addon.model.capture import Camera, Capture
+from iris_addon.model.response import gamma, srgb
+from iris_addon.pipeline import solve
+from iris_addon.rays.tracer import Tracer
+from iris_addon.results.files import KINDS, preview_path
+from iris_addon.results.folder import load_result
+from iris_addon.results.result import Result
+from iris_addon.textures.atlas import rasterise_atlas
+from tests.box_room import look_at
+from tests.engine_room import LAMP_REGIONS, Room, cameras, furnished_room, photograph, render, same_results
+
+TINY = preset("draft", max_patches=4000, gather_rays=64, shadow_rays=64, atlas_size=128, rounds=1)
+FAST = replace(TINY, response="gamma")
+STOPS = 2.0 ** np.array([0, -3, 1, -2, -1, -4, 0.5, -1, 1, -3, 0, -2.5])
+"""Photos of one room taken with twelve opinions about its brightness."""
+
+
+@dataclass(frozen=True)
+class Shoot:
+    """The room, its photos, and where solves of it go."""
+
+    room: Room
+    views: list[Camera]
+    radiance: np.ndarray
+    folder: Path
+
+    @property
+    def exposures(self) -> np.ndarray:
+        return 0.25 / np.median(self.radiance.mean(-1).reshape(len(self.views), -1), 1) * STOPS
+
+    def capture(self, brighter: float = 1.0) -> Capture:
+        folder = self.folder / f"photos-{brighter:g}"
+        return photograph(self.room, self.views, self.radiance, brighter * self.exposures, gamma(), folder)
+
+
+@pytest.fixture(scope="module")
+def shoot(tmp_path_factory: pytest.TempPathFactory) -> Shoot:
+    fine, views = furnished_room(), cameras(12, 48, 36)
+    radiance = render(fine, Tracer(fine.mesh), views, 128)
+    return Shoot(furnished_room(np.inf), views, radiance, tmp_path_factory.mktemp("shoot"))
+
+
+@pytest.fixture(autouse=True)
+def own_cache(shoot: Shoot, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("IRIS_CACHE", str(shoot.folder / "cache"))
+
+
+@pytest.fixture(scope="module")
+def found(shoot: Shoot) -> Result:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("IRIS_CACHE", str(shoot.folder / "cache"))
+        return solve(shoot.capture(), TINY, shoot.folder / "found")
+
+
+@pytest.fixture(scope="module")
+def reference(shoot: Shoot) -> Path:
+    """A solve that nothing interrupted."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("IRIS_CACHE", str(shoot.folder / "cache"))
+        solve(shoot.capture(), FAST, shoot.folder / "reference")
+    return shoot.folder / "reference"
+
+
+def lamp_regions(room: Room, result: Result) -> list[int]:
+    return sorted(int(region) for emitter in result.emitters for region in np.unique(room.regions[emitter.faces]))
+
+
+def seen_texels(room: Room, result: Result) -> tuple[np.ndarray, np.ndarray]:
+    """Part of the room and base colour of the texels that photos reached."""
+    face, _ = rasterise_atlas(result.mesh.uv, len(result.textures.base_color))
+    seen = (face >= 0) & (result.textures.confidence > 0)
+    return room.regions[face[seen]], result.textures.base_color[seen]
+
+
+def test_the_lamps_are_found_and_as_bright_as_they_are(shoot: Shoot, found: Result) -> None:
+    assert lamp_regions(shoot.room, found) == list(LAMP_REGIONS)
+    for emitter in found.emitters:
+        region = shoot.room.regions[emitter.faces[0]]
+        assert np.array_equal(np.sort(emitter.faces), np.flatnonzero(shoot.room.regions == region))
+        assert emitter.radiance == pytest.approx(shoot.room.emission[region], rel=0.15)
+
+
+def test_the_albedo_is_that_of_the_room(shoot: Shoot, found: Result) -> None:
+    region, color = seen_texels(shoot.room, found)
+    means = np.array([color[region == label].mean(0) for label in range(8)])
+    error = np.abs(means - shoot.room.albedo[:8])
+    assert error.mean() < 0.05
+    assert error.max() < 0.10
+
+
+def test_the_response_and_the_predicted_photos(found: Result) -> None:
+    assert np.linalg.norm(found.response.samples - gamma().samples) < 1.4
+    assert found.report["holdout_psnr"] > 30
+    assert 0 < found.report["model"]["residual_light"] < 0.1
+    assert found.textures.base_color.max() <= np.float16(MAX_ALBEDO)  # as stored
+    assert found.report["rays_traced"] < 1e8
+    assert found.report["n_patches"] <= 1.5 * TINY.max_patches
+
+
+def test_the_previews_show_the_room_as_far_as_it_is_known(shoot: Shoot) -> None:
+    out = shoot.folder / "previewed"
+    stopped(shoot.capture(), FAST, out, "textures")
+    albedo, light, error = (read_image(preview_path(out, kind)) / 255.0 for kind in KINDS)
+    tracer, room = Tracer(shoot.room.mesh), shoot.room
+    regions = [room.regions[tracer.closest(*camera.rays()).face].reshape(36, 48) for camera in shoot.views]
+    truths = [srgb(np.where(np.isin(region, LAMP_REGIONS)[..., None], 0, room.albedo[region])) for region in regions]
+    # One of the photos, and nobody is told which.
+    shown = min(range(len(truths)), key=lambda view: np.abs(truths[view] - albedo).mean())
+    assert np.median(np.abs(truths[shown] - albedo)) < 0.04
+    assert len(np.unique(regions[shown])) >= np.median([len(np.unique(region)) for region in regions])
+    on_lamp = np.isin(regions[shown], LAMP_REGIONS)
+    assert np.all(light[on_lamp] == 1.0) and np.median(light[~on_lamp]) < 0.95
+    assert np.median(error.max(-1)) < 0.2
+
+
+def test_a_matte_room_has_no_metal(found: Result) -> None:
+    assert found.textures.metallic.max() == 0
+
+
+def test_the_unit_of_the_exposures_is_that_of_the_light(shoot: Shoot, reference: Path) -> None:
+    """Seconds or hundredths of microseconds: materials are the same, radiance is less by what exposures are more."""
+    unit, capture, plain = 1e8, shoot.capture(), load_result(reference)
+    views = tuple(replace(view, exposure=unit * (view.exposure or np.nan)) for view in capture.views)
+    result = solve(replace(capture, views=views), FAST, shoot.folder / "unit")
+    assert result.textures.base_color == pytest.approx(plain.textures.base_color, abs=2e-3)
+    for ours, theirs in zip(result.emitters, plain.emitters, strict=True):
+        assert np.array_equal(ours.faces, theirs.faces)
+        assert unit * ours.radiance == pytest.approx(theirs.radiance, rel=1e-3)
+    for name, exposure in plain.exposures.items():
+        assert result.exposures[name] == pytest.approx(unit * exposure, rel=1e-6)
+
+
+def test_the_unit_of_radiance_is_anybodys(shoot: Shoot) -> None:
+    """Photos of radiance 2²⁰ times less: the same materials to the bit, the same lamps 2²⁰ times dimmer."""
+    capture, unit = shoot.capture(), 2.0**-20
+    pixels = shoot.radiance.reshape(len(capture.views), 36, 48, 3).astype(np.float32)
+
+    def solved(scale: float) -> Result:
+        folder = shoot.folder / f"radiance-{scale:g}"
+        views = [replace(v, photo=folder / f"{v.name}.exr", exposure=None) for v in capture.views]
+        for view, values in zip(views, pixels, strict=True):
+            write_exr(view.photo, np.float32(scale) * values)
+        return solve(replace(capture, views=tuple(views)), FAST, folder / "result")
+
+    plain, dim = solved(1.0), solved(unit)
+    assert len(plain.emitters) == len(dim.emitters) > 0
+    for ours, theirs in zip(dim.emitters, plain.emitters, strict=True):
+        assert np.array_equal(ours.radiance, unit * theirs.radiance)
+    assert np.array_equal(dim.textures.base_color, plain.textures.base_color)
+    assert all((exposure == 1).all() for exposure in dim.exposures.values())
+
+
+@pytest.mark.parametrize("value", [0, 255])
+def test_photos_that_say_nothing_are_refused_or_end_in_a_result(shoot: Shoot, value: int) -> None:
+    """A lens cap, and a window that outshines all: white photos have no radiance; black ones are of a dark room."""
+    capture = shoot.capture()
+    folder = shoot.folder / f"all-{value}"
+    folder.mkdir()
+    views = []
+    for view in capture.views:
+        photo = folder / view.photo.name
+        write_png(photo, np.full((36, 48, 3), value, np.uint8))
+        views.append(replace(view, photo=photo))
+    blank = replace(capture, views=tuple(views))
+    if value:
+        with pytest.raises(BadInput, match="clipped"):
+            solve(blank, FAST, folder / "out")
+    else:
+        result = solve(blank, FAST, folder / "out")
+        assert all(emitter.radiance.max() < 1e-2 for emitter in result.emitters)
+        assert np.isfinite(result.textures.base_color).all()
+
+
+def test_saturated_white_walls_are_not_lamps(shoot: Shoot) -> None:
+    capture = shoot.capture(brighter=6.0)
+    result = solve(capture, FAST, shoot.folder / "bright")
+    lamps = np.isin(shoot.room.regions, LAMP_REGIONS)
+    assert all(lamps[emitter.faces].all() for emitter in result.emitters)
+    assert lamp_regions(shoot.room, result) == list(LAMP_REGIONS)
+    for emitter in result.emitters:
+        truth = shoot.room.emission[shoot.room.regions[emitter.faces[0]]]
+        assert np.abs(np.log(emitter.radiance / truth)).max() < 0.3
+
+
+def test_lamps_that_no_photo_shows_are_found_by_their_light(shoot: Shoot) -> None:
+    """Cameras just under the lamps look at the floor; what they see of the room is lit as by both."""
+    views = [
+        replace(camera, c2w=look_at(camera.c2w[:3, 3] + [0, 0, 0.4], [*(4.0, 3.0) - camera.c2w[:2, 3], -0.4]))
+        for camera in cameras(12, 48, 36)
+    ]
+    tracer = Tracer(shoot.room.mesh)
+    seen = np.unique(np.concatenate([shoot.room.regions[tracer.closest(*view.rays()).face] for view in views]))
+    assert not np.isin(LAMP_REGIONS, seen).any() and len(seen) >= 6
+    fine = furnished_room()
+    below = replace(shoot, views=views, radiance=render(fine, Tracer(fine.mesh), views, 128))
+    capture = photograph(shoot.room, views, below.radiance, below.exposures, gamma(), shoot.folder / "below")
+    result = solve(capture, FAST, shoot.folder / "unseen")
+    truth = [shoot.room.emission[shoot.room.regions[emitter.faces[0]]] for emitter in result.emitters]
+    lamps = [emitter for emitter, radiance in zip(result.emitters, truth, strict=True) if radiance.any()]
+    found = sorted({int(shoot.room.regions[emitter.faces[0]]) for emitter in lamps})
+    assert found == list(LAMP_REGIONS)
+    for emitter in lamps:
+        radiance = shoot.room.emission[shoot.room.regions[emitter.faces[0]]]
+        assert np.abs(np.log(emitter.radiance / radiance)).max() < 0.4
+    # So few patches are held out, 14, that a box may stay a lamp that is as bright as photos show it.
+    power = sum(emitter.area * emitter.radiance.mean() for emitter in result.emitters)
+    assert sum(emitter.area * emitter.radiance.mean() for emitter in lamps) > 0.95 * power
+    assert result.report["model"]["unseen_lamps"] == 2
+
+
+# Repeating, stopping, going on ---------------------------------------------------------------------------------------
+
+
+class Watch:
+    """A sink that acts at the first event of a stage and counts what comes after."""
+
+    def __init__(self, stage: str, act) -> None:
+        self.stage, self.act, self.late = stage, act, 0
+
+    def __call__(self, event: ProgressEvent) -> None:
+        if self.act is None:
+            self.late += 1
+        elif event.stage == self.stage:
+            act, self.act = self.act, None
+            act()
+
+
+def stopped(capture: Capture, config: SolveConfig, out: Path, stage: str) -> None:
+    """A solve that dies at the start of ``stage`` as Ctrl-C would have it."""
+
+    def die() -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        solve(capture, config, out, Progress(Watch(stage, die)))
+    assert not (out / "report.json").exists()
+
+
+def test_the_same_seed_gives_the_same_result(shoot: Shoot, reference: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("IRIS_CACHE", str(shoot.folder / "another cache"))
+    solve(shoot.capture(), FAST, shoot.folder / "again")
+    assert same_results(reference, shoot.folder / "again")
+
+
+def test_another_seed_gives_another_but_similar_result(shoot: Shoot, reference: Path) -> None:
+    result = solve(shoot.capture(), replace(FAST, seed=1), shoot.folder / "seed")
+    assert not same_results(reference, shoot.folder / "seed")
+    assert lamp_regions(shoot.room, result) == list(LAMP_REGIONS)
+
+
+@pytest.mark.parametrize("stage", ["lights", "materials", "textures"])
+def test_a_killed_solve_resumes_to_the_same_result(shoot: Shoot, reference: Path, stage: str) -> None:
+    out = shoot.folder / f"killed at {stage}"
+    stopped(shoot.capture(), FAST, out, stage)
+    finished = {"lights": "response", "materials": "lights", "textures": "materials"}[stage]
+    assert (out / "checkpoints" / f"{finished}.npz").is_file()
+    solve(shoot.capture(), FAST, out, resume=True)
+    assert same_results(reference, out)
+    assert not (out / "checkpoints").exists()
+
+
+def test_resume_does_not_believe_another_configuration(shoot: Shoot, reference: Path) -> None:
+    out = shoot.folder / "other configuration"
+    stopped(shoot.capture(), replace(FAST, seed=5), out, "textures")
+    solve(shoot.capture(), FAST, out, resume=True)
+    assert same_results(reference, out)
+
+
+@pytest.mark.parametrize("stage", ["photos", "surface", "transport", "response", "lights", "textures"])
+def test_cancelling_stops_at_the_next_update(shoot: Shoot, reference: Path, stage: str) -> None:
+    """Into a folder with a finished result, which stays as it was."""
+    before = (reference / "report.json").read_text()
+    progress = Progress()
+    watch = Watch(stage, progress.cancel)
+    progress._sink = watch
+    with pytest.raises(Cancelled):
+        solve(shoot.capture(), replace(FAST, seed=3), reference, progress)
+    assert watch.act is None and watch.late == 0
+    assert (reference / "report.json").read_text() == before
+
+
+@pytest.mark.parametrize("step", ["_surface", "_atlas", "measure_photometry", "make_result"])
+def test_cancelling_does_not_wait_for_a_step_that_reports_nothing(
+    shoot: Shoot, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    """Minutes, on a mesh of millions of triangles. Its end is waited for here, lest it writes into the next test."""
+    progress, let_go, left = Progress(), Event(), Event()
+
+    def slow(*_arguments: object) -> None:
+        progress.cancel()
+        let_go.wait(60)
+        left.set()
+
+    monkeypatch.setattr(f"iris_addon.pipeline.{step}", slow)
+    with pytest.raises(Cancelled):
+        solve(shoot.capture(), replace(FAST, seed=4), shoot.folder / f"cancelled in {step}", progress)
+    assert not left.is_set(), "the cancel was raised before the step had ended"
+    let_go.set()
+    assert left.wait(60)

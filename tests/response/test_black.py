@@ -1,0 +1,110 @@
+"""Black bytes: what was too dark for the response is known to be dark, and no more."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from iris_addon.model import response as curve
+from iris_addon.model.response import N_SAMPLES, Response
+from iris_addon.response.overlap_problem import OverlapProblem
+from iris_addon.response.radiance import Linearised, exposed, group_radiance, linearise
+from iris_addon.textures.bake import fuse_texels
+from tests.engine_room import observe_off_edges
+
+TOE = 0.25
+"""Relative exposure up to which the curve below is black."""
+
+
+def crushing() -> Response:
+    """A straight line that begins to rise at TOE."""
+    return Response(np.tile(np.clip((np.linspace(0, 1, N_SAMPLES) - TOE) / (1 - TOE), 0, 1), (3, 1)), "file")
+
+
+def photographed(radiance: np.ndarray, exposures: np.ndarray) -> tuple[Linearised, np.ndarray, np.ndarray]:
+    """One pixel per patch and photo: radiance (P, V) under exposures (V,); with patch and count of the observations."""
+    patch, view = (axis.ravel() for axis in np.indices(radiance.shape))
+    z = np.floor(255 * crushing().apply(np.repeat((radiance * exposures).reshape(-1, 1), 3, 1))) / 255
+    o = observe_off_edges(patch, view, z.astype(np.float32), np.random.default_rng(0))
+    return linearise(o, crushing(), np.repeat(exposures[o.view, None], 3, 1)), o.patch, o.count
+
+
+@pytest.mark.parametrize("response", [crushing(), curve.gamma(1.0)], ids=["crushing", "linear"])
+def test_a_black_pixel_says_what_a_uniform_exposure_below_the_next_byte_says(response: Response) -> None:
+    below = response.invert(np.full((1, 3), 1 / 255))[0, 0]
+    mean, noise = exposed(response, np.zeros((1, 3)), np.ones((1, 3)))
+    assert mean == pytest.approx(np.full((1, 3), below / 2))
+    assert noise == pytest.approx(np.full((1, 3), 1 / np.sqrt(3)), rel=1e-6)  # (b / sqrt 12) / (b / 2)
+
+
+def test_a_mean_over_black_pixels_is_that_of_their_exposures() -> None:
+    """Pixels exposed evenly up to twice TOE: half of them black. Their mean display value alone would say 0.31."""
+    x = (np.arange(4000) + 0.5) / 4000 * 2 * TOE
+    z = np.floor(255 * crushing().apply(np.repeat(x[:, None], 3, 1))) / 255
+    shown, black = z.mean(0, keepdims=True), (z == 0).mean(0, keepdims=True)
+    assert exposed(crushing(), shown, black)[0] == pytest.approx(np.full((1, 3), TOE), rel=0.01)
+    assert crushing().invert(shown + 0.5 / 255)[0, 0] == pytest.approx(0.3125, abs=0.001)
+
+
+def test_black_photos_of_less_exposure_do_not_move_a_patch() -> None:
+    radiance = np.full((1, 6), 0.1)
+    linear, patch, count = photographed(radiance, np.array([0.25, 0.5, 0.5, 1.0, 4.0, 8.0]))
+    assert np.isfinite(linear.ceiling[:, 0]).tolist() == [True] * 4 + [False] * 2
+    assert linear.ceiling[3, 0] == pytest.approx(TOE, rel=0.02)
+    found = group_radiance(linear, patch, count, 1)
+    assert found.radiance == pytest.approx(np.full((1, 3), 0.1), rel=0.01)
+
+
+def test_black_photos_outweigh_the_highlight_that_one_shows() -> None:
+    """A dark surface at 0.02 that one photo of eight sees shine at 0.5. Seven, exposed by 4, are black: below 0.063."""
+    radiance = np.full((1, 8), 0.02)
+    radiance[0, 3] = 0.5
+    linear, patch, count = photographed(radiance, np.array([4.0] * 3 + [1.0] + [4.0] * 4))
+    found = group_radiance(linear, patch, count, 1)
+    assert (found.radiance < 1.1 * TOE / 4).all()
+
+
+def test_what_is_always_black_is_below_its_lowest_ceiling_and_says_little() -> None:
+    radiance = np.array([[0.01] * 4, [0.3] * 4])
+    linear, patch, count = photographed(radiance, np.array([0.5, 1.0, 2.0, 4.0]) * 0.9)
+    found = group_radiance(linear, patch, count, 2)
+    assert (found.radiance[0] < TOE / 3.6).all() and (found.radiance[0] > 0).all()
+    assert found.weight[0] < 0.02 * found.weight[1]
+    assert found.radiance[1] == pytest.approx(np.full(3, 0.3), rel=0.01)
+
+
+def test_black_pixels_agree_with_what_is_expected_as_far_as_they_can() -> None:
+    linear, _, _ = photographed(np.array([[0.1, 0.1, 0.1]]), np.array([1.0, 2.0, 4.0]))
+    agreeing = linear.agreeing_with(np.full((3, 3), 0.2))
+    # Below 0.25, below 0.125, and seen.
+    assert agreeing.radiance[:, 0] == pytest.approx([0.2, TOE / 2, 0.1], rel=0.02)
+    assert (np.diff(agreeing.precision[:, 0]) < 0)[1] and agreeing.precision[0, 0] < 0.01 * agreeing.precision[1, 0]
+
+
+def test_the_overlap_of_photos_reads_radiance_where_it_is_not_black() -> None:
+    """Dark patches under four exposures, of which one or two are not black."""
+    rng = np.random.default_rng(1)
+    radiance, exposures = rng.uniform(0.08, 0.2, 200), np.array([0.5, 1.0, 2.0, 4.0])
+    patch, view = (axis.ravel() for axis in np.indices((200, 4)))
+    z = np.floor(255 * crushing().apply(np.repeat((radiance[patch] * exposures[view])[:, None], 3, 1))) / 255
+    o = observe_off_edges(patch, view, z.astype(np.float32), rng)
+    problem = OverlapProblem.build(o, np.arange(len(o.patch)), exposures, 4, None)
+    found = problem.solve_radiance(crushing())[1]
+    assert found == pytest.approx(np.repeat(radiance[:, None], 3, 1), rel=0.02)
+
+
+def test_a_channel_that_is_black_in_every_photo_is_unknown() -> None:
+    """Of two texels blue has a hundredth of the say that red has, and twice that: what nobody saw, and what is dark."""
+    texel, value = np.repeat([0, 1], 10), np.tile([0.5, 0.4, 0.05], (20, 1))
+    weight = np.ones((20, 3))
+    weight[:, 2] = np.repeat([0.003, 0.02], 10)
+    fused = fuse_texels(texel, value, weight, 2)
+    assert np.isnan(fused.value).tolist() == [[False, False, True], [False] * 3]
+
+
+def test_what_is_black_does_not_tell() -> None:
+    """A dark floor: its short exposures are black and do not tell of it, the long ones do."""
+    rng = np.random.default_rng(2)
+    radiance = np.repeat(rng.uniform(0.1, 0.2, (200, 1)), 8, 1)
+    linear, _, _ = photographed(radiance, np.tile([0.25, 4.0], 4))
+    assert linear.told.reshape(200, 8)[:, 1::2].all() and not linear.told.reshape(200, 8)[:, ::2].any()

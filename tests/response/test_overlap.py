@@ -1,0 +1,449 @@
+"""The camera response: its family, its recovery from overlap, and radiance read back through it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from iris_addon.base.errors import BadInput
+from iris_addon.base.images import read_image
+from iris_addon.capture.exposures import exif_settings
+from iris_addon.model import response as curve
+from iris_addon.model.local_exposure import COLUMNS, ROWS, LocalExposure, LocalSettings
+from iris_addon.model.response import N_SAMPLES, SATURATED, Response
+from iris_addon.response import family
+from iris_addon.response.observations import Observations
+from iris_addon.response.overlap import fit_overlap
+from iris_addon.response.overlap_problem import OverlapProblem
+from iris_addon.response.photometry import Photometry, read_response
+from iris_addon.response.radiance import group_radiance, linearise, raised_by_clipped
+from tests.engine_room import observe_off_edges
+
+X = np.linspace(0, 1, N_SAMPLES)
+EXPOSURES = 2.0 ** np.array([-2, -1, 0, 1, 2, -1.5, 0.5, 1.5, -0.5, 0, 1, -1])
+
+
+def film(slope: float = 1.5) -> np.ndarray:
+    """A film-like S on a log-exposure axis, lifted to 0 and 1."""
+    s = 1 / (1 + (0.18 / np.maximum(X, 1e-9)) ** slope)
+    return s / s[-1]
+
+
+def srgb() -> np.ndarray:
+    s = np.where(X <= 0.0031308, 12.92 * X, 1.055 * np.maximum(X, 1e-9) ** (1 / 2.4) - 0.055)
+    return s / s[-1]  # rounding must not keep white from saturating
+
+
+CURVES = {
+    "gamma 2.2": X ** (1 / 2.2),
+    "gamma 1.6": X ** (1 / 1.6),
+    "gamma 2.8": X ** (1 / 2.8),
+    "sRGB": srgb(),
+    "film": film(1.2),
+    "steep film": film(1.5),
+}
+
+
+def response_of(samples: np.ndarray) -> Response:
+    return Response(np.tile(samples, (3, 1)), "file")
+
+
+def observations_of(
+    response: Response, exposures: np.ndarray, rng: np.random.Generator, n: int = 300, outliers: float = 0.0
+) -> tuple[Observations, np.ndarray]:
+    """8-bit observations of ``n`` even patches in all views, and their radiance; some are anything at all.
+
+    ``exposures`` is (V,) or (V, 3).
+    """
+    radiance = 10 ** rng.uniform(-2.2, 0.5, (n, 1)) * rng.uniform(0.6, 1.0, (n, 3))
+    patch, view = (a.ravel() for a in np.meshgrid(np.arange(n), np.arange(len(exposures)), indexing="ij"))
+    z = (
+        np.floor(255 * response.apply(np.clip(radiance[patch] * exposures.reshape(len(exposures), -1)[view], 0, 1)))
+        / 255
+    )
+    wrong = rng.random(len(patch)) < outliers
+    z[wrong] = np.clip(z[wrong] + rng.uniform(-0.3, 0.3, (int(wrong.sum()), 1)), 0, 1)
+    return observe_off_edges(patch, view, z, rng), radiance
+
+
+def doubled(o: Observations) -> Observations:
+    """Overlap wants two pixels behind an observation."""
+    return replace(o, count=o.count * 4)
+
+
+def crf_l2(found: Response, truth: np.ndarray) -> float:
+    """Frobenius norm of the 3 x 1024 difference, the published measure."""
+    return float(np.linalg.norm(found.samples - truth))
+
+
+# The family ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_curves_of_the_family_rise_from_zero_to_one(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    knots = [family.PRIOR_MEAN + rng.normal(0, 0.4) + rng.normal(0, 0.15, len(family.PRIOR_MEAN)) for _ in range(3)]
+    response = family.to_response(knots)
+    assert response.samples[:, 0] == pytest.approx(0)
+    assert response.samples[:, -1] == pytest.approx(1)
+    assert (np.diff(response.samples, axis=1) >= 0).all()
+
+
+def test_the_family_contains_gamma() -> None:
+    knots = np.full(len(family.PRIOR_MEAN), np.log(1 / 2.2))
+    assert family.Family.at(X).evaluate(knots)[1:] == pytest.approx(X[1:] ** (1 / 2.2), abs=1e-6)
+    assert family.downhill(knots).max() == 0
+
+
+def test_a_falling_curve_is_noticed() -> None:
+    rising = np.linspace(np.log(0.1), np.log(4.0), len(family.PRIOR_MEAN))  # x^0.1 at the left, x^4 at the right
+    assert family.downhill(rising).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", CURVES)
+def test_apply_and_invert_undo_each_other(name: str) -> None:
+    response = response_of(CURVES[name])
+    x = np.random.default_rng(0).random((500, 3))
+    assert response.invert(response.apply(x)) == pytest.approx(x, abs=2e-3)
+    assert response.apply(np.full((1, 3), 7.0)) == pytest.approx(1.0)
+    slope = (response.apply(x + 1e-3) - response.apply(x - 1e-3)) / 2e-3
+    inside = (x > 0.05) & (x < 0.99)
+    assert response.slope(x)[inside] == pytest.approx(slope[inside], rel=0.05)
+
+
+# Recovery ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", CURVES)
+def test_known_exposures_give_the_curve(name: str) -> None:
+    rng = np.random.default_rng(1)
+    truth = response_of(CURVES[name])
+    observations, _ = observations_of(truth, EXPOSURES, rng)
+    fit = fit_overlap(doubled(observations), EXPOSURES, len(EXPOSURES), rng)
+    assert crf_l2(fit.response, truth.samples) < 0.3
+    assert not fit.per_channel
+    assert fit.exposures == pytest.approx(np.repeat(EXPOSURES[:, None], 3, 1))
+
+
+@pytest.mark.parametrize(("name", "limit"), [("gamma 2.2", 1.3), ("sRGB", 1.3), ("film", 2.0)])
+def test_a_tenth_of_outliers_does_little(name: str, limit: float) -> None:
+    rng = np.random.default_rng(2)
+    truth = response_of(CURVES[name])
+    observations, _ = observations_of(truth, EXPOSURES, rng, outliers=0.1)
+    fit = fit_overlap(doubled(observations), EXPOSURES, len(EXPOSURES), rng)
+    assert crf_l2(fit.response, truth.samples) < limit
+
+
+def test_three_curves_earn_their_place_where_there_are_three() -> None:
+    rng = np.random.default_rng(3)
+    truth = Response(np.stack([X ** (1 / 1.6), X ** (1 / 2.2), X ** (1 / 2.8)]), "file")
+    observations, _ = observations_of(truth, EXPOSURES, rng)
+    fit = fit_overlap(doubled(observations), EXPOSURES, len(EXPOSURES), rng)
+    assert fit.per_channel
+    assert crf_l2(fit.response, truth.samples) < 0.8
+
+
+@pytest.mark.parametrize("name", ["gamma 2.2", "film"])
+def test_highlights_do_not_move_the_radiance_that_clips(name: str) -> None:
+    """A polished room: two fifths of all views of patches mirror something, and clip up to six times earlier."""
+    rng = np.random.default_rng(9)
+    truth = response_of(CURVES[name])
+    observations, radiance = observations_of(truth, EXPOSURES, rng, n=600)
+    shown = radiance[observations.patch] * EXPOSURES[observations.view][:, None]
+    mirrored = rng.random(len(shown)) < 0.4
+    shown[mirrored] *= 6 ** rng.random((int(mirrored.sum()), 1))
+    z = np.floor(255 * truth.apply(np.clip(shown, 0, 1))) / 255
+    saturated = (z >= 254.5 / 255).astype(np.float32)
+    observations = replace(doubled(observations), z=z.astype(np.float32), saturated=saturated)
+    fit = fit_overlap(observations, EXPOSURES, len(EXPOSURES), rng)
+    assert crf_l2(fit.response, truth.samples) < 0.25
+
+
+@pytest.mark.parametrize("drift", ["exposure", "white balance"])
+def test_wrongly_recorded_exposures_are_put_right(drift: str) -> None:
+    """Two thirds of a stop of error; a third in each channel of its own where white balance drifts."""
+    rng = np.random.default_rng(6)
+    truth = response_of(CURVES["sRGB"])
+    error = (
+        rng.normal(0, 0.66, (len(EXPOSURES), 1)) if drift == "exposure" else rng.normal(0, 0.33, (len(EXPOSURES), 3))
+    )
+    taken = EXPOSURES[:, None] * 2.0 ** np.broadcast_to(error, (len(EXPOSURES), 3))
+    observations, _ = observations_of(truth, taken, rng)
+    fit = fit_overlap(doubled(observations), EXPOSURES, len(EXPOSURES), rng)
+    # Twelve wrong records still say what the exponent is, to a fifth or so; overlap says the rest.
+    found, true = np.log2(fit.exposures), np.log2(taken)
+    for channel in range(3):
+        exponent, offset = np.polyfit(true[:, channel], found[:, channel], 1)
+        assert np.abs(found[:, channel] - (exponent * true[:, channel] + offset)).max() < 0.15
+        assert exponent == pytest.approx(1.0, abs=0.3)
+
+
+def test_wrong_records_leave_the_exponent_open_by_as_much_as_their_slope_is_off() -> None:
+    rng = np.random.default_rng(6)
+    stops, records_off, draws = np.log2(EXPOSURES), 0.6, 4000
+    records = stops + rng.normal(0, records_off, (draws, len(stops)))
+    slope = (records - records.mean(1, keepdims=True)) @ (stops - stops.mean()) / np.sum((stops - stops.mean()) ** 2)
+    taken = np.repeat(EXPOSURES[:, None], 3, 1)
+    measured = Photometry(
+        response=curve.gamma(),
+        exposures=taken,
+        held_out=0.0,
+        per_channel=False,
+        known_exposures=True,
+        exposure_error=records_off,
+    )
+    assert measured.exponent_error == 0, "a curve that is given has its exponent"
+    fitted = replace(measured, response=replace(measured.response, family=family.FITTED))
+    assert fitted.exponent_error == pytest.approx(slope.std(), rel=0.05)
+    assert fitted.exponent_open and not replace(fitted, exposure_error=0.0).exponent_open
+    assert replace(fitted, known_exposures=False).exponent_error == np.inf
+    alike = replace(fitted, exposures=np.ones_like(taken))
+    assert alike.exponent_open and not replace(alike, exposure_error=0.0).exponent_open
+
+
+@pytest.mark.parametrize("name", ["gamma 2.2", "film"])
+def test_unknown_exposures_come_back_up_to_an_exponent(name: str) -> None:
+    rng = np.random.default_rng(4)
+    truth = response_of(CURVES[name])
+    observations, _ = observations_of(truth, EXPOSURES, rng)
+    fit = fit_overlap(doubled(observations), None, len(EXPOSURES), rng)
+    stops, found = np.log2(EXPOSURES), np.log2(fit.exposures).mean(1)
+    exponent, offset = np.polyfit(stops, found, 1)
+    assert np.abs(found - (exponent * stops + offset)).max() < 0.12
+    assert 0.5 < exponent < 2
+    # The curve is that of the photos under the same exponent: f(x) = true f(x^(1/g)).
+    equivalent = np.interp(X ** (1 / exponent), X, truth.samples[0])
+    assert np.abs(fit.response.samples - equivalent).max() < 0.06
+
+
+def test_a_bracket_of_thirteen_stops_through_a_soft_shoulder() -> None:
+    """In the short photos nearly all is black, in the long ones nearly all is on the shoulder."""
+    rng = np.random.default_rng(14)
+    stops = np.array([3.7, 3.3, 2.0, 1.7, 0.0, -0.3, -1.7, -2.0, -4.0, -5.9, -6.3, -8.3, -8.6, -10.0])
+    shoulder = 1 - np.exp(-18 * X**0.7)
+    observations, _ = observations_of(response_of(shoulder / shoulder[-1]), 2.0 ** (stops + 1), rng, 1500, 0.02)
+    found = np.log2(fit_overlap(doubled(observations), None, len(stops), rng).exposures).mean(1)
+    exponent, offset = np.polyfit(found, stops, 1)
+    assert np.sqrt(np.mean((exponent * found + offset - stops) ** 2)) < 0.15
+    assert exponent == pytest.approx(1.0, abs=0.4), "measured responses are that much alike in the midtones"
+
+
+def test_the_times_of_a_real_bracket_come_back(shared: Path) -> None:
+    """A desk in 13 exposures over 13.7 stops, the last of which is nearly black."""
+    photos = sorted((shared / "brackets" / "desk").glob("*.jpg"))
+    if not photos:
+        pytest.skip("shared/brackets/desk is not there")
+    z = np.stack([read_image(photo)[::4, ::4] for photo in photos]) / 255
+    n = z[0, :, :, 0].size
+    patch, view = np.tile(np.arange(n), len(photos)), np.repeat(np.arange(len(photos)), n)
+    desk = doubled(observe_off_edges(patch, view, z.reshape(-1, 3), np.random.default_rng(0)))
+    seconds = np.log2([exif_settings(photo)["seconds"] for photo in photos])
+    found = np.log2(fit_overlap(desk, None, len(photos), np.random.default_rng(1)).exposures).mean(1)
+    seconds, found = seconds - seconds.mean(), found - found.mean()
+    exponent = (found @ seconds) / (found @ found)
+    assert np.sqrt(np.mean((exponent * found - seconds) ** 2)) < 0.15
+    assert np.sqrt(np.mean((found - seconds) ** 2)) < 0.5
+
+
+@pytest.mark.parametrize("curves", [1, 3])
+@pytest.mark.parametrize("known", [True, False], ids=["known exposures", "unknown exposures"])
+def test_derivatives_of_the_residuals_are_those_of_central_differences(known: bool, curves: int) -> None:
+    """Which residuals feel which knots depends on whether the channels share exposures that are looked for."""
+    rng = np.random.default_rng(21)
+    o, _ = observations_of(response_of(film()), EXPOSURES, rng, n=80)
+    every = np.arange(len(o.view))
+    problem = OverlapProblem.build(doubled(o), every, EXPOSURES if known else None, len(EXPOSURES), None)
+    knots = np.concatenate([family.PRIOR_MEAN + rng.normal(0, 0.05, len(family.PRIOR_MEAN)) for _ in range(curves)])
+    steps = 1e-5 * np.eye(len(knots))
+    central = [(problem.residual(knots + h, curves) - problem.residual(knots - h, curves)) / 2e-5 for h in steps]
+    found, expected = problem.jacobian(knots, curves), np.stack(central, 1)
+    assert np.linalg.norm(found - expected) < 0.02 * np.linalg.norm(expected)
+
+
+def test_exposures_under_a_given_curve() -> None:
+    rng = np.random.default_rng(5)
+    truth = curve.gamma()
+    observations, _ = observations_of(truth, EXPOSURES, rng)
+    fit = fit_overlap(doubled(observations), None, len(EXPOSURES), rng, truth)
+    ratio = np.log2(fit.exposures / EXPOSURES[:, None])
+    assert np.abs(ratio - ratio.mean()).max() < 0.05
+    assert fit.response is truth
+
+
+def test_exposures_of_a_walk_are_chained_from_photo_to_photo() -> None:
+    """Each photo overlaps with the next four only, and the light changes by three stops on the way."""
+    rng = np.random.default_rng(12)
+    n_views, overlap = 60, 5
+    exposures = 2.0 ** np.linspace(-1.5, 1.5, n_views)
+    first = np.repeat(np.arange(1 - overlap, n_views), 12)
+    patch = np.repeat(np.arange(len(first)), overlap)
+    view = (first[:, None] + np.arange(overlap)).ravel()
+    kept = (view >= 0) & (view < n_views)
+    patch, view = patch[kept], view[kept]
+    radiance = rng.uniform(0.1, 0.3, (len(first), 3))
+    z = curve.gamma().apply(radiance[patch] * exposures[view, None])
+    walk = observe_off_edges(patch, view, z, rng)
+    fit = fit_overlap(doubled(walk), None, n_views, rng, curve.gamma())
+    off = np.log2(fit.exposures / exposures[:, None])
+    assert np.abs(off - off.mean()).max() < 0.02
+
+
+def test_photos_that_are_known_to_be_of_one_exposure_keep_the_common_curve() -> None:
+    """They cannot tell a curve; without that a power of it fitted as well as the curve itself."""
+    rng = np.random.default_rng(13)
+    common = family.to_response([family.PRIOR_MEAN])
+    observations, _ = observations_of(common, np.ones(8), rng)
+    fit = fit_overlap(doubled(observations), np.full(8, 3.0), 8, rng)
+    assert np.array_equal(fit.response.samples, common.samples)
+    assert fit.exposures == pytest.approx(3.0)
+
+
+# Radiance ------------------------------------------------------------------------------------------------------------
+
+
+def test_radiance_comes_back_through_the_curve() -> None:
+    rng = np.random.default_rng(6)
+    truth = curve.gamma()
+    observations, radiance = observations_of(truth, EXPOSURES, rng)
+    linear = linearise(observations, truth, np.repeat(EXPOSURES[observations.view, None], 3, 1))
+    found = group_radiance(linear, observations.patch, observations.count, len(radiance))
+    assert found.known.all()
+    assert found.radiance == pytest.approx(radiance, rel=0.03)
+
+
+def test_one_view_with_a_highlight_does_not_move_a_patch() -> None:
+    rng = np.random.default_rng(7)
+    observations, radiance = observations_of(curve.gamma(), EXPOSURES, rng)
+    linear = linearise(observations, curve.gamma(), np.repeat(EXPOSURES[observations.view, None], 3, 1))
+    linear.radiance[observations.view == 4] *= 8
+    found = group_radiance(linear, observations.patch, observations.count, len(radiance))
+    off = np.abs(np.log(found.radiance / radiance))
+    assert np.median(off) < 0.12
+
+
+def test_what_every_photo_clips_is_a_lower_bound() -> None:
+    patch, view = np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], np.int16)
+    z = np.array([[1.0] * 3, [1.0] * 3, [0.5] * 3, [1.0] * 3], np.float32)
+    observations = observe_off_edges(patch, view, z, np.random.default_rng(8))
+    linear = linearise(observations, curve.gamma(), np.array([[2.0] * 3, [0.25] * 3])[observations.view])
+    found = group_radiance(linear, observations.patch, observations.count, 2)
+    assert (found.known == [[False] * 3, [True] * 3]).all()
+    assert found.bound == pytest.approx(np.full((2, 3), 4.0))
+    assert found.radiance[0] == pytest.approx(4.0)
+    assert found.radiance[1] == pytest.approx(((0.5 + 0.5 / 255) ** 2.2) / 2, rel=1e-3)
+
+
+def test_pixels_that_clip_in_the_shortest_exposure_raise_their_patch() -> None:
+    """Half of the pixels of a patch shine twice as much as the others and clip in both exposures; a patch all of
+    whose pixels the short exposure shows is left as it is, however many of the long one clipped."""
+    exposures, truth = np.array([1.0, 8.0]), curve.gamma()
+    radiance = np.array([[0.6, 1.2], [0.4, 0.4]])  # (patches, halves)
+    patch, half, view = (axis.ravel() for axis in np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"))
+    z = truth.apply(np.repeat(np.clip(radiance[patch, half] * exposures[view], 0, 1)[:, None], 3, 1))
+    shown = np.where(z >= 1, 1.0, np.floor(z * 255) / 255).astype(np.float32)
+    # Observations are means of one photo on one patch; halves seen by photos of their own.
+    view = (2 * half + view).astype(np.int16)
+    observations = observe_off_edges(patch, view, shown, np.random.default_rng(0))
+    linear = linearise(observations, truth, np.repeat(np.tile(exposures, 2)[observations.view, None], 3, 1))
+    o, plain = observations, np.ones(len(observations.patch))
+    found = group_radiance(linear, o.patch, o.count, 2)
+    raised = raised_by_clipped(found, linear, o.patch, o.count, plain)
+    assert found.radiance[:, 0] == pytest.approx([0.6, 0.4], rel=0.01)
+    assert raised[:, 0] == pytest.approx([0.8, 0.4], rel=0.01)  # (0.6 + bound 1) / 2 and as it was
+
+
+@pytest.mark.parametrize("exponent", [0.6, 1.0, 1.7])
+def test_photos_cannot_tell_a_power_of_radiance_under_the_raised_response(exponent: float) -> None:
+    rng = np.random.default_rng(0)
+    radiance, view, pixel = rng.uniform(0.05, 1.2, (200, 3)), rng.integers(0, 4, 200), rng.integers(0, 40 * 30, 200)
+    local = LocalExposure(
+        LocalSettings(falloff=1.0), rng.normal(0, 0.2, (4, ROWS, COLUMNS)).astype(np.float32), np.tile([30, 40], (4, 1))
+    )
+    samples = np.stack([np.linspace(0, 1, 1024) ** p for p in (0.4, 0.45, 0.6)])
+    found = Photometry(
+        response=Response(samples, family.FITTED),
+        exposures=rng.uniform(0.5, 1.0, (4, 3)),
+        held_out=0.0,
+        per_channel=True,
+        known_exposures=False,
+        local=local,
+    )
+    raised = found.raised(exponent)
+    assert raised.exponent == exponent
+    z = found.develop(radiance, view, pixel)
+    assert raised.develop(radiance**exponent, view, pixel) == pytest.approx(z, abs=2e-3)
+    both = [p.linearise_pixels(z.astype(np.float32), view, pixel) for p in (found, raised)]
+    open_ = both[0].open & (z > 0.2)
+    assert both[1].radiance[open_] == pytest.approx(both[0].radiance[open_] ** exponent, rel=0.02)
+    assert both[1].bound == pytest.approx(both[0].bound ** exponent)
+
+
+def test_outside_its_table_a_response_holds_its_ends() -> None:
+    exposure = np.array([[-1.0, 0.0, 0.3], [1.0, 7.0, np.nan]])
+    expected = np.interp(exposure, np.linspace(0, 1, 1024), X ** (1 / 2.2))
+    assert np.allclose(curve.gamma().apply(exposure), expected, atol=1e-12, equal_nan=True)
+
+
+def test_observations_are_means_per_patch_and_view() -> None:
+    rng = np.random.default_rng(9)
+    patch, view = rng.integers(0, 20, 3000).astype(np.int32), rng.integers(0, 5, 3000).astype(np.int16)
+    z = rng.random((3000, 3)).astype(np.float32)
+    z[rng.random(3000) < 0.2] = 1.0
+    o = observe_off_edges(patch, view, z, rng)
+    assert (o.patch[o.sample_to_observation] == patch).all() and (o.view[o.sample_to_observation] == view).all()
+    assert (patch[o.sample] == o.patch).all() and (view[o.sample] == o.view).all()
+    rows = (patch == 7) & (view == 3)
+    at = np.flatnonzero((o.patch == 7) & (o.view == 3))[0]
+    assert o.count[at] == rows.sum()
+    assert o.z[at] == pytest.approx(z[rows].mean(0), abs=1e-5)
+    assert o.spread[at] == pytest.approx(z[rows].std(0), abs=1e-4)
+    assert o.saturated[at] == pytest.approx((z[rows] >= SATURATED).mean(0))
+
+
+# Files ---------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rows", [1, 3])
+@pytest.mark.parametrize("kind", ["json", "npy", "txt"])
+def test_curves_are_read_from_files(tmp_path: Path, kind: str, rows: int) -> None:
+    table = np.stack([np.linspace(0, 1, 257) ** (1 / g) for g in (2.2, 1.8, 2.6)])[:rows]
+    path = tmp_path / f"response.{kind}"
+    if kind == "json":
+        path.write_text(json.dumps({"samples": table.tolist() if rows == 3 else table[0].tolist()}))
+    elif kind == "npy":
+        np.save(path, table)
+    else:
+        np.savetxt(path, table.T)
+    response = read_response(path)
+    assert response.samples[-1] == pytest.approx(np.interp(X, np.linspace(0, 1, 257), table[-1]), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["", "not numbers", "1 2 3 4\n5 6 7 8", "0.0\nnan\n1.0", "0\n1\n0.5", "1\n1\n1", "0 0 0\n1 0 1"],
+    ids=repr,
+)
+def test_a_bad_curve_is_refused_by_name(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "curve.txt"
+    path.write_text(content)
+    with pytest.raises(BadInput, match=r"curve\.txt"):
+        read_response(path)
+
+
+@pytest.mark.parametrize("content", ["{}", '{"samples": {"r": 1}}', "[1, 2]", "{"])
+def test_a_bad_response_json_is_refused_by_name(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "response.json"
+    path.write_text(content)
+    with pytest.raises(BadInput, match=r"response\.json"):
+        read_response(path)
+
+
+def test_an_empty_or_missing_table_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "curve.npy").write_bytes(b"")
+    for name in ("curve.npy", "nothing.npy"):
+        with pytest.raises(BadInput, match=name):
+            read_response(tmp_path / name)

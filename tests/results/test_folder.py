@@ -1,0 +1,308 @@
+from __future__ import annotations
+
+import errno
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from iris_addon.base import images as imaging
+from iris_addon.base.errors import BadInput, IrisError
+from iris_addon.base.files import from_ranges, plain, to_ranges
+from iris_addon.model.local_exposure import LocalSettings
+from iris_addon.model.recovered import Backdrop
+from iris_addon.model.response import Response, gamma
+from iris_addon.results.files import WHOLE, complete_save
+from iris_addon.results.folder import load_result, save_result
+from iris_addon.results.result import Result
+from tests.result_room import room
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def saved(tmp_path):
+    save_result(room(), tmp_path / "r")
+    return tmp_path / "r"
+
+
+def test_round_trip_reproduces_the_result(tmp_path):
+    result = room()
+    save_result(result, tmp_path)
+    loaded = load_result(tmp_path)
+
+    assert np.array_equal(loaded.mesh.vertices, result.mesh.vertices)
+    assert np.array_equal(loaded.mesh.faces, result.mesh.faces)
+    assert np.allclose(loaded.mesh.uv, result.mesh.uv, atol=1e-7, rtol=0) and loaded.mesh.uv.dtype == np.float32
+    assert loaded.mesh.regions is None
+    assert np.array_equal(loaded.regions, result.regions)
+    for mine, yours in zip(result.emitters, loaded.emitters, strict=True):
+        assert (mine.id, mine.area, mine.confidence) == (yours.id, yours.area, yours.confidence)
+        assert np.array_equal(mine.faces, yours.faces) and np.array_equal(mine.radiance, yours.radiance)
+    assert np.array_equal(loaded.outside.sh, result.outside.sh)
+    assert np.array_equal(loaded.response.samples, result.response.samples)
+    assert loaded.response.family == "gamma" and loaded.response.coefficients == result.response.coefficients
+    assert loaded.exposures.keys() == result.exposures.keys()
+    assert all(np.array_equal(loaded.exposures[k], result.exposures[k]) for k in result.exposures)
+    assert loaded.report == result.report and loaded.up == result.up
+    assert np.abs(loaded.textures.base_color - result.textures.base_color).max() <= 2**-11  # half precision in [0, 1]
+    for name in ("roughness", "metallic", "confidence"):
+        assert np.abs(getattr(loaded.textures, name) - getattr(result.textures, name)).max() <= 0.51 / 65535
+
+
+def with_backdrop() -> Result:
+    """A room before a tetrahedron that reflects."""
+    corners = np.array([[-3.0, -3, -3], [5, 0, 0], [0, 5, 0], [0, 0, 5 + 1 / 3]])
+    picture, albedo = np.random.default_rng(5).random((2, 8, 16, 3)).astype(np.float32)
+    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
+    return replace(room(), backdrop=Backdrop(corners, faces, picture, albedo))
+
+
+def test_a_backdrop_survives_and_goes_with_its_result(tmp_path):
+    result = with_backdrop()
+    save_result(result, tmp_path)
+    loaded = load_result(tmp_path).backdrop
+    assert np.array_equal(loaded.vertices, result.backdrop.vertices)
+    assert np.array_equal(loaded.faces, result.backdrop.faces)
+    assert np.abs(loaded.picture - result.backdrop.picture).max() <= 2**-11
+    assert np.abs(loaded.albedo - result.backdrop.albedo).max() <= 2**-11
+    save_result(replace(result, backdrop=replace(result.backdrop, albedo=None)), tmp_path)
+    assert load_result(tmp_path).backdrop.albedo is None and not (tmp_path / "backdrop_albedo.exr").exists()
+    save_result(room(), tmp_path)
+    assert load_result(tmp_path).backdrop is None and not (tmp_path / "backdrop.exr").exists()
+
+
+BACKDROP_DAMAGE = [
+    ("emitters.json", lambda p: _edit(p, lambda c: c["backdrop"]["faces"][0].__setitem__(0, 4))),
+    ("emitters.json", lambda p: _edit(p, lambda c: c["backdrop"]["faces"][0].__setitem__(0, 0.5))),
+    ("emitters.json", lambda p: _edit(p, lambda c: c["backdrop"].update(vertices=[[0, 0, 0]]))),
+    ("backdrop.exr", lambda p: p.unlink()),
+    ("backdrop.exr", lambda p: imaging.write_exr(p, np.zeros((8, 8, 3)))),
+    ("backdrop.exr", lambda p: imaging.write_exr(p, np.full((8, 16, 3), -1.0))),
+    ("backdrop_albedo.exr", lambda p: p.unlink()),
+    ("backdrop_albedo.exr", lambda p: imaging.write_exr(p, np.zeros((4, 8, 3)))),
+    ("backdrop_albedo.exr", lambda p: imaging.write_exr(p, np.full((8, 16, 3), 1.5))),
+]
+
+
+@pytest.mark.parametrize(("name", "damage"), BACKDROP_DAMAGE)
+def test_a_damaged_backdrop_is_bad_input_that_names_the_file(tmp_path, name, damage):
+    save_result(with_backdrop(), tmp_path)
+    damage(tmp_path / name)
+    with pytest.raises(BadInput) as caught:
+        load_result(tmp_path)
+    assert str(tmp_path / name) in str(caught.value)
+
+
+def test_channels_of_the_response_and_regions_of_the_file_survive(tmp_path):
+    curve = np.stack([gamma(g).samples[0] for g in (0.4, 0.5, 0.6)])
+    result = room(outside=False, response=Response(curve, "power-spline", (0.1, 0.2)))
+    result = replace(result, mesh=replace(result.mesh, regions=np.arange(12, dtype=np.int32)))
+    result = replace(result, local=LocalSettings(strength=0.3, scale=0.05, headroom=2.0, falloff=0.1))
+    save_result(result, tmp_path)
+    loaded = load_result(tmp_path)
+    assert loaded.local == result.local
+    assert np.array_equal(loaded.response.samples, curve)
+    assert loaded.outside is None
+    assert np.array_equal(loaded.mesh.regions, result.mesh.regions)
+
+
+def test_other_programs_read_the_glb_with_faces_in_order_and_up_turned(saved):
+    mesh = trimesh.load(saved / "materials" / "mesh.glb", process=False).to_geometry()
+    result = room()
+    corners = result.mesh.vertices[result.mesh.faces]
+    assert np.allclose(mesh.vertices[mesh.faces], corners, atol=1e-6)  # up is +y already, so nothing turns
+    assert np.allclose(mesh.visual.uv[mesh.faces], result.mesh.uv, atol=1e-6)
+
+    save_result(replace(result, up=(0.0, 0.0, 1.0)), saved)
+    turned = trimesh.load(saved / "materials" / "mesh.glb", process=False).to_geometry()
+    assert np.allclose(turned.vertices[turned.faces][..., 1], corners[..., 2], atol=1e-6)
+
+
+def test_emission_picture_shows_each_lamp_where_its_faces_are(saved):
+    emission = imaging.read_exr(saved / "materials" / "emission.exr")
+    side = len(emission)
+    uv = room().mesh.uv
+    for emitter in room().emitters:
+        for face in emitter.faces:
+            u, v = uv[face].mean(0)
+            assert np.allclose(emission[int((1 - v) * side), int(u * side)], emitter.radiance, rtol=1e-3)
+    u, v = uv[6].mean(0)
+    assert not emission[int((1 - v) * side), int(u * side)].any()
+
+
+def test_an_injected_reader_is_the_only_one_used(saved, monkeypatch):
+    def reader(path: Path) -> np.ndarray:  # three channels for everything, as Blender gives
+        return np.full((16, 16, 3), 0.25, np.float32)
+
+    monkeypatch.setattr(imaging, "read_exr", None)
+    monkeypatch.setattr(imaging, "read_map", None)
+    loaded = load_result(saved, reader)
+    assert loaded.textures.base_color.shape == (16, 16, 3)
+    assert loaded.textures.roughness.shape == (16, 16) and (loaded.textures.roughness == 0.25).all()
+
+
+def test_a_full_disk_leaves_the_earlier_result_untouched(saved, monkeypatch):
+    before = {p: p.read_bytes() for p in saved.rglob("*") if p.is_file()}
+
+    def full(*_args, **_kwargs):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("iris_addon.results.folder.encode_glb", full)
+    with pytest.raises(IrisError, match=r"No space left.*free some space") as caught:
+        save_result(room(seed=1), saved)
+    assert caught.value.exit_code == 1
+    assert {p: p.read_bytes() for p in saved.rglob("*") if p.is_file()} == before
+
+
+@pytest.mark.parametrize("moved", range(9))
+def test_a_save_killed_while_it_moves_files_is_read_as_the_new_result_and_completed_by_the_next(
+    tmp_path, monkeypatch, moved
+):
+    save_result(with_backdrop(), tmp_path / "r")
+    save_result(room(seed=1), tmp_path / "r" / WHOLE)
+
+    with monkeypatch.context() as patch:
+        left = [os.replace] * moved
+
+        def move(source: Path, target: Path) -> None:
+            if not left:
+                raise KeyboardInterrupt
+            left.pop()(source, target)
+
+        patch.setattr("iris_addon.results.files.os.replace", move)
+        with pytest.raises(KeyboardInterrupt):
+            complete_save(tmp_path / "r")
+    listed = sorted((tmp_path / "r").rglob("*"))
+    loaded = load_result(tmp_path / "r")
+    assert np.array_equal(loaded.outside.sh, room(seed=1).outside.sh) and loaded.backdrop is None
+    assert np.abs(loaded.textures.roughness - room(seed=1).textures.roughness).max() < 1e-4
+    assert sorted((tmp_path / "r").rglob("*")) == listed
+    complete_save(tmp_path / "r")
+    assert not (tmp_path / "r" / WHOLE).exists() and not (tmp_path / "r" / "backdrop.exr").exists()
+    assert np.array_equal(load_result(tmp_path / "r").outside.sh, room(seed=1).outside.sh)
+
+
+SAVES = """
+import sys
+from dataclasses import replace
+from pathlib import Path
+from iris_addon.results.folder import save_result
+from tests.result_room import room
+print("ready", flush=True)
+for number in range(60):
+    result = room(seed=number)
+    save_result(replace(result, report={**result.report, "seed": number}), Path(sys.argv[1]))
+"""
+
+
+def test_a_result_is_read_whole_while_another_process_replaces_it(saved):
+    numbers = {tuple(room(seed=number).outside.sh.ravel()): number for number in range(60)}
+    with subprocess.Popen(
+        [sys.executable, "-c", SAVES, str(saved)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT
+    ) as process:
+        assert process.stdout is not None and process.stdout.readline() == "ready\n"
+        seen = set()
+        while process.poll() is None:
+            loaded = load_result(saved)
+            number = numbers[tuple(loaded.outside.sh.ravel())]
+            assert loaded.report.get("seed", 0) == number
+            assert np.abs(loaded.textures.roughness - room(seed=number).textures.roughness).max() < 1e-4
+            seen.add(number)
+        _, errors = process.communicate()
+    assert process.returncode == 0, errors
+    assert len(seen) > 1
+
+
+def _edit(path: Path, change) -> None:
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(content))
+
+
+DAMAGE = {
+    "report.json": [
+        lambda p: _edit(p, lambda c: c.update(schema_version=99)),
+        lambda p: p.write_text("{"),
+        lambda p: p.write_text("[1]"),
+        lambda p: p.unlink(),
+    ],
+    "response.json": [
+        lambda p: _edit(p, lambda c: c.update(samples=c["samples"][:-1])),
+        lambda p: _edit(p, lambda c: c["samples"].__setitem__(5, float("nan"))),
+        lambda p: _edit(p, lambda c: c["exposures"]["000_0001"].update(factor=["a", 1, 2])),
+        lambda p: _edit(p, lambda c: c.pop("exposures")),
+        lambda p: _edit(p, lambda c: c["local_exposure"].update(strength=1.5)),
+        lambda p: _edit(p, lambda c: c["local_exposure"].update(scale=float("nan"))),
+        lambda p: _edit(p, lambda c: c["local_exposure"].update(falloff="much")),
+    ],
+    "emitters.json": [
+        lambda p: _edit(p, lambda c: c["emitters"][0].update(faces=[[10, 13]])),
+        lambda p: _edit(p, lambda c: c["emitters"][0].update(faces=[[0, 2], [1, 3]])),
+        lambda p: _edit(p, lambda c: c["emitters"][0].update(radiance=[1, -1, 1])),
+        lambda p: _edit(p, lambda c: c["emitters"][0].update(radiance=[1, 1])),
+        lambda p: _edit(p, lambda c: c["emitters"][0].pop("id")),
+        lambda p: _edit(p, lambda c: c["outside"].update(sh=[[1, 2, 3]] * 5)),
+    ],
+    "materials/mesh.glb": [
+        lambda p: p.write_bytes(p.read_bytes()[:-100]),
+        lambda p: p.write_bytes(b"glTF"),
+        lambda p: p.write_bytes(p.read_bytes().replace(b'"faces":3', b'"faces":9')),
+        lambda p: p.write_bytes(p.read_bytes().replace(b'"faces":3', b'"faces":2')),
+        lambda p: p.unlink(),
+    ],
+    "materials/base_color.exr": [
+        lambda p: p.write_bytes(p.read_bytes()[:400]),
+        lambda p: imaging.write_exr(p, np.full((16, 16, 3), np.nan)),
+        lambda p: imaging.write_exr(p, np.zeros((16, 8, 3))),
+        lambda p: p.unlink(),
+    ],
+    "materials/roughness.png": [
+        lambda p: p.write_bytes(p.read_bytes()[:60]),
+        lambda p: imaging.write_png(p, np.zeros((8, 8), np.uint16)),
+        lambda p: p.write_bytes(p.read_bytes()[:16] + b"\x00\x10\x00\x00" * 2 + p.read_bytes()[24:]),
+    ],
+}
+
+
+@pytest.mark.parametrize(("name", "number"), [(name, i) for name, all_ in DAMAGE.items() for i in range(len(all_))])
+def test_damage_is_bad_input_that_names_the_file(saved, name, number):
+    DAMAGE[name][number](saved / name)
+    with pytest.raises(BadInput) as caught:
+        load_result(saved)
+    named = str(saved) if name == "report.json" else str(saved / name)
+    assert named in str(caught.value) and " — " in str(caught.value)
+
+
+def test_ranges_are_compact_and_exact():
+    faces = np.array([7, 1, 2, 3, 9, 10])
+    assert to_ranges(faces) == [[1, 4], [7, 8], [9, 11]]
+    assert np.array_equal(from_ranges(to_ranges(faces), 11, "faces", Path("x")), np.sort(faces))
+    assert from_ranges([], 11, "faces", Path("x")).shape == (0,)
+
+
+def test_plain_leaves_nothing_json_cannot_say():
+    value = {1: np.float32(0.5), "a": (np.nan, np.arange(2)), "p": Path("x") / "y", "i": np.int64(3), "b": np.True_}
+    assert json.loads(json.dumps(plain(value), allow_nan=False)) == {
+        "1": 0.5, "a": [None, [0, 1]], "p": "x/y", "i": 3, "b": True,
+    }  # fmt: skip
+
+
+def test_loading_needs_numpy_alone(saved):
+    code = f"""
+import sys
+for name in ("OpenEXR", "PIL", "torch", "scipy", "trimesh", "embreex", "xatlas"):
+    sys.modules[name] = None
+import numpy as np
+from pathlib import Path
+from iris_addon.results.folder import load_result
+print(len(load_result(Path({str(saved)!r}), lambda path: np.zeros((16, 16, 3), np.float32)).emitters))
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=False)
+    assert run.stdout.strip() == "2", run.stderr

@@ -1,0 +1,184 @@
+"""Which pixels lie on an edge, and what texels on an edge become."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from iris_addon.base.progress import Progress
+from iris_addon.model.capture import Camera
+from iris_addon.rays.tracer import Tracer
+from iris_addon.response.observations import observe
+from iris_addon.surface.mixed_pixels import mixed_pixels, outshone_by
+from iris_addon.surface.primary_rays import trace_pixels
+from iris_addon.textures.bake import TexelAlbedo, pixel_weight
+from iris_addon.textures.principled import DOUBT, with_expected
+from tests.box_room import look_at
+from tests.engine_room import assemble, quad
+
+WALL, TABLE = 0, 1
+
+
+def mixed_picture(quads: list, regions: list[int], stride: int, width: int = 60) -> tuple[np.ndarray, np.ndarray]:
+    """(h, w) which pixels of a lattice are mixed, and the region under each (-1 none), seen from 3 m along -z."""
+    mesh = assemble(quads, regions)
+    assert mesh.regions is not None
+    tracer = Tracer(mesh)
+    camera = Camera(
+        width=width,
+        height=width,
+        fx=width,
+        fy=width,
+        cx=width / 2,
+        cy=width / 2,
+        c2w=look_at(np.array([0, -1e-3, 3.0]), np.zeros(3)),
+    )
+    samples = trace_pixels(tracer, [camera], stride, Progress())
+    mixed, region = np.zeros((2, width, width), int)
+    region -= 1
+    mixed.flat[samples.pixel] = mixed_pixels(tracer, samples, mesh.regions, [camera], stride)
+    region.flat[samples.pixel] = mesh.regions[samples.face]
+    return mixed[::stride, ::stride] > 0, region[::stride, ::stride]
+
+
+def beside_another(region: np.ndarray) -> np.ndarray:
+    """Pixels one of whose eight neighbours within the picture is of another region."""
+    padded = np.pad(region, 1, mode="edge")
+    h, w = region.shape
+    return np.any([padded[i : i + h, j : j + w] != region for i in range(3) for j in range(3)], axis=0)
+
+
+WIDE_WALL = quad([-3, -3, 0], [6, 0, 0], [0, 6, 0])
+
+
+@pytest.mark.parametrize("height", [0.5, 1e-4])
+def test_pixels_around_the_outline_of_another_region_are_mixed_and_no_others(height: float) -> None:
+    """A table before a wall, and a picture that lies almost in it."""
+    mixed, region = mixed_picture([WIDE_WALL, quad([-0.5, -0.4, height], [1, 0, 0], [0, 0.8, 0])], [WALL, TABLE], 1)
+    assert (region == TABLE).sum() > 100 and (mixed == beside_another(region)).all()
+
+
+def test_a_step_within_one_region_is_an_edge() -> None:
+    mixed, _ = mixed_picture([WIDE_WALL, quad([-0.5, -0.4, 0.5], [1, 0, 0], [0, 0.8, 0])], [WALL, WALL], 1)
+    _, region = mixed_picture([WIDE_WALL, quad([-0.5, -0.4, 0.5], [1, 0, 0], [0, 0.8, 0])], [WALL, TABLE], 1)
+    assert (mixed == beside_another(region)).all()
+
+
+def test_a_crease_is_an_edge_and_the_border_of_the_photo_is_none() -> None:
+    roof = [quad([-3, -3, -3], [3, 0, 3], [0, 6, 0]), quad([0, -3, 0], [3, 0, -3], [0, 6, 0])]
+    mixed, _ = mixed_picture(roof, [WALL, WALL], 1)
+    assert mixed[:, 29:31].all() and not mixed[:, :29].any() and not mixed[:, 31:].any()
+
+
+def test_a_plane_seen_at_a_grazing_angle_has_no_edge_but_its_end() -> None:
+    slope = quad([-3, -3, -30], [6, 0, 0], [0, 3, 29.0])
+    mixed, region = mixed_picture([slope], [WALL], 1)
+    seen = region == WALL
+    assert seen.any() and not seen.all()
+    assert (mixed[seen] == beside_another(region)[seen]).all()
+
+
+@pytest.mark.parametrize("stride", [1, 3])
+def test_a_single_pixel_in_the_corner_of_a_photo_is_mixed(stride: int) -> None:
+    speck = quad([-1.5, 1.47, 0], [0.03, 0, 0], [0, 0.03, 0])
+    mixed, region = mixed_picture([speck], [WALL], stride)
+    assert (region == WALL).sum() == 1 and mixed[region == WALL].all()
+
+
+def test_a_coarse_lattice_asks_the_true_neighbours() -> None:
+    quads = [WIDE_WALL, quad([-0.5, -0.4, 0.5], [1, 0, 0], [0, 0.8, 0])]
+    fine, _ = mixed_picture(quads, [WALL, TABLE], 1, width=120)
+    coarse, _ = mixed_picture(quads, [WALL, TABLE], 3, width=120)
+    assert coarse.any() and (coarse == fine[::3, ::3]).all()
+
+
+def test_a_bar_is_outshone_by_the_window_behind_it_and_nothing_by_what_is_darker_or_its_own_plane() -> None:
+    """The bar before the bright half of a wall; the other half is darker than it."""
+    mesh = assemble([WIDE_WALL, quad([-0.06, -3, 0.5], [0.12, 0, 0], [0, 6, 0])], [WALL, TABLE])
+    assert mesh.regions is not None
+    tracer, size = Tracer(mesh), 60
+    camera = Camera(
+        width=size,
+        height=size,
+        fx=size,
+        fy=size,
+        cx=size / 2,
+        cy=size / 2,
+        c2w=look_at(np.array([0, -1e-3, 3.0]), np.zeros(3)),
+    )
+    samples = trace_pixels(tracer, [camera], 1, Progress())
+    bar, upper = mesh.regions[samples.face] == TABLE, samples.position[:, 1] > 0
+    z = np.where(bar, 0.7, np.where(upper, 1.0, 0.2))[:, None].repeat(3, 1)
+    mixed = mixed_pixels(tracer, samples, mesh.regions, [camera], 1)
+    by = outshone_by(samples, z, mixed, mesh.regions, [camera], 1)
+    assert bar.sum() > 100 and mixed[bar].all()
+    apart = np.abs(samples.position[:, 1]) > 0.1
+    assert (by[bar & upper & apart] >= 0).all() and (by[bar & ~upper & apart] < 0).all()
+    assert not bar[by[bar & (by >= 0)]].any()
+    # Of the wall, the bar outshines what is darker beside it.
+    assert bar[by[~bar & (by >= 0)]].all() and not (by[~bar & upper & apart] >= 0).any()
+
+
+def test_what_a_view_shows_of_a_patch_is_what_its_pixels_off_the_edge_show() -> None:
+    """Two patches of four pixels each, half of the first and all of the second on an edge."""
+    patch, view = np.repeat([0, 1], 4).astype(np.int32), np.zeros(8, np.int16)
+    z = np.repeat(np.array([0.2, 0.2, 1.0, 1.0, 0.4, 0.6, 0.4, 0.6], np.float32)[:, None], 3, 1)
+    mixed = np.arange(8) >= 2
+    pixel = np.array([0, 2, 30, 32, 5, 6, 7, 8], np.int32)  # four corners of a square in a photo 15 wide, and a row
+    o = observe(patch, view, pixel, np.array([15]), z, mixed, False, np.random.default_rng(0))
+    assert o.count.tolist() == [4, 4] and o.sample[0] < 2 and o.pixel[0] == 16 and o.pixel[1] in (6, 7)
+    assert o.z[0] == pytest.approx(0.2, abs=1e-3) and o.z[1] == pytest.approx(0.5)
+    assert o.saturated[0] == pytest.approx(0, abs=2e-3)
+    assert o.spread[1] == pytest.approx(0.1, abs=1e-3)
+
+
+def fused(value: np.ndarray, weight: np.ndarray) -> TexelAlbedo:
+    """A square of texels, all of them seen."""
+    n = len(weight)
+    return TexelAlbedo(np.arange(n), value.astype(np.float32), weight.astype(np.float32))
+
+
+def test_an_edge_takes_the_colour_of_a_plain_region_and_its_neighbours_of_a_textured_one() -> None:
+    """The first column lies on an edge; stripes run across it."""
+    size = 16
+    stripes = np.where(np.arange(size) // 4 % 2, 0.6, 0.2)[:, None] * np.ones((1, size))
+    weight = np.ones((size, size))
+    weight[:, 0] = 1e-3
+    region = np.zeros(size * size, np.int32)
+    for albedo in (np.full((size, size), 0.4), stripes):
+        contaminated = albedo.copy()
+        contaminated[:, 0] = 0.95
+        value = np.repeat(contaminated.reshape(-1, 1), 3, 1)
+        mean = np.full((1, 3), 0.4, np.float32)
+        found = with_expected(fused(value, weight.ravel()), region, mean, size)[:, 0].reshape(size, size)
+        inside = np.arange(size) % 4 % 3 > 0  # rows whose neighbours are of one stripe
+        assert found[inside, 0] == pytest.approx(albedo[inside, 0], abs=0.06)
+        assert found[:, 1:] == pytest.approx(albedo[:, 1:], abs=0.02)
+
+
+def test_an_edge_takes_nothing_from_the_chart_of_another_region_beside_it() -> None:
+    """Two striped regions side by side, the last column of the first one on an edge."""
+    size = 16
+    region = np.repeat((np.arange(size) >= 8)[None], size, 0).astype(np.int32)
+    value = np.where(region == 0, 0.6, 0.1) * np.where(np.arange(size) % 2, 0.7, 1.3)
+    value[:, 7] = 0.95
+    weight = np.where(np.arange(size) == 7, 1e-4, 1.0) * np.ones((size, 1))
+    mean = np.array([[0.6] * 3, [0.1] * 3], np.float32)
+    texels = fused(np.repeat(value.reshape(-1, 1), 3, 1), weight.ravel())
+    found = with_expected(texels, region.ravel(), mean, size)[:, 0].reshape(size, size)
+    assert found[:, 7] == pytest.approx(np.full(size, 0.78), abs=0.05)
+
+
+def test_an_edge_without_good_neighbours_takes_the_colour_of_its_region() -> None:
+    value = np.tile([0.9, 0.9, 0.9], (16, 1))
+    mean = np.array([[0.3, 0.2, 0.1]], np.float32)
+    found = with_expected(fused(value, np.full(16, 1e-4)), np.zeros(16, np.int32), mean, 4)
+    assert found == pytest.approx(np.tile(mean, (16, 1)), abs=0.01)
+
+
+def test_a_rim_that_only_edges_show_stays_in_doubt_however_many_photos_do() -> None:
+    """Head-on, at the usual distance: on an edge of a model, of a scan, and on none."""
+    one, n = np.ones(3), 500
+    mixed, scanned = np.array([True, True, False]), np.array([False, True, False])
+    say = pixel_weight(one, 0.01 * one, np.ones((3, 3)), np.zeros((3, 3)), mixed, scanned, 0.01, 1.0).max(1)
+    assert 0 < n * say[0] < DOUBT < n * say[1] and say[2] > 10 * DOUBT

@@ -1,0 +1,137 @@
+"""Regions of finely cut models and of scans."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from iris_addon.model.capture import Mesh
+from iris_addon.rays.tracer import Tracer
+from iris_addon.surface.primary_rays import PixelSamples
+from iris_addon.surface.regions import SCAN_FACES, split_regions
+from iris_addon.surface.topology import edge_adjacency
+
+SIDE = 110
+assert 2 * (SIDE - 1) ** 2 > SCAN_FACES
+
+
+def _sheet(roughness: float) -> Mesh:
+    """A square metre of many triangles, folded upright at half its length, its vertices off by ``roughness``."""
+    x, y = np.meshgrid(np.linspace(0, 1, SIDE), np.linspace(0, 1, SIDE), indexing="ij")
+    vertices = np.stack([np.minimum(x, 0.5), y, np.maximum(x - 0.5, 0)], -1).reshape(-1, 3)
+    vertices += np.random.default_rng(0).normal(0, roughness, vertices.shape)
+    corner = np.arange(SIDE * SIDE).reshape(SIDE, SIDE)
+    a, b, c, d = corner[:-1, :-1].ravel(), corner[1:, :-1].ravel(), corner[1:, 1:].ravel(), corner[:-1, 1:].ravel()
+    faces = np.concatenate([np.c_[a, b, c], np.c_[a, c, d]])
+    return Mesh(vertices, faces)
+
+
+def _seen(mesh: Mesh) -> tuple[PixelSamples, NDArray[np.float32]]:
+    """Two pixels per face of a photo of stripes: dark for y < 0.5, light beyond, with noise."""
+    tracer = Tracer(mesh)
+    face = np.repeat(np.arange(len(mesh.faces), dtype=np.int32), 2)
+    n = len(face)
+    center = mesh.vertices[mesh.faces].mean(1)[face].astype(np.float32)
+    column = np.zeros(n, np.float32)
+    normal = tracer.normals[face].astype(np.float32)
+    third = np.full((n, 2), 1 / 3, np.float32)
+    samples = PixelSamples(
+        view=np.zeros(n, np.int16),
+        pixel=np.arange(n, dtype=np.int32),
+        face=face,
+        barycentric=third,
+        position=center,
+        normal=normal,
+        direction=normal,
+        footprint=column + 0.01,
+    )
+    level = np.where(center[:, 1] < 0.5, 0.2, 0.7)[:, None]
+    z = level * np.random.default_rng(1).normal(1, 0.02, (n, 3))
+    return samples, z.astype(np.float32)
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.0015])
+def test_a_model_is_split_at_its_folds_and_a_scan_at_its_colours(roughness: float):
+    mesh = _sheet(roughness)
+    samples, z = _seen(mesh)
+    regions, scanned, given = split_regions(mesh, edge_adjacency(mesh), Tracer(mesh).normals, samples, z)
+    assert (scanned == (roughness > 0)).all() and given is None
+    center = mesh.vertices[mesh.faces].mean(1)
+    upright, light = center[:, 2] > 0.005, center[:, 1] > 0.5
+    assert _purity(regions, upright if roughness == 0 else light) > 0.97
+    if roughness == 0:
+        assert _purity(regions, light) < 0.6
+
+
+def test_a_scan_is_split_within_the_pages_of_its_texture():
+    mesh = _sheet(0.0015)
+    center = mesh.vertices[mesh.faces].mean(1)
+    page, light = (center[:, 0] > 0.25).astype(np.int32), center[:, 1] > 0.5
+    paged = Mesh(mesh.vertices, mesh.faces, regions=page)
+    samples, z = _seen(mesh)
+    regions, scanned, given = split_regions(paged, edge_adjacency(mesh), Tracer(mesh).normals, samples, z)
+    assert scanned.all() and _purity(regions, light) > 0.97 and _purity(regions, page == 1) == 1
+    assert given is not None and np.array_equal(given[regions], page)
+    flat = _sheet(0.0)
+    modelled = Mesh(flat.vertices, flat.faces, regions=page)
+    regions, scanned, given = split_regions(modelled, edge_adjacency(flat), Tracer(flat).normals, *_seen(flat))
+    assert not scanned.any() and given is not None and np.array_equal(given[regions], page)
+    upright = flat.vertices[flat.faces].mean(1)[:, 2] > 0.005
+    assert _purity(regions, upright) > 0.97, "one of the pages is folded"
+
+
+def test_what_was_joined_into_one_object_is_taken_apart():
+    """Two sheets a metre apart that the capture calls one region, and one that it calls two."""
+    sheet = _sheet(0.0)
+    n, faces = len(sheet.vertices), len(sheet.faces)
+    third = sheet.vertices[sheet.faces].mean(1)[:, 1] > 0.5
+    mesh = Mesh(
+        np.concatenate([sheet.vertices + [0, 2 * k, 0] for k in range(3)]),
+        np.concatenate([sheet.faces + k * n for k in range(3)]),
+        regions=np.concatenate([np.zeros(2 * faces), 1 + third]).astype(np.int32),
+    )
+    samples, z = _seen(mesh)
+    unseen = samples.take(np.flatnonzero(samples.face < 10))  # no piece between folds is large in the photos
+    split = split_regions(mesh, edge_adjacency(mesh), Tracer(mesh).normals, unseen, z[: len(unseen.face)])
+    assert mesh.regions is not None and split.given is not None
+    assert np.array_equal(split.given[split.regions], mesh.regions)
+    sheets = np.repeat(np.arange(3), faces)
+    assert len(np.unique(split.regions[sheets < 2])) >= 2
+    assert not np.isin(split.regions[sheets == 0], split.regions[sheets == 1]).any()
+    assert len(np.unique(split.regions[sheets == 2])) == 2
+
+
+def _purity(regions: NDArray[np.integer], side: NDArray[np.bool_]) -> float:
+    """Share of the faces that lie on the side on which most of their part does."""
+    return float(np.maximum(np.bincount(regions, side), np.bincount(regions, ~side)).sum() / len(regions))
+
+
+@pytest.mark.parametrize(
+    ("gap", "step_back", "brighter", "one"),
+    [(0.3, 0.0, 1.05, True), (0.3, 0.0, 1.5, False), (0.3, 0.005, 1.0, False), (0.7, 0.0, 1.0, False)],
+)
+def test_pieces_of_one_plane_that_look_alike_across_a_gap_are_one(
+    gap: float, step_back: float, brighter: float, one: bool
+) -> None:
+    """A wall of a metre and a piece of it beyond a strip that the mesh lacks."""
+    wall = _strip(0.0, 1.0, 0.0)
+    piece = _strip(1.0 + gap, 1.2 + gap, step_back)
+    mesh = Mesh(np.vstack([wall.vertices, piece.vertices]), np.vstack([wall.faces, piece.faces + len(wall.vertices)]))
+    samples, z = _seen(mesh)
+    beyond = mesh.vertices[mesh.faces].mean(1)[samples.face, 0] > 1
+    z = np.where(beyond[:, None], 0.4 * brighter, 0.4) * np.random.default_rng(2).normal(1, 0.02, z.shape)
+    split = split_regions(mesh, edge_adjacency(mesh), Tracer(mesh).normals, samples, z.astype(np.float32))
+    assert len(np.unique(split.regions)) == (1 if one else 2)
+    told = Mesh(mesh.vertices, mesh.faces, regions=(mesh.vertices[mesh.faces].mean(1)[:, 0] > 1).astype(np.int32))
+    split = split_regions(told, edge_adjacency(told), Tracer(told).normals, samples, z.astype(np.float32))
+    assert len(np.unique(split.regions)) == 2
+
+
+def _strip(start: float, end: float, height: float) -> Mesh:
+    """A metre high, from ``start`` to ``end`` in x, in triangles of 5 cm."""
+    x, y = np.meshgrid(np.linspace(start, end, round((end - start) / 0.05) + 1), np.linspace(0, 1, 21), indexing="ij")
+    corner = np.arange(x.size).reshape(x.shape)
+    a, b, c, d = corner[:-1, :-1].ravel(), corner[1:, :-1].ravel(), corner[1:, 1:].ravel(), corner[:-1, 1:].ravel()
+    vertices = np.stack([x, y, np.full_like(x, height)], -1).reshape(-1, 3)
+    return Mesh(vertices, np.concatenate([np.c_[a, b, c], np.c_[a, c, d]]))

@@ -1,0 +1,102 @@
+"""The transport cache: the same transport from disk, and no harm from a bad file or a full disk."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from iris_addon.base.errors import IrisError
+from iris_addon.base.progress import Progress
+from iris_addon.model.capture import Capture
+from iris_addon.rays.tracer import Tracer
+from iris_addon.surface.patches import Surface, build_surface
+from iris_addon.surface.primary_rays import trace_pixels
+from iris_addon.transport import cache
+from iris_addon.transport.transport import Transport
+from tests.engine_room import Room, cameras, furnished_room
+
+
+class Scene:
+    def __init__(self, folder: Path) -> None:
+        self.room: Room = furnished_room(np.inf)
+        self.capture = Capture(name="room", root=folder, views=(), val_views=(), mesh=self.room.mesh)
+        self.tracer = Tracer(self.room.mesh)
+        samples = trace_pixels(self.tracer, cameras(4, 20, 15), 1, Progress())
+        self.surface: Surface = build_surface(self.room.mesh, samples, self.room.regions, 500, np.random.default_rng(0))
+
+    def transport(self, n_rays: int = 16, seed: int = 0) -> Transport:
+        rng = np.random.default_rng(seed)
+        return cache.cached_transport(
+            self.capture, self.tracer, self.surface, self.room.regions, n_rays, seed, rng, Progress()
+        )
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("IRIS_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def scene(folder: Path) -> Scene:
+    return Scene(folder)
+
+
+def same(a: object, b: object) -> bool:
+    if is_dataclass(a):
+        return all(same(getattr(a, field.name), getattr(b, field.name)) for field in fields(a))
+    if isinstance(a, tuple):
+        return all(same(x, y) for x, y in zip(a, b, strict=True))  # type: ignore[arg-type]
+    return np.array_equal(a, b) and getattr(a, "dtype", None) == getattr(b, "dtype", None)  # type: ignore[arg-type]
+
+
+def test_the_second_time_no_ray_is_traced(scene: Scene) -> None:
+    first = scene.transport()
+    traced = scene.tracer.rays_traced
+    assert same(first, scene.transport())
+    assert scene.tracer.rays_traced == traced
+
+
+def test_other_rays_or_seeds_are_other_entries(scene: Scene, folder: Path) -> None:
+    scene.transport()
+    scene.transport(seed=1)
+    scene.transport(n_rays=17)
+    assert len(list(folder.glob("*.npz"))) == 3
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 not an archive", None])
+def test_a_damaged_entry_is_traced_again(scene: Scene, folder: Path, content: bytes | None) -> None:
+    first = scene.transport()
+    path = next(folder.glob("*.npz"))
+    path.write_bytes(path.read_bytes()[:-100] if content is None else content)
+    assert same(first, scene.transport())
+    assert path.stat().st_size > 1000
+
+
+def test_a_disk_that_is_full_costs_only_the_cache(scene: Scene, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(path: Path, _write: object) -> None:
+        raise IrisError("cannot be written (No space left on device)", "free some space and run again", path)
+
+    monkeypatch.setattr(cache, "write_arrays", full)
+    assert scene.transport().n_seen == len(scene.surface.region)
+    assert not list(folder.glob("*"))
+
+
+def test_the_entries_used_last_are_kept(scene: Scene, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cache, "MAX_ENTRIES", 2)
+    scene.transport(seed=0)
+    first = next(folder.glob("*.npz"))
+    scene.transport(seed=1)
+    for path in folder.glob("*.npz"):
+        os.utime(path, (1e9 - (path == first), 1e9 - (path == first)))
+    scene.transport(seed=0)  # the older one, used again
+    scene.transport(seed=2)
+    assert first.exists()
+    assert len(list(folder.glob("*.npz"))) == 2
+    monkeypatch.setattr(cache, "MAX_BYTES", 1)
+    scene.transport(seed=3)
+    assert len(list(folder.glob("*.npz"))) == 1  # the newest always
