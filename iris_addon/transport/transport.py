@@ -218,7 +218,8 @@ def _unseen_patches(
     face = rays.face[row, column]
     point = hit_point[row, column]
     normal = facing_normals(tracer, face, rays.direction[row, column].astype(np.float32))
-    keys = cell_keys(cells(surface.grid.origin, surface.grid.scale, *none), point, normal, regions[face])
+    no_blocks = np.zeros(0, np.uint64), np.zeros(0, np.int8)
+    keys = cell_keys(cells(surface.grid.origin, surface.grid.scale, *no_blocks), point, normal, regions[face])
     groups = group_equal(keys)
     count = groups.count
     kept = np.sort(np.argsort(-count, kind="stable")[:limit])
@@ -229,8 +230,8 @@ def _unseen_patches(
     grid = PatchGrid(
         origin=surface.grid.origin,
         scale=surface.grid.scale,
-        block_keys=np.zeros(0, np.uint64),
-        block_levels=np.zeros(0, np.int8),
+        block_keys=no_blocks[0],
+        block_levels=no_blocks[1],
         cell_keys=groups.keys[kept],
         cell_patches=number,
     )

@@ -132,8 +132,16 @@ def test_what_is_brighter_than_a_surface_can_be_is_seen_through_an_opening(floor
     n, n_faces = scene.transport.n_patches, len(scene.face_emission)
     left = (np.arange(256) < 128)[None, :, None] * np.ones((128, 1, 3))
     beyond = Beyond(shell(np.where(left, 50.0, 0.1)))
-    dark = Lights(emitters=[], radiance=np.zeros((0, 3)), hidden_radiance=np.zeros((0, 3)), log_std=np.zeros(0), form_factors=np.zeros((n, 0, 2), np.float32),
-                  mask=np.zeros(n_faces, bool), irradiance=np.ones((n, 3)), patch_radiance=np.zeros((n, 3)))  # fmt: skip
+    dark = Lights(
+        emitters=[],
+        radiance=np.zeros((0, 3)),
+        hidden_radiance=np.zeros((0, 3)),
+        log_std=np.zeros(0),
+        form_factors=np.zeros((n, 0, 2), np.float32),
+        mask=np.zeros(n_faces, bool),
+        irradiance=np.ones((n, 3)),
+        patch_radiance=np.zeros((n, 3)),
+    )
     problem = SimpleNamespace(tracer=scene.tracer, transport=scene.transport, regions=scene.regions, seed=0)
     surface = as_surface(beyond, problem, dark, Progress())  # type: ignore[arg-type]
     assert surface is not None and surface.albedo is not None
