@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
@@ -23,7 +23,8 @@ from .base.progress import Progress
 from .brdf.diffuse import grazing_gain, schlick
 from .cameras.fit import fit_cameras
 from .capture.exposures import with_unit_mean
-from .config import Refinements, SolveConfig
+from .config import SolveConfig
+from .decide import Decisions
 from .lighting.backdrop import Beyond, fit_backdrop
 from .lighting.candidates import brightness, read_given_emitters
 from .lighting.hidden import HiddenSources, find_hidden, nothing_hidden, through_holes
@@ -81,6 +82,7 @@ def solve(
 
 def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress, resume: bool) -> Result:
     progress.expect(WEIGHTS)
+    decisions = Decisions(asdict(config.refinements))
     checkpoints = Checkpoints(out / "checkpoints", fingerprint(capture, config), resume)
     unit = 1.0
     if config.hdr is None:
@@ -101,7 +103,7 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         )
         transport = replace(transport, device=choose_device(config.device))
         hidden = nothing_hidden(transport)
-        if config.refinements.hidden_light is not False:
+        if not decisions.forbids("hidden_light"):
             pieces = pieces_between_edges(tracer.normals, adjacency, regions)
             # What a scanner saw of a room its photos saw too: what is left are scraps along the borders of both.
             hidden = find_hidden(transport, regions, pieces, photos.samples.seen_faces(len(regions)) | scanned)
@@ -116,13 +118,26 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         arrays = checkpoints.stage("response", lambda: waited_for(aside(measured), progress.check).arrays())
         photometry = Photometry.from_arrays(arrays)
     pose = partial(
-        _problem, capture, config, tracer, photos, split, adjacency, surface, transport, hidden, observations, field
+        _problem,
+        capture,
+        config,
+        tracer,
+        photos,
+        split,
+        adjacency,
+        surface,
+        transport,
+        hidden,
+        observations,
+        field,
+        decisions,
     )
     with progress.stage("lights"):
         posed = aside(partial(pose, photometry))
         problem = waited_for(posed, progress.check)
-        searched = partial(_lights, pose, problem, scanned, photometry, config.refinements, progress)
-        arrays = checkpoints.stage("lights", searched)
+        searched = partial(_lights, pose, problem, scanned, photometry, progress)
+        arrays = checkpoints.stage("lights", lambda: {**searched(), "decisions": decisions.array()})
+        decisions.restore(arrays["decisions"])
         lights, exponent = Lights.from_arrays(arrays), float(arrays["exponent"])
         if exponent != 1.0:
             photometry = photometry.raised(exponent)
@@ -131,7 +146,9 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         problem = problem.with_outside(int(arrays["directions"]), bool(arrays["shown"]))
         write_previews(out, capture, photos.z, photometry, problem, lights)
     with progress.stage("materials"):
-        solved = checkpoints.stage("materials", lambda: _materials(problem, lights, config.rounds, progress))
+        reconciled = partial(_materials, problem, lights, config.rounds, progress)
+        solved = checkpoints.stage("materials", lambda: {**reconciled(), "decisions": decisions.array()})
+        decisions.restore(solved["decisions"])
         lights, gloss = Lights.from_arrays(solved), Gloss.from_arrays(solved)
         problem = problem.with_gloss(gloss)
         write_previews(out, capture, photos.z, photometry, problem, lights)
@@ -146,6 +163,7 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     of_textures = result.report["model"]
     result.report.update(figures)
     result.report["model"] |= of_textures
+    result.report["decisions"] = decisions.report()
     save_result(result, out)
     write_report(result, capture, out, rerenders)
     checkpoints.clear()
@@ -192,17 +210,18 @@ def _problem(
     hidden: HiddenSources,
     observations: Observations,
     field: IrradianceField,
+    decisions: Decisions,
     photometry: Photometry,
 ) -> MaterialProblem:
     exposure = photometry.exposure_at(observations.view, observations.pixel)
     linear = linearise(observations, photometry.response, exposure)
     if not linear.open.all(1).any():
         raise BadInput("every pixel of the photos is clipped in one channel or another", "add darker photos")
-    n, regions, forced = len(surface.region), split.regions, config.refinements
+    n, regions = len(surface.region), split.regions
     angle = schlick(photos.samples.cosine[observations.sample].astype(np.float64))
-    diffuse = choose_diffuse(observations, linear, angle)
+    diffuse = choose_diffuse(observations, linear, angle, decisions)
     beyond = Beyond(None)
-    if forced.hidden_light is not False:
+    if not decisions.forbids("hidden_light"):
         beyond = Beyond(fit_backdrop(photos.beyond, photometry, capture.mesh, capture.views))
     light = LightProblem(
         tracer=tracer,
@@ -219,6 +238,7 @@ def _problem(
         shadow_rays=config.shadow_rays,
         seed=config.seed,
         given=read_given_emitters(config.emitters, tracer.areas) if isinstance(config.emitters, Path) else None,
+        decisions=decisions,
     )
     region = regions[photos.samples.face[observations.sample]]
     view_factor = 1 + grazing_gain(diffuse.lobe, np.array(LEVELS[-1])) * angle
@@ -235,7 +255,6 @@ def _problem(
         specular_rays=config.specular_rays,
         seed=config.seed,
         beyond=beyond,
-        gloss=forced.gloss,
         given=split.given,
     )
     return problem.with_gloss(rough_everywhere(int(regions.max()) + 1))
@@ -246,22 +265,21 @@ def _lights(
     problem: MaterialProblem,
     scanned: NDArray[np.bool_],
     photometry: Photometry,
-    forced: Refinements,
     progress: Progress,
 ) -> dict[str, NDArray]:
     """The lamps, the regions of a scan that turn out to be one material under their light, and the exponent of
     ``photometry`` under which lamps balance where photos leave it open."""
-    exponent, all_directions = 1.0, forced.hidden_light is True
-    light, lights = choose_outside(problem.light, problem.observed, progress, all_directions)
+    exponent, decisions = 1.0, problem.light.decisions
+    light, lights = choose_outside(problem.light, problem.observed, progress)
     material = problem.materials_under(lights, scanned)
     if (material != problem.light.material).any():
         problem = problem.with_materials(material)
-        light, lights = choose_outside(problem.light, problem.observed, progress, all_directions, lights)
-    if photometry.exponent_open and forced.exponent is not False:
+        light, lights = choose_outside(problem.light, problem.observed, progress, lights)
+    if photometry.exponent_open and not decisions.forbids("exponent"):
         exponent = choose_exponent(light, problem.observed, lights, photometry.exponent_error, progress)
     if exponent != 1.0:
         problem = pose(photometry.raised(exponent)).with_materials(material)
-        light, lights = choose_outside(problem.light, problem.observed, progress, all_directions)
+        light, lights = choose_outside(problem.light, problem.observed, progress)
     outside = {"directions": np.array(len(light.hidden.directions)), "shown": np.array(light.hidden.holes is not None)}
     return {**lights.arrays(), **outside, "exponent": np.array(exponent), "material": material}
 

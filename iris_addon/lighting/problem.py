@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..decide import Decisions
 from ..rays.tracer import Tracer
 from ..surface.irradiance import IrradianceField
 from ..surface.patches import Surface
@@ -100,6 +101,7 @@ class LightProblem:
         outshone_by: (n,) sample beside each that may have lent it all its light, -1 for none.
         hidden: unknowns beside the lamps.
         field: neighbourhoods of the seen patches.
+        decisions: where refinements of the light are decided.
         bounce: once materials are known, what glossy surfaces pass on; patches then cast only their diffuse light.
         aimed: rays to bright patches, where there are any, once the light is about known.
         given: faces of the lamps where they are known beforehand, None to search for them.
@@ -119,6 +121,7 @@ class LightProblem:
     field: IrradianceField
     shadow_rays: int
     seed: int
+    decisions: Decisions
     bounce: Bounce | None = None
     aimed: SparseRays | None = None
     given: list[NDArray[np.int64]] | None = None

@@ -42,8 +42,6 @@ FACING = 0.8
 """Cosine between the normal of a screen and those of its faces."""
 MIN_SHARE = 0.15
 """Of the patches within the outline of a screen, those that change and are bright."""
-AGAINST = 0.005
-"""Rise of the held-out loss by which the light of the room speaks against a screen."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +89,8 @@ def with_screens(
     best = solved(lights.emitters, lights)
     for screen in screens:
         tried = solved([*best.emitters, screen], best)
-        if tried.held_out < (1 + AGAINST) * best.held_out:
+        subject = f"screen of {len(screen)} faces"
+        if problem.decisions.accept("screen", best.held_out, tried.held_out, subject=subject):
             best = tried
     return best if len(best.emitters) > len(lights.emitters) else lights
 

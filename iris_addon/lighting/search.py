@@ -27,14 +27,6 @@ from .lamp_radiance import form_factors_of, lamp_of_patch, lights_without_lamps,
 from .problem import LightProblem, Lights
 from .selection import certainty, needed_lamps, same_emitters, solved, with_all_rays, with_silent
 
-OUTSIDE_GAIN = 0.02
-"""Fall of the held-out loss that each step from no light outside to constant to directional must bring."""
-SHOWN_LOSS = 0.1
-"""Rise of that loss at which light through holes that photos show is preferred to light that is fitted: the latter
-also makes up for shadows that are lost with what the mesh lacks."""
-ALONE_GAIN = 0.0025
-"""Fall that directions must bring where there are no lamps, about twice the standard error: that all light of a room
-is the same from everywhere was never likely. Beside lamps, directions would make up for what those get wrong."""
 OPEN_SHARE = 0.15
 """Share of escaping rays from which a mesh is no closed room."""
 SELECTIONS = 2
@@ -66,18 +58,17 @@ def choose_outside(
     problem: LightProblem,
     observed: GroupRadiance,
     progress: Progress,
-    forced: bool = False,
     known: Lights | None = None,
 ) -> tuple[LightProblem, Lights]:
     """Lamps, with as much light from outside the mesh as earns its place: none, constant, by direction, or what photos
     show through its holes.
 
-    Each hypothesis is scored by the light balance of patches that it was not fitted to. A larger one is taken only if
-    it lowers that score by OUTSIDE_GAIN, or ALONE_GAIN; what photos show, of which nothing is unknown, in place of
-    another unless that is better by SHOWN_LOSS. ``forced`` takes all directions at once. The lamps are those of
-    ``known``; without it they are searched for.
+    Each hypothesis is scored by the light balance of patches that it was not fitted to, and :mod:`iris_addon.decide`
+    says what a larger one must earn. Where light from outside is forced, all directions are taken at once. The lamps
+    are those of ``known``; without it they are searched for.
     """
-    directions = len(problem.hidden.directions)
+    directions, decisions = len(problem.hidden.directions), problem.decisions
+    forced = decisions.forces("hidden_light")
     best: tuple[LightProblem, Lights] | None = None
     # A mesh with large holes is not a closed room: without outside light everything in it would seem to glow.
     is_open = float((problem.transport.target == ESCAPED).mean()) > OPEN_SHARE
@@ -89,16 +80,19 @@ def choose_outside(
             lights = find_lights(tried, observed, progress)
         else:
             lights = _with_outside(tried, observed, before, progress)
-        alone = best is not None and bool(best[1].hidden_radiance.any()) and not best[1].emitters
-        gain = ALONE_GAIN if alone else OUTSIDE_GAIN
-        if best is None or lights.held_out < (1 - gain) * best[1].held_out:
+        if best is None:
+            best = tried, lights
+            continue
+        alone = bool(best[1].hidden_radiance.any()) and not best[1].emitters
+        name = "directions_without_lamps" if alone else "outside_light"
+        if decisions.accept(name, best[1].held_out, lights.held_out, subject=f"{count} directions"):
             best = tried, lights
     assert best is not None
     if problem.hidden.holes is not None and not forced:
         shown = replace(problem, hidden=problem.hidden.as_shown())
         lights = _with_outside(shown, observed, best[1], progress)
-        gain = OUTSIDE_GAIN if len(best[0].hidden.directions) == 0 else -SHOWN_LOSS
-        if lights.held_out < (1 - gain) * best[1].held_out:
+        name = "outside_light" if len(best[0].hidden.directions) == 0 else "light_through_holes"
+        if decisions.accept(name, best[1].held_out, lights.held_out, subject="as photos show it"):
             best = shown, lights
     return best
 

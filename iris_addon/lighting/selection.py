@@ -25,15 +25,12 @@ from .problem import LightProblem, Lights
 
 NEGLIGIBLE_POWER = 2e-4
 """Of all the light that enters the room, lamps and outside together."""
-IDLE_LOSS = 0.005
-"""Highest rise of the held-out loss without a lamp that does nothing, per stop it is brighter than photos show."""
 SILENT_EVERY = 4
 """One patch in so many is asked whether a silent part lights it; all are, before a lamp stays."""
 LEAST_ASKED = 4
 """Patches without which nobody is asked: what is left of the room says nothing."""
-SILENT_GAIN, MAX_CLIPPED = 0.01, 8
-"""Fall of the held-out loss by which a region on which photos are silent becomes a lamp, and how many that clip are
-tried."""
+MAX_CLIPPED = 8
+"""Regions that clip in all photos that are tried."""
 GLOWING = 1.25
 """Reflectance it would need from which on such a region emits; below, it is of a light colour."""
 REFLECTED = 1.0
@@ -70,9 +67,11 @@ def with_silent(problem: LightProblem, observed: GroupRadiance, lights: Lights, 
     base = with_lamps(lights.emitters, lights)
     for faces in bright:
         apart = [lamp for lamp in base.emitters if not np.isin(lamp, faces).any()]
-        limit = 1 - SILENT_GAIN if len(apart) == len(base.emitters) else 1 + SILENT_GAIN
+        name = "unconstrained_lamp" if len(apart) == len(base.emitters) else "unconstrained_lamp_in_place"
         tried = with_lamps([*apart, faces], base)
-        if _glows(problem, tried, faces) and tried.held_out < limit * base.held_out:
+        if _glows(problem, tried, faces) and problem.decisions.accept(
+            name, base.held_out, tried.held_out, subject=_named(faces)
+        ):
             base = tried
     return base
 
@@ -164,10 +163,10 @@ def _without_idle(
         kept = [lamp for lamp in left if all(lamp is not other for other in lamps)]
         return solved(problem, observed, [*sure, *kept], lights, progress, say, near=True)
 
-    def idle(tried: Lights, stops: float = 1.0) -> bool:
-        return tried.held_out < (1 + stops * IDLE_LOSS) * lights.held_out
+    def idle(tried: Lights, subject: str, stops: float = 1.0) -> bool:
+        return not problem.decisions.accept("lamp", tried.held_out, lights.held_out, share=stops, subject=subject)
 
-    if sure and left and idle(tried := without(left)):
+    if sure and left and idle(tried := without(left), f"{len(left)} together"):
         return tried
     seen = problem.samples.seen_faces(len(problem.regions))
     for lamp in sorted(left, key=lambda lamp: (not seen[lamp].any(), problem.tracer.areas[lamp].sum())):
@@ -176,9 +175,14 @@ def _without_idle(
         tried = without([lamp])
         radiance = lights.radiance[len(sure) + next(k for k, other in enumerate(left) if other is lamp)]
         dim = not seen[lamp].any() and not _glows(problem, lights, lamp)
-        if dim or idle(tried, _stops_beyond_photos(problem, lamp, radiance)):
+        if dim or idle(tried, _named(lamp), _stops_beyond_photos(problem, lamp, radiance)):
             lights, left = tried, [other for other in left if other is not lamp]
     return lights
+
+
+def _named(faces: NDArray[np.int64]) -> str:
+    """How a decision names a lamp."""
+    return f"lamp of {len(faces)} faces from {int(faces.min())}"
 
 
 def _stops_beyond_photos(problem: LightProblem, lamp: NDArray[np.int64], radiance: NDArray[np.float64]) -> float:
@@ -261,8 +265,6 @@ SHADOW_RAYS = 12
 """From each to a surface."""
 PROMISING = 8
 """Surfaces at most that are tried with care."""
-GAIN = 0.01
-"""Rise of the loss without it from which on a surface is missed, as later with care."""
 DARK = 1e-9
 
 
@@ -306,8 +308,11 @@ def promising(
 
     lamps, all_light = len(lights.emitters), loss(light)
     without = [loss(light - np.outer(theirs[known, k], e)) for k, e in enumerate(balance.radiance[lamps:])]
-    missed = np.array(without) / max(all_light, 1e-12) - 1
-    return [pieces[k] for k in np.argsort(-missed, kind="stable")[:PROMISING] if missed[k] > GAIN]
+    most_missed = np.argsort(-np.array(without), kind="stable")[:PROMISING]
+    accept = problem.decisions.accept
+    return [
+        pieces[k] for k in most_missed if accept("hidden_emitter", without[k], all_light, subject=_named(pieces[k]))
+    ]
 
 
 def _origins(origins: Origins, rows: NDArray[np.integer]) -> Origins:

@@ -20,6 +20,7 @@ from ..base.compiled import kernel
 from ..base.group_by import group_medians
 from ..base.parallel import over_each
 from ..brdf.ggx import DIELECTRIC_F0
+from ..decide import Decisions
 
 WELL_OBSERVED = 2000
 """Observations that regions lend to one at most."""
@@ -249,14 +250,6 @@ MAX_OBSERVATIONS = WELL_OBSERVED
 """Of one region. With a quarter of them large matte walls passed for glossy in one draw and not in the next."""
 ALL_OBSERVATIONS = 500_000
 """Of all regions: each has 88 rays, and thousands of regions would fill the memory. redkitchen has 330,000."""
-ERRORS_NEEDED = 1.5
-"""Standard errors by which a gloss must fit better than the rough dielectric."""
-ERRORS_NEEDED_ALONE = 2.0
-"""The same for a region whose neighbours of like albedo say otherwise: a white frame is polished on a white wall, and
-the wall is matte beside it."""
-METAL_GAIN_NEEDED = 0.135
-"""Relative fall of the robust residual that a metal must bring over the best dielectric: well observed metals bring
-0.16 and more, what is none 0.11 at most."""
 MAX_METAL = 0.95
 """Brightest specular colour."""
 FEW = 90
@@ -369,25 +362,27 @@ class GlossObservations:
     given: NDArray[np.integer] | None = None
 
 
-def fit_gloss(observed: GlossObservations, n_regions: int, forced: bool | None = None) -> Gloss:
+def fit_gloss(observed: GlossObservations, n_regions: int, decisions: Decisions) -> Gloss:
     """Fit every region with enough observations.
 
     Args:
-        forced: True takes the best material however little it gains, False none but the rough dielectric.
+        decisions: where gloss and metal are decided. Gloss that is forced takes the best material however little it
+            gains; where it is forbidden all stay rough dielectrics.
     """
-    gloss = rough_everywhere(n_regions)
-    costs, layered = (None, False) if forced is False else _layered_or_not(observed)
+    gloss, forced = rough_everywhere(n_regions), decisions.forces("gloss")
+    costs, layered = (None, False) if decisions.forbids("gloss") else _layered_or_not(observed)
     if costs is not None:
         for k, (plastic, metal, error, count) in enumerate(zip(*costs.pooled(), strict=True)):
             label, own, own_error = int(costs.ids[k]), costs.plastic[k], costs.error[k]
-            gain_of_metal = 0.0 if forced else (1.0 + FEW / count) * METAL_GAIN_NEEDED
-            if metal.min() < (1 - gain_of_metal) * plastic.min():
+            best, best_alone, subject = _best_traced(plastic), _best_traced(own), f"region {label}"
+            share = 0.0 if forced else 1.0 + FEW / count
+            if decisions.accept("metal", plastic.min(), metal.min(), share=share, subject=subject):
                 _make_metal(gloss, label, metal, costs.colour[k])
-            elif forced or (
-                _shows_highlight(plastic, error, ERRORS_NEEDED) and not _denies_highlight(own, own_error, plastic)
+            elif decisions.accept("gloss", plastic[-1], plastic[best], error[best], subject=subject) and (
+                forced or not decisions.accept("matte_alone", own[best], own[-1], own_error[best], subject=subject)
             ):
                 gloss.roughness[label] = _interpolate_minimum(plastic)
-            elif _shows_highlight(own, own_error, ERRORS_NEEDED_ALONE):
+            elif decisions.accept("gloss_alone", own[-1], own[best_alone], own_error[best_alone], subject=subject):
                 gloss.roughness[label] = _interpolate_minimum(own)
             gloss.decided[label] = True
     return replace(gloss, layered=layered)
@@ -465,18 +460,6 @@ def _make_metal(gloss: Gloss, label: int, cost: NDArray[np.float64], colour: NDA
 def _best_traced(cost: NDArray[np.float64]) -> int:
     """The level that fits best of those whose lobes are narrow enough to be traced: no gloss from sheen alone."""
     return int(np.argmin(cost[: len(FIT_RAYS)]))
-
-
-def _shows_highlight(cost: NDArray[np.float64], error: NDArray[np.float64], errors_needed: float) -> bool:
-    """Whether a gloss fits better than the rough dielectric, and not by chance."""
-    best = _best_traced(cost)
-    return bool(cost[-1] - cost[best] > errors_needed * error[best])
-
-
-def _denies_highlight(own: NDArray[np.float64], error: NDArray[np.float64], pooled: NDArray[np.float64]) -> bool:
-    """Whether a region's own photos are sure against the gloss that it and its neighbours together show."""
-    best = _best_traced(pooled)
-    return bool(own[best] - own[-1] > ERRORS_NEEDED_ALONE * error[best])
 
 
 def _interpolate_minimum(cost: NDArray[np.float64]) -> float:

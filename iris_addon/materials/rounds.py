@@ -50,7 +50,6 @@ class MaterialProblem:
         part: (M,) part of each observation.
         schlick: (M,) Schlick's S of the direction each observation was made from.
         diffuse: the lobe of every diffuse surface.
-        gloss: None lets every region earn its gloss, True takes the best fit, False leaves all rough.
         given: (n_regions,) what of the capture's own regions each is a piece of; None if it brings none.
         beyond: what photos show where the mesh has holes.
     """
@@ -66,7 +65,6 @@ class MaterialProblem:
     specular_rays: int
     seed: int
     beyond: Beyond
-    gloss: bool | None = None
     given: NDArray[np.int32] | None = None
 
     def shading(self, lights: Lights) -> Shading:
@@ -273,4 +271,4 @@ class _GlossFit:
             given=problem.given,
         )
         material = problem.light.material
-        return fit_gloss(observed, len(material), problem.gloss).of_regions(material)
+        return fit_gloss(observed, len(material), problem.light.decisions).of_regions(material)

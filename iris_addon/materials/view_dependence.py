@@ -9,14 +9,13 @@ from numpy.typing import NDArray
 
 from ..base.group_by import group_sums
 from ..brdf.diffuse import grazing_gain
+from ..decide import Decisions
 from ..model.recovered import DiffuseLobe
 from ..response.observations import Observations
 from ..response.photometry import Photometry
 from ..response.radiance import GroupRadiance, Linearised
 from ..surface.photo_samples import PhotoSamples
 
-GAIN_NEEDED = 0.02
-"""Relative fall of the disagreement between views that Burley's lobe must bring over Lambert's."""
 ROBUST_LOG = 0.1
 MIN_PIXELS = 2
 MIN_RADIANCE = 1e-3
@@ -35,7 +34,9 @@ class DiffuseChoice:
         return self if self.lobe == "burley" else DiffuseChoice("layered" if layer else "lambert", self.gain)
 
 
-def choose_diffuse(observations: Observations, linear: Linearised, schlick: NDArray[np.floating]) -> DiffuseChoice:
+def choose_diffuse(
+    observations: Observations, linear: Linearised, schlick: NDArray[np.floating], decisions: Decisions
+) -> DiffuseChoice:
     """The lobe under which the views of each patch agree.
 
     Args:
@@ -50,8 +51,8 @@ def choose_diffuse(observations: Observations, linear: Linearised, schlick: NDAr
     rough = float(grazing_gain("burley", np.array(1.0)))
     lambert = _disagreement(brightness, o.patch, weight)
     burley = _disagreement(brightness - np.log1p(rough * schlick), o.patch, weight)
-    gain = 1 - burley / max(lambert, 1e-9)
-    return DiffuseChoice("burley" if gain > GAIN_NEEDED else "lambert", gain)
+    accepted = decisions.accept("burley", lambert, burley)
+    return DiffuseChoice("burley" if accepted else "lambert", 1 - burley / max(lambert, 1e-9))
 
 
 def _disagreement(brightness: NDArray[np.floating], patch: NDArray[np.integer], weight: NDArray[np.floating]) -> float:

@@ -10,6 +10,7 @@ import pytest
 from iris_addon.base.progress import Progress
 from iris_addon.brdf.ggx import DIELECTRIC_F0, layered_factor, specular_integrals
 from iris_addon.brdf.ggx_sampling import visible_normal_density
+from iris_addon.decide import Decisions
 from iris_addon.lighting.backdrop import Beyond
 from iris_addon.lighting.balance import MAX_ALBEDO
 from iris_addon.materials import gloss as gloss_module
@@ -124,7 +125,7 @@ def fit_floor(scene: Scene, radiance: np.ndarray, rows: np.ndarray, layer: np.nd
         lobes=lobes,
         layer=layer,
     )
-    return fit_gloss(observed, len(scene.room.albedo))
+    return fit_gloss(observed, len(scene.room.albedo), Decisions())
 
 
 def rows_on(scene: Scene, region: int) -> np.ndarray:
@@ -191,7 +192,7 @@ def test_sheen_alone_is_no_gloss(highlight: bool) -> None:
         diffuse=np.ones((len(LEVELS), n)),
         lobes=[[lobe] * 2 for lobe in lobes],
     )
-    assert (fit_gloss(observed, 1).roughness[0] < 1) == highlight
+    assert (fit_gloss(observed, 1, Decisions()).roughness[0] < 1) == highlight
 
 
 @pytest.mark.parametrize("odd_one_is_polished", [True, False])
@@ -216,7 +217,7 @@ def test_a_region_is_not_outvoted_by_neighbours_of_its_colour(odd_one_is_polishe
         diffuse=np.ones((len(LEVELS), 3 * n)),
         lobes=[[lobe] * 2 for lobe in (*lobes, (zero, zero), (zero, zero))],
     )
-    roughness = fit_gloss(observed, 3).roughness
+    roughness = fit_gloss(observed, 3, Decisions()).roughness
     glossy = roughness < 0.6
     assert (glossy == [odd_one_is_polished, *[not odd_one_is_polished] * 2]).all()
     assert (roughness[~glossy] == 1).all()
@@ -242,7 +243,7 @@ def test_pieces_of_one_region_of_the_capture_shine_alike(kin: bool) -> None:
         lobes=[[lobe] * 2 for lobe in (*((zero, highlight) for _ in LEVELS[:-2]), (zero, zero), (zero, zero))],
         given=np.zeros(2, int) if kin else np.arange(2),
     )
-    roughness = fit_gloss(observed, 2).roughness
+    roughness = fit_gloss(observed, 2, Decisions()).roughness
     assert roughness[0] < 0.6
     assert (roughness[1] < 0.6) == kin
 
@@ -266,7 +267,7 @@ def test_gloss_by_chance_alone_is_rare() -> None:
         diffuse=np.ones((len(LEVELS), n)),
         lobes=[[lobe] * 2 for lobe in (*lobes, (zero, zero), (zero, zero))],
     )
-    glossy = fit_gloss(observed, regions).roughness < 1
+    glossy = fit_gloss(observed, regions, Decisions()).roughness < 1
     assert glossy.mean() < 0.2
 
 

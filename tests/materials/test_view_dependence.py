@@ -11,6 +11,7 @@ import pytest
 
 from iris_addon.base.progress import Progress
 from iris_addon.brdf.diffuse import MEAN_SCHLICK, albedo_gain, grazing_gain, schlick, under_lobe
+from iris_addon.decide import Decisions
 from iris_addon.lighting.hidden import nothing_hidden
 from iris_addon.lighting.problem import LightProblem, Lights
 from iris_addon.materials.shading import light_moments
@@ -211,6 +212,6 @@ def test_the_lobe_is_chosen_from_the_views(lobe: str) -> None:
         sample_to_observation=np.arange(m, dtype=np.int32),
     )
     linear = radiance_itself(rgb)
-    chosen = choose_diffuse(observations, linear, s)
+    chosen = choose_diffuse(observations, linear, s, Decisions())
     assert chosen.lobe == lobe
     assert (chosen.gain > 0.2) == (lobe == "burley")

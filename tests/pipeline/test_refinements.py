@@ -13,6 +13,7 @@ from iris_addon.base.errors import BadInput
 from iris_addon.base.files import to_ranges
 from iris_addon.base.progress import Progress
 from iris_addon.config import AUTO, FULL, MINIMAL, Refinements, preset
+from iris_addon.decide import Decisions
 from iris_addon.lighting.candidates import read_given_emitters
 from iris_addon.materials.gloss import LEVELS, GlossObservations, fit_gloss
 from iris_addon.model.capture import Camera
@@ -194,7 +195,7 @@ def test_a_forced_gloss_takes_what_caution_refuses():
         diffuse=np.ones((len(LEVELS), n)),
         lobes=lobes,
     )
-    fits = [fit_gloss(observed, 1, forced) for forced in (None, True, False)]
+    fits = [fit_gloss(observed, 1, Decisions({"gloss": forced})) for forced in (None, True, False)]
     assert fits[0].roughness[0] == 1 and fits[1].roughness[0] < 1 and fits[2].roughness[0] == 1
     assert not fits[2].decided.any()
 

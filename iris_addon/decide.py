@@ -1,0 +1,296 @@
+"""Does a larger model earn its place? One rule, and one table of what every refinement has to earn.
+
+A refinement is a part of the model that a scene may do without. It is fitted to some of the data and judged by a loss
+over data it was not fitted to, with and without it. The rule (equation (34) of docs/design.md): the larger model is
+accepted if
+
+    larger < (1 − share · gain) · smaller − errors · σ
+
+with σ the standard error of the paired difference of the two losses where it is known. ``gain`` and ``errors`` are
+those of the row of :data:`REFINEMENTS`; a negative gain accepts a model that explains slightly less, because it has
+nothing that is unknown. No other module holds a threshold of this kind.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """What one part of the model must earn.
+
+    Attributes:
+        adds: what the larger model has and the smaller one has not.
+        loss: what the two losses measure, and over which data.
+        gain: acceptance gain, the relative fall of the loss that it must bring.
+        errors: standard errors of the paired difference that it must bring beside.
+        experiment: the file of docs/experiments that set the figure.
+    """
+
+    adds: str
+    loss: str
+    gain: float
+    errors: float = 0.0
+    experiment: str = ""
+
+
+BALANCE = "robust deviation of log albedo within regions, over every eighth patch, which the balance is not fitted to"
+OVERLAP = "disagreement of views in display values, over the fifth of the patches that the curve is not fitted to"
+
+REFINEMENTS: Mapping[str, Refinement] = {
+    # ---- cameras
+    "cameras": Refinement(
+        "focal length, principal point and offset common to all photos",
+        "disagreement of photos painted onto the mesh, over pixels beside the fitted ones",
+        gain=0.05,
+        experiment="0013-are-the-cameras-of-a-scan-right",
+    ),
+    "poses": Refinement(
+        "a pose of its own for each photo",
+        "disagreement of local contrast, over the half of the surface points that is not fitted",
+        gain=0.2,
+        experiment="0038-does-each-photo-need-its-own-pose",
+    ),
+    # ---- response
+    "channel_curves": Refinement(
+        "a response curve per colour channel", OVERLAP, gain=0.03, experiment="0004-which-family-for-the-response"
+    ),
+    "local_exposure": Refinement(
+        "local tone mapping or vignetting", OVERLAP, gain=0.05, experiment="0042-can-local-tone-mapping-be-undone"
+    ),
+    "corrected_exposures": Refinement(
+        "exposures, then white balance, per photo in place of the recorded ones",
+        OVERLAP,
+        gain=0.2,
+        experiment="0017-can-wrong-recorded-exposures-be-corrected",
+    ),
+    "white_balance": Refinement(
+        "an exposure factor per channel where exposures are unknown",
+        "median disagreement of views about log radiance",
+        gain=0.1,
+        experiment="0017-can-wrong-recorded-exposures-be-corrected",
+    ),
+    # ---- lighting
+    "outside_light": Refinement(
+        "light from beyond the mesh, constant, then by direction",
+        BALANCE,
+        gain=0.02,
+        experiment="0006-when-is-light-from-outside-modelled",
+    ),
+    # About twice the standard error: that all light of a room is the same from everywhere was never likely. Beside
+    # lamps, directions would make up for what those get wrong.
+    "directions_without_lamps": Refinement(
+        "light from beyond the mesh by direction, in a room without lamps",
+        BALANCE,
+        gain=0.0025,
+        experiment="0006-when-is-light-from-outside-modelled",
+    ),
+    # Fitted light also makes up for shadows that are lost with what the mesh lacks.
+    "light_through_holes": Refinement(
+        "light through holes as photos show it, of which nothing is unknown, in place of fitted light",
+        BALANCE,
+        gain=-0.1,
+        experiment="0081-is-a-hole-a-wall-that-photos-show",
+    ),
+    "lamp": Refinement(
+        "a lamp, or a side of one, that its own pixels do not prove; per stop that it is brighter than they show",
+        BALANCE,
+        gain=0.005,
+        experiment="0032-what-does-choosing-lamps-cost",
+    ),
+    "unconstrained_lamp": Refinement(
+        "a lamp where photos say nothing against one: clipped in all, or shown by none",
+        BALANCE,
+        gain=0.01,
+        experiment="0016-are-overexposed-and-rarely-seen-lamps-lost",
+    ),
+    "unconstrained_lamp_in_place": Refinement(
+        "such a lamp in place of lamps that are pieces of it, at no more unknowns",
+        BALANCE,
+        gain=-0.01,
+        experiment="0016-are-overexposed-and-rarely-seen-lamps-lost",
+    ),
+    "hidden_emitter": Refinement(
+        "a surface that no photo shows as a candidate for a lamp: a first look on few patches and rays",
+        "robust deviation of log albedo with and without its light, the albedo kept",
+        gain=0.01,
+        experiment="0047-can-a-lamp-under-its-shade-be-found",
+    ),
+    # A screen hardly moves the balance; what took the light of a lamp would.
+    "screen": Refinement(
+        "a surface whose picture changes as a lamp",
+        BALANCE,
+        gain=-0.005,
+        experiment="0068-can-a-changing-picture-tell-a-screen",
+    ),
+    # ---- materials
+    "burley": Refinement(
+        "Burley's diffuse lobe in place of Lambert's",
+        "disagreement of views about the log brightness of a patch",
+        gain=0.02,
+        experiment="0011-which-diffuse-lobe",
+    ),
+    "gloss": Refinement(
+        "a roughness below 1, as a region and its like show it together",
+        "robust residual of view dependence, products of two halves of the reflected rays",
+        gain=0.0,
+        errors=1.5,
+        experiment="0037-how-certain-must-a-gain-of-gloss-be",
+    ),
+    # A white frame is polished on a white wall, and the wall is matte beside it.
+    "gloss_alone": Refinement(
+        "a roughness below 1 that a region shows and its like do not",
+        "robust residual of view dependence, of the region alone",
+        gain=0.0,
+        errors=2.0,
+        experiment="0041-when-may-neighbours-outvote-a-region",
+    ),
+    "matte_alone": Refinement(
+        "a rough region among its glossy like",
+        "robust residual of view dependence, of the region alone",
+        gain=0.0,
+        errors=2.0,
+        experiment="0041-when-may-neighbours-outvote-a-region",
+    ),
+    # Well observed metals bring 0.16 and more, what is none 0.11 at most.
+    "metal": Refinement(
+        "a metal in place of the best dielectric; more is needed of few observations",
+        "robust residual of view dependence, products of two halves of the reflected rays",
+        gain=0.135,
+        experiment="0037-how-certain-must-a-gain-of-gloss-be",
+    ),
+}
+"""Every refinement that held-out losses decide, by name."""
+
+LISTED = 40
+"""Decisions of one refinement up to which report.json lists each."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One answer, with the two losses behind it.
+
+    Attributes:
+        refinement: its row in :data:`REFINEMENTS`.
+        smaller, larger: held-out loss without and with it.
+        error: standard error of their paired difference, 0 where it is not known.
+        accepted: whether the larger model stands.
+        forced: whether the configuration said so, whatever the losses say.
+        subject: what it is about where a refinement is decided more than once, such as a lamp or a region.
+    """
+
+    refinement: str
+    smaller: float
+    larger: float
+    error: float
+    accepted: bool
+    forced: bool = False
+    subject: str = ""
+
+
+def accept(name: str, smaller: float, larger: float, error: float = 0.0, share: float = 1.0) -> bool:
+    """Whether the larger model of refinement ``name`` earns its place.
+
+    Args:
+        smaller, larger: held-out loss without and with it, in the same unit. NaN or infinite losses of the larger
+            model are refused.
+        error: standard error of the paired difference, see :func:`paired_error`.
+        share: factor on the acceptance gain, where more is asked of some subjects than of others.
+
+    Example:
+        >>> accept("burley", smaller=1.0, larger=0.9)
+        True
+        >>> accept("burley", smaller=1.0, larger=0.99)
+        False
+    """
+    row = REFINEMENTS[name]
+    return bool(larger < (1.0 - share * row.gain) * smaller - row.errors * error)
+
+
+def paired_error(smaller: NDArray[np.floating], larger: NDArray[np.floating], weight: NDArray[np.floating]) -> float:
+    """Standard error of the weighted mean of ``larger - smaller``, the losses (n,) of the same n held-out observations.
+
+    The losses of one observation under two models have its noise in common, so that their difference is known far
+    better than either (the paired test of Student 1908).
+    """
+    norm = float(weight.sum())
+    if norm <= 0:
+        return 0.0
+    difference = larger - smaller
+    off = weight * (difference - float(weight @ difference) / norm)
+    return float(np.sqrt(off @ off)) / norm
+
+
+class Decisions:
+    """What a solve decided, in order, and what its configuration decided for it.
+
+    Args:
+        forced: refinements that the configuration forces (True) or forbids (False), by name; names that are no row of
+            the table stand for parts of the model that no losses decide.
+    """
+
+    def __init__(self, forced: Mapping[str, bool | None] | None = None) -> None:
+        self._forced = {name: value for name, value in (forced or {}).items() if value is not None}
+        self._made: list[Decision] = []
+
+    def forces(self, name: str) -> bool:
+        """Whether ``name`` is taken whatever it earns."""
+        return self._forced.get(name) is True
+
+    def forbids(self, name: str) -> bool:
+        """Whether ``name`` is left out, so that it need not be tried."""
+        return self._forced.get(name) is False
+
+    def accept(
+        self, name: str, smaller: float, larger: float, error: float = 0.0, share: float = 1.0, subject: str = ""
+    ) -> bool:
+        """:func:`accept`, unless the configuration decides; written down either way."""
+        forced = self._forced.get(name)
+        accepted = accept(name, smaller, larger, error, share) if forced is None else forced
+        self._made.append(
+            Decision(
+                refinement=name,
+                smaller=float(smaller),
+                larger=float(larger),
+                error=float(error),
+                accepted=accepted,
+                forced=forced is not None,
+                subject=subject,
+            )
+        )
+        return accepted
+
+    def report(self) -> list[dict[str, Any]]:
+        """For report.json: decisions with their two losses and what was needed, in the order they were made.
+
+        A refinement decided for more than :data:`LISTED` subjects, as gloss is for the regions of a scan, has one entry
+        with their number and their mean losses.
+        """
+        entries: list[dict[str, Any]] = []
+        for name in dict.fromkeys(made.refinement for made in self._made):
+            row, made = REFINEMENTS[name], [each for each in self._made if each.refinement == name]
+            needed = {"gain_needed": row.gain, "errors_needed": row.errors}
+            if len(made) <= LISTED:
+                entries += [{**asdict(each), **needed} for each in made]
+                continue
+            losses = np.array([(each.smaller, each.larger, each.error) for each in made])
+            means = dict(zip(("smaller", "larger", "error"), losses.mean(0).tolist(), strict=True))
+            accepted = sum(each.accepted for each in made)
+            entries.append({"refinement": name, "subjects": len(made), "accepted": accepted, **means, **needed})
+        return entries
+
+    def array(self) -> NDArray[np.str_]:
+        """All decisions so far as text, for a checkpoint."""
+        return np.array(json.dumps([asdict(made) for made in self._made]))
+
+    def restore(self, array: NDArray[np.str_]) -> None:
+        """Take the decisions of a checkpoint, those before it included, in place of one's own; inverse of
+        :meth:`array`."""
+        self._made = [Decision(**content) for content in json.loads(str(array))]
