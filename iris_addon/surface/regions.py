@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 from ..base.group_by import group_equal, group_means, group_medians, group_sums
 from ..model.capture import Mesh
 from .primary_rays import PixelSamples
-from .topology import component_labels, pieces_between_edges, smooth_edges
+from .topology import component_labels, smooth_components, smooth_edges
 
 SCAN_FACES = 20_000
 """A component with so many faces and so large a share of the pixels is a scan, not a modelled object."""
@@ -39,18 +39,18 @@ PIECE_SHARE = 0.01
 """Share of all pixels from which a piece between sharp edges is a region of its own."""
 
 
-class Split(NamedTuple):
-    """Faces in regions.
+class Regions(NamedTuple):
+    """The faces of a mesh in regions, connected surfaces of one material.
 
     Attributes:
-        regions: (F,) part per face.
-        scanned: (F,) faces of scans.
-        given: (n_regions,) what of the capture's own regions each is a piece of; None if it brings none.
+        of_face: (F,) int32 region of each face, 0 to n_regions - 1.
+        scanned: (F,) bool, faces of scans.
+        in_file: (n_regions,) int32 region of the mesh file that each lies in; None if the file names none.
     """
 
-    regions: NDArray[np.int32]
+    of_face: NDArray[np.int32]
     scanned: NDArray[np.bool_]
-    given: NDArray[np.int32] | None
+    in_file: NDArray[np.int32] | None
 
 
 def split_regions(
@@ -59,7 +59,7 @@ def split_regions(
     normals: NDArray[np.floating],
     samples: PixelSamples,
     z: NDArray[np.floating],
-) -> Split:
+) -> Regions:
     """Components, those of each of the capture's own regions where it brings some, the large ones split; without such,
     those that lie in one plane and look alike are one.
 
@@ -81,10 +81,10 @@ def split_regions(
         regions = split_scan(regions, adjacency, normals, samples, log_colour, scanned)
     if mesh.regions is None:
         regions = joined_in_plane(regions, mesh, normals, samples, log_colour, PIECE_SHARE)
-        return Split(np.unique(regions, return_inverse=True)[1].astype(np.int32), scanned, None)
-    given = np.empty(int(regions.max()) + 1, np.int32)
-    given[regions] = mesh.regions
-    return Split(regions, scanned, given)
+        return Regions(np.unique(regions, return_inverse=True)[1].astype(np.int32), scanned, None)
+    in_file = np.empty(int(regions.max()) + 1, np.int32)
+    in_file[regions] = mesh.regions
+    return Regions(regions, scanned, in_file)
 
 
 def scanned_faces(
@@ -111,7 +111,7 @@ def split_creases(
 ) -> NDArray[np.int32]:
     """(F,) regions with the large pieces between sharp edges apart; what is left of a region, or ``scanned``, stays
     one."""
-    piece = pieces_between_edges(normals, adjacency, regions)
+    piece = smooth_components(normals, adjacency, regions)
     pixels = np.bincount(piece[samples.face], minlength=int(piece.max()) + 1)
     large = pixels >= PIECE_SHARE * len(samples.face)
     label = np.where(large[piece] & ~scanned, len(regions) + piece, regions)

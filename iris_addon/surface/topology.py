@@ -57,16 +57,17 @@ def smooth_edges(
     return np.abs((normals[a] * normals[b]).sum(1)) > cosine
 
 
-def pieces_between_edges(
+def smooth_components(
     normals: NDArray[np.floating],
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
     group: NDArray[np.integer] | NDArray[np.bool_],
 ) -> NDArray[np.int32]:
-    """(F,) piece of each face between sharp edges.
+    """(F,) connected component of each face once the mesh is cut along its sharp edges.
 
     Args:
         normals: (F, 3) unit.
-        group: (F,) label that all faces of a piece share.
+        adjacency: pairs of faces that share an edge, see :func:`edge_adjacency`.
+        group: (F,) label that all faces of a component share.
     """
     a, b = adjacency
     joined = smooth_edges(normals, adjacency) & (group[a] == group[b])

@@ -36,6 +36,21 @@ OUTLIER = 0.25
 
 
 @dataclass(frozen=True)
+class PixelAlbedo:
+    """Base colour at the n pixels of all photos.
+
+    Attributes:
+        value: (n, 3) linear Rec.709, 0 to MAX_ALBEDO.
+        weight: (n, 3) statistical weight of each channel, in units of the median one; 0 where clipped.
+        light_error: (n,) standard deviation of the log irradiance that it was divided by.
+    """
+
+    value: NDArray[np.floating]
+    weight: NDArray[np.floating]
+    light_error: NDArray[np.floating]
+
+
+@dataclass(frozen=True)
 class TexelAlbedo:
     """Albedo fused in the texels that some photo shows, neither clipped nor black in one channel at least.
 

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.capture import DEGENERATE_AREA, Mesh
+from ..surface.primary_rays import PixelSamples
 from ..surface.topology import component_labels, edge_adjacency
-from .atlas import covered_texels
+from .atlas import Atlas, covered_texels
 from .packing import pack
 
 FloatArray = NDArray[np.float64]
@@ -38,6 +39,18 @@ OVERLAP_TEXELS = 2
 """Overlaid texels from which a chart is split."""
 FINEST_CHECK = 2048
 """Finest grid, points per side, on which overlaps are looked for."""
+
+
+def atlas_for_photos(mesh: Mesh, samples: PixelSamples, size: int) -> Atlas:
+    """The atlas of ``mesh``, of ``size`` squared texels, with the texel under each pixel of ``samples``.
+
+    Its texture coordinates are the mesh's own, or else new ones whose texels are as large as the pixels of the photos.
+    """
+    uv = mesh.uv
+    if uv is None:
+        density = texel_density_from_footprint(samples.face, samples.footprint, len(mesh.faces))
+        uv = build_atlas(mesh, density, size)
+    return Atlas.of(uv, size, samples.face, samples.barycentric)
 
 
 def texel_density_from_footprint(

@@ -11,7 +11,7 @@ from ..materials.gloss import Gloss
 from ..model.recovered import Textures
 from ..surface.primary_rays import PixelSamples
 from .atlas import Atlas
-from .bake import DIM_ALBEDO, TexelAlbedo, complete_channels, fuse_texels
+from .bake import DIM_ALBEDO, PixelAlbedo, TexelAlbedo, complete_channels, fuse_texels
 from .fill import extend_texels, fill_texels
 from .paint import Paint, find_paint, painted_alike
 
@@ -31,33 +31,31 @@ def make_textures(
     lamps: NDArray[np.bool_],
     gloss: Gloss,
     samples: PixelSamples,
-    albedo: NDArray[np.floating],
-    weight: NDArray[np.floating],
-    light_error: NDArray[np.floating],
+    pixels: PixelAlbedo,
     painted: NDArray[np.bool_],
 ) -> tuple[Textures, NDArray[np.float32], Paint]:
     """Fuse pixels into texels, even out what is paint of one colour, fill what no photo saw.
 
     Args:
         atlas: with the texels of ``samples``.
+        regions: (F,) region of each face.
         lamps: (F,) bool, emitting faces; they reflect nothing.
-        albedo: (n, 3) base colour of each pixel.
-        weight: (n, 3) say of each pixel and channel.
-        light_error: (n,) standard deviation of the log irradiance at each pixel.
+        samples: the n pixels on the mesh.
+        pixels: their base colour.
         painted: (n_regions,) bool, regions that may be of one colour.
 
     Returns:
         The textures, the fused base colour at every pixel (n, 3), and what each region is painted with.
     """
     face, texel, size = atlas.face, atlas.texel, atlas.size
-    fused = fuse_texels(texel, albedo, weight, size * size)
+    fused = fuse_texels(texel, pixels.value, pixels.weight, size * size)
     # By the pixels, not by the faces under texel centres: at a chart's border those lie beyond it.
     region, error = np.empty(size * size, np.int32), np.empty(size * size, np.float32)
-    region[texel], error[texel] = regions[samples.face], light_error
+    region[texel], error[texel] = regions[samples.face], pixels.light_error
     region, error, sure = region[fused.texel], error[fused.texel], fused.weight > DOUBT
     alike = painted_alike(fused.value[sure], error[sure], region[sure], painted)
     kind = alike[region]
-    mean = _region_means(alike[regions[samples.face]], albedo, weight, len(painted)).astype(np.float32)
+    mean = _region_means(alike[regions[samples.face]], pixels, len(painted)).astype(np.float32)
     seen = with_expected(fused, kind, mean, size)
     paint = find_paint(seen[sure], error[sure], kind[sure], painted).of_regions(alike)
     evened, expected = paint.evened(seen, error, region), paint.colour(mean[alike])[regions]
@@ -136,11 +134,10 @@ def _plain(
     return (1 / (1 + (spread / NEIGHBOUR_ERROR) ** 4)).astype(np.float32)
 
 
-def _region_means(
-    region: NDArray[np.integer], albedo: NDArray[np.floating], weight: NDArray[np.floating], n_regions: int
-) -> NDArray[np.float64]:
-    """(n_regions, 3) weighted mean base colour; the overall mean for regions never seen."""
-    norm = group_sums(weight, region, n_regions)
-    total = group_sums(weight * albedo, region, n_regions)
+def _region_means(region: NDArray[np.integer], pixels: PixelAlbedo, n_regions: int) -> NDArray[np.float64]:
+    """(n_regions, 3) weighted mean base colour over the pixels of each region, labelled by ``region`` (n,); the overall
+    mean for regions never seen."""
+    norm = group_sums(pixels.weight, region, n_regions)
+    total = group_sums(pixels.weight * pixels.value, region, n_regions)
     overall = total.sum(0) / np.maximum(norm.sum(0), 1e-9)
     return np.where(norm > 0, total / np.maximum(norm, 1e-12), overall)

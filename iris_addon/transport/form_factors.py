@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -63,7 +64,9 @@ def emitter_form_factors(
     _add_gathered(result, tracer, origins, rays, label, area, n_samples)
     # Lamps and blocks of patches in one go: where either are few, cores would wait.
     generators = rng.spawn(2 * len(emitters))
-    sets = over_each(range(len(emitters)), lambda k: _sets_of_points(tracer, emitters[k], n_samples, generators[2 * k]))
+    points = over_each(
+        range(len(emitters)), lambda k: _EmitterPoints.draw(tracer, emitters[k], n_samples, generators[2 * k])
+    )
     jobs = [
         (k, rows, generator)
         for k in range(len(emitters))
@@ -72,9 +75,7 @@ def emitter_form_factors(
 
     def add(job: tuple[int, slice, np.random.Generator]) -> None:
         k, rows, generator = job
-        _add_sampled(
-            result[rows, k], tracer, *origins.flat(rows), sets[k], float(area[k]), n_rays, n_samples, generator
-        )
+        _add_sampled(result[rows, k], tracer, origins, rows, points[k], n_rays, generator)
 
     over_each(jobs, add, progress.update)
     return result
@@ -109,30 +110,59 @@ def with_schlick(cosine: NDArray[np.floating]) -> NDArray[np.floating]:
     return np.stack([np.ones_like(cosine), schlick(cosine)], -1)
 
 
+@dataclass(frozen=True)
+class _EmitterPoints:
+    """Points spread over one emitter: POINT_SETS sets of ``n_samples``, each spread over it on its own.
+
+    Attributes:
+        position, normal: (POINT_SETS · n_samples, 3) float32 metres, and unit.
+        n_samples: points of each set.
+        area: of the emitter, square metres.
+    """
+
+    position: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    n_samples: int
+    area: float
+
+    @staticmethod
+    def draw(tracer: Tracer, faces: NDArray[np.integer], n_samples: int, rng: np.random.Generator) -> _EmitterPoints:
+        """Points on an emitter of ``faces``.
+
+        Faces are chosen in order of area, and any run of the R2 sequence is evenly spread: so are the points of a set.
+        """
+        cumulative = np.cumsum(tracer.areas[faces])
+        strata = (np.arange(n_samples) + rng.random((POINT_SETS, n_samples))) * (cumulative[-1] / n_samples)
+        pick = faces[np.minimum(np.searchsorted(cumulative, strata, side="right"), len(faces) - 1)]
+        u = r2_sequence(POINT_SETS, n_samples, rng)
+        u = np.where(u.sum(-1, keepdims=True) > 1, 1 - u, u)
+        corner, second, third = np.moveaxis(tracer.corners[pick].astype(np.float32), 2, 0)
+        position = corner + u[..., :1] * (second - corner) + u[..., 1:] * (third - corner)
+        area = float(np.float32(tracer.areas[faces].sum()))
+        return _EmitterPoints(position.reshape(-1, 3), tracer.normals[pick.ravel()], n_samples, area)
+
+
 def _add_sampled(
     column: NDArray[np.float32],
     tracer: Tracer,
-    position: NDArray[np.float32],
-    normal: NDArray[np.float32],
-    per_patch: int,
-    sets: tuple[NDArray[np.float32], NDArray[np.float32]],
-    area: float,
+    origins: Origins,
+    rows: slice,
+    points: _EmitterPoints,
     n_rays: int,
-    n_samples: int,
     rng: np.random.Generator,
 ) -> None:
-    """Add shadow rays from some patches to ``n_samples`` points on one emitter to ``column`` (n, 2).
+    """Add shadow rays from the patches ``rows`` to one emitter to ``column`` (n, 2), its form factors there.
 
     Args:
-        position, normal: (n · per_patch, 3) points on the patches.
-        sets: points on the emitter, as of :func:`_sets_of_points`.
+        n_rays: gather rays of a patch, which may find the emitter as well.
     """
-    shadow = ShadowRays.empty(len(column) * n_samples)
+    shadow = ShadowRays.empty(len(column) * points.n_samples)
     chosen = rng.integers(POINT_SETS, size=len(column))
-    count = _toward_points(position, normal, per_patch, tracer.epsilon, *sets, chosen, n_samples, shadow)
+    ends = points.position, points.normal, chosen, points.n_samples
+    count = _toward_points(*origins.flat(rows), tracer.epsilon, *ends, shadow)
     shadow = rows_of(shadow, slice(count))
     clear = tracer.unoccluded(shadow.start, shadow.along, shadow.length)
-    _add_visible(shadow, clear, area, n_rays, n_samples, column)
+    _add_visible(shadow, clear, points.area, n_rays, points.n_samples, column)
 
 
 class ShadowRays(NamedTuple):
@@ -224,20 +254,3 @@ def _add_visible(
             value = per_area / (n_samples / area + n_rays * per_area)
             column[shadow.row[i], 0] += value
             column[shadow.row[i], 1] += value * grazing(cosine)
-
-
-def _sets_of_points(
-    tracer: Tracer, faces: NDArray[np.integer], n_samples: int, rng: np.random.Generator
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Position and normal, both (POINT_SETS · n_samples, 3), of points spread over an emitter, each set on its own.
-
-    Faces are chosen in order of area, and a run of the R2 sequence is as even as the whole: so are the points of each.
-    """
-    cumulative = np.cumsum(tracer.areas[faces])
-    strata = (np.arange(n_samples) + rng.random((POINT_SETS, n_samples))) * (cumulative[-1] / n_samples)
-    pick = faces[np.minimum(np.searchsorted(cumulative, strata, side="right"), len(faces) - 1)]
-    u = r2_sequence(POINT_SETS, n_samples, rng)
-    u = np.where(u.sum(-1, keepdims=True) > 1, 1 - u, u)
-    corner, second, third = np.moveaxis(tracer.corners[pick].astype(np.float32), 2, 0)
-    position = corner + u[..., :1] * (second - corner) + u[..., 1:] * (third - corner)
-    return position.reshape(-1, 3), tracer.normals[pick.ravel()]

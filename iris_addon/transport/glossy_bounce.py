@@ -100,8 +100,8 @@ def trace_glossy_bounce(
         specular_color: (n_regions, 3) reflectance at normal incidence: 0.04, or a metal's colour.
         glossy: (n_regions,) bool, regions on which paths go on.
     """
-
-    on_glossy = np.append(glossy[regions], False)  # the last for rays that hit nothing
+    on_glossy = np.append(glossy[regions], False)  # the last entry is for rays that hit nothing
+    mirrors = _Mirrors(tracer, transport, regions, roughness, specular_color)
 
     def continued(start: int, origins: Origins, rays: GatherRays) -> SparseRays:
         row, column = entries_of(rays.face, on_glossy)
@@ -111,9 +111,7 @@ def trace_glossy_bounce(
 
         def work(block: slice, rng: np.random.Generator) -> None:
             at = row[block], column[block]
-            weight[block], target[block], face[block] = _continue_rays(
-                tracer, transport, regions, roughness, specular_color, origins, rays, kappa, *at, rng
-            )
+            weight[block], target[block], face[block] = mirrors.continue_rays(origins, rays, kappa, *at, rng)
 
         over_random_blocks(n, BLOCK, work, rng)
         return SparseRays(
@@ -182,40 +180,60 @@ def _arrive(
             weight[i, c] *= factor
 
 
-def _continue_rays(
-    tracer: Tracer,
-    transport: Transport,
-    regions: NDArray[np.int32],
-    roughness: NDArray[np.floating],
-    specular_color: NDArray[np.floating],
-    origins: Origins,
-    rays: GatherRays,
-    kappa: NDArray[np.floating],
-    row: NDArray[np.integer],
-    column: NDArray[np.integer],
-    rng: np.random.Generator,
-) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
-    """Weight (n, 3), patch met and face met (n,) of the gather rays ``row``, ``column`` (n,), gone on."""
-    n, region = len(row), regions[rays.face[row, column]]
-    point = origins.position[row, column % origins.position.shape[1]]
-    along, weight, target = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32), np.empty(n, np.int32)
-    _reflect(
-        point,
-        rays.direction[row, column].astype(np.float32),
-        rays.distance[row, column],
-        tracer.normals,
-        rays.face[row, column],
-        ray_alpha(roughness[region]),
-        specular_color[region],
-        rng.random((n, 2), np.float32),
-        tracer.epsilon,
-        along,
-        weight,
-    )
-    hits = tracer.closest(point, along)
-    leaving = 1 + kappa[row] * rays.schlick_start[row, column]
-    _arrive(
-        point, along, hits.face, hits.distance, transport.grid.lookup, tracer.normals, regions,
-        transport.lobes, leaving, rays.face.shape[1], weight, target,
-    )  # fmt: skip
-    return weight, target, hits.face
+@dataclass(frozen=True)
+class _Mirrors:
+    """The glossy surfaces that gather rays end on, and the room that they reflect.
+
+    Attributes:
+        regions: (F,) region of each face.
+        roughness: (n_regions,) Principled roughness.
+        specular_color: (n_regions, 3) reflectance at normal incidence, linear Rec.709.
+    """
+
+    tracer: Tracer
+    transport: Transport
+    regions: NDArray[np.int32]
+    roughness: NDArray[np.floating]
+    specular_color: NDArray[np.floating]
+
+    def continue_rays(
+        self,
+        origins: Origins,
+        rays: GatherRays,
+        kappa: NDArray[np.floating],
+        row: NDArray[np.integer],
+        column: NDArray[np.integer],
+        rng: np.random.Generator,
+    ) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
+        """Reflect the gather rays ``row``, ``column`` (n,) of ``rays`` (P, R) where they end.
+
+        Args:
+            kappa: (P,) grazing gain of the patches that the rays start from.
+
+        Returns:
+            Weight (n, 3) of the radiance met, and patch and face met (n,).
+        """
+        tracer, transport, regions = self.tracer, self.transport, self.regions
+        n, region = len(row), regions[rays.face[row, column]]
+        point = origins.position[row, column % origins.position.shape[1]]
+        along, weight, target = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32), np.empty(n, np.int32)
+        _reflect(
+            point,
+            rays.direction[row, column].astype(np.float32),
+            rays.distance[row, column],
+            tracer.normals,
+            rays.face[row, column],
+            ray_alpha(self.roughness[region]),
+            self.specular_color[region],
+            rng.random((n, 2), np.float32),
+            tracer.epsilon,
+            along,
+            weight,
+        )
+        hits = tracer.closest(point, along)
+        leaving = 1 + kappa[row] * rays.schlick_start[row, column]
+        _arrive(
+            point, along, hits.face, hits.distance, transport.grid.lookup, tracer.normals, regions,
+            transport.lobes, leaving, rays.face.shape[1], weight, target,
+        )  # fmt: skip
+        return weight, target, hits.face

@@ -6,7 +6,7 @@ off, found because gather rays ended there. Their radiance is not observed and f
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -56,13 +56,17 @@ class Transport:
     region: NDArray[np.int32]
     grid: PatchGrid
     kappa: NDArray[np.float64]
-    device: str = "cpu"
     moments: LightMoments | None = None
+    device: str = "cpu"
 
     @property
     def n_patches(self) -> int:
         """All patches, seen and unseen."""
         return self.n_seen + len(self.unseen_target)
+
+    def with_lobes(self, kappa: NDArray[np.floating], moments: LightMoments | None = None) -> Transport:
+        """The same rays between patches of other diffuse lobes: grazing gains (N,), and the moments of their light."""
+        return replace(self, kappa=kappa, moments=moments)
 
     def escaped(self) -> NDArray[np.float64]:
         """(N,) share of each patch's rays that leave the mesh."""
