@@ -1,4 +1,4 @@
-"""Transport on disk, under a hash of what it depends on: the mesh, the cameras, the patches and the sampling."""
+"""Transport cached on disk, under a hash of what it depends on: mesh, regions, patches and sampling."""
 
 from __future__ import annotations
 
@@ -24,11 +24,13 @@ from .transport import Transport, build_transport, choose_device
 
 FORMAT = 4
 MAX_ENTRIES, MAX_BYTES = 6, 4 << 30
+"""Files kept, and bytes of all of them."""
 ABANDONED_SECONDS = 3600
+"""Age from which on an unfinished file is that of a process that was killed."""
 
 
 def cache_folder() -> Path:
-    """Where transport is kept: $IRIS_CACHE, else the user's cache folder."""
+    """The folder of the cache: $IRIS_CACHE, else the user's cache folder."""
     chosen = os.environ.get("IRIS_CACHE")
     return Path(chosen) if chosen else user_cache()
 
@@ -50,7 +52,7 @@ def _cached(room: TracedRoom, config: SolveConfig, rng: np.random.Generator, pro
     path = cache_folder() / f"transport-{_key(room, config)}.npz"
     known = _read(path)
     if known is not None:
-        with suppress(OSError):  # a cache that may only be read still serves
+        with suppress(OSError):  # the cache may be read-only
             os.utime(path)
         return known
     transport = build_transport(room.tracer, room.patches, room.regions.of_face, config.gather_rays, rng, progress)
@@ -59,7 +61,7 @@ def _cached(room: TracedRoom, config: SolveConfig, rng: np.random.Generator, pro
     except IrisError as error:
         # A cache that cannot be written costs time in the next run; it must not cost this one.
         progress.update(1.0, f"transport is not cached: {error}")
-    with suppress(OSError):  # another solve may be tidying up as well
+    with suppress(OSError):  # another solve may prune at the same time
         _prune(path.parent)
     return transport
 
@@ -75,7 +77,7 @@ def _key(room: TracedRoom, config: SolveConfig) -> str:
 
 
 def _prune(folder: Path) -> None:
-    """Keep the entries used last; remove what processes that were killed had begun to write."""
+    """Keep the entries used last; remove unfinished files of processes that were killed."""
     entries = sorted(folder.glob("transport-*.npz"), key=lambda path: path.stat().st_mtime, reverse=True)
     begun = [path for path in folder.glob(".transport-*.npz") if time.time() - path.stat().st_mtime > ABANDONED_SECONDS]
     total = np.cumsum([path.stat().st_size for path in entries])

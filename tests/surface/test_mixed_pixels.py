@@ -12,7 +12,7 @@ from iris_addon.response.observations import observe
 from iris_addon.surface.mixed_pixels import brighter_neighbours, mixed_pixels
 from iris_addon.surface.primary_rays import trace_pixels
 from iris_addon.textures.bake import TexelAlbedo, pixel_weight
-from iris_addon.textures.principled import DOUBT, with_expected
+from iris_addon.textures.principled import EXPECTED_WEIGHT, with_expected
 from tests.box_room import look_at
 from tests.engine_room import assemble, quad
 
@@ -181,4 +181,4 @@ def test_a_rim_that_only_edges_show_stays_in_doubt_however_many_photos_do() -> N
     one, n = np.ones(3), 500
     mixed, scanned = np.array([True, True, False]), np.array([False, True, False])
     say = pixel_weight(one, 0.01 * one, np.ones((3, 3)), np.zeros((3, 3)), mixed, scanned, 0.01, 1.0).max(1)
-    assert 0 < n * say[0] < DOUBT < n * say[1] and say[2] > 10 * DOUBT
+    assert 0 < n * say[0] < EXPECTED_WEIGHT < n * say[1] and say[2] > 10 * EXPECTED_WEIGHT

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from iris_addon.model.capture import Mesh
 from iris_addon.rays.tracer import Tracer
 from iris_addon.surface.primary_rays import PixelSamples
-from iris_addon.surface.regions import SCAN_FACES, split_regions
+from iris_addon.surface.regions import SCAN_MIN_FACES, split_regions
 from iris_addon.surface.topology import edge_adjacency
 
 SIDE = 110
-assert 2 * (SIDE - 1) ** 2 > SCAN_FACES
+assert 2 * (SIDE - 1) ** 2 > SCAN_MIN_FACES
 
 
 def _sheet(roughness: float) -> Mesh:

@@ -13,7 +13,7 @@ from iris_addon.materials.rounds import MaterialProblem
 from iris_addon.model.response import gamma
 from iris_addon.pipeline import solve
 from iris_addon.rays.tracer import Tracer
-from iris_addon.surface.regions import APART, REJOIN_MAX_STEP, Regions, joined_regions
+from iris_addon.surface.regions import REJOIN_MAX_DIFFERENCE, REJOIN_MAX_STEP, Regions, joined_regions
 from iris_addon.surface.topology import edge_adjacency
 from tests.engine_room import SIZE, assemble, cameras, furnished_room, photograph, quad, render
 
@@ -55,7 +55,7 @@ def test_a_step_in_one_channel_is_a_step() -> None:
 
 def test_small_steps_do_not_add_up_to_another_paint() -> None:
     """Every strip is as bright as the next at their border, but the last is far from the first."""
-    slope = 0.8 * APART / WIDTH
+    slope = 0.8 * REJOIN_MAX_DIFFERENCE / WIDTH
     found = joined(slope * MIDDLE[:, 0])
     assert len(found) > 1
     assert all(len(strips) <= 3 for strips in found)
