@@ -7,56 +7,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
-import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from .base.errors import BadInput
 from .base.files import require_own_folder
 from .base.parallel import aside, waited_for
 from .base.progress import Progress
-from .brdf.diffuse import grazing_gain, schlick
 from .cameras.fit import fit_cameras
 from .capture.exposures import with_unit_mean
 from .config import SolveConfig
 from .decide import Decisions
-from .lighting.backdrop import Beyond, fit_backdrop
-from .lighting.candidates import brightness, read_given_emitters
-from .lighting.hidden import HiddenSources, find_hidden, nothing_hidden, through_holes
-from .lighting.problem import LightProblem, Lights
-from .lighting.search import choose_exponent, choose_outside
-from .materials.gloss import LEVELS, Gloss, rough_everywhere
-from .materials.rounds import MaterialProblem, solve_materials
-from .materials.view_dependence import choose_diffuse, mirrored_radiance
-from .model.capture import Capture, Mesh
+from .lighting.hidden import find_hidden, nothing_hidden
+from .materials.first_lights import FirstLights, find_first_lights, pose_problem
+from .materials.rounds import solve_materials
+from .materials.solution import Solution
+from .model.capture import Capture
 from .rays.tracer import Tracer
-from .response.observations import Observations, observe
+from .response.observations import observe
 from .response.photometry import Photometry, measure_photometry
-from .response.radiance import group_radiance, linearise
-from .results.assembly import make_result, report_figures
-from .results.checkpoints import Checkpoints, fingerprint, sole_writer
+from .results.assembly import make_result, with_figures
+from .results.checkpoints import Checkpoints, Stage, fingerprint, sole_writer
 from .results.files import require_no_links
 from .results.folder import save_result
 from .results.preview import write_previews
 from .results.report import write_report
 from .results.result import Result
-from .surface.irradiance import IrradianceField
-from .surface.mixed_pixels import mixed_pixels, outshone_by
-from .surface.patches import Surface, build_surface
-from .surface.photo_samples import PhotoSamples, sample_photos
-from .surface.primary_rays import PixelSamples
-from .surface.regions import Split, split_regions
-from .surface.topology import edge_adjacency, pieces_between_edges
-from .textures.atlas import Atlas
-from .textures.charts import build_atlas, texel_density_from_footprint
+from .surface.photo_samples import sample_photos
+from .surface.traced_room import trace_room
+from .textures.charts import atlas_for_photos
 from .transport.cache import cached_transport
-from .transport.transport import Transport, choose_device
 
+Made = TypeVar("Made")
 WEIGHTS = {"photos": 3, "surface": 3, "transport": 8, "response": 6, "lights": 15, "materials": 20, "textures": 20}
 """Expected seconds per stage, for the overall progress bar."""
 
@@ -88,202 +75,59 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     if config.hdr is None:
         views, unit = with_unit_mean(capture.views)
         capture = replace(capture, views=views)
+
+    def cancellable(work: Callable[[], Made]) -> Made:
+        """The result of work that does not check for a cancel itself; a cancel does not wait for its end."""
+        return waited_for(aside(work), progress.check)
+
+    def stage(name: Stage, compute: Callable[[], Mapping[str, NDArray]]) -> dict[str, NDArray]:
+        """The arrays of a stage that may have been finished before, and the decisions made up to its end."""
+        arrays = checkpoints.stage(name, lambda: {**compute(), "decisions": decisions.array()})
+        decisions.restore(arrays.pop("decisions"))
+        return arrays
+
     with progress.stage("photos"):
         tracer = Tracer(capture.mesh)
         capture, cameras = fit_cameras(capture, tracer, config.refinements.poses, config.rng(8), progress)
         photos = sample_photos(capture, tracer, config.hdr is not None, progress)
     with progress.stage("surface"):
-        adjacency = edge_adjacency(capture.mesh)
-        built = aside(lambda: _surface(capture, config, tracer, adjacency, photos))
-        split, photos, surface, field = waited_for(built, progress.check)
-        regions, scanned = split.regions, split.scanned
+        room = cancellable(lambda: trace_room(capture, tracer, photos, config.max_patches, config.rng(1)))
     with progress.stage("transport"):
-        transport = cached_transport(
-            capture, tracer, surface, regions, config.gather_rays, config.seed, config.rng(2), progress
-        )
-        transport = replace(transport, device=choose_device(config.device))
+        transport = cached_transport(room, config, config.rng(2), progress)
         hidden = nothing_hidden(transport)
         if not decisions.forbids("hidden_light"):
-            pieces = pieces_between_edges(tracer.normals, adjacency, regions)
-            # What a scanner saw of a room its photos saw too: what is left are scraps along the borders of both.
-            hidden = find_hidden(transport, regions, pieces, photos.samples.seen_faces(len(regions)) | scanned)
-    seen, widths = photos.samples, photos.small.sizes[:, 1]
-    observations = observe(
-        surface.sample_patch, seen.view, seen.pixel, widths, photos.z, photos.mixed, photos.hdr, config.rng(3)
-    )
-    # Little of this runs on more than one core, and nobody needs it before there are textures.
-    atlas = aside(lambda: _atlas(capture.mesh, seen, config.atlas_size))
+            hidden = find_hidden(transport, room.regions.of_face, room.smooth_components, room.surveyed)
+    patch, seen, widths = room.patches.sample_patch, room.samples, photos.small.sizes[:, 1]
+    observations = observe(patch, seen.view, seen.pixel, widths, photos.z, room.mixed.mask, photos.hdr, config.rng(3))
+    # One core at most, and not needed before there are textures.
+    atlas = aside(lambda: atlas_for_photos(capture.mesh, room.samples, config.atlas_size))
     with progress.stage("response"):
-        measured = partial(measure_photometry, capture, config, observations, photos, config.rng(4))
-        arrays = checkpoints.stage("response", lambda: waited_for(aside(measured), progress.check).arrays())
+        measure = partial(measure_photometry, capture, config, observations, photos, config.rng(4))
+        arrays = stage("response", lambda: cancellable(measure).arrays())
         photometry = Photometry.from_arrays(arrays)
-    pose = partial(
-        _problem,
-        capture,
-        config,
-        tracer,
-        photos,
-        split,
-        adjacency,
-        surface,
-        transport,
-        hidden,
-        observations,
-        field,
-        decisions,
-    )
     with progress.stage("lights"):
-        posed = aside(partial(pose, photometry))
-        problem = waited_for(posed, progress.check)
-        searched = partial(_lights, pose, problem, scanned, photometry, progress)
-        arrays = checkpoints.stage("lights", lambda: {**searched(), "decisions": decisions.array()})
-        decisions.restore(arrays["decisions"])
-        lights, exponent = Lights.from_arrays(arrays), float(arrays["exponent"])
-        if exponent != 1.0:
-            photometry = photometry.raised(exponent)
+        pose = partial(pose_problem, room, transport, hidden, observations, config, decisions)
+        problem = cancellable(lambda: pose(photometry))
+        search = partial(find_first_lights, pose, problem, photometry, room, progress)
+        first = FirstLights.from_arrays(stage("lights", lambda: search().arrays()))
+        if first.exponent != 1.0:
+            photometry = photometry.raised(first.exponent)
             problem = pose(photometry)
-        problem = problem.with_materials(arrays["material"])
-        problem = problem.with_outside(int(arrays["directions"]), bool(arrays["shown"]))
-        write_previews(out, capture, photos.z, photometry, problem, lights)
+        problem = first.settle(problem)
+        write_previews(out, capture, photos.z, photometry, problem, first.lights)
     with progress.stage("materials"):
-        reconciled = partial(_materials, problem, lights, config.rounds, progress)
-        solved = checkpoints.stage("materials", lambda: {**reconciled(), "decisions": decisions.array()})
-        decisions.restore(solved["decisions"])
-        lights, gloss = Lights.from_arrays(solved), Gloss.from_arrays(solved)
-        problem = problem.with_gloss(gloss)
-        write_previews(out, capture, photos.z, photometry, problem, lights)
+        rounds = partial(solve_materials, problem, first.lights, config.rounds, progress)
+        arrays = stage("materials", lambda: Solution(photometry, *rounds()).arrays())
+        solution = Solution.from_arrays(photometry, arrays)
+        problem = problem.with_gloss(solution.gloss)
+        write_previews(out, capture, photos.z, photometry, problem, solution.lights)
     with progress.stage("textures"):
         texels = waited_for(atlas, progress.check)
-        made = aside(lambda: make_result(capture, config, texels, problem, photos, photometry, lights, gloss, progress))
-        result, rerenders = waited_for(made, progress.check)
+        result, rerenders = cancellable(lambda: make_result(room, config, texels, problem, solution, progress))
         result = result.with_exposures_times(unit / photos.unit)
-    figures = report_figures(
-        config, capture, cameras, tracer, surface, transport, photometry, problem, lights, gloss, progress
-    )
-    of_textures = result.report["model"]
-    result.report.update(figures)
-    result.report["model"] |= of_textures
+    result = with_figures(result, room, config, cameras, problem, solution, progress)
     result.report["decisions"] = decisions.report()
     save_result(result, out)
     write_report(result, capture, out, rerenders)
     checkpoints.clear()
     return result
-
-
-def _surface(
-    capture: Capture,
-    config: SolveConfig,
-    tracer: Tracer,
-    adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
-    photos: PhotoSamples,
-) -> tuple[Split, PhotoSamples, Surface, IrradianceField]:
-    """The faces in regions, the photos with the pixels marked that mix surfaces, patches and the field of their
-    neighbours."""
-    split = split_regions(capture.mesh, adjacency, tracer.normals, photos.samples, photos.z)
-    taken_by = [view.camera for view in capture.views]
-    regions = split.regions
-    mixed = mixed_pixels(tracer, photos.samples, regions, taken_by, photos.stride)
-    brighter = outshone_by(photos.samples, photos.z, mixed, regions, taken_by, photos.stride)
-    photos = replace(photos, mixed=mixed, scanned=split.scanned[photos.samples.face], outshone_by=brighter)
-    surface = build_surface(capture.mesh, photos.samples, regions, config.max_patches, config.rng(1))
-    return split, photos, surface, IrradianceField.build(surface)
-
-
-def _atlas(mesh: Mesh, samples: PixelSamples, size: int) -> Atlas:
-    """By the mesh's own texture coordinates, else by new ones with texels as large as the pixels of photos."""
-    uv = mesh.uv
-    if uv is None:
-        density = texel_density_from_footprint(samples.face, samples.footprint, len(mesh.faces))
-        uv = build_atlas(mesh, density, size)
-    return Atlas.of(uv, size, samples.face, samples.barycentric)
-
-
-def _problem(
-    capture: Capture,
-    config: SolveConfig,
-    tracer: Tracer,
-    photos: PhotoSamples,
-    split: Split,
-    adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
-    surface: Surface,
-    transport: Transport,
-    hidden: HiddenSources,
-    observations: Observations,
-    field: IrradianceField,
-    decisions: Decisions,
-    photometry: Photometry,
-) -> MaterialProblem:
-    exposure = photometry.exposure_at(observations.view, observations.pixel)
-    linear = linearise(observations, photometry.response, exposure)
-    if not linear.open.all(1).any():
-        raise BadInput("every pixel of the photos is clipped in one channel or another", "add darker photos")
-    n, regions = len(surface.region), split.regions
-    angle = schlick(photos.samples.cosine[observations.sample].astype(np.float64))
-    diffuse = choose_diffuse(observations, linear, angle, decisions)
-    beyond = Beyond(None)
-    if not decisions.forbids("hidden_light"):
-        beyond = Beyond(fit_backdrop(photos.beyond, photometry, capture.mesh, capture.views))
-    light = LightProblem(
-        tracer=tracer,
-        samples=photos.samples,
-        surface=surface,
-        transport=transport,
-        regions=regions,
-        material=np.arange(int(regions.max()) + 1, dtype=np.int32),
-        adjacency=adjacency,
-        brightness=brightness(observations, linear, n),
-        outshone_by=photos.outshone_by,
-        hidden=replace(hidden, holes=through_holes(transport, beyond)),
-        field=field,
-        shadow_rays=config.shadow_rays,
-        seed=config.seed,
-        given=read_given_emitters(config.emitters, tracer.areas) if isinstance(config.emitters, Path) else None,
-        decisions=decisions,
-    )
-    region = regions[photos.samples.face[observations.sample]]
-    view_factor = 1 + grazing_gain(diffuse.lobe, np.array(LEVELS[-1])) * angle
-    observed = group_radiance(linear, observations.patch, observations.count, n, view_factor=view_factor)
-    problem = MaterialProblem(
-        light=light,
-        observations=observations,
-        linear=linear,
-        mirrored=mirrored_radiance(observations, linear, observed, photos, photometry),
-        observed=observed,
-        region=region,
-        schlick=angle,
-        diffuse=diffuse,
-        specular_rays=config.specular_rays,
-        seed=config.seed,
-        beyond=beyond,
-        given=split.given,
-    )
-    return problem.with_gloss(rough_everywhere(int(regions.max()) + 1))
-
-
-def _lights(
-    pose: Callable[[Photometry], MaterialProblem],
-    problem: MaterialProblem,
-    scanned: NDArray[np.bool_],
-    photometry: Photometry,
-    progress: Progress,
-) -> dict[str, NDArray]:
-    """The lamps, the regions of a scan that turn out to be one material under their light, and the exponent of
-    ``photometry`` under which lamps balance where photos leave it open."""
-    exponent, decisions = 1.0, problem.light.decisions
-    light, lights = choose_outside(problem.light, problem.observed, progress)
-    material = problem.materials_under(lights, scanned)
-    if (material != problem.light.material).any():
-        problem = problem.with_materials(material)
-        light, lights = choose_outside(problem.light, problem.observed, progress, lights)
-    if photometry.exponent_open and not decisions.forbids("exponent"):
-        exponent = choose_exponent(light, problem.observed, lights, photometry.exponent_error, progress)
-    if exponent != 1.0:
-        problem = pose(photometry.raised(exponent)).with_materials(material)
-        light, lights = choose_outside(problem.light, problem.observed, progress)
-    outside = {"directions": np.array(len(light.hidden.directions)), "shown": np.array(light.hidden.holes is not None)}
-    return {**lights.arrays(), **outside, "exponent": np.array(exponent), "material": material}
-
-
-def _materials(problem: MaterialProblem, lights: Lights, rounds: int, progress: Progress) -> dict[str, NDArray]:
-    lights, gloss = solve_materials(problem, lights, rounds, progress)
-    return {**lights.arrays(), **gloss.arrays()}

@@ -19,7 +19,7 @@ from ..model.recovered import Backdrop
 from ..model.sphere import equirect_texels
 from ..rays.tracer import Tracer
 from ..response.photometry import Photometry
-from ..surface.photo_samples import BeyondMesh
+from ..surface.photo_samples import BackdropPixels
 
 MIN_SHARE = 2e-3
 """Share of all pixels from which what lies beyond the mesh is worth a backdrop."""
@@ -34,7 +34,7 @@ ENOUGH = 1e-3
 ROUNDS = 4
 
 
-def fit_backdrop(beyond: BeyondMesh, photometry: Photometry, mesh: Mesh, views: Sequence[View]) -> Backdrop | None:
+def fit_backdrop(beyond: BackdropPixels, photometry: Photometry, mesh: Mesh, views: Sequence[View]) -> Backdrop | None:
     """A shell around mesh and cameras with the radiance of the pixels that miss the mesh; None if hardly any do."""
     if beyond.share < MIN_SHARE:
         return None

@@ -59,30 +59,41 @@ class Balance:
     held_out: float
 
 
+@dataclass(frozen=True)
+class ShadedPatches:
+    """Patches whose radiance and light are compared, P of them.
+
+    Attributes:
+        radiance: (P, 3) diffuse radiance, scene-linear Rec.709; rows with weight 0 are ignored.
+        indirect: (P, 3) ``G L`` (+ outside light), irradiance / pi.
+        form_factors: (P, E) ``B``.
+        region: (P,) region of each patch.
+        weight: (P,) statistical weight, >= 0.
+    """
+
+    radiance: NDArray[np.floating]
+    indirect: NDArray[np.floating]
+    form_factors: NDArray[np.floating]
+    region: NDArray[np.integer]
+    weight: NDArray[np.floating]
+
+
 def solve_balance(
-    radiance: NDArray[np.floating],
-    indirect: NDArray[np.floating],
-    form_factors: NDArray[np.floating],
-    region: NDArray[np.integer],
-    weight: NDArray[np.floating],
+    patches: ShadedPatches,
     evidence: Evidence,
     start: NDArray[np.floating],
     robust_log: float = ROBUST_LOG,
-    near: bool = False,
+    warm_start: bool = False,
 ) -> Balance:
     """Radiance of every emitter from the shading of everything else.
 
     Args:
-        radiance: (P, 3) diffuse radiance of patches; rows with weight 0 are ignored.
-        indirect: (P, 3) ``G L`` (+ outside light), irradiance / pi.
-        form_factors: (P, E) ``B``.
-        part: (P,) part of each patch.
-        weight: (P,) say of each patch, >= 0.
         start: (E, 3) radiance to start from, > 0.
         robust_log: deviation of log albedo at which a patch starts to count as an outlier.
-        near: whether ``start`` is near the solution, so that no other level needs to be tried.
+        warm_start: whether ``start`` is the solution of a similar problem, so that no other level needs to be tried.
     """
-    rows, label, region_ids = _usable(radiance, region, weight)
+    radiance, indirect, form_factors, weight = patches.radiance, patches.indirect, patches.form_factors, patches.weight
+    rows, label, region_ids = _usable(radiance, patches.region, weight)
     n_tied = int(evidence.tie.max()) + 1
     first = np.array([np.flatnonzero(evidence.tie == k)[0] for k in range(n_tied)])
     whole = _Problem(
@@ -98,7 +109,7 @@ def solve_balance(
     tested = np.arange(len(rows)) % HELD_OUT_EVERY == 0
     problem = whole.restrict(~tested)
     log_start = np.log(start[first])
-    guess = _first_guess(problem, log_start, FIRST_LEVELS[:1] if near else FIRST_LEVELS)
+    guess = _first_guess(problem, log_start, FIRST_LEVELS[:1] if warm_start else FIRST_LEVELS)
     unknowns = _minimise(problem, guess, ITERATIONS)
     log_e, log_albedo = problem.split(unknowns)
     return Balance(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,7 +11,7 @@ from ..base.progress import Progress
 from ..brdf.diffuse import under_lobe
 from ..response.radiance import GroupRadiance
 from ..transport.form_factors import emitter_form_factors, emitter_of_face
-from .balance import MAX_ALBEDO, Evidence, fitted_patches, noticeable, solve_balance
+from .balance import MAX_ALBEDO, Evidence, ShadedPatches, fitted_patches, noticeable, solve_balance
 from .candidates import tie_fixtures
 from .problem import LightProblem, Lights
 
@@ -28,6 +30,21 @@ WHOLLY_ON = 0.8
 """Quantile of a lamp's patches at which its radiance is read: where its edge or a blind shows too, they are darker."""
 
 
+@dataclass(frozen=True)
+class PatchFit:
+    """How the P seen patches enter the light balance.
+
+    Attributes:
+        weight: (P,) statistical weight, by default :func:`say_of`.
+        diffuse: (P, 3) radiance without its specular part, once materials are known; by default that observed.
+        fit_mask: (P,) bool, patches that are fitted, by default all; the others only help to average noise away.
+    """
+
+    weight: NDArray[np.float64] | None = None
+    diffuse: NDArray[np.float64] | None = None
+    fit_mask: NDArray[np.bool_] | None = None
+
+
 def solve_lights(
     problem: LightProblem,
     observed: GroupRadiance,
@@ -35,10 +52,8 @@ def solve_lights(
     before: Lights,
     progress: Progress,
     form_factors: NDArray[np.float32] | None = None,
-    weight: NDArray[np.float64] | None = None,
-    diffuse: NDArray[np.float64] | None = None,
-    near: bool = False,
-    asked: NDArray[np.bool_] | None = None,
+    fit: PatchFit = PatchFit(),
+    warm_start: bool = False,
 ) -> Lights:
     """Radiance of given emitters.
 
@@ -46,10 +61,8 @@ def solve_lights(
         observed: radiance of the seen patches, which is what they cast on others.
         before: lights of the previous pass, for the light that unseen patches reflect.
         form_factors: ``B`` when it is already known for these emitters.
-        weight: (P,) say of each seen patch, by default :func:`say_of`.
-        diffuse: (P, 3) radiance without its specular part, once materials are known.
-        near: whether the light is about that of ``before``; one pass from there then does.
-        asked: (P,) patches to fit, by default all; the others only help to average noise away.
+        fit: how patches enter the balance.
+        warm_start: whether the light is about that of ``before``, so that one pass from there is enough.
 
     Returns:
         The lights; ``before`` where there is nothing to solve for, or no patch to tell it from.
@@ -64,7 +77,7 @@ def solve_lights(
         form_factors = form_factors_of(problem, emitters, progress)
     hidden = problem.hidden
     on_lamp = patches_on(problem, mask)
-    radiance = _start_radiance(observed, before, on_lamp, patches_on(problem, before.mask) if near else None)
+    radiance = _start_radiance(observed, before, on_lamp, patches_on(problem, before.mask) if warm_start else None)
     radiance[problem.transport.n_seen :] *= _light_kept(problem, before, emitters)[problem.transport.n_seen :]
     evidence = _with_hidden(_lamp_evidence(problem, emitters), before.hidden_radiance)
     kappa = problem.transport.kappa
@@ -74,21 +87,21 @@ def solve_lights(
     all_factors = np.concatenate([direct, under_lobe(hidden.form_factors, kappa)], 1)
     level = noticeable(observed.radiance, all_factors[: problem.transport.n_seen])
     start = _first_finite(evidence.measured, evidence.expected, level)
-    if near:
+    if warm_start:
         known = _columns(emitters, before.emitters)
         start[np.flatnonzero(known >= 0)] = before.radiance[known[known >= 0]]
     usable = observed.known.all(1) & ~on_lamp[: problem.transport.n_seen]
-    say = usable * (say_of(problem, observed) if weight is None else weight)
+    say = usable * (say_of(problem, observed) if fit.weight is None else fit.weight)
     n = problem.transport.n_seen
-    shaded = observed.radiance if diffuse is None else diffuse
+    shaded = observed.radiance if fit.diffuse is None else fit.diffuse
     region = problem.transport.region
-    rows = fitted_patches(shaded, say if asked is None else say * asked)
+    rows = fitted_patches(shaded, say if fit.fit_mask is None else say * fit.fit_mask)
     if not len(rows):
         return before
     # Means over neighbours of one albedo, of both sides of L = a (I + B e) alike, so that the balance holds.
     kernel = problem.field.kernel(NOISE_WIDTH, rows, np.where(say > 0, region[:n], -1))
     smooth_shaded, smooth_factors = (kernel @ values[:n].astype(np.float32) for values in (shaded, all_factors))
-    for known_about in (True,) if near else (False, True):
+    for known_about in (True,) if warm_start else (False, True):
         unknown = mean_radiance(radiance, problem)
         indirect = problem.transport.gather_radiance(radiance, unknown, mask)
         for more in (problem.bounce, problem.aimed):
@@ -96,17 +109,8 @@ def solve_lights(
                 indirect = indirect + more.gather_radiance(radiance, unknown, mask)
         if hidden.holes is not None:
             indirect = indirect + hidden.holes.irradiance(kappa)
-        balance = solve_balance(
-            smooth_shaded,
-            kernel @ indirect[:n],
-            smooth_factors,
-            region[rows],
-            say[rows],
-            evidence,
-            start,
-            problem.robust_log,
-            known_about,
-        )
+        patches = ShadedPatches(smooth_shaded, kernel @ indirect[:n], smooth_factors, region[rows], say[rows])
+        balance = solve_balance(patches, evidence, start, problem.robust_log, known_about)
         start = balance.radiance
         irradiance = indirect + all_factors @ balance.radiance
         albedo = dict(zip(balance.region_ids.tolist(), balance.region_albedo, strict=True))

@@ -98,7 +98,7 @@ class LightProblem:
         material: (n_regions,) label that regions of one material share, and patches have as their part.
         adjacency: pairs of faces that share an edge.
         brightness: how bright each seen patch was.
-        outshone_by: (n,) sample beside each that may have lent it all its light, -1 for none.
+        brighter_neighbour: (n,) pixel beside each mixed one that all its light may come from, -1 for none.
         hidden: unknowns beside the lamps.
         field: neighbourhoods of the seen patches.
         decisions: where refinements of the light are decided.
@@ -116,7 +116,7 @@ class LightProblem:
     material: NDArray[np.int32]
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]]
     brightness: Brightness
-    outshone_by: NDArray[np.int32]
+    brighter_neighbour: NDArray[np.int32]
     hidden: HiddenSources
     field: IrradianceField
     shadow_rays: int

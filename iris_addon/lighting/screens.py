@@ -20,7 +20,7 @@ from ..response.observations import Observations
 from ..response.radiance import GroupRadiance, Linearised, without_specular
 from ..surface.topology import component_labels
 from .candidates import least_radiance
-from .lamp_radiance import form_factors_of, patches_on, solve_lights
+from .lamp_radiance import PatchFit, form_factors_of, patches_on, solve_lights
 from .problem import LightProblem, Lights
 
 CHANGE = 0.2
@@ -84,7 +84,7 @@ def with_screens(
 
     def solved(emitters: list[NDArray[np.int64]], before: Lights) -> Lights:
         factors = form_factors_of(problem, emitters, progress, known=before)
-        return solve_lights(problem, observed, emitters, before, progress, factors, say, diffuse, near=True)
+        return solve_lights(problem, observed, emitters, before, progress, factors, PatchFit(say, diffuse), True)
 
     best = solved(lights.emitters, lights)
     for screen in screens:

@@ -23,7 +23,15 @@ from .candidates import (
     whole_regions,
     with_gaps_closed,
 )
-from .lamp_radiance import form_factors_of, lamp_of_patch, lights_without_lamps, mean_radiance, patches_on, solve_lights
+from .lamp_radiance import (
+    PatchFit,
+    form_factors_of,
+    lamp_of_patch,
+    lights_without_lamps,
+    mean_radiance,
+    patches_on,
+    solve_lights,
+)
 from .problem import LightProblem, Lights
 from .selection import certainty, needed_lamps, same_emitters, solved, with_all_rays, with_silent
 
@@ -105,7 +113,7 @@ def _with_outside(problem: LightProblem, observed: GroupRadiance, before: Lights
     outside = before.hidden_radiance[0] if refined else mean_radiance(before.patch_radiance, problem)
     # Where there is nothing to solve for, it comes back as it is, and explains nothing.
     start = replace(before, hidden_radiance=np.tile(outside, (count, 1)), held_out=np.inf)
-    return solve_lights(problem, observed, start.emitters, start, progress, start.form_factors, near=refined)
+    return solve_lights(problem, observed, start.emitters, start, progress, start.form_factors, warm_start=refined)
 
 
 def reconsider_lamps(
@@ -129,7 +137,7 @@ def reconsider_lamps(
         unseen = [lamp for lamp in lights.emitters if not seen[lamp].any()]
         emitters = [*_candidates(problem, lights, CERTAIN, THRESHOLDS[-1], lights.mask), *unseen]
     factors = form_factors_of(problem, emitters, progress, known=lights)
-    return solve_lights(problem, observed, emitters, lights, progress, factors, weight, diffuse)
+    return solve_lights(problem, observed, emitters, lights, progress, factors, PatchFit(weight, diffuse))
 
 
 def _candidates(

@@ -15,12 +15,20 @@ from ..base.progress import Progress
 from ..brdf.diffuse import under_lobe
 from ..rays.sampling import Origins
 from ..response.radiance import GroupRadiance
-from ..surface.topology import pieces_between_edges
+from ..surface.topology import smooth_components
 from ..transport.form_factors import emitter_form_factors, emitter_of_face
 from ..transport.gather import GatherRays
-from .balance import Evidence, noticeable, solve_balance
+from .balance import Evidence, ShadedPatches, noticeable, solve_balance
 from .candidates import CERTAIN, emitting_faces, group_emitters, reflectance_needed, whole_regions
-from .lamp_radiance import SEARCH_SHADOW_RAYS, form_factors_of, lamp_of_patch, patches_on, say_of, solve_lights
+from .lamp_radiance import (
+    SEARCH_SHADOW_RAYS,
+    PatchFit,
+    form_factors_of,
+    lamp_of_patch,
+    patches_on,
+    say_of,
+    solve_lights,
+)
 from .problem import LightProblem, Lights
 
 NEGLIGIBLE_POWER = 2e-4
@@ -136,7 +144,7 @@ def _power_from_outside(problem: LightProblem, lights: Lights) -> float:
 
 def _outshone(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> NDArray[np.float64]:
     """(E,) share of each lamp's pixels beside which something else is as bright: the light they show may be its."""
-    lamp, by = emitter_of_face(emitters, len(problem.regions))[problem.samples.face], problem.outshone_by
+    lamp, by = emitter_of_face(emitters, len(problem.regions))[problem.samples.face], problem.brighter_neighbour
     on = np.flatnonzero(lamp >= 0)
     lent = (by[on] >= 0) & (lamp[by[on]] != lamp[on])
     pixels = np.bincount(lamp[on], minlength=len(emitters))
@@ -201,7 +209,7 @@ def _sides(problem: LightProblem, lamp: NDArray[np.int64]) -> list[NDArray[np.in
     """Pieces of a lamp between its sharp edges; the lamp itself if it has none, or more than MAX_SIDES."""
     member = np.zeros(len(problem.regions), bool)
     member[lamp] = True
-    label = pieces_between_edges(problem.tracer.normals, problem.adjacency, member)[lamp]
+    label = smooth_components(problem.tracer.normals, problem.adjacency, member)[lamp]
     sides = [lamp[label == k] for k in np.unique(label)]
     return sides if len(sides) <= MAX_SIDES else [lamp]
 
@@ -230,7 +238,8 @@ def solved(
 ) -> Lights:
     """Lights with other lamps; what of their form factors ``before`` does not have is traced as the search does."""
     factors = form_factors_of(problem, emitters, progress, SEARCH_SHADOW_RAYS, before)
-    return solve_lights(problem, observed, emitters, before, progress, factors, say, near=near, asked=asked)
+    fit = PatchFit(weight=say, fit_mask=asked)
+    return solve_lights(problem, observed, emitters, before, progress, factors, fit, near)
 
 
 def certainty(problem: LightProblem, lights: Lights, lamp: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -295,7 +304,8 @@ def promising(
     silent = np.full(start.shape, np.nan)
     evidence = Evidence(np.zeros(start.shape), silent, np.arange(len(start)), silent)
     shown, region = observed.radiance[rows], t.region[rows]
-    balance = solve_balance(shown, rest, reach, region, say[rows], evidence, start, problem.robust_log)
+    patches = ShadedPatches(shown, rest, reach, region, say[rows])
+    balance = solve_balance(patches, evidence, start, problem.robust_log)
 
     known = np.flatnonzero(np.isin(region, balance.region_ids))
     albedo = balance.region_albedo[np.searchsorted(balance.region_ids, region[known])]

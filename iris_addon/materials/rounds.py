@@ -85,7 +85,7 @@ class MaterialProblem:
         their light comes from, once that is about known."""
         transport = self.light.transport
         kappa = grazing_gain(self.diffuse.lobe, gloss.roughness)[transport.region]
-        light = replace(self.light, transport=replace(transport, kappa=kappa, moments=moments))
+        light = replace(self.light, transport=transport.with_lobes(kappa, moments))
         return replace(self, light=light, diffuse=self.diffuse.under(gloss.layered))
 
     def materials_under(self, lights: Lights, scanned: NDArray[np.bool_]) -> NDArray[np.int32]:
@@ -213,10 +213,9 @@ def _observed_specular(
     rng = np.random.default_rng([problem.seed, 31, round_])
     ls0, ls1 = specular_lobes(
         problem.scene(lights),
-        gloss,
         problem.light.samples,
         problem.observations.sample,
-        problem.region,
+        gloss.roughness[problem.region],
         shading.irradiance[problem.observations.patch],
         problem.specular_rays,
         rng,

@@ -15,8 +15,8 @@ from ..base.progress import Progress
 from ..brdf.ggx import DIELECTRIC_F0, ray_alpha, specular_integrals
 from ..model.capture import Camera
 from ..rays.sampling import dot
+from ..surface.photo_samples import PhotoSamples
 from ..surface.primary_rays import Lattice, PixelSamples
-from .gloss import Gloss
 from .lobes import Scene, trace_lobes
 
 ROUGH = 0.75
@@ -44,10 +44,9 @@ def rough_lobes(
 
 def specular_lobes(
     scene: Scene,
-    gloss: Gloss,
     samples: PixelSamples,
     rows: NDArray[np.integer],
-    region: NDArray[np.integer],
+    roughness: NDArray[np.floating],
     irradiance: NDArray[np.floating],
     n_rays: int,
     rng: np.random.Generator,
@@ -56,10 +55,9 @@ def specular_lobes(
     """``Ls0`` and ``Ls1`` (n, 3) of the pixels ``rows``: traced where glossy, from irradiance where rough.
 
     Args:
-        part: (n,) part of each pixel.
+        roughness: (n,) Principled roughness at each pixel.
         irradiance: (n, 3) irradiance / pi at each pixel.
     """
-    roughness = gloss.roughness[region]
     rough, traced = np.flatnonzero(roughness >= ROUGH), np.flatnonzero(roughness < ROUGH)
     ls0, ls1 = np.empty((len(rows), 3), np.float32), np.empty((len(rows), 3), np.float32)
     ls0[rough], ls1[rough] = rough_lobes(roughness[rough], samples.cosine[rows[rough]], irradiance[rough])
@@ -74,11 +72,10 @@ def specular_lobes(
 
 def pixel_lobes(
     scene: Scene,
-    gloss: Gloss,
-    samples: PixelSamples,
-    irradiance: NDArray[np.floating],
+    photos: PhotoSamples,
     cameras: Sequence[Camera],
-    stride: int,
+    roughness: NDArray[np.floating],
+    irradiance: NDArray[np.floating],
     n_rays: int,
     rng: np.random.Generator,
     progress: Progress,
@@ -86,14 +83,16 @@ def pixel_lobes(
     """:func:`specular_lobes` of all pixels, which then take the noise off each other and so need half the rays.
 
     Args:
-        cameras, stride: of the lattice that the pixels are of.
+        cameras: of all views.
+        roughness: (n,) Principled roughness at each pixel.
+        irradiance: (n, 3) irradiance / pi at each pixel.
     """
+    samples = photos.samples
     rows, region = np.arange(len(samples.face)), scene.regions[samples.face]
-    ls0, ls1 = specular_lobes(scene, gloss, samples, rows, region, irradiance, max(1, n_rays // 2), rng, progress)
-    roughness = gloss.roughness[region]
+    ls0, ls1 = specular_lobes(scene, samples, rows, roughness, irradiance, max(1, n_rays // 2), rng, progress)
     traced = np.flatnonzero(roughness < ROUGH)
     both = np.concatenate([ls0[traced], ls1[traced]], 1)
-    smooth = denoise_lobes(both, samples, traced, region[traced], roughness[traced], cameras, stride)
+    smooth = denoise_lobes(both, samples, traced, region[traced], roughness[traced], cameras, photos.stride)
     ls0[traced], ls1[traced] = smooth[:, :3], smooth[:, 3:]
     return ls0, ls1
 

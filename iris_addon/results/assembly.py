@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,23 +18,20 @@ from ..config import SolveConfig
 from ..lighting.balance import MAX_ALBEDO
 from ..lighting.problem import LightProblem, Lights
 from ..lighting.shell_surface import as_surface
-from ..materials.gloss import Gloss
 from ..materials.rounds import MaterialProblem
 from ..materials.shading import Shading
+from ..materials.solution import Solution
 from ..materials.specular import pixel_lobes, subtract_specular
 from ..model.capture import Capture
 from ..model.local_exposure import ALIKE
 from ..model.recovered import Emitter, OutsideLight
-from ..rays.tracer import Tracer
 from ..response.photometry import Photometry
-from ..surface.patches import Surface
-from ..surface.photo_samples import PhotoSamples
 from ..surface.primary_rays import PixelSamples, as_picture
+from ..surface.traced_room import TracedRoom
 from ..textures.atlas import Atlas
-from ..textures.bake import pixel_albedo, pixel_weight
+from ..textures.bake import PixelAlbedo, pixel_albedo, pixel_weight
 from ..textures.paint import light_error, residual_light
 from ..textures.principled import make_textures
-from ..transport.transport import Transport
 from .report import WIDEST
 from .result import Result
 
@@ -47,28 +45,33 @@ Rows = slice | NDArray[np.bool_]
 
 
 def make_result(
-    capture: Capture,
+    room: TracedRoom,
     config: SolveConfig,
     atlas: Atlas,
     problem: MaterialProblem,
-    photos: PhotoSamples,
-    photometry: Photometry,
-    lights: Lights,
-    gloss: Gloss,
+    solution: Solution,
     progress: Progress,
 ) -> tuple[Result, dict[str, NDArray[np.float32]]]:
-    """Albedo per pixel, fused on the atlas; the result put together, and a few photos as it explains them."""
-    samples, light = photos.samples, problem.light
+    """Albedo per pixel, fused on the atlas; the result put together, and a few photos as it explains them.
+
+    Args:
+        atlas: with the texels of the pixels of ``room``.
+        problem: with the lobes of ``solution``.
+
+    Returns:
+        The result, its report without :func:`with_figures`; and a few re-rendered photos by name, (H, W, 3).
+    """
+    capture, photos, samples, light = room.capture, room.photos, room.samples, problem.light
+    photometry, lights, gloss = solution.photometry, solution.lights, solution.gloss
     region, patch = light.regions[samples.face], light.surface.sample_patch
     shading = problem.shading(lights)
     irradiance = light.field.at_samples(samples, patch, shading.irradiance)
     ls0, ls1 = pixel_lobes(
         problem.scene(lights),
-        gloss,
-        samples,
+        photos,
+        room.cameras,
+        gloss.roughness[region],
         irradiance,
-        [view.camera for view in capture.views],
-        photos.stride,
         config.specular_rays,
         config.rng(6),
         progress,
@@ -77,27 +80,20 @@ def make_result(
     view_factor = _view_factor(shading, patch, gloss.roughness[region], samples)
     diffuse_light = irradiance * view_factor[:, None]
     expected = problem.observed.radiance[patch]
-    albedo, weight = _pixel_albedo(photos, photometry, expected, irradiance, diffuse_light, ls0, ls1, metallic)
+    albedo, weight = _pixel_albedo(
+        room, photometry, expected, _PixelLight(irradiance, diffuse_light, ls0, ls1), metallic
+    )
     of_patch = residual_light(light.field, light.surface.region, gloss.metallic < 0.5, patch, albedo, weight)
     # Interpolation reaches over from regions beside a metal, whose base colour is no quotient of irradiance.
     brighter = np.where(metallic[:, None] > 0.5, np.float32(1), light.field.at_samples(samples, patch, of_patch))
     albedo, diffuse_light = np.minimum(albedo / brighter, MAX_ALBEDO), diffuse_light * brighter
-    # The base colour of a metal is no quotient of irradiance, and a piece of a scan is what looked alike, not a thing.
+    # The base colour of a metal is no quotient of irradiance, and a region of a scan need not be one object.
     painted = gloss.metallic < 0.5
-    painted[region[photos.scanned]] = False
+    painted[region[room.scanned_pixels]] = False
     held_out = config.rng(7).random(len(region)) < HELD_OUT
     error = light_error(light.field.spread(shading.irradiance))[patch]
-    textures, base_color, paint = make_textures(
-        atlas,
-        light.regions,
-        lights.mask,
-        gloss,
-        samples,
-        albedo,
-        weight * ~held_out[:, None],
-        error,
-        painted,
-    )
+    pixels = PixelAlbedo(albedo, weight * ~held_out[:, None], error)
+    textures, base_color, paint = make_textures(atlas, light.regions, lights.mask, gloss, samples, pixels, painted)
     emission = lights.face_emission(len(light.regions))[samples.face]
 
     def explained(rows: Rows) -> NDArray[np.float64]:
@@ -130,25 +126,36 @@ def make_result(
     return result, _rerenders(capture, samples, explained)
 
 
+class _PixelLight(NamedTuple):
+    """Light at n pixels, scene-linear Rec.709.
+
+    Attributes:
+        irradiance: (n, 3) irradiance / pi.
+        diffuse: (n, 3) radiance that a white diffuse surface sends to the camera.
+        ls0, ls1: (n, 3) specular lobes of (3).
+    """
+
+    irradiance: NDArray[np.floating]
+    diffuse: NDArray[np.floating]
+    ls0: NDArray[np.floating]
+    ls1: NDArray[np.floating]
+
+
 def _pixel_albedo(
-    photos: PhotoSamples,
+    room: TracedRoom,
     photometry: Photometry,
     expected: NDArray[np.floating],
-    irradiance: NDArray[np.floating],
-    diffuse_light: NDArray[np.floating],
-    ls0: NDArray[np.floating],
-    ls1: NDArray[np.floating],
+    light: _PixelLight,
     metallic: NDArray[np.floating],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """(n, 3) base colour of each pixel, and its say per channel in units of the usual one.
+    """(n, 3) base colour of each pixel, and its weight per channel, 1 at the median.
 
     Args:
-        expected: (n, 3) radiance of the patch of each.
-        irradiance, diffuse_light: (n, 3) irradiance / pi, and what a white diffuse surface sends to the camera.
-        ls0, ls1: (n, 3) specular lobes.
+        expected: (n, 3) radiance of the patch of each, scene-linear Rec.709.
         metallic: (n,).
     """
-    samples = photos.samples
+    photos, samples, mixed, scanned = room.photos, room.samples, room.mixed.mask, room.scanned_pixels
+    irradiance, ls0, ls1 = light.irradiance, light.ls0, light.ls1
     usual = float(np.median(samples.footprint)), float(np.median(irradiance))
     albedo, weight = np.empty(irradiance.shape, np.float32), np.empty(irradiance.shape, np.float32)
 
@@ -156,10 +163,10 @@ def _pixel_albedo(
         linear = photometry.linearise_pixels(photos.z[rows], samples.view[rows], samples.pixel[rows])
         linear = linear.agreeing_with(expected[rows])
         specular = subtract_specular(ls0[rows], ls1[rows], metallic[rows])
-        albedo[rows] = pixel_albedo(linear.radiance, specular, ls0[rows], diffuse_light[rows], metallic[rows])
+        albedo[rows] = pixel_albedo(linear.radiance, specular, ls0[rows], light.diffuse[rows], metallic[rows])
         seen = samples.cosine[rows], samples.footprint[rows]
-        say = pixel_weight(*seen, irradiance[rows], specular, photos.mixed[rows], photos.scanned[rows], *usual)
-        weight[rows] = say * linear.open * linear.precision
+        sharp = pixel_weight(*seen, irradiance[rows], specular, mixed[rows], scanned[rows], *usual)
+        weight[rows] = sharp * linear.open * linear.precision
 
     over_blocks(len(metallic), BLOCK, work)
     weight /= np.median(weight[weight > 0])
@@ -225,42 +232,43 @@ def _outside(problem: LightProblem, lights: Lights) -> OutsideLight | None:
     return None if sh is None else OutsideLight(sh)
 
 
-def report_figures(
+def with_figures(
+    result: Result,
+    room: TracedRoom,
     config: SolveConfig,
-    capture: Capture,
     cameras: CameraFit,
-    tracer: Tracer,
-    surface: Surface,
-    transport: Transport,
-    photometry: Photometry,
     problem: MaterialProblem,
-    lights: Lights,
-    gloss: Gloss,
+    solution: Solution,
     progress: Progress,
-) -> Mapping[str, Any]:
-    """The figures of report.json beside the held-out PSNR."""
-    return {
+) -> Result:
+    """``result`` of :func:`make_result` with the figures of the stages before it in its report."""
+    transport, gloss = problem.light.transport, solution.gloss
+    photometry, lights = solution.photometry, solution.lights
+    model = {
+        "camera": cameras.report(),
+        "response": photometry.report(),
+        "lamps": len(lights.emitters),
+        "unseen_lamps": int(_unseen(problem.light, lights).sum()),
+        "outside_directions": len(problem.light.hidden.directions),
+        "light_through_holes": problem.light.hidden.holes is not None,
+        "regions": len(problem.light.material),
+        "materials": len(np.unique(problem.light.material)),
+        "glossy_regions": int(((gloss.roughness < 1) & (gloss.metallic < 0.5)).sum()),
+        "metallic_regions": int((gloss.metallic > 0.5).sum()),
+        "diffuse": {"lobe": problem.diffuse.lobe, "gain_of_burley": round(problem.diffuse.gain, 4)},
+        "pixels_per_patch": round(room.patches.pixels_per_patch, 2),
+        **result.report["model"],
+    }
+    figures = {
         "preset": config.preset,
         "seed": config.seed,
         "seconds": {name: round(value, 2) for name, value in progress.seconds.items()},
         "peak_memory_bytes": peak_memory_bytes(),
         "device": transport.device,
-        "rays_traced": int(tracer.rays_traced),
+        "rays_traced": int(room.tracer.rays_traced),
         "n_patches": int(transport.n_patches),
-        "n_views": len(capture.views),
-        "model": {
-            "camera": cameras.report(),
-            "response": photometry.report(),
-            "lamps": len(lights.emitters),
-            "unseen_lamps": int(_unseen(problem.light, lights).sum()),
-            "outside_directions": len(problem.light.hidden.directions),
-            "light_through_holes": problem.light.hidden.holes is not None,
-            "regions": len(problem.light.material),
-            "materials": len(np.unique(problem.light.material)),
-            "glossy_regions": int(((gloss.roughness < 1) & (gloss.metallic < 0.5)).sum()),
-            "metallic_regions": int((gloss.metallic > 0.5).sum()),
-            "diffuse": {"lobe": problem.diffuse.lobe, "gain_of_burley": round(problem.diffuse.gain, 4)},
-            "pixels_per_patch": round(surface.pixels_per_patch, 2),
-        },
-        "warnings": [*capture.warnings, *cameras.warnings, *photometry.warnings, *lights.warnings],
+        "n_views": len(room.capture.views),
+        "model": model,
+        "warnings": [*room.capture.warnings, *cameras.warnings, *photometry.warnings, *lights.warnings],
     }
+    return replace(result, report={**result.report, **figures})

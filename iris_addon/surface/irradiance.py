@@ -1,4 +1,4 @@
-"""Irradiance between patches: shading is smooth where albedo is not, so patches carry it and pixels interpolate."""
+"""Irradiance at patches, averaged over neighbours and interpolated at pixels: shading is smooth where albedo is not."""
 
 from __future__ import annotations
 
@@ -17,23 +17,24 @@ from .primary_rays import PixelSamples
 
 NEIGHBOURS = 10
 NORMAL_WEIGHT = 4.0
-"""Patches that face 15 degrees away count as far as one patch size away."""
-KERNEL, DENOISED = 0.75, 1.0
-"""Standard deviation of the kernel that interpolates, and of the one that takes noise off, in patch sizes."""
+"""Patch sizes per unit of normal: a patch that faces 15 degrees away counts as one patch size away."""
 PLANE_WEIGHT = 5.0
-"""A patch a fifth of its size before or behind a point's plane counts as far as one patch size beside it: what lies
-parallel, like the pane behind a window's frame, is lit otherwise."""
-EDGE, POINT_EDGE = 0.2, 0.3
-"""Difference of log irradiance at which a neighbour counts as lit otherwise: of patches, whose values are noisy, and in
-the interpolation between them."""
+"""Patch sizes per patch size off the plane of a point: what lies parallel to it, like the pane behind a window's frame,
+receives other light."""
+INTERPOLATION_WIDTH, DENOISING_WIDTH = 0.75, 1.0
+"""Standard deviation of the Gaussian that interpolates at pixels, and of the one that denoises patches, patch sizes."""
+INTERPOLATION_EDGE, DENOISING_EDGE = 0.3, 0.2
+"""Difference of log irradiance that is one standard deviation of either Gaussian; it keeps edges of light sharp."""
 
 
 @dataclass(frozen=True)
 class IrradianceField:
-    """Neighbourhoods of patches in position and orientation; regions do not matter to irradiance.
+    """Neighbourhoods of the P patches in position and orientation; irradiance ignores regions.
 
     Attributes:
-        neighbours: (P, K) int32, the patch itself first.
+        position: (P, 3) float32 metres.
+        normal: (P, 3) float32 unit.
+        neighbours: (P, K) int32 nearest patches of each, the patch itself first.
         size: (P,) float32 edge length of each patch, metres.
     """
 
@@ -50,8 +51,8 @@ class IrradianceField:
 
     @staticmethod
     def of(position: NDArray[np.float32], normal: NDArray[np.float32], size: NDArray[np.float32]) -> IrradianceField:
-        """Nearest patches of every patch, near in place and in orientation: (P, 3), (P, 3) unit and (P,) metres."""
-        # One metric for the tree: patch sizes vary from block to block, so neighbours are compared in log-mean size.
+        """The field of patches at ``position`` (P, 3) metres, of unit ``normal`` (P, 3) and ``size`` (P,) metres."""
+        # The search tree needs one metric, but patch sizes vary from block to block: their geometric mean serves.
         unit = float(np.exp(np.mean(np.log(size))))
         features = np.concatenate([position / unit, NORMAL_WEIGHT * normal], 1)
         k = min(NEIGHBOURS, len(features))
@@ -63,10 +64,10 @@ class IrradianceField:
     ) -> csr_matrix:
         """(n, P) matrix that averages patch values over neighbours with a Gaussian of ``width`` patch sizes.
 
-        It takes sampling noise off and is linear in the values; :meth:`denoise` is what stops at the edges of light.
+        It is linear in the values and smooths edges of light; :meth:`denoise` keeps these.
 
         Args:
-            rows: (n,) the patches whose averages are asked for, by default all.
+            rows: (n,) the patches to average at, by default all.
             group: (P,) label of every patch; averages are then over neighbours of the same label.
         """
         rows = np.arange(len(self.position)) if rows is None else rows
@@ -77,10 +78,10 @@ class IrradianceField:
     def denoise(
         self, values: NDArray[np.floating], irradiance: NDArray[np.floating] | None = None
     ) -> NDArray[np.float32]:
-        """Values (P, C) averaged over those neighbours of a patch that are lit like it.
+        """Values (P, C) averaged over the neighbours of each patch that receive similar light.
 
         Args:
-            irradiance: (P, 3) by which that is told; by default the values are irradiance themselves.
+            irradiance: (P, 3) that decides what is similar; by default ``values`` are irradiance themselves.
         """
         lit = _log_level(values if irradiance is None else irradiance)
         table = np.ascontiguousarray(values, np.float32)
@@ -88,29 +89,31 @@ class IrradianceField:
 
         def work(block: slice) -> None:
             rows = np.arange(block.start, block.stop)
-            weight = self._weights(self.position[block], self.normal[block], rows, DENOISED, lit=lit, edge=EDGE)
+            weight = self._weights(
+                self.position[block], self.normal[block], rows, DENOISING_WIDTH, lit=lit, edge=DENOISING_EDGE
+            )
             _average(weight, self.neighbours, rows, table, mean[block])
 
         over_blocks(len(table), BLOCK // NEIGHBOURS, work)
         return mean
 
     def spread(self, irradiance: NDArray[np.floating]) -> NDArray[np.float32]:
-        """(P,) standard deviation of log ``irradiance`` (P, 3) over the neighbours of each patch, however they are lit:
-        large in corners, beside mouldings and close to lamps."""
-        lit, around = _log_level(irradiance), self.kernel(DENOISED)
+        """(P,) standard deviation of log ``irradiance`` (P, 3) over the neighbours of each patch: large in corners,
+        beside mouldings and close to lamps."""
+        lit, around = _log_level(irradiance), self.kernel(DENOISING_WIDTH)
         mean = around @ lit
         return np.sqrt(np.maximum(around @ lit**2 - mean**2, 0.0))
 
     def at_samples(
         self, samples: PixelSamples, patch: NDArray[np.int32], values: NDArray[np.floating]
     ) -> NDArray[np.float32]:
-        """(n, C) patch values (P, C) interpolated at pixels; ``patch`` (n,) is the patch each pixel lies on."""
+        """(n, C) patch values (P, C) interpolated at pixels; ``patch`` (n,) is the patch of each pixel."""
         table, lit = np.ascontiguousarray(values, np.float32), _log_level(values)
         result = np.empty((len(patch), table.shape[1]), np.float32)
 
         def work(block: slice) -> None:
             at, rows = (samples.position[block], samples.normal[block]), patch[block]
-            weight = self._weights(*at, rows, KERNEL, lit=lit, edge=POINT_EDGE)
+            weight = self._weights(*at, rows, INTERPOLATION_WIDTH, lit=lit, edge=INTERPOLATION_EDGE)
             _average(weight, self.neighbours, rows, table, result[block])
 
         over_blocks(len(patch), BLOCK // NEIGHBOURS, work)
@@ -129,8 +132,11 @@ class IrradianceField:
         """(n, K) normalised kernel weights of the neighbours of each point's patch.
 
         Args:
-            lit: (P,) log irradiance; neighbours count less where it differs by ``edge``.
-            group: (P,) label of every patch; those of another than the point's patch have no weight.
+            position, normal: (n, 3) of the points, metres and unit.
+            patch: (n,) patch of each point.
+            width: standard deviation in place, patch sizes.
+            lit: (P,) log irradiance; ``edge`` is the standard deviation in it.
+            group: (P,) label of every patch; neighbours of another label than the point's patch have no weight.
         """
         n = len(patch)
         weight = np.empty((n, self.neighbours.shape[1]), np.float32)
@@ -160,8 +166,8 @@ def _weigh(
     label: NDArray[np.int64],
     weight: NDArray[np.float32],
 ) -> None:
-    """A Gaussian of the distance along the plane of a point, of that before or behind it, of the turn of the normal and
-    of the difference in light."""
+    """Gaussian in the distance along the plane of a point, in that off the plane, in the difference of the normals and
+    in the difference of log irradiance."""
     for i in range(len(patch)):
         own, least = patch[i], np.inf
         reach = (size[own] * width) ** 2
@@ -197,13 +203,14 @@ def _average(
     values: NDArray[np.float32],
     mean: NDArray[np.float32],
 ) -> None:
+    """Write into ``mean`` (n, C) the values (P, C) of the neighbours of each point's patch, weighted (n, K)."""
     for i in range(len(patch)):
         for c in range(values.shape[1]):
             mean[i, c] = 0.0
         for k in range(weight.shape[1]):
-            near, say = neighbours[patch[i], k], weight[i, k]
+            near, w = neighbours[patch[i], k], weight[i, k]
             for c in range(values.shape[1]):
-                mean[i, c] += say * values[near, c]
+                mean[i, c] += w * values[near, c]
 
 
 def _log_level(irradiance: NDArray[np.floating]) -> NDArray[np.float32]:

@@ -1,13 +1,14 @@
-"""Pixels on an edge: what they show is the light of more than one surface.
+"""Mixed pixels: those on an edge, which show the light of more than one surface.
 
-A pixel of a photo is the mean over its footprint and, with most reconstruction filters, a little more. Beside the edge
-of a dark table before a bright wall it is neither the table's nor the wall's, but its ray hits one of them. Which
-pixels these are is known: the mesh says what the rays beside them hit.
+A pixel is the mean over its footprint and, with most reconstruction filters, a little more. At the edge of a dark table
+before a bright wall it has the colour of neither, although its ray hits one of them. The mesh tells which pixels these
+are: the rays of their neighbours hit another surface.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,28 +18,55 @@ from ..base.compiled import Integer, inlined, kernel
 from ..base.parallel import BLOCK, over_blocks, over_each
 from ..model.capture import Camera
 from ..rays.tracer import Tracer
+from .photo_samples import PhotoSamples
 from .primary_rays import NEIGHBOURS, NO_PIXEL, Lattice, PixelSamples, trace_view
 
-SAME_DIRECTION = 0.7
+CREASE_COSINE = 0.7
 """Cosine between the normals of neighbouring pixels below which there is a crease between them."""
-AS_BRIGHT = 0.98
-"""Share of its value that the pixel beside it reaches, if a mixed one may have all its light from there."""
+NEIGHBOUR_BRIGHTNESS = 0.98
+"""Brightness of a neighbour over that of a mixed pixel from which on all light of the pixel may come from there."""
+
+
+@dataclass(frozen=True)
+class MixedPixels:
+    """Which of n pixels are mixed, and with what.
+
+    Attributes:
+        mask: (n,) bool.
+        brighter_neighbour: (n,) int32 for a mixed pixel the brightest neighbour on another surface, from which all its
+            light may come; -1 where all neighbours are darker.
+    """
+
+    mask: NDArray[np.bool_]
+    brighter_neighbour: NDArray[np.int32]
+
+    @staticmethod
+    def of(
+        tracer: Tracer, photos: PhotoSamples, regions: NDArray[np.integer], cameras: Sequence[Camera]
+    ) -> MixedPixels:
+        """The mixed pixels among those of ``photos``, taken by ``cameras``, on faces of ``regions`` (F,)."""
+        samples, stride = photos.samples, photos.stride
+        mask = mixed_pixels(tracer, samples, regions, cameras, stride)
+        return MixedPixels(mask, brighter_neighbours(samples, photos.z, mask, regions, cameras, stride))
 
 
 def mixed_pixels(
     tracer: Tracer, samples: PixelSamples, regions: NDArray[np.integer], cameras: Sequence[Camera], stride: int
 ) -> NDArray[np.bool_]:
-    """(n,) pixels beside one that shows another region, beyond a crease or off their plane, or misses the mesh.
+    """(n,) pixels with a neighbour that shows another region, lies beyond a crease or off their plane, or misses the
+    mesh.
 
-    Between the pixels of a coarse lattice (see :func:`.samples.pixel_lattice`) something thin may go unnoticed.
+    Something thin between the pixels of a coarse lattice (:func:`.primary_rays.pixel_lattice`) goes unnoticed.
 
     Args:
-        regions: (F,) part per face.
+        regions: (F,) region of each face.
+        cameras: of all views, in the order of ``samples.view``.
+        stride: spacing of the lattice, pixels.
     """
     mixed = _beside_others(samples, regions, cameras, stride)
     if stride == 1:
         return mixed
-    # The next pixel of the lattice is further than the footprint reaches: ask the true neighbours.
+    # The next pixel of the lattice lies beyond the footprint: candidates are tested against their true neighbours.
     bounds = np.searchsorted(samples.view, np.arange(len(cameras) + 1))
 
     def probe(index: int) -> None:
@@ -53,7 +81,7 @@ def mixed_pixels(
 def _probe(
     tracer: Tracer, pixel: NDArray[np.integer], regions: NDArray[np.integer], camera: Camera
 ) -> NDArray[np.bool_]:
-    """(k,) which of some pixels of one photo are mixed, by rays through them and those beside them."""
+    """(k,) which of the pixels (k,) of one photo are mixed, by rays through them and their neighbours."""
     row, column = np.divmod(pixel.astype(np.int64), camera.width)
     wanted = np.zeros(camera.height * camera.width, bool)
     wanted[pixel] = True
@@ -81,7 +109,8 @@ def _beside_others(
 
 
 class _Surface(NamedTuple):
-    """What pixels show: (n,) part, (n, 3) position and normal, (n,) footprint; and the step of their lattice."""
+    """What n pixels show: region (n,), position (n, 3) and footprint (n,) in metres, unit normal (n, 3); and the
+    spacing of their lattice in pixels."""
 
     region: NDArray[np.integer]
     position: NDArray[np.float32]
@@ -105,10 +134,11 @@ def _apart(surface: _Surface, a: Integer, b: Integer) -> Any:
 
 @inlined
 def _crease(surface: _Surface, a: Integer, b: Integer) -> bool:
+    """Whether the surfaces of two pixels face different ways."""
     cosine = 0.0
     for axis in range(3):
         cosine += surface.normal[a, axis] * surface.normal[b, axis]
-    return cosine < SAME_DIRECTION
+    return cosine < CREASE_COSINE
 
 
 @kernel
@@ -132,7 +162,7 @@ def _mark_mixed(
         mixed[k] = found
 
 
-def outshone_by(
+def brighter_neighbours(
     samples: PixelSamples,
     z: NDArray[np.floating],
     mixed: NDArray[np.bool_],
@@ -140,13 +170,16 @@ def outshone_by(
     cameras: Sequence[Camera],
     stride: int,
 ) -> NDArray[np.int32]:
-    """(n,) the brightest pixel of another surface beside each mixed one, -1 where all are darker than it.
+    """(n,) for each mixed pixel the brightest neighbour on another surface, -1 where all are darker than it.
 
-    A strip of a frame before a window looks as bright as the window: what its pixels show may be the window's light.
+    A strip of a window's frame looks as bright as the window: the light of its pixels may be the window's.
 
     Args:
         z: (n, 3) display values or radiance.
-        mixed: (n,) of :func:`mixed_pixels`.
+        mixed: (n,) bool, the result of :func:`mixed_pixels`.
+        regions: (F,) region of each face.
+        cameras: of all views, in the order of ``samples.view``.
+        stride: spacing of the lattice, pixels.
     """
     lattice = Lattice.of(samples.view, samples.pixel, cameras, stride, margin=1)
     surface = _Surface(regions[samples.face], samples.position, samples.normal, samples.footprint, stride)
@@ -171,13 +204,13 @@ def _find_brightest(
     brightest: NDArray[np.int32],
 ) -> None:
     for own in rows:
-        least = AS_BRIGHT * level[own]
+        least = NEIGHBOUR_BRIGHTNESS * level[own]
         for down in range(-1, 2):
             for across in range(-1, 2):
                 near = occupant[slot[own] + down * pitch[own] + across]
                 if near < 0 or near == own:
                     continue
-                # A thing may lie before itself: among equals, another region.
+                # Two parts of one object may overlap in the photo: of equally bright neighbours, another region wins.
                 other = surface.region[near] != surface.region[own]
                 if (level[near] > least or (other and level[near] >= least)) and _apart(surface, own, near):
                     brightest[own], least = near, level[near]

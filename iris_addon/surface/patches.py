@@ -1,9 +1,12 @@
-"""Surface patches: the cells on which radiance and irradiance are kept.
+"""Surface patches: the cells on which radiance and irradiance are solved.
 
-A patch is what lies in one cell of a grid, faces one way and belongs to one region. The grid's cell size doubles from
-level to level and follows the pixel footprint of the photos block by block, so that a patch covers a few pixels
-wherever a camera was close and little is spent where none was. Triangles play no role: a mesh of ten million of them
-or with long slivers gives the same patches, and every point on the surface finds its patch by hashing.
+A patch is the part of one region that lies in one cell of a grid and faces one of 26 directions, equation (6). The cell
+size doubles from level to level and follows the pixel footprint of the photos block by block, so that a patch covers a
+few pixels wherever a camera was close. Triangles play no role: a mesh of ten million triangles, or of long slivers,
+gives the same patches.
+
+First the grid: any point on the surface finds its patch by hashing, in kernels as well (:func:`patch_at`). Then the
+patches that photos see (:func:`build_surface`).
 """
 
 from __future__ import annotations
@@ -24,10 +27,18 @@ from ..rays.sampling import Origins
 from .primary_rays import PixelSamples
 
 N_LEVELS = 6
-FINEST = 0.01
-"""Finest cell, metres; a cell spans ``FINEST * 2**level``."""
-FREE_SLOTS = 4
-"""Slots of a hash table per key; most keys then lie in their first slot."""
+FINEST_CELL = 0.01
+"""Side of the finest cell, metres; a cell of a level measures ``FINEST_CELL * 2**level``."""
+SLOTS_PER_KEY = 4
+"""Of a hash table; most keys then lie in their first slot."""
+FIRST_PIXELS_PER_PATCH = 3.0
+"""Side of a patch in pixels, before the budget of patches asks for larger ones."""
+ORIGINS_PER_PATCH = 8
+"""Points on a patch from which its rays start."""
+NORMAL_SPREAD_CELL = 0.1
+"""Side of the cells, metres, within which normals are compared."""
+LARGEST_ROOM = 300.0
+"""Extent of what photos show, metres, above which the capture is taken to be in another unit, and the grid scaled."""
 ABSENT = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
@@ -46,11 +57,11 @@ def _cell(x: Real, y: Real, z: Real, per_metre: Real) -> Integer:
 
 
 class Slots(NamedTuple):
-    """A hash table from distinct 64-bit keys to numbers, by open addressing: one or two reads where a search takes 17.
+    """A hash table from distinct 64-bit keys to numbers, by open addressing: one or two reads where bisection takes 17.
 
     Attributes:
         table: (2^b, 2) uint64, key and number in each slot; ABSENT where empty.
-        shift: bits by which a key is shifted to give its slot.
+        shift: bits by which a key is shifted right to give its slot.
     """
 
     table: NDArray[np.uint64]
@@ -59,7 +70,7 @@ class Slots(NamedTuple):
     @staticmethod
     def of(keys: NDArray[np.uint64], numbers: NDArray[np.integer]) -> Slots:
         """The table of ``keys`` (n,) and their ``numbers`` (n,), none of them negative."""
-        bits = max(4, int(np.ceil(np.log2(max(len(keys), 1) * FREE_SLOTS))))
+        bits = max(4, int(np.ceil(np.log2(max(len(keys), 1) * SLOTS_PER_KEY))))
         slots = Slots(np.full((1 << bits, 2), ABSENT, np.uint64), np.uint64(64 - bits))
         _fill(slots, keys, numbers.astype(np.uint64))
         return slots
@@ -86,8 +97,13 @@ def _fill(slots: Slots, keys: NDArray[np.uint64], numbers: NDArray[np.uint64]) -
 
 
 class Cells(NamedTuple):
-    """A grid of cells as kernels take it: ``origin`` (3,) metres, finest cells ``per_metre``, and the level of the
-    known blocks of the coarsest size."""
+    """A grid of cells as kernels take it.
+
+    Attributes:
+        origin: (3,) metres.
+        per_metre: number of finest cells in a metre.
+        levels: level of each known block; a block is a cell of the coarsest level.
+    """
 
     origin: NDArray[np.float64]
     per_metre: float
@@ -96,7 +112,7 @@ class Cells(NamedTuple):
 
 def cells(origin: NDArray[np.float64], scale: float, block_keys: NDArray[np.uint64], levels: NDArray[np.int8]) -> Cells:
     """The grid of a :class:`PatchGrid` with these attributes."""
-    return Cells(origin, 1 / (scale * FINEST), Slots.of(block_keys, levels))
+    return Cells(origin, 1 / (scale * FINEST_CELL), Slots.of(block_keys, levels))
 
 
 @inlined
@@ -123,7 +139,7 @@ def _side(x: Real) -> Integer:
 def _cell_key(
     cells: Cells, level: Integer, x: Real, y: Real, z: Real, nx: Real, ny: Real, nz: Real, region: Integer
 ) -> Integer:
-    """Hash of (cell of ``level``, 26 directions of the normal, part)."""
+    """Hash of (cell of ``level``, 26 directions of the normal, region): equation (6)."""
     facing = 9 * _side(nx) + 3 * _side(ny) + _side(nz)
     x, y, z = x - cells.origin[0], y - cells.origin[1], z - cells.origin[2]
     key = _mix(np.uint64(0), _cell(x, y, z, cells.per_metre / (1 << level)))
@@ -147,7 +163,7 @@ def _block_keys(origin: NDArray[np.float64], per_metre: float, position: NDArray
 
 
 class Lookup(NamedTuple):
-    """Patches of one grid or two as kernels take them: cells, and the patch of those that are known."""
+    """The patches of a grid as kernels take them: its cells, and the patch of each known cell."""
 
     cells: Cells
     patches: Slots
@@ -155,10 +171,10 @@ class Lookup(NamedTuple):
 
 @inlined
 def patch_at(lookup: Lookup, x: Real, y: Real, z: Real, nx: Real, ny: Real, nz: Real, region: Integer) -> Integer:
-    """Patch of a surface point, -1 where there is none; the normal is on the side looked at."""
+    """Patch of a surface point, -1 where there is none; the normal is that of the visible side."""
     level = _level_at(lookup.cells, x, y, z)
     patch = number_of(lookup.patches, _cell_key(lookup.cells, level, x, y, z, nx, ny, nz, region))
-    if patch < 0 and level != N_LEVELS - 1:  # what no photo shows there has patches of the coarsest size
+    if patch < 0 and level != N_LEVELS - 1:  # surfaces that no photo shows have patches of the coarsest size
         patch = number_of(lookup.patches, _cell_key(lookup.cells, N_LEVELS - 1, x, y, z, nx, ny, nz, region))
     return patch
 
@@ -177,10 +193,11 @@ class PatchGrid:
     """The hash from surface points to patches.
 
     Attributes:
-        origin: (3,) metres; off the mesh's own grid so that axis-aligned walls do not lie on cell borders.
+        origin: (3,) metres; at odd fractions of a cell, so that axis-aligned walls do not lie on cell borders.
         scale: world metres per grid metre (1 for captures in metres).
-        block_keys, block_levels: level per block of the coarsest size; blocks absent are coarsest.
-        cell_keys, cell_patches: patch per cell.
+        block_keys, block_levels: (b,) uint64 and int8 level of each known block, a cell of the coarsest level; other
+            blocks have that level.
+        cell_keys, cell_patches: (c,) uint64 and int32 patch of each cell.
     """
 
     origin: NDArray[np.float64]
@@ -193,34 +210,36 @@ class PatchGrid:
     def patches(
         self, position: NDArray[np.floating], normal: NDArray[np.floating], region: NDArray[np.integer]
     ) -> NDArray[np.int32]:
-        """(n,) patch of each surface point, -1 where there is none; ``normal`` is on the side looked at."""
+        """(n,) patch of each surface point, -1 where there is none; ``normal`` is that of the visible side."""
         patch = np.empty(len(position), np.int32)
         _patches_at(self.lookup, position, normal, region, patch)
         return patch
 
     @cached_property
     def lookup(self) -> Lookup:
-        """The grid for kernels."""
+        """The grid as kernels take it."""
         known = cells(self.origin, self.scale, self.block_keys, self.block_levels)
         return Lookup(known, Slots.of(self.cell_keys, self.cell_patches))
 
     def joined(self, unseen: PatchGrid) -> PatchGrid:
-        """With the patches of a grid of the coarsest cells alone, for points where this one has none."""
+        """This grid and, for points where it has no patch, ``unseen``, a grid of the coarsest cells alone."""
         keys, patches = (self.cell_keys, unseen.cell_keys), (self.cell_patches, unseen.cell_patches)
         return replace(self, cell_keys=np.concatenate(keys), cell_patches=np.concatenate(patches))
 
 
 def block_keys(position: NDArray[np.floating], origin: NDArray[np.float64], scale: float) -> NDArray[np.uint64]:
-    """Hash of the coarsest cell around each point."""
+    """(n,) hash of the coarsest cell around each point (n, 3)."""
     keys = np.empty(len(position), np.uint64)
-    over_blocks(len(keys), BLOCK, lambda rows: _block_keys(origin, 1 / (scale * FINEST), position[rows], keys[rows]))
+    over_blocks(
+        len(keys), BLOCK, lambda rows: _block_keys(origin, 1 / (scale * FINEST_CELL), position[rows], keys[rows])
+    )
     return keys
 
 
 def cell_keys(
     grid: Cells, position: NDArray[np.floating], normal: NDArray[np.floating], region: NDArray[np.integer]
 ) -> NDArray[np.uint64]:
-    """Hash of (cell at the block's level, 26 directions of the normal, part) for each point."""
+    """(n,) hash of (cell at the block's level, 26 directions of the normal, region) for each point, equation (6)."""
     keys = np.empty(len(position), np.uint64)
     over_blocks(len(keys), BLOCK, lambda rows: _cell_keys(grid, position[rows], normal[rows], region[rows], keys[rows]))
     return keys
@@ -232,10 +251,12 @@ def choose_levels(
     """(b,) level of every block that photos see, from the lower quartile of its pixels' footprints.
 
     Args:
-        blocks: the n pixels by their :func:`block_keys`.
-        footprint: (n,) metres.
+        blocks: the n pixels grouped by their :func:`block_keys`.
+        footprint: (n,) metres on the surface spanned by each pixel.
+        scale: world metres per grid metre.
+        pixels_per_patch: wanted side of a patch.
     """
-    wanted = np.log2(np.maximum(pixels_per_patch * footprint / (scale * FINEST), 1e-6))
+    wanted = np.log2(np.maximum(pixels_per_patch * footprint / (scale * FINEST_CELL), 1e-6))
     level = np.clip(np.floor(wanted + 0.5), 0, N_LEVELS - 1).astype(np.int64)
     n = len(blocks.keys)
     histogram = np.bincount(blocks.group * N_LEVELS + level, minlength=n * N_LEVELS).reshape(n, N_LEVELS)
@@ -243,29 +264,24 @@ def choose_levels(
     return quartile.astype(np.int8)
 
 
-# ---- From pixels on the mesh to patches: the surface that all later rooms speak about -------------------------------
-
-
-FIRST_PIXELS_PER_PATCH = 3.0
-ORIGINS_PER_PATCH = 8
-AROUND = 0.1
-"""Metres over which normals are compared."""
+# ---- the patches that photos see -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Surface:
-    """Patches that photos see.
+    """The P patches that photos see.
 
     Attributes:
         grid: surface point to patch.
         sample_patch: (n,) int32 patch of every pixel sample.
         position, normal: (P, 3) float32 mean over the patch's pixels; the normal has unit length.
         footprint: (P,) float32 metres, that of one of its pixels.
-        part: (P,) int32.
-        count: (P,) int64 pixels.
-        spread: (P,) how the region's normals differ around each patch: 0 in a plane, at most sqrt(2/3).
+        region: (P,) int32 region of each patch.
+        count: (P,) int64 pixels on each.
+        spread: (P,) spread of the region's normals around each patch, see :func:`normal_spread`: 0 in a plane, at most
+            sqrt(2/3).
         origins: points on each patch from which rays start.
-        pixels_per_patch: edge length of a patch in pixels that met the patch budget.
+        pixels_per_patch: side of a patch in pixels with which the budget of patches is met.
     """
 
     grid: PatchGrid
@@ -286,13 +302,14 @@ def build_surface(
     """Patches as fine as ``max_patches`` allows.
 
     Args:
-        regions: (F,) part per face.
+        samples: the pixels on the mesh.
+        regions: (F,) region of each face.
     """
     used = mesh.vertices[np.unique(mesh.faces)]
-    # Of what most pixels show: a backdrop far away is no sign of another unit of length.
+    # The extent of what most pixels show: a few far-away faces are no sign of another unit of length.
     some = samples.position[:: 1 + len(samples.position) // 100_000]
     extent = float(np.ptp(np.percentile(some, (2, 98), axis=0), axis=0).max())
-    scale = max(extent / 300.0, 1e-6) if extent > 300.0 else 1.0
+    scale = max(extent / LARGEST_ROOM, 1e-6) if extent > LARGEST_ROOM else 1.0
     origin = used.min(0) - scale * np.array([0.1234, 0.2345, 0.3456])
     region = regions[samples.face]
     pixels_per_patch = FIRST_PIXELS_PER_PATCH
@@ -306,7 +323,7 @@ def build_surface(
             break
         pixels_per_patch *= max(1.1, min(2.0, (n / max_patches) ** 0.5))
         if (levels == N_LEVELS - 1).mean() > 0.5:
-            # Where most cells are as coarse as they get, only a coarser grid helps: captures far larger than a room.
+            # Most cells have the coarsest level already: only a coarser grid helps. Captures far larger than a room.
             scale *= 2
             blocks = group_equal(block_keys(samples.position, origin, scale))
     patch, order, start, count = groups.group, groups.order, groups.start, groups.count
@@ -323,7 +340,7 @@ def build_surface(
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
     position = group_means(samples.position, patch, n).astype(np.float32)
     region_of_patch = region[order[start]]
-    cell = np.floor((position - origin) / (AROUND * scale)).astype(np.int64)
+    cell = np.floor((position - origin) / (NORMAL_SPREAD_CELL * scale)).astype(np.int64)
     around = np.unique(np.column_stack([cell, region_of_patch]), axis=0, return_inverse=True)[1].reshape(-1)
     return Surface(
         grid=grid,
@@ -342,7 +359,7 @@ def build_surface(
 def normal_spread(normal: NDArray[np.floating], group: NDArray[np.integer]) -> NDArray[np.float64]:
     """(m,) root mean square sine of the angle between the unit normals (n, 3) of each group and their common axis.
 
-    The axis is the direction that has most of their second moment, so the two sides of a sheet agree.
+    The axis is the principal axis of their second moment, so that the two sides of a sheet agree.
     """
     m = int(group.max()) + 1
     products = np.concatenate([normal * np.roll(normal, -k, axis=1) for k in (0, 1)], 1)

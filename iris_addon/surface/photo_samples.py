@@ -1,4 +1,4 @@
-"""Photos meet mesh: display values of the pixels whose rays hit the surface."""
+"""Pixels of the photos: the values of those whose rays hit the mesh, and some of those whose rays miss it."""
 
 from __future__ import annotations
 
@@ -18,19 +18,20 @@ from ..rays.tracer import Tracer
 from .primary_rays import PixelSamples, pixel_lattice, stride_for_budget, trace_pixels
 
 PIXEL_BUDGET = 6_500_000
-"""Pixels the solver looks at; beyond, one pixel of every n x n block is taken, another one in every photo."""
-MIDDLE = 0.2
-"""Radiance about which the thresholds of the solver were set: that of photos with exposures around 1."""
-BEYOND_STEP = 7
-"""One pixel in so many tells what lies beyond the mesh."""
+"""Most pixels traced; above it, one pixel of every n x n block is taken, another one in every photo."""
+UNIT_MEDIAN = 0.2
+"""Median radiance that HDR photos are scaled to: that of photos with exposures around 1, for which the solver's
+thresholds were set."""
+BACKDROP_STEP = 7
+"""Of the lattice, one pixel in so many is tested for missing the mesh: it shows the backdrop."""
 
 
 @dataclass(frozen=True)
-class BeyondMesh:
-    """Pixels whose rays miss the mesh, k of them.
+class BackdropPixels:
+    """A sample of k pixels whose rays miss the mesh.
 
     Attributes:
-        share: of all pixels that miss it.
+        share: fraction of all pixels that miss the mesh, 0 to 1.
         view: (k,) int16.
         pixel: (k,) int32 row-major in its photo.
         direction: (k, 3) unit, world space, away from the camera.
@@ -46,43 +47,45 @@ class BeyondMesh:
 
 @dataclass(frozen=True)
 class PhotoSamples:
-    """Pixels on the mesh.
+    """The n pixels of all photos that show the mesh.
 
     Attributes:
-        z: (n, 3) float32 display values in [0, 1], or radiance for HDR input.
-        beyond: some of the pixels that miss the mesh.
-        stride: one pixel of every stride x stride was looked at.
+        samples: where each pixel meets the mesh.
+        z: (n, 3) float32 display values in [0, 1], or scene-linear Rec.709 radiance for HDR input.
+        hdr: whether ``z`` is radiance.
+        backdrop: some of the pixels that miss the mesh.
+        stride: one pixel of every stride x stride block was traced.
         small: the photos at a small size.
-        mixed: (n,) bool pixels on an edge, see :mod:`.surface.mixed`; none before regions are known.
-        scanned: (n,) bool pixels on a scan, whose regions end where its colour changes; none before regions are known.
-        outshone_by: (n,) int32 pixel beside each that may have lent it all its light, -1 for none.
     """
 
     samples: PixelSamples
     z: NDArray[np.float32]
     hdr: bool
-    beyond: BeyondMesh
+    backdrop: BackdropPixels
     stride: int
     small: SmallPhotos
-    mixed: NDArray[np.bool_]
-    scanned: NDArray[np.bool_]
-    outshone_by: NDArray[np.int32]
 
     @property
     def unit(self) -> float:
-        """What photos of radiance are divided by, a power of two: what is small must not depend on their unit."""
+        """Power of two by which HDR photos are divided, so that absolute thresholds do not depend on their unit."""
         if not self.hdr:
             return 1.0
         lit = self.z[self.z > 0]
-        return float(2.0 ** np.round(np.log2(np.median(lit) / MIDDLE))) if len(lit) else 1.0
+        return float(2.0 ** np.round(np.log2(np.median(lit) / UNIT_MEDIAN))) if len(lit) else 1.0
 
 
 class _Read(NamedTuple):
-    """One photo: how many pixels were looked at beyond the mesh, the columns of :class:`BeyondMesh` of those that miss
-    it, and the photo at a small size."""
+    """What is kept of one photo.
+
+    Attributes:
+        hdr: whether its values are radiance.
+        tested: number of pixels tested for missing the mesh.
+        missed: columns of :class:`BackdropPixels`, for those that do.
+        small: the photo and its clipped pixels at a small size.
+    """
 
     hdr: bool
-    looked: int
+    tested: int
     missed: tuple[NDArray, ...]
     small: tuple[NDArray, NDArray]
 
@@ -104,7 +107,7 @@ def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progres
         photo, rows = load_photo(capture.views[index]), slice(ends[index], ends[index + 1])
         values, shown = photo.values.reshape(-1, 3), photo.valid.ravel()
         z[rows], valid[rows] = values[samples.pixel[rows]], shown[samples.pixel[rows]]
-        lattice = pixel_lattice(cameras[index], stride, index)[::BEYOND_STEP]
+        lattice = pixel_lattice(cameras[index], stride, index)[::BACKDROP_STEP]
         missed = np.setdiff1d(lattice[shown[lattice]], samples.pixel[rows])
         columns = np.full(len(missed), index, np.int16), missed, cameras[index].rays(missed)[1], values[missed]
         return _Read(photo.hdr, len(lattice), columns, small_photo(photo.values, photo.valid))
@@ -119,18 +122,7 @@ def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progres
     if not valid.all():
         samples, z = samples.take(np.flatnonzero(valid)), z[valid]
     columns = [np.concatenate(column) for column in zip(*(photo.missed for photo in photos), strict=True)]
-    beyond = BeyondMesh(len(columns[0]) / sum(photo.looked for photo in photos), *columns)
+    backdrop = BackdropPixels(len(columns[0]) / sum(photo.tested for photo in photos), *columns)
     sizes = np.array([(camera.height, camera.width) for camera in cameras])
-    shown, clipped = (np.stack(region) for region in zip(*(photo.small for photo in photos), strict=True))
-    none, outshone_by = np.zeros(len(z), bool), np.full(len(z), -1, np.int32)
-    return PhotoSamples(
-        samples=samples,
-        z=z,
-        hdr=hdr,
-        beyond=beyond,
-        stride=stride,
-        small=SmallPhotos(shown, clipped, sizes),
-        mixed=none,
-        scanned=none,
-        outshone_by=outshone_by,
-    )
+    shown, clipped = (np.stack(pictures) for pictures in zip(*(photo.small for photo in photos), strict=True))
+    return PhotoSamples(samples, z, hdr, backdrop, stride, SmallPhotos(shown, clipped, sizes))

@@ -1,4 +1,8 @@
-"""Where the pixels of the photos land on the mesh: the primary rays, traced once."""
+"""Primary rays: where the pixels of the photos meet the mesh, traced once.
+
+Large captures are traced on a lattice, one pixel in a square block of each photo (:func:`pixel_lattice`).
+:class:`Lattice` finds the neighbours of a pixel there.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +60,8 @@ class PixelSamples:
 
 
 def pixel_lattice(camera: Camera, stride: int, phase: int) -> NDArray[np.int32]:
-    """Row-major indices of one pixel in ``stride`` x ``stride``; ``phase`` shifts the lattice from view to view."""
+    """(k,) row-major indices of one pixel in each ``stride`` x ``stride`` block; ``phase`` shifts the lattice from view
+    to view."""
     row, column = divmod(phase % (stride * stride), stride)
     rows = np.arange(row, camera.height, stride)
     columns = np.arange(column, camera.width, stride)
@@ -66,9 +71,9 @@ def pixel_lattice(camera: Camera, stride: int, phase: int) -> NDArray[np.int32]:
 def as_picture(
     values: NDArray[np.floating], pixel: NDArray[np.integer], camera: Camera, step: int = 1
 ) -> NDArray[np.float32]:
-    """(H, W, 3) picture of ``values`` (n, 3) at pixels (n,); all others take the value of the nearest of these.
+    """(H, W, 3) picture of ``values`` (n, 3) at row-major pixels (n,); other pixels repeat the nearest of these.
 
-    A ``step`` beyond 1 makes one of so many rows and columns, without ever filling the large one.
+    With ``step`` above 1 the picture has one of every ``step`` rows and columns of the photo.
     """
     side = (-(-camera.height // step), -(-camera.width // step))
     row, column = pixel // camera.width // step, pixel % camera.width // step
@@ -120,23 +125,24 @@ def trace_view(tracer: Tracer, camera: Camera, index: int, pixel: NDArray[np.int
     )
 
 
-# ---- Which pixels lie side by side: the lattices of all photos in one array -----------------------------------------
+# ---- neighbours on the lattice -------------------------------------------------------------------------------------
 
 
 NO_PIXEL = -1
-"""A place of the lattice whose pixel is not among those asked about."""
-BEYOND_PHOTO = -2
+"""In place of a pixel: a place of the lattice whose pixel is not in the set."""
+OUTSIDE_PHOTO = -2
+"""In place of a pixel: a place beyond the edge of the photo."""
 NEIGHBOURS = [(down, across) for down in (-1, 0, 1) for across in (-1, 0, 1) if down or across]
 
 
 @dataclass(frozen=True)
 class Lattice:
-    """The lattices of all photos, see :func:`.samples.pixel_lattice`, in one array with a margin around each.
+    """The lattices of all photos (:func:`pixel_lattice`) in one flat array, with a margin around each.
 
     Attributes:
-        slot: (n,) place of each pixel in that array.
-        pitch: (n,) length of a row of its lattice there.
-        occupant: pixel at each place, :data:`NO_PIXEL` or :data:`BEYOND_PHOTO` for none.
+        slot: (n,) index of each pixel in that array.
+        pitch: (n,) length of a row of its photo's lattice there.
+        occupant: (m,) the array: index of the pixel at each place, :data:`NO_PIXEL` or :data:`OUTSIDE_PHOTO`.
     """
 
     slot: NDArray[np.int64]
@@ -147,19 +153,19 @@ class Lattice:
     def of(
         view: NDArray[np.integer], pixel: NDArray[np.integer], cameras: Sequence[Camera], stride: int, margin: int
     ) -> Lattice:
-        """The lattice of pixels (n,) of views (n,), to be asked for pixels up to ``margin`` rows or columns away."""
+        """The lattice of row-major pixels (n,) of views (n,), for neighbours up to ``margin`` rows or columns away."""
         wide = np.array([-(-camera.width // stride) + 2 * margin for camera in cameras])
         high = np.array([-(-camera.height // stride) + 2 * margin for camera in cameras])
         first = np.concatenate([[0], np.cumsum(wide * high)])
         row, column = np.divmod(pixel, np.array([camera.width for camera in cameras])[view])
         pitch = wide[view]
         slot = first[view] + (row // stride + margin) * pitch + column // stride + margin
-        occupant = np.full(first[-1], BEYOND_PHOTO, np.int32)
+        occupant = np.full(first[-1], OUTSIDE_PHOTO, np.int32)
         for start, stop, width in zip(first[:-1], first[1:], wide, strict=True):
             occupant[start:stop].reshape(-1, width)[margin:-margin, margin:-margin] = NO_PIXEL
         occupant[slot] = np.arange(len(slot), dtype=np.int32)
         return Lattice(slot, pitch, occupant)
 
     def pixel_at(self, own: slice | NDArray[np.integer], down: int, across: int) -> NDArray[np.int32]:
-        """The pixel so many rows below and columns beside each of ``own``, negative where there is none."""
+        """The pixel ``down`` rows below and ``across`` columns right of each of ``own``, negative where none is."""
         return self.occupant[self.slot[own] + down * self.pitch[own] + across]

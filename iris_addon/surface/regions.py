@@ -1,13 +1,15 @@
-"""Connected surfaces split into regions: modelled ones along sharp edges, scans along edges of colour.
+"""Regions: the faces of a mesh divided into connected surfaces of one material.
 
-A room's shell is often one component, though its floor and its walls are of different materials: its large pieces
-between sharp edges become regions of their own. A scan has no sharp edges. What a capture calls one region may be one
-material or a whole room joined into an object: its pieces are regions as well, and that they were one is no more than a
-hint that they shine alike (:mod:`iris_addon.materials.gloss`).
+:func:`split_regions` works before anything is known of the light. It starts from connected components, within the
+regions of the mesh file where it names any; a file's region may be one material or a whole room joined into an object,
+so that it is only a hint that surfaces have one gloss (:mod:`iris_addon.materials.gloss`). Then
 
-Felzenszwalb & Huttenlocher's graph segmentation (IJCV 2004) on the faces of a component: neighbours join while the
-step between them is no larger than the steps inside the regions they belong to. Shading changes slowly over a surface
-and stays inside a region; albedo changes in steps and makes its border.
+- large components of a modelled surface between sharp edges become regions: the shell of a room is often one
+  component, though its floor and its walls are of different materials (:func:`split_creases`);
+- scans, which have no sharp edges, are split along edges of colour (:func:`split_scan`);
+- flat regions of one plane that look alike across a gap are joined (:func:`joined_in_plane`).
+
+Once the light is about known, :func:`joined_regions` finds regions of a scan that a shadow or a highlight split.
 """
 
 from __future__ import annotations
@@ -21,36 +23,57 @@ from scipy.spatial import cKDTree
 from ..base.group_by import group_equal, group_means, group_medians, group_sums
 from ..model.capture import Mesh
 from .primary_rays import PixelSamples
-from .topology import component_labels, pieces_between_edges, smooth_edges
+from .topology import component_labels, smooth_components, smooth_edges
 
-SCAN_FACES = 20_000
-"""A component with so many faces and so large a share of the pixels is a scan, not a modelled object."""
-SCAN_SHARE = 0.3
-COPLANAR, SCAN_COPLANAR = 0.9999, 0.5
-"""Cosine between the normals of neighbours in one plane, and the share of such edges from which a component is
-modelled, however many its faces are: a wall cut fine stays flat, a scanned one is rough."""
-GRANULARITY = 0.6
-"""Log-colour step times face count up to which a small region joins whatever it touches."""
-MIN_FACES = 60
-DARK = 0.03
-"""Display value that is added before the logarithm is taken."""
-UNSEEN_STEP = 0.15
-PIECE_SHARE = 0.01
-"""Share of all pixels from which a piece between sharp edges is a region of its own."""
+FLAT_COSINE = 0.9999
+"""Cosine between normals from which on they are those of one plane."""
+REGION_MIN_SHARE = 0.01
+"""Share of all pixels from which on a component between sharp edges is a region of its own."""
+COLOUR_FLOOR = 0.03
+"""Display value added before the logarithm of a colour is taken."""
+SCAN_MIN_FACES = 20_000
+"""Faces from which on a component may be a scan, not a modelled object."""
+SCAN_MIN_SHARE = 0.3
+"""Share of all pixels from which on a component may be a scan."""
+SCAN_MAX_FLAT_EDGES = 0.5
+"""Share of flat edges below which a component may be a scan: a modelled wall cut fine stays flat, a scanned one is
+rough."""
+SCAN_GRANULARITY = 0.6
+"""Log-colour step times face count up to which a small region of a scan joins a neighbour."""
+SCAN_MIN_REGION = 60
+"""Faces of a region of a scan, below which it joins a neighbour at any step."""
+SCAN_UNSEEN_STEP = 0.15
+"""Log-colour step assumed between faces of a scan that no photo shows."""
+SCAN_CREASE_STEP = 0.3
+"""Log-colour step that a right angle between faces of a scan counts as."""
+COPLANAR_MAX_GAP = 0.5
+"""Metres between flat regions of one wall, at most."""
+COPLANAR_MAX_OFFSET = 1e-3
+"""Metres between two planes that are taken for one."""
+COPLANAR_MAX_STEP = 0.15
+"""Log-colour step across a gap up to which both sides look alike: one paint, and what is left of shading."""
+COPLANAR_BORDER = 20
+"""Pairs of faces along a gap, the closest, whose colours are compared."""
+REJOIN_MAX_STEP = 0.06
+"""Step of log albedo across a border up to which both sides are one material."""
+REJOIN_MAX_DIFFERENCE = 0.25
+"""Difference of mean log albedo below which regions are one material; small steps may add up to more."""
+REJOIN_MIN_BORDER = 5
+"""Edges of the mesh that a border must have for its step to count."""
 
 
-class Split(NamedTuple):
-    """Faces in regions.
+class Regions(NamedTuple):
+    """The faces of a mesh in regions, connected surfaces of one material.
 
     Attributes:
-        regions: (F,) part per face.
-        scanned: (F,) faces of scans.
-        given: (n_regions,) what of the capture's own regions each is a piece of; None if it brings none.
+        of_face: (F,) int32 region of each face, 0 to n_regions - 1.
+        scanned: (F,) bool, faces of scans.
+        in_file: (n_regions,) int32 region of the mesh file that each lies in; None if the file names none.
     """
 
-    regions: NDArray[np.int32]
+    of_face: NDArray[np.int32]
     scanned: NDArray[np.bool_]
-    given: NDArray[np.int32] | None
+    in_file: NDArray[np.int32] | None
 
 
 def split_regions(
@@ -59,32 +82,32 @@ def split_regions(
     normals: NDArray[np.floating],
     samples: PixelSamples,
     z: NDArray[np.floating],
-) -> Split:
-    """Components, those of each of the capture's own regions where it brings some, the large ones split; without such,
-    those that lie in one plane and look alike are one.
+) -> Regions:
+    """Divide the faces of ``mesh`` into regions, before anything is known of the light.
 
     Args:
+        adjacency: pairs of faces that share an edge, two (k,).
         normals: (F, 3) unit.
+        samples: the n pixels on the mesh.
         z: (n, 3) display values of the pixels.
     """
     components = component_labels(len(mesh.faces), *adjacency)
     scanned = scanned_faces(components, adjacency, normals, samples)
-    if mesh.regions is None:
-        pieces = components
-    else:
+    regions = components
+    if mesh.regions is not None:
         a, b = adjacency
         within = mesh.regions[a] == mesh.regions[b]
-        pieces = component_labels(len(mesh.faces), a[within], b[within])
-    regions = split_creases(pieces, adjacency, normals, samples, scanned)
-    log_colour = np.log(group_means(z, samples.face, len(mesh.faces)) + DARK)
+        regions = component_labels(len(mesh.faces), a[within], b[within])
+    regions = split_creases(regions, adjacency, normals, samples, scanned)
+    log_colour = np.log(group_means(z, samples.face, len(mesh.faces)) + COLOUR_FLOOR)
     if scanned.any():
         regions = split_scan(regions, adjacency, normals, samples, log_colour, scanned)
     if mesh.regions is None:
-        regions = joined_in_plane(regions, mesh, normals, samples, log_colour, PIECE_SHARE)
-        return Split(np.unique(regions, return_inverse=True)[1].astype(np.int32), scanned, None)
-    given = np.empty(int(regions.max()) + 1, np.int32)
-    given[regions] = mesh.regions
-    return Split(regions, scanned, given)
+        regions = joined_in_plane(regions, mesh, normals, samples, log_colour, REGION_MIN_SHARE)
+        return Regions(np.unique(regions, return_inverse=True)[1].astype(np.int32), scanned, None)
+    in_file = np.empty(int(regions.max()) + 1, np.int32)
+    in_file[regions] = mesh.regions
+    return Regions(regions, scanned, in_file)
 
 
 def scanned_faces(
@@ -93,13 +116,18 @@ def scanned_faces(
     normals: NDArray[np.floating],
     samples: PixelSamples,
 ) -> NDArray[np.bool_]:
-    """(F,) faces of components that were scanned: large in faces and in the photos, and nowhere flat."""
+    """(F,) faces of components that were scanned: many faces, a large share of the photos, and hardly a flat edge.
+
+    Args:
+        regions: (F,) connected component of each face.
+        normals: (F, 3) unit.
+    """
     size = np.bincount(regions)
     share = np.bincount(regions[samples.face], minlength=len(size)) / len(samples.face)
     edges_of = regions[adjacency[0]]
-    flat = np.bincount(edges_of, smooth_edges(normals, adjacency, COPLANAR), len(size))
-    rough = flat < SCAN_COPLANAR * np.bincount(edges_of, minlength=len(size))
-    return ((size >= SCAN_FACES) & (share >= SCAN_SHARE) & rough)[regions]
+    flat = np.bincount(edges_of, smooth_edges(normals, adjacency, FLAT_COSINE), len(size))
+    rough = flat < SCAN_MAX_FLAT_EDGES * np.bincount(edges_of, minlength=len(size))
+    return ((size >= SCAN_MIN_FACES) & (share >= SCAN_MIN_SHARE) & rough)[regions]
 
 
 def split_creases(
@@ -109,12 +137,17 @@ def split_creases(
     samples: PixelSamples,
     scanned: NDArray[np.bool_],
 ) -> NDArray[np.int32]:
-    """(F,) regions with the large pieces between sharp edges apart; what is left of a region, or ``scanned``, stays
-    one."""
-    piece = pieces_between_edges(normals, adjacency, regions)
-    pixels = np.bincount(piece[samples.face], minlength=int(piece.max()) + 1)
-    large = pixels >= PIECE_SHARE * len(samples.face)
-    label = np.where(large[piece] & ~scanned, len(regions) + piece, regions)
+    """(F,) regions in which each large component between sharp edges is one; the rest of a region stays together.
+
+    Args:
+        regions: (F,) region of each face.
+        normals: (F, 3) unit.
+        scanned: (F,) faces of scans, which are not split here.
+    """
+    component = smooth_components(normals, adjacency, regions)
+    pixels = np.bincount(component[samples.face], minlength=int(component.max()) + 1)
+    large = pixels >= REGION_MIN_SHARE * len(samples.face)
+    label = np.where(large[component] & ~scanned, len(regions) + component, regions)
     return np.unique(label, return_inverse=True)[1].astype(np.int32)
 
 
@@ -126,31 +159,41 @@ def split_scan(
     log_colour: NDArray[np.floating],
     scanned: NDArray[np.bool_],
 ) -> NDArray[np.int32]:
-    """(F,) regions with those of ``scanned`` (F,) faces split; modelled objects stay as they are.
+    """(F,) regions with those of scans split along edges of colour; modelled objects stay as they are.
+
+    Graph segmentation after Felzenszwalb and Huttenlocher (IJCV 2004): neighbouring faces join while the step between
+    them is no larger than the steps inside the regions they belong to. Shading changes slowly over a surface and stays
+    inside a region; albedo changes in steps, which become borders.
 
     Args:
-        regions: (F,) part of each face.
+        regions: (F,) region of each face.
         normals: (F, 3) unit.
         log_colour: (F, 3) log display value of each face that photos show.
+        scanned: (F,) faces of scans.
     """
     n_faces = len(regions)
     seen = samples.seen_faces(n_faces)
     a, b = adjacency
     inside = scanned[a] & scanned[b] & (regions[a] == regions[b])
     a, b = a[inside], b[inside]
-    step = np.abs(log_colour[a] - log_colour[b]).max(1) + 0.3 * (1 - np.abs((normals[a] * normals[b]).sum(1)))
-    step[~(seen[a] & seen[b])] = UNSEEN_STEP
+    step = np.abs(log_colour[a] - log_colour[b]).max(1) + SCAN_CREASE_STEP * (
+        1 - np.abs((normals[a] * normals[b]).sum(1))
+    )
+    step[~(seen[a] & seen[b])] = SCAN_UNSEEN_STEP
     label = _merge(n_faces, a, b, step)
-    # Labels of scans go behind those of the other regions.
+    # Labels of scans follow those of the other regions.
     label = np.where(scanned, int(regions.max()) + 1 + label, regions)
     return np.unique(label, return_inverse=True)[1].astype(np.int32)
 
 
 def _merge(n: int, a: NDArray[np.int64], b: NDArray[np.int64], step: NDArray[np.floating]) -> NDArray[np.int64]:
-    """Region of each of n nodes; edges in order of their step, then regions that stayed tiny."""
+    """(n,) region of each of ``n`` nodes that edges ``a``, ``b`` (k,) with a ``step`` (k,) link.
+
+    Edges are taken in order of their step; regions that stay tiny then join a neighbour.
+    """
     parent = list(range(n))
     size = [1] * n
-    threshold = [GRANULARITY] * n
+    threshold = [SCAN_GRANULARITY] * n
 
     def find(i: int) -> int:
         while parent[i] != i:
@@ -171,27 +214,12 @@ def _merge(n: int, a: NDArray[np.int64], b: NDArray[np.int64], step: NDArray[np.
         i, j = find(i), find(j)
         if i != j and weight <= min(threshold[i], threshold[j]):
             root = join(i, j)
-            threshold[root] = weight + GRANULARITY / size[root]
+            threshold[root] = weight + SCAN_GRANULARITY / size[root]
     for i, j, _ in edges:
         i, j = find(i), find(j)
-        if i != j and min(size[i], size[j]) < MIN_FACES:
+        if i != j and min(size[i], size[j]) < SCAN_MIN_REGION:
             join(i, j)
     return np.array([find(i) for i in range(n)])
-
-
-# ---- Pieces of one plane that a gap keeps apart: a wall of which a scan lacks a strip, or that a door interrupts ----
-#
-# Colours of photos tell, before anything is known of the light: where two pieces come closest light is about the same.
-
-
-COPLANAR_MAX_GAP = 0.5
-"""Metres between pieces of one wall at most."""
-OFFSET, FLAT = 1e-3, 0.9999
-"""Metres between planes that are one, and the cosine between their normals."""
-COPLANAR_MAX_STEP = 0.15
-"""Step of log colour across a gap up to which both sides are alike: paint and what is left of shading."""
-COPLANAR_BORDER = 20
-"""Pairs of faces, the closest, that are compared."""
 
 
 def joined_in_plane(
@@ -204,11 +232,14 @@ def joined_in_plane(
 ) -> NDArray[np.int32]:
     """(F,) regions with flat ones joined to larger ones of their plane that look alike across a gap.
 
+    Such are parts of a wall that a door interrupts. Their colours are compared where they are closest, since light is
+    about the same there.
+
     Args:
-        regions: (F,) part of each face.
+        regions: (F,) region of each face.
         normals: (F, 3) unit.
         log_colour: (F, 3) log display value of each face that photos show.
-        least_share: of all pixels, that the larger one of the two must have.
+        least_share: of all pixels, which the larger of two regions must have.
     """
     n = int(regions.max()) + 1
     pixels = np.bincount(samples.face, minlength=len(regions))
@@ -220,19 +251,24 @@ def joined_in_plane(
     start = np.searchsorted(regions[seen], np.arange(n + 1))
     label = np.arange(n, dtype=np.int32)
     for large in np.argsort(-share, kind="stable")[: (share >= least_share).sum()]:
-        in_plane = flat & flat[large] & (normal @ normal[large] > FLAT) & (np.abs(height - height[large]) < OFFSET)
-        pieces = np.flatnonzero(in_plane & (share > 0) & (share < share[large]))
-        if not len(pieces):
+        in_plane = (
+            flat
+            & flat[large]
+            & (normal @ normal[large] > FLAT_COSINE)
+            & (np.abs(height - height[large]) < COPLANAR_MAX_OFFSET)
+        )
+        smaller = np.flatnonzero(in_plane & (share > 0) & (share < share[large]))
+        if not len(smaller):
             continue
         there = seen[start[large] : start[large + 1]]
         wall = cKDTree(middle[there])
-        for piece in pieces:
-            here = seen[start[piece] : start[piece + 1]]
+        for region in smaller:
+            here = seen[start[region] : start[region + 1]]
             distance, nearest = wall.query(middle[here], distance_upper_bound=COPLANAR_MAX_GAP)
             border = np.argsort(distance, kind="stable")[: min(COPLANAR_BORDER, np.isfinite(distance).sum())]
             step = np.abs(log_colour[here[border]] - log_colour[there[nearest[border]]]).max(1)
             if len(border) and np.median(step) < COPLANAR_MAX_STEP:
-                label[piece] = label[large]
+                label[region] = label[large]
     return label[regions]
 
 
@@ -242,29 +278,16 @@ def _planes(
     """Mean normal (n, 3) of each of ``n`` regions, its distance (n,) from the origin along it, and whether it is flat.
 
     Args:
-        middle: (F, 3) of each face.
+        regions: (F,) region of each face.
+        middle: (F, 3) centroid of each face, metres.
+        normals: (F, 3) unit.
     """
     normal = group_means(np.asarray(normals, np.float64), regions, n)
     height = np.einsum("fk,fk->f", middle, normal[regions])
     mean_height = group_means(height[:, None], regions, n)[:, 0]
-    flat = np.linalg.norm(normal, axis=1) > FLAT
-    flat &= np.bincount(regions, np.abs(height - mean_height[regions]) > OFFSET, n) == 0
+    flat = np.linalg.norm(normal, axis=1) > FLAT_COSINE
+    flat &= np.bincount(regions, np.abs(height - mean_height[regions]) > COPLANAR_MAX_OFFSET, n) == 0
     return normal, mean_height, flat
-
-
-# ---- Regions of a scan that are one material after all --------------------------------------------------------------
-#
-# A scan is split where the colour of its photos steps (:mod:`iris_addon.surface.regions`), before anything is known of
-# the light: the edge of a shadow or of a highlight splits a cupboard's front as well as the edge of its paint does.
-# Once light is divided out, what is left on both sides of such a border is the same.
-
-
-REJOIN_MAX_STEP = 0.06
-"""Step of log albedo across a border up to which both sides are one material."""
-APART = 0.25
-"""Difference of mean log albedo at which they are not, however small the steps on the way."""
-MIN_BORDER = 5
-"""Edges of the mesh that a border must have to tell."""
 
 
 def joined_regions(
@@ -274,35 +297,37 @@ def joined_regions(
     pixels: NDArray[np.integer],
     scanned: NDArray[np.bool_],
 ) -> NDArray[np.int32]:
-    """(n_regions,) material of each region: the same label for regions of a scan across whose borders albedo takes no
-    step.
+    """(n_regions,) material of each region: one label for regions of a scan across whose borders albedo has no step.
+
+    A scan is split where the colour of its photos steps, at the edge of a shadow or highlight as well as at that of a
+    paint. Once light is divided out, both sides of a shadow's edge are the same.
 
     Args:
-        regions: (F,) part per face.
-        log_albedo: (F, 3) of each face, where it has ``pixels`` (F,).
+        regions: (F,) region of each face.
+        log_albedo: (F, 3) of each face that has ``pixels`` (F,).
         scanned: (F,) faces of a scan; the regions of all others stay apart.
     """
     n = int(regions.max()) + 1
     a, b = adjacency
-    told = scanned & (pixels > 0)
-    border = told[a] & told[b] & (regions[a] != regions[b])
+    known = scanned & (pixels > 0)
+    border = known[a] & known[b] & (regions[a] != regions[b])
     a, b = a[border], b[border]
     swap = regions[a] > regions[b]
     a, b = np.where(swap, b, a), np.where(swap, a, b)
     groups = group_equal(regions[a].astype(np.int64) * n + regions[b])
     step = np.abs(group_medians(log_albedo[a] - log_albedo[b], groups.group, len(groups.keys))).max(1)
-    step[groups.count < MIN_BORDER] = np.inf
-    weight = np.where(told, pixels, 0)[:, None].astype(np.float64)
+    step[groups.count < REJOIN_MIN_BORDER] = np.inf
+    weight = np.where(known, pixels, 0)[:, None].astype(np.float64)
     total, sums = (
         group_sums(weight, regions, n),
-        group_sums(weight * np.where(told[:, None], log_albedo, 0.0), regions, n),
+        group_sums(weight * np.where(known[:, None], log_albedo, 0.0), regions, n),
     )
     label = np.arange(n, dtype=np.int32)
     for k in np.argsort(step, kind="stable"):
         if step[k] > REJOIN_MAX_STEP:
             break
         one, other = label[groups.keys[k] // n], label[groups.keys[k] % n]
-        if one != other and np.abs(sums[one] / total[one] - sums[other] / total[other]).max() < APART:
+        if one != other and np.abs(sums[one] / total[one] - sums[other] / total[other]).max() < REJOIN_MAX_DIFFERENCE:
             sums[one] += sums[other]
             total[one] += total[other]
             label[label == other] = one

@@ -1,8 +1,4 @@
-"""Regions: faces that one would call one object or one material.
-
-A capture may bring them (objects, materials). If not, faces that are joined edge to edge are a region; a scan fuses
-everything into one component, which :mod:`iris_addon.surface.regions` splits by colour.
-"""
+"""Topology of a mesh: which faces share an edge, which edges are sharp, and connected components."""
 
 from __future__ import annotations
 
@@ -15,14 +11,12 @@ from ..model.capture import Mesh
 
 CREASE_COSINE = 0.8
 """Cosine between the normals of neighbours below which their edge is sharp."""
-
-
 WELD_STEPS = 1_000_000
-"""Into so many steps the mesh's size is cut to tell places apart; three such numbers fit into one of 64 bits."""
+"""Resolution at which vertices are welded, steps per size of the mesh; three such numbers fit into 64 bits."""
 
 
 def weld(mesh: Mesh) -> NDArray[np.int64]:
-    """(V,) label per vertex, equal for vertices at the same place up to 1e-6 of the size of what has faces."""
+    """(V,) label of each vertex, equal for vertices at the same place up to 1e-6 of the size of the mesh."""
     used = mesh.vertices[np.unique(mesh.faces)]
     low, extent = used.min(0), float(np.ptp(used, axis=0).max())
     steps = np.clip(np.round((mesh.vertices - low) * (WELD_STEPS / extent)), 0, WELD_STEPS).astype(np.int64)
@@ -42,7 +36,7 @@ def edge_adjacency(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def component_labels(n_faces: int, a: NDArray[np.integer], b: NDArray[np.integer]) -> NDArray[np.int32]:
-    """(n_faces,) connected component of each face under the links a - b."""
+    """(n_faces,) connected component of each face; faces ``a`` (n,) and ``b`` (n,) are linked pair by pair."""
     graph = coo_matrix((np.ones(len(a), np.int8), (a, b)), shape=(n_faces, n_faces))
     return connected_components(graph, directed=False)[1].astype(np.int32)
 
@@ -57,16 +51,17 @@ def smooth_edges(
     return np.abs((normals[a] * normals[b]).sum(1)) > cosine
 
 
-def pieces_between_edges(
+def smooth_components(
     normals: NDArray[np.floating],
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
     group: NDArray[np.integer] | NDArray[np.bool_],
 ) -> NDArray[np.int32]:
-    """(F,) piece of each face between sharp edges.
+    """(F,) connected component of each face once the mesh is cut along its sharp edges.
 
     Args:
         normals: (F, 3) unit.
-        group: (F,) label that all faces of a piece share.
+        adjacency: pairs of faces that share an edge, see :func:`edge_adjacency`.
+        group: (F,) label that all faces of a component share.
     """
     a, b = adjacency
     joined = smooth_edges(normals, adjacency) & (group[a] == group[b])
@@ -74,5 +69,5 @@ def pieces_between_edges(
 
 
 def initial_regions(mesh: Mesh) -> NDArray[np.int32]:
-    """(F,) part per face: the capture's own, else connected components; nothing is split yet."""
+    """(F,) region of each face before any is split: the mesh file's own, else connected components."""
     return mesh.regions if mesh.regions is not None else component_labels(len(mesh.faces), *edge_adjacency(mesh))

@@ -1,4 +1,4 @@
-"""Texels of an atlas: which one a surface point falls into, and which face each shows."""
+"""Texels of an atlas: the one that a surface point falls into, the face that each shows, and scan conversion."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from ..base.parallel import BLOCK, filled, over_blocks
 
 @dataclass(frozen=True)
 class Atlas:
-    """Where the faces of a mesh and the pixels of photos lie on its textures of N by N texels.
+    """The faces of a mesh and the n pixels of photos on textures of N by N texels.
 
     Attributes:
-        uv: (F, 3, 2) per corner.
-        face: (N, N) int32 face under each texel's centre; beside a chart one of its own, since filters reach there;
-            -1 elsewhere.
+        uv: (F, 3, 2) per corner, in [0, 1].
+        face: (N, N) int32 face under each texel's centre; for texels beside a chart a face of the chart, since filters
+            reach there; -1 elsewhere.
         texel: (n,) int64 flat index of the texel under each pixel.
     """
 
@@ -28,26 +28,30 @@ class Atlas:
 
     @staticmethod
     def of(uv: NDArray[np.floating], size: int, face: NDArray[np.integer], barycentric: NDArray[np.floating]) -> Atlas:
-        """Of texture coordinates ``uv`` (F, 3, 2), ``size`` squared texels, and pixels that show points as those of
-        :func:`texel_index`."""
+        """The atlas of texture coordinates ``uv`` (F, 3, 2) with ``size`` squared texels.
+
+        Args:
+            face: (n,) face under each pixel.
+            barycentric: (n, 2) weights of its corners 1 and 2 there.
+        """
         shown, _ = rasterise_atlas(uv, size)
         texel = texel_index(uv, face, barycentric, size)
-        # A sliver may hold no texel's centre, but pixels show it.
-        beyond = shown.ravel()[texel] < 0
-        shown.ravel()[texel[beyond]] = face[beyond]
+        # A sliver may cover no texel's centre, but pixels show it.
+        uncovered = shown.ravel()[texel] < 0
+        shown.ravel()[texel[uncovered]] = face[uncovered]
         beside = np.asarray(maximum_filter(shown, 3))
         return Atlas(uv, np.where(shown < 0, beside, shown), texel)
 
     @property
     def size(self) -> int:
-        """N."""
+        """Side N in texels."""
         return len(self.face)
 
 
 def interpolate_uv(
     uv: NDArray[np.floating], face: NDArray[np.integer], barycentric: NDArray[np.floating]
 ) -> NDArray[np.floating]:
-    """(n, 2) UV of surface points: ``uv`` (F, 3, 2), weights (n, 2) of corners 1 and 2."""
+    """(n, 2) UV of surface points on ``face`` (n,), from ``uv`` (F, 3, 2) and the weights (n, 2) of corners 1 and 2."""
     u, v = barycentric[:, :1], barycentric[:, 1:]
     corners = uv[face]
     return corners[:, 0] * (1 - u - v) + corners[:, 1] * u + corners[:, 2] * v
@@ -74,7 +78,7 @@ def texel_index(
 
 
 def rasterise_atlas(uv: NDArray[np.floating], size: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """What each texel centre shows.
+    """The face under each texel centre, and where on it the centre lies.
 
     Args:
         uv: (F, 3, 2) per corner, charts without overlap.
@@ -90,7 +94,7 @@ def rasterise_atlas(uv: NDArray[np.floating], size: int) -> tuple[NDArray[np.int
     return face.reshape(size, size), barycentric.reshape(size, size, 2)
 
 
-# ---- Which texel centres lie in which UV triangle: scan conversion of all triangles at once -------------------------
+# ---- scan conversion of all triangles at once ----------------------------------------------------------------------
 
 
 FloatArray = NDArray[np.float64]
@@ -98,7 +102,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Covered:
-    """Texel centres, each once for every face over it.
+    """n texel centres inside triangles, each once per triangle.
 
     Attributes:
         texel: (n,) int64 row * size + column; row 0 is the top of the image (v = 1).
@@ -112,10 +116,10 @@ class Covered:
 
 
 def covered_texels(uv: NDArray[np.floating], size: int) -> Covered:
-    """All texel centres inside the triangles ``uv`` (F, 3, 2) of an image of ``size`` squared texels.
+    """All texel centres inside the triangles ``uv`` (F, 3, 2), in an image of ``size`` squared texels.
 
-    A centre on an edge belongs to one side of it only, as in every rasteriser: triangles that share an edge leave no
-    gap and do not overlap. What lies outside the unit square is cut off.
+    A centre on an edge belongs to one side of it only, so that triangles that share an edge leave no gap and do not
+    overlap. Outside the unit square nothing is covered.
     """
     x, y = uv[..., 0].astype(np.float64) * size, size - uv[..., 1].astype(np.float64) * size
     first = _first_centre(y.min(1), size)
@@ -156,10 +160,10 @@ def _first_centre(position: FloatArray, size: int) -> NDArray[np.int64]:
 
 
 def _row_ends(x: FloatArray, y: FloatArray, centre: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Where triangles (n, 3) begin and end on the horizontal lines at ``centre`` (n,), each of which meets its own."""
+    """(n,) where triangles of corners ``x``, ``y`` (n, 3) begin and end on the horizontal lines at ``centre`` (n,)."""
     left, right = np.full(len(centre), np.inf), np.full(len(centre), -np.inf)
     for a, b in ((0, 1), (1, 2), (2, 0)):
-        # From top to bottom, whichever face asks: both sides of an edge must get the same number.
+        # Always from top to bottom: the faces on both sides of an edge must get the same number.
         down = y[:, a] <= y[:, b]
         top, bottom = np.where(down, y[:, a], y[:, b]), np.where(down, y[:, b], y[:, a])
         at_top, at_bottom = np.where(down, x[:, a], x[:, b]), np.where(down, x[:, b], x[:, a])

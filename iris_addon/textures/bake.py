@@ -1,8 +1,9 @@
-"""Textures: albedo per pixel, fused over photos into texels.
+"""Albedo at pixels, fused over photos into texels.
 
-``kd = (L - specular) / Ld`` at every pixel, with the irradiance interpolated from patches, so that the texture keeps
-the photos' resolution and the shading stays out of it. Texels take a robust mean over photos, weighted by resolution,
-angle and the precision of the byte behind each value, and hardly see pixels on an edge, which mix two surfaces.
+At each pixel ``kd = (L - specular) / Ld``, with the irradiance interpolated from patches, so that the texture has the
+resolution of the photos and no shading. Texels take a robust mean over photos, weighted by resolution, angle and the
+precision of the byte behind each value; mixed pixels have almost no weight. Channels that clip in every photo are
+completed from similar texels of the region (:func:`complete_channels`).
 """
 
 from __future__ import annotations
@@ -20,28 +21,54 @@ from ..base.parallel import over_shares
 from ..lighting.balance import MAX_ALBEDO
 from ..response.observations import MIXED_SAY
 
-DIM = 0.05
-"""Share of the median irradiance below which a quotient of radiance and irradiance is not worth much."""
-HIGHLIGHT = 20.0
-"""Inverse of the specular radiance, in irradiance / pi, from which on errors of the lobe outweigh all others."""
-RIM_SAY = 1e-5
-"""Say of a pixel on an edge of what was modelled: where all are such, however many they are texels stay in doubt."""
+DIM_IRRADIANCE = 0.05
+"""Irradiance, in medians, below which radiance over irradiance is unreliable."""
+HIGHLIGHT_PRECISION = 20.0
+"""Inverse of the specular radiance, per irradiance / pi, from which on errors of the lobe outweigh all others."""
+MODELLED_EDGE_WEIGHT = 1e-5
+"""Weight of a mixed pixel on a modelled surface: a texel that only such pixels show stays uncertain, however many."""
 DIM_ALBEDO = 0.02
-"""Added to albedo where it divides: relative differences of black surfaces are noise."""
-UNTOLD = 0.01
-"""Share of a texel's weight from which on a channel counts as seen: where every photo has a byte of 0, it is less."""
+"""Added to albedo in denominators and logarithms: relative differences of black surfaces are noise."""
+CHANNEL_MIN_SHARE = 0.01
+"""Share of a texel's weight from which on a channel counts as seen; a byte of 0 in every photo gives less."""
+OUTLIER_DISTANCE = 0.25
+"""Relative distance from a texel's mean at which a photo loses half its weight."""
+SIMILAR_STEPS = 3
+"""Steps per octave of brightness, and of the balance of channels, within which texels are similar."""
+SIMILAR_MIN_TEXELS = 10
+"""Similar texels seen in all channels that a clipped channel is completed from, at least."""
+SIMILAR_LEVELS = 32
+"""Number of steps of brightness, and of balance around even."""
+SIMILAR_FLOOR = 1e-3
+"""Least value whose logarithm is taken."""
+ALL_CHANNELS = 7
+"""Bits of the three channels."""
+KNOWN_CHANNELS: tuple[Sequence[int], ...] = (*combinations(range(3), 1), *combinations(range(3), 2))
 TINY = np.float32(1e-12)
-OUTLIER = 0.25
-"""Relative distance from a texel's mean at which a photo loses half its say."""
+
+
+@dataclass(frozen=True)
+class PixelAlbedo:
+    """Base colour at the n pixels of all photos.
+
+    Attributes:
+        value: (n, 3) linear Rec.709, 0 to MAX_ALBEDO.
+        weight: (n, 3) statistical weight of each channel, in units of the median one; 0 where clipped.
+        light_error: (n,) standard deviation of the log irradiance that it was divided by.
+    """
+
+    value: NDArray[np.floating]
+    weight: NDArray[np.floating]
+    light_error: NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class TexelAlbedo:
-    """Albedo fused in the texels that some photo shows, neither clipped nor black in one channel at least.
+    """Base colour of the T texels that a photo shows neither clipped nor black, in one channel at least.
 
     Attributes:
         texel: (T,) int64 flat index of each, ascending.
-        value: (T, 3) float32; NaN where all photos that show the channel are clipped or black.
+        value: (T, 3) float32 linear Rec.709; NaN in channels that are clipped or black in all photos.
         weight: (T,) float32 total weight.
     """
 
@@ -57,7 +84,15 @@ def pixel_albedo(
     irradiance: NDArray[np.floating],
     metallic: NDArray[np.floating],
 ) -> NDArray[np.float32]:
-    """(n, 3) base colour of each pixel: of the diffuse part for dielectrics, of the specular lobe for metals."""
+    """(n, 3) base colour of each pixel: of the diffuse part for dielectrics, of the specular lobe for metals.
+
+    Args:
+        radiance: (n, 3) seen, scene-linear Rec.709.
+        specular: (n, 3) radiance to subtract from it.
+        ls0: (n, 3) specular lobe of reflectance 1.
+        irradiance: (n, 3) irradiance / pi, times the view factor of the diffuse lobe.
+        metallic: (n,) 0 or 1.
+    """
     per_unit = np.where(metallic[:, None] > 0.5, ls0, irradiance)
     return np.clip((radiance - specular) / np.maximum(per_unit, 1e-5), 0.0, MAX_ALBEDO).astype(np.float32)
 
@@ -72,21 +107,23 @@ def pixel_weight(
     usual_footprint: float,
     usual_irradiance: float,
 ) -> NDArray[np.float32]:
-    """(n, 3) say of a pixel: near and head-on it sees more, in the dark, under a highlight and on an edge less.
+    """(n, 3) weight of each pixel: larger close by and head-on, smaller in the dark, under a highlight and where mixed.
 
-    An error of the irradiance or of the specular part is one of the albedo once divided by the irradiance.
+    Dividing by irradiance turns errors of irradiance and of the specular part into errors of albedo.
 
     Args:
+        cosine: (n,) between normal and direction to the camera.
+        footprint: (n,) metres on the surface spanned by the pixel.
         irradiance: (n, 3) irradiance / pi.
-        specular: (n, 3) radiance taken off the pixel's.
-        mixed: (n,) pixels on an edge.
-        scanned: (n,) pixels on a scan: an edge is one of colour there, and mixes what is lit alike.
-        usual_footprint, usual_irradiance: medians over all pixels, which "near" and "dark" are meant by.
+        specular: (n, 3) radiance subtracted from that of the pixel.
+        mixed: (n,) bool, mixed pixels.
+        scanned: (n,) bool, pixels on a scan, whose edges are edges of colour between surfaces in the same light.
+        usual_footprint, usual_irradiance: medians over all pixels.
     """
     near = usual_footprint / np.maximum(footprint, 1e-6)
-    lit = irradiance / (irradiance + DIM * usual_irradiance)
-    highlight = HIGHLIGHT * specular.mean(1) / np.maximum(irradiance.mean(1), 1e-6)
-    edge = np.where(mixed, np.where(scanned, np.float32(MIXED_SAY), np.float32(RIM_SAY)), np.float32(1))
+    lit = irradiance / (irradiance + DIM_IRRADIANCE * usual_irradiance)
+    highlight = HIGHLIGHT_PRECISION * specular.mean(1) / np.maximum(irradiance.mean(1), 1e-6)
+    edge = np.where(mixed, np.where(scanned, np.float32(MIXED_SAY), np.float32(MODELLED_EDGE_WEIGHT)), np.float32(1))
     sharp = cosine**2 * np.clip(near, 0.05, 20.0) ** 2 * edge
     return ((sharp / (1 + highlight**2))[:, None] * lit**2).astype(np.float32)
 
@@ -102,7 +139,7 @@ def fuse_texels(
     Args:
         texel: (n,) flat texel index of each pixel.
         value: (n, 3) albedo.
-        weight: (n, 3) say per channel; 0 where clipped.
+        weight: (n, 3) of each channel; 0 where clipped.
     """
     row = np.full(n_texels, -1, np.int32)
     row[texel[weight.any(1)]] = 0
@@ -117,9 +154,9 @@ def fuse_texels(
         _add_up_agreeing(at, some.start, value, weight, first, agreeing)
         shown = agreeing[:, :3] / np.maximum(agreeing[:, 3:], TINY)
         norm[some] = first[:, 3:].max(1)
-        fused[some] = np.where(first[:, 3:] > UNTOLD * norm[some, None], shown, np.nan)
+        fused[some] = np.where(first[:, 3:] > CHANNEL_MIN_SHARE * norm[some, None], shown, np.nan)
 
-    # Every thread goes through all pixels and adds up those of its own texels: reading them is the lesser part.
+    # Each thread reads all pixels and adds up those of its own texels: reading costs less than adding.
     over_shares(len(texels), work)
     return TexelAlbedo(texels, fused, norm)
 
@@ -132,7 +169,8 @@ def _add_up(
     weight: NDArray[np.floating],
     sums: NDArray[np.float32],
 ) -> None:
-    """Weighted values, then weights, of the texels (T, 6) from ``begin`` on; pixels of no texel are -1."""
+    """Add weighted values and weights to ``sums`` (T, 6) of the texels from ``begin`` on; ``row`` (n,) is the texel of
+    each pixel, -1 for none."""
     for i in range(len(row)):
         t = row[i] - begin
         if 0 <= t < len(sums):
@@ -150,7 +188,7 @@ def _add_up_agreeing(
     first: NDArray[np.float32],
     sums: NDArray[np.float32],
 ) -> None:
-    """The same, pixels counting the less the further they are off the mean of their texel by the ``first`` sums."""
+    """The same with pixels down-weighted by their distance from the mean of their texel, that of the sums ``first``."""
     for i in range(len(row)):
         t, off, level = row[i] - begin, 0.0, DIM_ALBEDO
         if t < 0 or t >= len(sums):
@@ -159,54 +197,41 @@ def _add_up_agreeing(
             mean = first[t, c] / max(first[t, 3 + c], TINY)
             off += abs(value[i, c] - mean) / 3
             level += mean / 3
-        say = 1 / (1 + (off / (level * OUTLIER)) ** 2)
+        w = 1 / (1 + (off / (level * OUTLIER_DISTANCE)) ** 2)
         for c in range(3):
-            sums[t, c] += say * weight[i, c] * value[i, c]
-            sums[t, 3 + c] += say * weight[i, c]
+            sums[t, c] += w * weight[i, c] * value[i, c]
+            sums[t, 3 + c] += w * weight[i, c]
 
 
-# ---- Colour of texels of which some channels were clipped in every photo --------------------------------------------
-#
-# The white of a rug in the sun is read in blue alone. What red and green it has is told by texels of its region that
-# are as blue and were seen whole, in the shade of a table; the mean colour of the region is that of the rug's red
-# pattern too.
-
-
-STEPS = 3
-"""Steps per octave of brightness, and of the balance between channels, by which texels count as alike."""
-ENOUGH = 10
-"""Texels seen whole that are asked for, to tell what others like them have."""
-LEAST = 1e-3
-LEVELS = 32
-"""Steps of brightness; so many of the balance too, around even."""
-ALL = 7
-"""Bits of the three channels."""
-KNOWN: tuple[Sequence[int], ...] = (*combinations(range(3), 1), *combinations(range(3), 2))
+# ---- channels that clip in every photo -----------------------------------------------------------------------------
 
 
 def complete_channels(
     value: NDArray[np.floating], region: NDArray[np.integer], region_mean: NDArray[np.floating]
 ) -> NDArray[np.float32]:
-    """(T, 3) texels with the channels that were clipped in every photo as those of their part have them that look alike
-    in the others, and where those are few as the region has them on the mean.
+    """(T, 3) texels whose unknown channels are those of texels of their region that are similar in the known ones.
+
+    Of the white of a rug in the sun only blue may be unclipped. Its red and green are those of texels as blue that were
+    seen in the shade; the mean colour of the region would be that of the rug's red pattern too. It serves where similar
+    texels are few.
 
     Args:
         value: (T, 3) base colour, NaN where clipped; one channel at least is known.
-        part: (T,) part of each texel.
-        part_mean: (n_regions, 3) base colour.
+        region: (T,) region of each texel.
+        region_mean: (n_regions, 3) base colour.
     """
     known = np.isfinite(value)
     code = (known * np.array([1, 2, 4], np.uint8)).sum(1, dtype=np.uint8)
-    clipped = np.flatnonzero(code != ALL)
+    clipped = np.flatnonzero(code != ALL_CHANNELS)
     completed = value.astype(np.float32)
     completed[clipped] = _like_the_region(value[clipped], region_mean[region[clipped]])
-    for channels in KNOWN:
+    for channels in KNOWN_CHANNELS:
         rows = np.flatnonzero(code == sum(1 << c for c in channels))
         lacking = np.zeros(len(region_mean), bool)
         lacking[region[rows]] = True
-        whole = np.flatnonzero((code == ALL) & lacking[region])
+        whole = np.flatnonzero((code == ALL_CHANNELS) & lacking[region])
         if len(whole):
-            share, found = _share_of_like(value[rows], region[rows], value[whole], region[whole], channels)
+            share, found = _share_of_similar(value[rows], region[rows], value[whole], region[whole], channels)
             guess = value[rows][:, channels].sum(1, keepdims=True) * share
             guess = np.where(known[rows], value[rows], np.minimum(guess, MAX_ALBEDO))
             completed[rows[found]] = guess[found]
@@ -220,28 +245,41 @@ def _like_the_region(value: NDArray[np.floating], colour: NDArray[np.floating]) 
     return np.where(known, value, np.clip(colour * scale[:, None], 0.0, MAX_ALBEDO))
 
 
-def _share_of_like(
+def _share_of_similar(
     value: NDArray[np.floating],
     region: NDArray[np.integer],
     whole: NDArray[np.floating],
     region_of_whole: NDArray[np.integer],
     channels: Sequence[int],
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Median colour of the texels ``whole`` (w, 3) that look in the ``channels`` like each of ``value`` (n, 3) and are
-    of its region, over their sum in the channels, (n, 3); and where there are enough of them, (n,)."""
-    asked, look = group_equal(_look(value, region, channels)), _look(whole, region_of_whole, channels)
-    at = np.minimum(np.searchsorted(asked.keys, look), len(asked.keys) - 1)
-    alike = np.flatnonzero(asked.keys[at] == look)
-    told, colour = at[alike], whole[alike]
-    share = colour / np.maximum(colour[:, channels].sum(1, keepdims=True), LEAST)
-    median = group_medians(share, told, len(asked.keys))
-    enough = np.bincount(told, minlength=len(asked.keys)) >= ENOUGH
-    return median[asked.group], enough[asked.group]
+    """Colour of the texels of a region that are similar in the ``channels``.
+
+    Args:
+        value: (n, 3) texels with unknown channels, of ``region`` (n,).
+        whole: (w, 3) texels without, of ``region_of_whole`` (w,).
+
+    Returns:
+        (n, 3) median over the texels ``whole`` similar to each of ``value``, relative to their sum in the channels; and
+        (n,) bool, whether there are enough of them.
+    """
+    groups, key = (
+        group_equal(_similarity_key(value, region, channels)),
+        _similarity_key(whole, region_of_whole, channels),
+    )
+    at = np.minimum(np.searchsorted(groups.keys, key), len(groups.keys) - 1)
+    similar = np.flatnonzero(groups.keys[at] == key)
+    group, colour = at[similar], whole[similar]
+    share = colour / np.maximum(colour[:, channels].sum(1, keepdims=True), SIMILAR_FLOOR)
+    median = group_medians(share, group, len(groups.keys))
+    enough = np.bincount(group, minlength=len(groups.keys)) >= SIMILAR_MIN_TEXELS
+    return median[groups.group], enough[groups.group]
 
 
-def _look(value: NDArray[np.floating], region: NDArray[np.integer], channels: Sequence[int]) -> NDArray[np.int64]:
-    """(n,) number that texels of one region have in common which look alike in the ``channels``."""
-    seen = np.log2(np.maximum(value[:, channels], LEAST)) * STEPS
-    level = np.clip(np.rint(seen.mean(1)) + LEVELS - 1, 0, LEVELS - 1)
-    balance = np.clip(np.rint(seen[:, -1] - seen[:, 0]) + LEVELS // 2, 0, LEVELS - 1)
-    return (region.astype(np.int64) * LEVELS + level.astype(np.int64)) * LEVELS + balance.astype(np.int64)
+def _similarity_key(
+    value: NDArray[np.floating], region: NDArray[np.integer], channels: Sequence[int]
+) -> NDArray[np.int64]:
+    """(n,) key that texels (n, 3) of one ``region`` (n,) share which are similar in the ``channels``."""
+    n, seen = SIMILAR_LEVELS, np.log2(np.maximum(value[:, channels], SIMILAR_FLOOR)) * SIMILAR_STEPS
+    level = np.clip(np.rint(seen.mean(1)) + n - 1, 0, n - 1)
+    balance = np.clip(np.rint(seen[:, -1] - seen[:, 0]) + n // 2, 0, n - 1)
+    return (region.astype(np.int64) * n + level.astype(np.int64)) * n + balance.astype(np.int64)

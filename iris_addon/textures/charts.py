@@ -1,9 +1,10 @@
-"""The texture atlas: a place of its own for every face, as large as the photos can tell about it.
+"""Charts of a texture atlas: texels of its own for each face, as many as the photos resolve.
 
-Faces are grouped to charts (:mod:`.atlas_charts`), each chart is projected along its mean normal, turned to its
-tightest rectangle, scaled to the density its faces ask for, and the rectangles are packed (:mod:`.atlas_packing`). A
-general unwrapper would flatten curved surfaces with less stretch, but takes minutes on meshes of a few hundred
-thousand faces and thousands of pieces; rooms are mostly flat.
+Faces are merged to charts (:func:`merge_faces`). Each chart is projected along its mean normal, rotated to its tightest
+rectangle and scaled to the density its faces need, and the rectangles are packed (:mod:`.packing`). Charts whose
+projection overlaps itself (spiral ramps, doubled faces) are then split. A general unwrapper would flatten curved
+surfaces with less stretch, but takes minutes on meshes of a few hundred thousand faces and thousands of components;
+rooms are mostly flat.
 """
 
 from __future__ import annotations
@@ -14,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.capture import DEGENERATE_AREA, Mesh
+from ..surface.primary_rays import PixelSamples
 from ..surface.topology import component_labels, edge_adjacency
-from .atlas import covered_texels
+from .atlas import Atlas, covered_texels
 from .packing import pack
 
 FloatArray = NDArray[np.float64]
@@ -33,11 +35,36 @@ EXPECTED_FILL = 0.6
 """Share of the atlas that charts cover, before it is known."""
 MOST_CHARTS = 1 / 8
 """Charts per texel of the atlas from which the smallest share their texels."""
+MERGE_ROUNDS = 60
+STEEPEST_COSINE = 0.75
+"""Smallest cosine of a face with the normal of its chart: it is stretched 1.33 times, and walls never share a chart."""
+STEEP_TEXELS = 0.5
+"""Texels of steeper faces that a chart may hold: slivers and grains must not each become a chart."""
+BORDER_WEIGHT = 1.0
+"""Weight of a common border along a whole chart, relative to the cosine between two charts."""
+MERGED_SIZE = 1.05
+"""Room that a merged chart may take in the atlas, in that of its two halves; one seam less is worth the rest."""
+GUTTER = 2
+"""Texels between charts."""
+GRAIN_TEXELS = 16
+"""Texels below which charts are pooled when there are too many."""
 SPLIT_ROUNDS = 2
 OVERLAP_TEXELS = 2
 """Overlaid texels from which a chart is split."""
 FINEST_CHECK = 2048
 """Finest grid, points per side, on which overlaps are looked for."""
+
+
+def atlas_for_photos(mesh: Mesh, samples: PixelSamples, size: int) -> Atlas:
+    """The atlas of ``mesh``, of ``size`` squared texels, with the texel under each pixel of ``samples``.
+
+    Its texture coordinates are the mesh's own, or else new ones whose texels are as large as the pixels of the photos.
+    """
+    uv = mesh.uv
+    if uv is None:
+        density = texel_density_from_footprint(samples.face, samples.footprint, len(mesh.faces))
+        uv = build_atlas(mesh, density, size)
+    return Atlas.of(uv, size, samples.face, samples.barycentric)
 
 
 def texel_density_from_footprint(
@@ -71,7 +98,7 @@ def build_atlas(mesh: Mesh, texel_density: NDArray[np.floating], size: int) -> N
 
     One factor on all densities makes the charts fill the atlas. A chart has one density, that at which it gets as many
     texels as its faces ask for in total; one longer than the atlas is shrunk to fit. Faces tilted against their chart
-    are stretched up to 1 / :data:`.atlas_charts.STEEPEST`; slivers and grains that make up less than half a texel of a
+    are stretched up to 1 / :data:`STEEPEST_COSINE`; slivers and grains that make up less than half a texel of a
     chart may fold. Charts keep a gutter of two texels, one where charts of a few texels crowd the atlas; where there
     are more loose pieces than texels, neighbouring ones share theirs.
 
@@ -260,33 +287,17 @@ def _split(chart: IntArray, lower: NDArray[np.bool_], pairs: tuple[IntArray, Int
     return np.unique(np.where(split[chart], len(split) + piece, chart), return_inverse=True)[1]
 
 
-# ---- Charts: groups of joined faces that one flat projection lays out without folding -------------------------------
-#
-# Faces are merged bottom-up. In every round each chart names the neighbour it would rather join (similar normal, long
-# common border) and pairs that name each other merge, unless the merged chart would hold faces too steep for its mean
-# normal or waste room in the atlas. Everything is vectorised over charts, so that 400 000 faces take a few seconds.
-# Charts whose projection still overlaps itself (spiral ramps, doubled faces) are found by :mod:`.atlas` on the finished
-# layout and split there.
-
-
-STEEPEST = 0.75
-"""Smallest cosine of a face with the normal of its chart: it is stretched 1.33 times, and walls never share a chart."""
-HIDDEN_TEXELS = 0.5
-"""Texels of faces steeper than that which a chart may hold: slivers and grains must not each become a chart."""
-BORDER_WEIGHT = 1.0
-"""Worth of a common border along a whole chart, relative to the cosine between two charts."""
-WASTE = 1.05
-"""How much more of the atlas a merged chart may take than its two halves; one seam less is worth that."""
-GUTTER = 2
-GRAIN_TEXELS = 16
-"""Charts below this size are pooled when there are too many."""
-MAX_ROUNDS = 60
+# ---- merging faces to charts ---------------------------------------------------------------------------------------
 
 
 def merge_faces(
     corners: FloatArray, texels: FloatArray, pairs: tuple[IntArray, IntArray], rng: np.random.Generator
 ) -> IntArray:
-    """Charts of faces.
+    """Charts of faces, merged bottom-up.
+
+    In each round a chart prefers one neighbour (similar normal, long common border), and pairs that prefer each other
+    merge, unless the merged chart would hold faces too steep for its mean normal or waste room in the atlas. All steps
+    are vectorised over charts, so that 400 000 faces take a few seconds.
 
     Args:
         corners: (F, 3, 3) of faces that have an area.
@@ -302,7 +313,7 @@ def merge_faces(
     charts = _Charts.of_faces(corners, normals, area, texels)
     chart = np.arange(len(corners))
     links = _Links.between(*pairs, np.ones(len(pairs[0])), len(corners))
-    for _ in range(MAX_ROUNDS):
+    for _ in range(MERGE_ROUNDS):
         open_links = np.flatnonzero(_may_merge(links, charts))
         if len(open_links) == 0:
             break
@@ -443,9 +454,9 @@ def _may_merge(links: _Links, charts: _Charts) -> NDArray[np.bool_]:
 
     def steep(half: _Charts) -> NDArray[np.bool_]:
         size = np.linalg.norm(half.facing, axis=1)
-        return ((half.facing * both.facing).sum(1) < STEEPEST * length * size) & (size > HIDDEN_TEXELS)
+        return ((half.facing * both.facing).sum(1) < STEEPEST_COSINE * length * size) & (size > STEEP_TEXELS)
 
-    return ~steep(a) & ~steep(b) & (both.cell() < WASTE * (a.cell() + b.cell()))
+    return ~steep(a) & ~steep(b) & (both.cell() < MERGED_SIZE * (a.cell() + b.cell()))
 
 
 def _mutual_choice(links: _Links, among: IntArray, charts: _Charts, rng: np.random.Generator) -> IntArray:
@@ -463,10 +474,10 @@ def _mutual_choice(links: _Links, among: IntArray, charts: _Charts, rng: np.rand
 
 
 def _too_steep(chart: IntArray, normals: FloatArray, texels: FloatArray, n: int) -> NDArray[np.bool_]:
-    """(n,) whether faces steeper than :data:`STEEPEST` cover more than :data:`HIDDEN_TEXELS` of a chart."""
+    """(n,) whether faces steeper than :data:`STEEPEST_COSINE` cover more than :data:`STEEP_TEXELS` of a chart."""
     facing = sums(chart, normals * texels[:, None], n)
     cosine = (facing[chart] * normals).sum(1) / np.maximum(np.linalg.norm(facing, axis=1), 1e-300)[chart]
-    return np.bincount(chart, texels * (cosine < STEEPEST), n) > HIDDEN_TEXELS
+    return np.bincount(chart, texels * (cosine < STEEPEST_COSINE), n) > STEEP_TEXELS
 
 
 def sums(chart: IntArray, values: FloatArray, n: int) -> FloatArray:

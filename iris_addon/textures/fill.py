@@ -1,4 +1,4 @@
-"""Values for the texels of an atlas that nobody saw, from those around them."""
+"""Values for the texels of an atlas that no photo shows, from those around them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..base.parallel import BLOCK, over_blocks
 
 
 def fill_texels(values: NDArray[np.floating], known: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Values for all texels: the known ones stay, gutters repeat the chart beside them, holes blend from around.
+    """Values for all texels: known ones stay, gutters repeat the chart beside them, holes are blended in.
 
     One step of dilation keeps neighbouring charts from bleeding into each other through a gutter of two texels; the
     rest is pull-push (Gortler et al. 1996, section 3.4.1): averages of known texels at ever coarser levels, pushed
@@ -43,24 +43,29 @@ def extend_texels(
     size: int,
     rounds: int,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """``values`` (T, C) of some texels with those not ``known`` (T,) as the mean of the known ones of their ``label``
-    (T,) among the eight around them, so many rounds on; and which are known then.
+    """Extend known texels over unknown ones of the same label, one texel per round.
 
     Args:
-        texel: (T,) flat index of each in the atlas of side ``size``.
+        texel: (T,) flat index of each in an atlas of side ``size``.
+        values: (T, C) of each.
+        known: (T,) bool; the others take the mean of the known ones among the eight texels around them.
+        label: (T,) that a texel shares with those it takes values from.
+
+    Returns:
+        Values (T, C), and which of them are known (T,).
     """
     row, column = np.divmod(texel, size)
     image = np.zeros((size, size, values.shape[1]), np.float32)
     labels = np.zeros((size, size), label.dtype)
-    told = np.zeros((size, size), bool)
-    image[row, column], labels[row, column], told[row, column] = values, label, known
+    filled = np.zeros((size, size), bool)
+    image[row, column], labels[row, column], filled[row, column] = values, label, known
     for _ in range(rounds):
-        asked = np.flatnonzero(~told[row, column])
-        mean, found = _means_around(image, told, row[asked], column[asked], labels)
-        reached = asked[found]
+        unknown = np.flatnonzero(~filled[row, column])
+        mean, found = _means_around(image, filled, row[unknown], column[unknown], labels)
+        reached = unknown[found]
         image[row[reached], column[reached]] = mean[found]
-        told[row[reached], column[reached]] = True
-    return image[row, column], told[row, column]
+        filled[row[reached], column[reached]] = True
+    return image[row, column], filled[row, column]
 
 
 def _dilate(image: NDArray[np.float32], weight: NDArray[np.float32]) -> None:
@@ -79,8 +84,8 @@ def _means_around(
     column: NDArray[np.integer],
     label: NDArray[np.integer] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """(k, C) mean of the known ones, with ``label`` those of the same, among the eight texels around each of some, and
-    where there is any."""
+    """(k, C) mean of the ``known`` (N, N) texels of ``image`` (N, N, C) among the eight around each of k, and whether
+    there is any (k,); with ``label`` (N, N) only of those of the same label."""
     mean, found = np.empty((len(row), image.shape[-1]), np.float32), np.empty(len(row), bool)
     labels = np.zeros((0, 0), np.int32) if label is None else label
     over_blocks(len(row), BLOCK, lambda at: _add_around(image, known, row[at], column[at], labels, mean[at], found[at]))
@@ -116,7 +121,8 @@ def _add_around(
 def _coarser(
     image: NDArray[np.float32], weight: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Half the resolution: means of the known texels of each 2 x 2 block, and how sure they are (0 to 1)."""
+    """Image and weight at half the resolution: means of the known texels of each 2 x 2 block, and their weight, 0 to
+    1."""
     if len(weight) % 2:
         image, weight = np.pad(image, ((0, 1), (0, 1), (0, 0))), np.pad(weight, ((0, 1), (0, 1)))
     quarters = [(slice(i, None, 2), slice(j, None, 2)) for i in (0, 1) for j in (0, 1)]
@@ -126,7 +132,7 @@ def _coarser(
 
 
 def _push(fine: NDArray[np.float32], weight: NDArray[np.float32], coarse: NDArray[np.float32]) -> None:
-    """Bilinear values of ``coarse`` into the texels of ``fine`` that know nothing, in place."""
+    """Write bilinear values of ``coarse`` into the texels of ``fine`` that have no weight, in place."""
     over_blocks(
         len(fine), max(1, BLOCK // len(fine)), lambda rows: _push_rows(rows.start, fine[rows], weight[rows], coarse)
     )

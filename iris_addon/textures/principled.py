@@ -1,4 +1,4 @@
-"""From pixels with an albedo to Principled textures on the atlas."""
+"""Principled textures on the atlas, from base colour at pixels and gloss of regions."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from ..materials.gloss import Gloss
 from ..model.recovered import Textures
 from ..surface.primary_rays import PixelSamples
 from .atlas import Atlas
-from .bake import DIM_ALBEDO, TexelAlbedo, complete_channels, fuse_texels
+from .bake import DIM_ALBEDO, PixelAlbedo, TexelAlbedo, complete_channels, fuse_texels
 from .fill import extend_texels, fill_texels
-from .paint import Paint, find_paint, painted_alike
+from .paint import Paint, find_paint, shared_paint
 
-DOUBT = 0.02
-"""Weight (in head-on pixels) that what is expected of a texel counts for."""
-NEIGHBOUR_ERROR = 0.1
-"""Relative spread of a region's texels from which a texel is more like those beside it than like the region's mean."""
-REACH = 3
-"""Texels over which good ones tell about doubtful ones."""
-FULL_CONFIDENCE = 4.0
-"""Weight (in head-on pixels) at which a texel counts as well seen."""
+EXPECTED_WEIGHT = 0.02
+"""Weight of the expected colour of a texel, in head-on pixels; a texel of less weight is uncertain."""
+TEXTURED_SPREAD = 0.1
+"""Relative spread of a region's texels from which on a texel is expected to be like its neighbours, not the region."""
+EXTEND_TEXELS = 3
+"""Distance, in texels, over which certain texels replace uncertain ones."""
+FULL_CONFIDENCE_WEIGHT = 4.0
+"""Weight of a texel, in head-on pixels, at which its confidence is 1."""
 
 
 def make_textures(
@@ -31,43 +31,41 @@ def make_textures(
     lamps: NDArray[np.bool_],
     gloss: Gloss,
     samples: PixelSamples,
-    albedo: NDArray[np.floating],
-    weight: NDArray[np.floating],
-    light_error: NDArray[np.floating],
+    pixels: PixelAlbedo,
     painted: NDArray[np.bool_],
 ) -> tuple[Textures, NDArray[np.float32], Paint]:
-    """Fuse pixels into texels, even out what is paint of one colour, fill what no photo saw.
+    """Fuse pixels into texels, make paint of one colour even, and fill what no photo shows.
 
     Args:
         atlas: with the texels of ``samples``.
+        regions: (F,) region of each face.
         lamps: (F,) bool, emitting faces; they reflect nothing.
-        albedo: (n, 3) base colour of each pixel.
-        weight: (n, 3) say of each pixel and channel.
-        light_error: (n,) standard deviation of the log irradiance at each pixel.
+        samples: the n pixels on the mesh.
+        pixels: their base colour.
         painted: (n_regions,) bool, regions that may be of one colour.
 
     Returns:
-        The textures, the fused base colour at every pixel (n, 3), and what each region is painted with.
+        The textures, the fused base colour at each pixel (n, 3), and the paint of each region.
     """
     face, texel, size = atlas.face, atlas.texel, atlas.size
-    fused = fuse_texels(texel, albedo, weight, size * size)
-    # By the pixels, not by the faces under texel centres: at a chart's border those lie beyond it.
+    fused = fuse_texels(texel, pixels.value, pixels.weight, size * size)
+    # From the pixels, not from the faces under texel centres: at a chart's border these lie outside it.
     region, error = np.empty(size * size, np.int32), np.empty(size * size, np.float32)
-    region[texel], error[texel] = regions[samples.face], light_error
-    region, error, sure = region[fused.texel], error[fused.texel], fused.weight > DOUBT
-    alike = painted_alike(fused.value[sure], error[sure], region[sure], painted)
-    kind = alike[region]
-    mean = _region_means(alike[regions[samples.face]], albedo, weight, len(painted)).astype(np.float32)
+    region[texel], error[texel] = regions[samples.face], pixels.light_error
+    region, error, sure = region[fused.texel], error[fused.texel], fused.weight > EXPECTED_WEIGHT
+    label = shared_paint(fused.value[sure], error[sure], region[sure], painted)
+    kind = label[region]
+    mean = _region_means(label[regions[samples.face]], pixels, len(painted)).astype(np.float32)
     seen = with_expected(fused, kind, mean, size)
-    paint = find_paint(seen[sure], error[sure], kind[sure], painted).of_regions(alike)
-    evened, expected = paint.evened(seen, error, region), paint.colour(mean[alike])[regions]
+    paint = find_paint(seen[sure], error[sure], kind[sure], painted).of_regions(label)
+    evened, expected = paint.evened(seen, error, region), paint.colour(mean[label])[regions]
     base_color = _fill(fused.texel, evened, face, samples.seen_faces(len(regions)), expected)
-    # A last entry stands for texels of no face, -1.
+    # The last entry of each table is for texels without a face, -1.
     base_color[np.append(lamps, False)[face]] = 0.0
     roughness = np.append(gloss.roughness[regions], 1.0).astype(np.float32)[face]
     metallic = np.append(gloss.metallic[regions], 0.0).astype(np.float32)[face]
     confidence = np.zeros((size, size), np.float32)
-    confidence.flat[fused.texel] = np.clip(fused.weight / FULL_CONFIDENCE, 0, 1)
+    confidence.flat[fused.texel] = np.clip(fused.weight / FULL_CONFIDENCE_WEIGHT, 0, 1)
     textures = Textures(base_color, roughness, metallic, confidence)
     return textures, base_color.reshape(-1, 3)[texel], paint
 
@@ -79,8 +77,13 @@ def _fill(
     seen_faces: NDArray[np.bool_],
     expected: NDArray[np.floating],
 ) -> NDArray[np.float32]:
-    """(size, size, 3) base colour everywhere: ``value`` (T, 3) at ``texel`` (T,), faces seen in part filled from their
-    own texels, faces never seen as is ``expected`` (F, 3) of them."""
+    """(N, N, 3) base colour of all texels.
+
+    Args:
+        texel: (T,) flat index of the texels of ``value`` (T, 3). Faces that photos show in part are filled from these.
+        face: (N, N) face under each texel, -1 for none.
+        seen_faces: (F,) bool; other faces have the ``expected`` colour (F, 3).
+    """
     known = np.zeros(face.shape, bool)
     known.flat[texel] = True
     base_color = np.zeros((*face.shape, 3), np.float32)
@@ -94,25 +97,27 @@ def _fill(
 def with_expected(
     fused: TexelAlbedo, region: NDArray[np.integer], region_mean: NDArray[np.float32], size: int
 ) -> NDArray[np.float32]:
-    """(T, 3) fused texels, mixed with what is expected where they say little.
+    """(T, 3) fused texels, mixed with the expected colour where they are uncertain.
 
-    That is where hardly any light falls, and on edges, where photos mix two surfaces. Expected is the colour of the
-    part, as far as the region is of one colour, else that of the texels beside it.
+    That is where hardly any light falls, and on edges, where photos mix two surfaces. The expected colour is that of
+    the region, as far as the region is of one colour, else that of the texels beside it.
 
     Args:
-        part: (T,) part of each texel.
+        region: (T,) region of each texel.
+        region_mean: (n_regions, 3) mean base colour.
+        size: side of the atlas in texels.
     """
     colour = region_mean[region]
     own = complete_channels(fused.value, region, region_mean)
-    sure = fused.weight > DOUBT
+    sure = fused.weight > EXPECTED_WEIGHT
     plain = _plain(own, colour, region, sure, len(region_mean))[region]
-    beside, found = extend_texels(fused.texel, own, sure, region, size, REACH)
+    beside, found = extend_texels(fused.texel, own, sure, region, size, EXTEND_TEXELS)
 
     def mixed(rows: slice) -> NDArray[np.float32]:
         blend = np.where(found[rows] & ~sure[rows], 1 - plain[rows], 0)[:, None]
         expected = colour[rows] + blend * (beside[rows] - colour[rows])
-        doubt = DOUBT * np.where(found[rows], 1, plain[rows])
-        share = (doubt / (fused.weight[rows] + doubt))[:, None]
+        weight = EXPECTED_WEIGHT * np.where(found[rows], 1, plain[rows])
+        share = (weight / (fused.weight[rows] + weight))[:, None]
         return own[rows] + share * (expected - own[rows])
 
     return filled(np.empty_like(own), mixed)
@@ -125,7 +130,13 @@ def _plain(
     sure: NDArray[np.bool_],
     n_regions: int,
 ) -> NDArray[np.float32]:
-    """(n_regions,) 1 for regions whose texels are of one colour, near 0 for textured ones."""
+    """(n_regions,) 1 for regions of one colour, near 0 for textured ones.
+
+    Args:
+        value: (T, 3) base colour of texels.
+        colour: (T, 3) mean colour of their region.
+        sure: (T,) bool, texels that are certain.
+    """
     rows = np.flatnonzero(sure)
 
     def off(block: slice) -> NDArray[np.float32]:
@@ -133,14 +144,13 @@ def _plain(
         return np.abs(v - c).mean(1) / (c.mean(1) + DIM_ALBEDO)
 
     spread = group_medians(filled(np.empty(len(rows), value.dtype), off)[:, None], region[rows], n_regions)[:, 0]
-    return (1 / (1 + (spread / NEIGHBOUR_ERROR) ** 4)).astype(np.float32)
+    return (1 / (1 + (spread / TEXTURED_SPREAD) ** 4)).astype(np.float32)
 
 
-def _region_means(
-    region: NDArray[np.integer], albedo: NDArray[np.floating], weight: NDArray[np.floating], n_regions: int
-) -> NDArray[np.float64]:
-    """(n_regions, 3) weighted mean base colour; the overall mean for regions never seen."""
-    norm = group_sums(weight, region, n_regions)
-    total = group_sums(weight * albedo, region, n_regions)
+def _region_means(region: NDArray[np.integer], pixels: PixelAlbedo, n_regions: int) -> NDArray[np.float64]:
+    """(n_regions, 3) weighted mean base colour over the pixels of each region, labelled by ``region`` (n,); the overall
+    mean for regions never seen."""
+    norm = group_sums(pixels.weight, region, n_regions)
+    total = group_sums(pixels.weight * pixels.value, region, n_regions)
     overall = total.sum(0) / np.maximum(norm.sum(0), 1e-9)
     return np.where(norm > 0, total / np.maximum(norm, 1e-12), overall)

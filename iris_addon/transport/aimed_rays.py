@@ -1,8 +1,9 @@
-"""Rays aimed at what is far brighter than the rest of the room: a wall beside a lamp, the inside of its shade.
+"""Shadow rays aimed at patches far brighter than the rest of the room: a wall beside a lamp, the inside of its shade.
 
-A small patch that shines like a lamp is met by one gather ray in hundreds, which then stands for all of its light. So
-points on such patches are taken for lights (Keller 1997, "Instant Radiosity"), sampled with shadow rays as lamps are
-and weighted against the gather rays that they compete with by the balance heuristic (Veach 1997, eq. 9.8).
+Of the gather rays one in hundreds meets a small bright patch, and then stands for all of its light. Points on such
+patches therefore serve as lights (Keller 1997, "Instant Radiosity"). Like lamps they are sampled with shadow rays,
+weighted against the gather rays by the balance heuristic (Veach 1997, eq. 9.8). :class:`SparseRays` holds these rays
+and the weight that the gather rays lose to them.
 """
 
 from __future__ import annotations
@@ -23,32 +24,33 @@ from .form_factors import POINT_SETS, ShadowRays, aim_at_point
 from .gather import find_patches
 from .transport import Transport, radiance_table, sent_back
 
-BRIGHT = 10.0
-"""Radiance, in medians of what photos show, from which a patch is aimed at."""
-NOTICED = 0.02
-"""Share of all light that bright patches must send to be worth rays of their own."""
+BRIGHT_RADIANCE = 10.0
+"""Radiance from which on a patch is bright, in medians of the seen patches."""
+BRIGHT_MIN_SHARE = 0.02
+"""Share of all light that bright patches must send to get rays of their own."""
 POINTS_PER_FACE, MAX_POINTS = 8, 200_000
-SAMPLES = 32
-"""Shadow rays from every patch to bright ones, all together."""
+"""Points on bright patches: per face at least, and about in all."""
+AIMED_RAYS = 32
+"""Shadow rays from each patch to all bright ones together."""
 
 
 @dataclass(frozen=True)
 class BrightPoints:
-    """Points on one side each of bright patches, as many per area everywhere.
+    """n points on bright patches, each on one side of the surface, of uniform density.
 
     Attributes:
-        position, normal: (n, 3) float32 metres, and unit on the side that shines.
+        position, normal: (n, 3) float32 metres, and unit on the bright side.
         face, patch: (n,) int32.
-        chance: (n,) probability that a ray is aimed at each, its share of the light.
-        per_area: (N,) the same per square metre of every patch, 0 for those that are not aimed at.
+        probability: (n,) that an aimed ray goes to each: its share of the light.
+        density: (N,) the same per square metre of each patch, 0 for those that are not bright.
     """
 
     position: NDArray[np.float32]
     normal: NDArray[np.float32]
     face: NDArray[np.int32]
     patch: NDArray[np.int32]
-    chance: NDArray[np.float64]
-    per_area: NDArray[np.float64]
+    probability: NDArray[np.float64]
+    density: NDArray[np.float64]
 
 
 def aim_at_bright(
@@ -60,23 +62,26 @@ def aim_at_bright(
     dark_faces: NDArray[np.bool_],
     rng: np.random.Generator,
 ) -> SparseRays | None:
-    """Rays from the seen patches to bright ones, and, negative, the say that gather rays lose to them.
+    """Rays from the seen patches to bright ones, and with negative weight what gather rays lose to them.
 
     Args:
-        regions: (F,) part per face.
-        radiance, irradiance: (N, 3) about what patches send, and what arrives at them over pi.
-        dark_faces: (F,) faces of lamps, which are aimed at already.
+        regions: (F,) region of each face.
+        radiance: (N, 3) that patches send, about.
+        irradiance: (N, 3) irradiance / pi at patches, about.
+        dark_faces: (F,) faces of lamps, which have shadow rays already.
 
     Returns:
-        None where the room has no bright patches that matter.
+        None where bright patches do not matter.
     """
     light = np.maximum(radiance @ LUMINANCE, 0.0)
-    bright = light > BRIGHT * np.median(light[: transport.n_seen])
-    row, column = entries_of(transport.target, np.append(bright, [False, False]))  # the last are ESCAPED and UNKNOWN
+    bright = light > BRIGHT_RADIANCE * np.median(light[: transport.n_seen])
+    row, column = entries_of(
+        transport.target, np.append(bright, [False, False])
+    )  # the last two are ESCAPED and UNKNOWN
     on = ~dark_faces[transport.rays.face[row, column]]
     row, column = row[on], column[on]
     sent = light[transport.target[row, column]].sum() / transport.target.shape[1]
-    if sent <= NOTICED * (irradiance[: transport.n_seen] @ LUMINANCE).sum():
+    if sent <= BRIGHT_MIN_SHARE * (irradiance[: transport.n_seen] @ LUMINANCE).sum():
         return None
     faces = np.unique(transport.rays.face[row, column])
     points = _bright_points(tracer, transport, regions, faces, np.where(bright, light, 0.0), rng)
@@ -94,7 +99,7 @@ def _bright_points(
     light: NDArray[np.floating],
     rng: np.random.Generator,
 ) -> BrightPoints | None:
-    """Points on the bright patches (``light`` (N,) > 0) of ``faces``; None where none falls on one."""
+    """Points on ``faces`` that lie on bright patches, whose ``light`` (N,) is positive; None without any."""
     areas = tracer.areas[faces].astype(np.float64)
     total = MAX_POINTS - POINTS_PER_FACE * len(faces)
     count = POINTS_PER_FACE + (max(total, 0) * areas / areas.sum()).astype(np.int64)
@@ -113,17 +118,17 @@ def _bright_points(
     if not len(patch):
         return None
     power = area * light[patch]
-    per_area = np.zeros(len(light))
-    per_area[patch] = light[patch] / power.sum()
+    density = np.zeros(len(light))
+    density[patch] = light[patch] / power.sum()
     return BrightPoints(
-        position=position, normal=normal, face=face, patch=patch, chance=power / power.sum(), per_area=per_area
+        position=position, normal=normal, face=face, patch=patch, probability=power / power.sum(), density=density
     )
 
 
 def _displaced(
     tracer: Tracer, transport: Transport, points: BrightPoints, row: NDArray[np.integer], column: NDArray[np.integer]
 ) -> SparseRays:
-    """What gather rays (``row``, ``column``) that met bright patches lose: they compete with aimed ones."""
+    """What the gather rays ``row``, ``column`` (n,) that meet bright patches lose to the aimed ones."""
     rays, origins = transport.rays, transport.origins
     n_rays = rays.face.shape[1]
     face, target = rays.face[row, column], transport.target[row, column]
@@ -131,8 +136,8 @@ def _displaced(
     cos_light = np.abs(dot(direction, tracer.normals[face]))
     cos_surface = np.abs(dot(direction, origins.normal[row, column % origins.normal.shape[1]]))
     gathered = n_rays * cos_surface * cos_light / np.maximum(np.pi * rays.distance[row, column] ** 2, 1e-9)
-    aimed = SAMPLES * points.per_area[target]
-    loses = -aimed / np.maximum(gathered + aimed, 1e-30)  # a patch without a point is not aimed at
+    aimed = AIMED_RAYS * points.density[target]
+    loses = -aimed / np.maximum(gathered + aimed, 1e-30)  # no ray is aimed at a patch without a point
     weight = loses / n_rays * _lobes(transport, row, target, cos_surface, cos_light, direction)
     return SparseRays(
         n_rows=transport.n_patches, row=row, weight=weight[:, None].astype(np.float32), target=target, face=face
@@ -140,10 +145,10 @@ def _displaced(
 
 
 def _aimed(tracer: Tracer, transport: Transport, points: BrightPoints, rng: np.random.Generator) -> SparseRays:
-    """SAMPLES shadow rays from every seen patch; those that arrive."""
+    """Of AIMED_RAYS shadow rays from each seen patch those that arrive."""
     origins, n_rays = transport.origins, transport.rays.face.shape[1]
-    cumulative = np.cumsum(points.chance)
-    strata = (np.arange(SAMPLES) + rng.random((POINT_SETS, SAMPLES))) * (cumulative[-1] / SAMPLES)
+    cumulative = np.cumsum(points.probability)
+    strata = (np.arange(AIMED_RAYS) + rng.random((POINT_SETS, AIMED_RAYS))) * (cumulative[-1] / AIMED_RAYS)
     sets = np.minimum(np.searchsorted(cumulative, strata, side="right"), len(cumulative) - 1).astype(np.int32)
     arrived: dict[int, SparseRays] = {}
 
@@ -156,7 +161,7 @@ def _aimed(tracer: Tracer, transport: Transport, points: BrightPoints, rng: np.r
         shadow = rows_of(shadow, clear)
         row, target = rows.start + shadow.row, points.patch[shadow.pick]
         filled = shadow.cos_surface * shadow.cos_light / (np.pi * shadow.length**2)
-        weight = filled / (n_rays * filled + SAMPLES * points.per_area[target])
+        weight = filled / (n_rays * filled + AIMED_RAYS * points.density[target])
         weight = weight * _lobes(transport, row, target, shadow.cos_surface, shadow.cos_light, shadow.along)
         arrived[rows.start] = SparseRays(
             n_rows=transport.n_patches,
@@ -166,7 +171,7 @@ def _aimed(tracer: Tracer, transport: Transport, points: BrightPoints, rng: np.r
             face=points.face[shadow.pick],
         )
 
-    over_random_blocks(len(origins.position), BLOCK // SAMPLES, work, rng)
+    over_random_blocks(len(origins.position), BLOCK // AIMED_RAYS, work, rng)
     return SparseRays.joined([arrived[start] for start in sorted(arrived)])
 
 
@@ -181,8 +186,11 @@ def _toward_picked(
     pick: NDArray[np.int32],
     shadow: ShadowRays,
 ) -> int:
-    """Rays from patches, ``per_patch`` points (n, 3) each, to those of ``points`` (m, 3) that each has picked (n, S),
-    if they shine there; how many."""
+    """Fill ``shadow`` with the rays from patches to the points (m, 3) that each has picked (n, S); returns how many.
+
+    Args:
+        position, normal: (n · per_patch, 3) points on the patches.
+    """
     count = 0
     for p in range(pick.shape[0]):
         for s in range(pick.shape[1]):
@@ -219,25 +227,25 @@ def _lobes(
     cos_end: NDArray[np.floating],
     direction: NDArray[np.floating],
 ) -> NDArray[np.floating]:
-    """The diffuse lobes at both ends of each ray over Lambert's."""
+    """(n,) factor of the diffuse lobes at both ends of each ray, relative to Lambert's."""
     factor = np.empty(len(row))
     _lobe_factors(transport.lobes, transport.kappa, row, target, cos_start, cos_end, direction, factor)
     return factor
 
 
-# ---- Rays beside the gather rays, from few of the patches or to few of them -----------------------------------------
+# ---- the rays ------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class SparseRays:
-    """k rays, each with its own weight.
+    """k rays between a few patches, in addition to the gather rays.
 
     Attributes:
-        n_rows: N patches, seen and unseen.
+        n_rows: number N of patches, seen and unseen.
         row: (k,) patch that gathers.
-        weight: (k, 1) or (k, 3) float32 share of the radiance met that arrives as irradiance / pi.
+        weight: (k, 1) or (k, 3) float32 irradiance / pi per radiance met, of all or of each channel.
         target: (k,) int32 patch met, UNKNOWN or ESCAPED.
-        face: (k,) int32 face met, -1 where escaped.
+        face: (k,) int32 face met, -1 where the ray escapes.
     """
 
     n_rows: int
@@ -255,8 +263,8 @@ class SparseRays:
     def gather_radiance(
         self, radiance: NDArray[np.floating], unknown: NDArray[np.floating], emitter_faces: NDArray[np.bool_]
     ) -> NDArray[np.float32]:
-        """(N, 3) irradiance / pi to be added to :meth:`iris_addon.transport.transport.Transport.gather_radiance`, whose
-        arguments these are."""
+        """(N, 3) irradiance / pi to be added to that of
+        :meth:`iris_addon.transport.transport.Transport.gather_radiance`, which has the same arguments."""
         table, dark = radiance_table(radiance, unknown), np.append(emitter_faces, False)
         sums = np.zeros((self.n_rows, 3))
         over_shares(
@@ -277,7 +285,8 @@ def _gather(
     dark: NDArray[np.bool_],
     sums: NDArray[np.float64],
 ) -> None:
-    """Weighted radiance of the rays of the rows (n, 3) from ``begin`` on; those that meet ``dark`` faces carry none."""
+    """Add to ``sums`` (n, 3) the weighted radiance of the rays of the rows from ``begin`` on; rays that end on ``dark``
+    faces carry none."""
     last = weight.shape[1] - 1
     for i in range(len(row)):
         r = row[i] - begin

@@ -1,4 +1,4 @@
-"""Transport on disk, under a hash of what it depends on: the mesh, the cameras, the patches and the sampling."""
+"""Transport cached on disk, under a hash of what it depends on: mesh, regions, patches and sampling."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import hashlib
 import os
 import time
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,61 +15,69 @@ from numpy.typing import NDArray
 from ..base.errors import IrisError
 from ..base.files import read_arrays, user_cache, write_arrays
 from ..base.progress import Progress
-from ..model.capture import Capture
+from ..config import SolveConfig
 from ..rays.sampling import Origins
-from ..rays.tracer import Tracer
-from ..surface.patches import PatchGrid, Surface
+from ..surface.patches import PatchGrid
+from ..surface.traced_room import TracedRoom
 from .gather import GatherRays
-from .transport import Transport, build_transport
+from .transport import Transport, build_transport, choose_device
 
 FORMAT = 4
 MAX_ENTRIES, MAX_BYTES = 6, 4 << 30
+"""Files kept, and bytes of all of them."""
 ABANDONED_SECONDS = 3600
+"""Age from which on an unfinished file is that of a process that was killed."""
 
 
 def cache_folder() -> Path:
-    """Where transport is kept: $IRIS_CACHE, else the user's cache folder."""
+    """The folder of the cache: $IRIS_CACHE, else the user's cache folder."""
     chosen = os.environ.get("IRIS_CACHE")
     return Path(chosen) if chosen else user_cache()
 
 
-def cached_transport(
-    capture: Capture,
-    tracer: Tracer,
-    surface: Surface,
-    regions: NDArray[np.int32],
-    n_rays: int,
-    seed: int,
-    rng: np.random.Generator,
-    progress: Progress,
-) -> Transport:
-    """:func:`build_transport`, read back where the same was traced before."""
-    path = cache_folder() / f"transport-{_key(capture, surface, regions, n_rays, seed)}.npz"
+def cached_transport(room: TracedRoom, config: SolveConfig, rng: np.random.Generator, progress: Progress) -> Transport:
+    """The transport of ``room``, read back where the same was traced before.
+
+    Args:
+        rng: a generator that follows from ``config.seed``, which stands for it in the key of the cache.
+
+    Raises:
+        BadInput: a GPU is requested and torch finds none.
+    """
+    device = choose_device(config.device)
+    return replace(_cached(room, config, rng, progress), device=device)
+
+
+def _cached(room: TracedRoom, config: SolveConfig, rng: np.random.Generator, progress: Progress) -> Transport:
+    path = cache_folder() / f"transport-{_key(room, config)}.npz"
     known = _read(path)
     if known is not None:
-        with suppress(OSError):  # a cache that may only be read still serves
+        with suppress(OSError):  # the cache may be read-only
             os.utime(path)
         return known
-    transport = build_transport(tracer, surface, regions, n_rays, rng, progress)
+    transport = build_transport(room.tracer, room.patches, room.regions.of_face, config.gather_rays, rng, progress)
     try:
         write_arrays(path, _arrays(transport))
     except IrisError as error:
         # A cache that cannot be written costs time in the next run; it must not cost this one.
         progress.update(1.0, f"transport is not cached: {error}")
-    with suppress(OSError):  # another solve may be tidying up as well
+    with suppress(OSError):  # another solve may prune at the same time
         _prune(path.parent)
     return transport
 
 
-def _key(capture: Capture, surface: Surface, regions: NDArray[np.int32], n_rays: int, seed: int) -> str:
-    digest = hashlib.sha256(repr((FORMAT, n_rays, seed, len(surface.region), surface.pixels_per_patch)).encode())
-    for array in (capture.mesh.vertices, capture.mesh.faces, regions, surface.grid.cell_keys, surface.origins.position):
+def _key(room: TracedRoom, config: SolveConfig) -> str:
+    mesh, patches = room.capture.mesh, room.patches
+    numbers = FORMAT, config.gather_rays, config.seed, len(patches.region), patches.pixels_per_patch
+    digest = hashlib.sha256(repr(numbers).encode())
+    arrays = mesh.vertices, mesh.faces, room.regions.of_face, patches.grid.cell_keys, patches.origins.position
+    for array in arrays:
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()[:32]
 
 
 def _prune(folder: Path) -> None:
-    """Keep the entries used last; remove what processes that were killed had begun to write."""
+    """Keep the entries used last; remove unfinished files of processes that were killed."""
     entries = sorted(folder.glob("transport-*.npz"), key=lambda path: path.stat().st_mtime, reverse=True)
     begun = [path for path in folder.glob(".transport-*.npz") if time.time() - path.stat().st_mtime > ABANDONED_SECONDS]
     total = np.cumsum([path.stat().st_size for path in entries])

@@ -1,14 +1,14 @@
-"""Light that arrives straight from lamps: area sampling with shadow rays, and the gather rays that found them.
+"""Form factors of lamps: ``B`` of equation (1), by shadow rays to them and the gather rays that meet them.
 
-``B`` of ``Ld = G L + B e`` (:mod:`iris_addon.transport.gather`) combines both ways to find an emitter with the balance
-heuristic (Veach 1997, eq. 9.8): area sampling alone is noisy next to a large window, cosine sampling alone misses small
-lamps.
+Both ways to find an emitter are combined by the balance heuristic (Veach 1997, eq. 9.8), equation (8): area sampling
+alone is noisy beside a large window, cosine sampling alone misses small lamps.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -24,14 +24,14 @@ from ..rays.tracer import Tracer
 from .gather import GatherRays
 
 POINT_SETS = 1024
-"""Sets of points on an emitter, of which every patch takes one at random. Drawing points anew for each patch costs as
-much as its rays; of patches near each other, over which noise is averaged, hardly two share a set."""
+"""Sets of points on an emitter, of which each patch takes one at random. To draw points anew for each patch would cost
+as much as its rays; of the neighbouring patches that noise is averaged over, hardly two share a set."""
 MIN_COSINE = 1e-4
-"""At either end of a ray to a point on a light source."""
+"""Least cosine at either end of a ray to a point on a light source."""
 
 
 def emitter_of_face(emitters: Sequence[NDArray[np.integer]], n_faces: int) -> NDArray[np.int64]:
-    """(F + 1,) index of the emitter each face belongs to, else -1; the last entry is that of no face at all, -1."""
+    """(F + 1,) index of the emitter of each face, -1 for none; the last entry, for rays that meet no face, is -1."""
     label = np.full(n_faces + 1, -1, np.int64)
     for index, faces in enumerate(emitters):
         label[faces] = index
@@ -47,10 +47,11 @@ def emitter_form_factors(
     rng: np.random.Generator,
     progress: Progress,
 ) -> NDArray[np.float32]:
-    """``B`` (P, E, 2): the share of a patch's cosine-weighted hemisphere that each emitter fills, with visibility,
-    and the same weighted by Schlick's S, for diffuse lobes (:func:`iris_addon.brdf.diffuse.under_lobe`).
+    """``B`` (P, E, 2): the visible share of a patch's cosine-weighted hemisphere that each emitter fills, and the same
+    weighted by Schlick's S, for diffuse lobes (:func:`iris_addon.brdf.diffuse.under_lobe`).
 
     Args:
+        origins, rays: of the P patches.
         emitters: face indices of each emitter.
         n_samples: points sampled on each emitter per patch, before patches that cannot see it are left out.
     """
@@ -61,9 +62,11 @@ def emitter_form_factors(
     area = np.array([tracer.areas[faces].sum() for faces in emitters], np.float32)
     label = emitter_of_face(emitters, len(tracer.areas))
     _add_gathered(result, tracer, origins, rays, label, area, n_samples)
-    # Lamps and blocks of patches in one go: where either are few, cores would wait.
+    # One job per lamp and block of patches, so that all cores are busy where either are few.
     generators = rng.spawn(2 * len(emitters))
-    sets = over_each(range(len(emitters)), lambda k: _sets_of_points(tracer, emitters[k], n_samples, generators[2 * k]))
+    points = over_each(
+        range(len(emitters)), lambda k: _EmitterPoints.draw(tracer, emitters[k], n_samples, generators[2 * k])
+    )
     jobs = [
         (k, rows, generator)
         for k in range(len(emitters))
@@ -72,9 +75,7 @@ def emitter_form_factors(
 
     def add(job: tuple[int, slice, np.random.Generator]) -> None:
         k, rows, generator = job
-        _add_sampled(
-            result[rows, k], tracer, *origins.flat(rows), sets[k], float(area[k]), n_rays, n_samples, generator
-        )
+        _add_sampled(result[rows, k], tracer, origins, rows, points[k], n_rays, generator)
 
     over_each(jobs, add, progress.update)
     return result
@@ -89,7 +90,12 @@ def _add_gathered(
     area: NDArray[np.float32],
     n_samples: int,
 ) -> None:
-    """Add the gather rays that hit an emitter, weighted against the area samples they compete with."""
+    """Add to ``result`` (P, E, 2) the gather rays that hit an emitter, weighted against its area samples.
+
+    Args:
+        label: (F + 1,) of :func:`emitter_of_face`.
+        area: (E,) square metres.
+    """
     n_rays = rays.face.shape[1]
     row, column = entries_of(rays.face, label >= 0)
     face = rays.face[row, column]
@@ -105,38 +111,67 @@ def _add_gathered(
 
 
 def with_schlick(cosine: NDArray[np.floating]) -> NDArray[np.floating]:
-    """(n, 2) of 1 and S of the cosines (n,)."""
+    """(n, 2) the number 1 and Schlick's S of the cosines (n,)."""
     return np.stack([np.ones_like(cosine), schlick(cosine)], -1)
+
+
+@dataclass(frozen=True)
+class _EmitterPoints:
+    """Points spread over one emitter: POINT_SETS sets of ``n_samples``, each spread over it on its own.
+
+    Attributes:
+        position, normal: (POINT_SETS · n_samples, 3) float32 metres, and unit.
+        n_samples: points of each set.
+        area: of the emitter, square metres.
+    """
+
+    position: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    n_samples: int
+    area: float
+
+    @staticmethod
+    def draw(tracer: Tracer, faces: NDArray[np.integer], n_samples: int, rng: np.random.Generator) -> _EmitterPoints:
+        """Points on an emitter of ``faces``.
+
+        Faces are chosen in order of area, and any run of the R2 sequence is evenly spread: so are the points of a set.
+        """
+        cumulative = np.cumsum(tracer.areas[faces])
+        strata = (np.arange(n_samples) + rng.random((POINT_SETS, n_samples))) * (cumulative[-1] / n_samples)
+        pick = faces[np.minimum(np.searchsorted(cumulative, strata, side="right"), len(faces) - 1)]
+        u = r2_sequence(POINT_SETS, n_samples, rng)
+        u = np.where(u.sum(-1, keepdims=True) > 1, 1 - u, u)
+        corner, second, third = np.moveaxis(tracer.corners[pick].astype(np.float32), 2, 0)
+        position = corner + u[..., :1] * (second - corner) + u[..., 1:] * (third - corner)
+        area = float(np.float32(tracer.areas[faces].sum()))
+        return _EmitterPoints(position.reshape(-1, 3), tracer.normals[pick.ravel()], n_samples, area)
 
 
 def _add_sampled(
     column: NDArray[np.float32],
     tracer: Tracer,
-    position: NDArray[np.float32],
-    normal: NDArray[np.float32],
-    per_patch: int,
-    sets: tuple[NDArray[np.float32], NDArray[np.float32]],
-    area: float,
+    origins: Origins,
+    rows: slice,
+    points: _EmitterPoints,
     n_rays: int,
-    n_samples: int,
     rng: np.random.Generator,
 ) -> None:
-    """Add shadow rays from some patches to ``n_samples`` points on one emitter to ``column`` (n, 2).
+    """Add shadow rays from the patches ``rows`` to one emitter to ``column`` (n, 2), its form factors there.
 
     Args:
-        position, normal: (n · per_patch, 3) points on the patches.
-        sets: points on the emitter, as of :func:`_sets_of_points`.
+        n_rays: gather rays of a patch, which may find the emitter as well.
     """
-    shadow = ShadowRays.empty(len(column) * n_samples)
+    shadow = ShadowRays.empty(len(column) * points.n_samples)
     chosen = rng.integers(POINT_SETS, size=len(column))
-    count = _toward_points(position, normal, per_patch, tracer.epsilon, *sets, chosen, n_samples, shadow)
+    ends = points.position, points.normal, chosen, points.n_samples
+    count = _toward_points(*origins.flat(rows), tracer.epsilon, *ends, shadow)
     shadow = rows_of(shadow, slice(count))
     clear = tracer.unoccluded(shadow.start, shadow.along, shadow.length)
-    _add_visible(shadow, clear, area, n_rays, n_samples, column)
+    _add_visible(shadow, clear, points.area, n_rays, points.n_samples, column)
 
 
 class ShadowRays(NamedTuple):
-    """Rays to points on light sources.
+    """n rays from patches to points on light sources.
 
     Attributes:
         start, along: (n, 3) float32 metres, and unit.
@@ -156,7 +191,7 @@ class ShadowRays(NamedTuple):
 
     @staticmethod
     def empty(n: int) -> ShadowRays:
-        """Room for so many."""
+        """Uninitialised rays."""
         start, along = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
         row, pick = np.empty(n, np.int32), np.empty(n, np.int32)
         length, cos_surface, cos_light = (np.empty(n, np.float32) for _ in range(3))
@@ -167,8 +202,8 @@ class ShadowRays(NamedTuple):
 def aim_at_point(
     shadow: ShadowRays, at: Integer, origin: Vector, n: Vector, epsilon: Real, point: Vector, m: Vector
 ) -> bool:
-    """Fill row ``at`` with the ray to a point, ``n`` and ``m`` being the normals of both ends; whether either may see
-    the other."""
+    """Fill row ``at`` with the ray from ``origin``, of normal ``n``, to ``point``, of normal ``m``; returns whether
+    both lie in front of each other."""
     ox, oy, oz = origin[0] + epsilon * n[0], origin[1] + epsilon * n[1], origin[2] + epsilon * n[2]
     dx, dy, dz = point[0] - ox, point[1] - oy, point[2] - oz
     length = math.sqrt(max(dx * dx + dy * dy + dz * dz, 1e-9))
@@ -194,8 +229,13 @@ def _toward_points(
     n_samples: int,
     shadow: ShadowRays,
 ) -> int:
-    """Rays from patches, ``per_patch`` points (n, 3) each, to the set of points (SETS · n_samples, 3) that each has
-    ``chosen``; how many."""
+    """Fill ``shadow`` with the rays from n patches to the set of points that each has ``chosen`` (n,); returns
+    how many.
+
+    Args:
+        position, normal: (n · per_patch, 3) points on the patches.
+        points, normals: (POINT_SETS · n_samples, 3) on the emitter.
+    """
     count = 0
     for p in range(len(chosen)):
         for s in range(n_samples):
@@ -216,7 +256,7 @@ def _add_visible(
     n_samples: int,
     column: NDArray[np.float32],
 ) -> None:
-    """Add what arrives to ``column`` (n, 2), by the balance heuristic against the gather rays."""
+    """Add the rays that are ``clear`` to ``column`` (n, 2), by the balance heuristic against the gather rays."""
     for i in range(len(clear)):
         if clear[i]:
             cosine = shadow.cos_surface[i]
@@ -224,20 +264,3 @@ def _add_visible(
             value = per_area / (n_samples / area + n_rays * per_area)
             column[shadow.row[i], 0] += value
             column[shadow.row[i], 1] += value * grazing(cosine)
-
-
-def _sets_of_points(
-    tracer: Tracer, faces: NDArray[np.integer], n_samples: int, rng: np.random.Generator
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Position and normal, both (POINT_SETS · n_samples, 3), of points spread over an emitter, each set on its own.
-
-    Faces are chosen in order of area, and a run of the R2 sequence is as even as the whole: so are the points of each.
-    """
-    cumulative = np.cumsum(tracer.areas[faces])
-    strata = (np.arange(n_samples) + rng.random((POINT_SETS, n_samples))) * (cumulative[-1] / n_samples)
-    pick = faces[np.minimum(np.searchsorted(cumulative, strata, side="right"), len(faces) - 1)]
-    u = r2_sequence(POINT_SETS, n_samples, rng)
-    u = np.where(u.sum(-1, keepdims=True) > 1, 1 - u, u)
-    corner, second, third = np.moveaxis(tracer.corners[pick].astype(np.float32), 2, 0)
-    position = corner + u[..., :1] * (second - corner) + u[..., 1:] * (third - corner)
-    return position.reshape(-1, 3), tracer.normals[pick.ravel()]

@@ -1,7 +1,6 @@
-"""Gather rays: cosine-distributed, from every patch to whatever sends it light.
+"""Gather rays: cosine-distributed rays from each patch, and the patches they meet.
 
-With L the radiance per patch and e the radiance per emitter, irradiance / pi is ``Ld = G L + B e`` (+ light from
-outside through the rays that escape). ``G`` is kept as the hit patch of every ray.
+They are ``G`` of equation (1), kept as the patch that each ray meets; those that escape carry light from outside.
 """
 
 from __future__ import annotations
@@ -18,16 +17,19 @@ from ..rays.sampling import Origins, cosine_direction, dot, grazing, r2_sequence
 from ..rays.tracer import Tracer
 from ..surface.patches import Lookup, PatchGrid, patch_at
 
+UNKNOWN, ESCAPED = -1, -2
+"""In place of a patch: a surface without one, and no surface at all."""
+
 
 @dataclass(frozen=True)
 class GatherRays:
-    """Cosine-distributed rays from every patch and what they hit.
+    """R cosine-distributed rays from each of P patches, and the faces they meet.
 
     Attributes:
         face: (P, R) int32 face, -1 where the ray escaped.
         direction: (P, R, 3) float16 unit direction, away from the patch.
         distance: (P, R) float32 metres.
-        schlick_start, schlick_end: (P, R) float16 Schlick's S of the angles at which a ray leaves and arrives.
+        schlick_start, schlick_end: (P, R) float16 Schlick's S of the angles at which each ray leaves and arrives.
     """
 
     face: NDArray[np.int32]
@@ -48,7 +50,12 @@ def _shoot(
     along: NDArray[np.float32],
     grazing_start: NDArray[np.float32],
 ) -> None:
-    """Start, direction (n, R, 3) and S (n, R) of cosine-distributed rays, whose starts cycle over a patch's points."""
+    """Write start and direction (n, R, 3) and S (n, R) of cosine-distributed rays; starts cycle over a patch's points.
+
+    Args:
+        position, normal: (n · per_patch, 3) points on the patches.
+        u: (n, R, 2) in [0, 1).
+    """
     for p in range(u.shape[0]):
         for r in range(u.shape[1]):
             k = p * per_patch + r % per_patch
@@ -69,7 +76,7 @@ def _arrive(
     point: NDArray[np.float32],
     grazing_end: NDArray[np.float32],
 ) -> None:
-    """Moves ``point`` (n, 3) from where rays start to where they end, and S there; what escapes stays."""
+    """Move ``point`` (n, 3) from where rays start to where they end, and write S there; rays that escape stay."""
     for i in range(len(face)):
         f = face[i]
         grazing_end[i] = 0.0
@@ -113,15 +120,11 @@ def gather(
     ), point
 
 
-# ---- The patches that rays meet -------------------------------------------------------------------------------------
-
-
-UNKNOWN, ESCAPED = -1, -2
-"""In place of a patch: a surface without one, and nothing met at all."""
+# ---- the patches they meet -----------------------------------------------------------------------------------------
 
 
 def facing_normals(tracer: Tracer, face: NDArray[np.integer], direction: NDArray[np.floating]) -> NDArray[np.float32]:
-    """(n, 3) normals of hit faces, turned against the directions the rays came along."""
+    """(n, 3) normals of hit faces on the side that rays of ``direction`` (n, 3) arrive at."""
     normal = tracer.normals[face]
     return normal * np.where(dot(normal, direction) > 0, np.float32(-1), np.float32(1))[:, None]
 
@@ -139,7 +142,7 @@ def find_patch(
     dy: Real,
     dz: Real,
 ) -> Integer:
-    """Patch of the point (x, y, z) on ``face`` that a ray along (dx, dy, dz) hits, or UNKNOWN; ESCAPED if no face."""
+    """Patch at (x, y, z) on ``face``, met by a ray along (dx, dy, dz): UNKNOWN without one, ESCAPED without a face."""
     if face < 0:
         return np.int64(ESCAPED)
     nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
@@ -172,7 +175,14 @@ def find_patches(
     point: NDArray[np.floating],
     direction: NDArray[np.floating],
 ) -> NDArray[np.int32]:
-    """(n,) patch of each hit; UNKNOWN or ESCAPED where there is none."""
+    """(n,) patch of each hit, UNKNOWN or ESCAPED where there is none.
+
+    Args:
+        regions: (F,) region of each face.
+        face: (n,) face hit, -1 for none.
+        point: (n, 3) metres.
+        direction: (n, 3) of the rays.
+    """
     patch = np.empty(len(face), np.int32)
     _find_patches(grid.lookup, tracer.normals, regions, face, point, direction, patch)
     return patch

@@ -1,12 +1,14 @@
-"""The cached light transport between patches: where every gather ray ends, traced once and never again.
+"""Light transport between patches, ``G`` of equation (1): where each gather ray ends, traced once.
 
-Rows 0 ... P-1 are the patches that photos see; rows P ... N-1 are surfaces that no photo sees but that light bounces
-off, found because gather rays ended there. Their radiance is not observed and follows from transport.
+Rows 0 ... P-1 are the patches that photos see. Rows P ... N-1 are surfaces that no photo sees but that gather rays
+meet; their radiance is not observed and follows from transport. :func:`build_transport` traces,
+:meth:`Transport.gather_radiance` is a bake under any radiance, and :class:`LightMoments` gives Burley's diffuse lobe
+towards any direction.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -26,7 +28,7 @@ from ..surface.patches import ORIGINS_PER_PATCH, PatchGrid, Surface, cell_keys, 
 from .gather import ESCAPED, UNKNOWN, GatherRays, facing_normals, find_patches, gather
 
 UNSEEN_RAYS_SHARE = 4
-"""Unseen patches get one in so many of the rays: their radiance is second-hand anyway."""
+"""Rays of a seen patch per ray of an unseen one, whose radiance is not observed and matters less."""
 
 
 @dataclass(frozen=True)
@@ -34,16 +36,16 @@ class Transport:
     """Gather rays of all N patches.
 
     Attributes:
-        n_seen: patches that photos see.
-        origins: where the rays of each patch start.
-        rays: of the seen patches; ``unseen_rays`` of the others.
+        n_seen: number P of patches that photos see.
+        origins, unseen_origins: points on seen and unseen patches from which their rays start.
+        rays, unseen_rays: of seen and of unseen patches.
         target, unseen_target: (P, R) and (N - P, R') int32 patch hit, UNKNOWN or ESCAPED.
-        part: (N,) part of each patch.
-        grid: from surface points to all N patches.
-        device: where torch sums over rays.
-        kappa: (N,) grazing gain of the diffuse lobe of each patch, see :mod:`iris_addon.brdf.diffuse`.
-        moments: where the light of the seen patches comes from, once that is about known and their lobe is Burley's;
-            without, what they send is that of light from all sides.
+        region: (N,) region of each patch.
+        grid: finds the patch of a surface point among all N.
+        kappa: (N,) grazing gain of the diffuse lobe of each patch, see :mod:`iris_addon.brdf.diffuse`; 0 is Lambert's.
+        moments: where the light of the seen patches comes from, for the exact lobe of Burley; None for the lobe under
+            light from all sides.
+        device: of torch, on which rays are summed.
     """
 
     n_seen: int
@@ -56,13 +58,17 @@ class Transport:
     region: NDArray[np.int32]
     grid: PatchGrid
     kappa: NDArray[np.float64]
-    device: str = "cpu"
     moments: LightMoments | None = None
+    device: str = "cpu"
 
     @property
     def n_patches(self) -> int:
-        """All patches, seen and unseen."""
+        """Number N of patches, seen and unseen."""
         return self.n_seen + len(self.unseen_target)
+
+    def with_lobes(self, kappa: NDArray[np.floating], moments: LightMoments | None = None) -> Transport:
+        """The same rays between patches of other diffuse lobes: grazing gains (N,), and the moments of their light."""
+        return replace(self, kappa=kappa, moments=moments)
 
     def escaped(self) -> NDArray[np.float64]:
         """(N,) share of each patch's rays that leave the mesh."""
@@ -71,17 +77,17 @@ class Transport:
     def gather_radiance(
         self, radiance: NDArray[np.floating], unknown: NDArray[np.floating], emitter_faces: NDArray[np.bool_]
     ) -> NDArray[np.float32]:
-        """``G L``: mean radiance over each patch's rays, weighted by the diffuse lobes at both ends.
+        """``G L`` of equation (7): mean radiance over each patch's rays, weighted by the diffuse lobes at both ends.
 
         Args:
-            radiance: (N, 3) per patch, without the view factor of its lobe.
-            unknown: (3,) for rays that end on a surface without a patch.
-            emitter_faces: (F,) faces whose light is counted elsewhere; rays that end there carry nothing.
+            radiance: (N, 3) of each patch, scene-linear Rec.709, without the view factor of its lobe.
+            unknown: (3,) of surfaces without a patch.
+            emitter_faces: (F,) bool, faces whose light is in form factors; rays that end there carry nothing.
 
         Returns:
             (N, 3) irradiance / pi, without emitters and without light from outside.
         """
-        # Turned by two, so that ESCAPED and UNKNOWN, which count from the end, come first: torch counts from zero.
+        # Rolled by two: ESCAPED and UNKNOWN index from the end, which torch does not allow.
         table = torch.from_numpy(np.roll(radiance_table(radiance, unknown), 2, axis=0)).to(self.device)
         dark = np.append(emitter_faces, False)
         seen = _mean_of_targets(table, self.rays, self.target, dark, self._lobe_weights[0])
@@ -90,7 +96,7 @@ class Transport:
 
     @cached_property
     def _lobe_weights(self) -> tuple[NDArray[np.float32] | None, NDArray[np.float32] | None]:
-        """Of the rays of seen and of unseen patches; None where all patches are Lambertian. Many lamps are tried."""
+        """Weights (n, R) of the rays of seen and of unseen patches; None where all patches are Lambertian."""
         if not self.kappa.any():
             return None, None
         return (
@@ -99,7 +105,7 @@ class Transport:
         )
 
     def _both_lobes(self, rays: GatherRays, target: NDArray[np.int32], own: NDArray[np.float64]) -> NDArray[np.float32]:
-        """(n, R) ``1 + κ S`` where a ray starts, κ being ``own`` (n,), times the factor of the lobe where it ends."""
+        """(n, R) the factor 1 + κ S where a ray starts, κ being ``own`` (n,), times that of the lobe where it ends."""
         weight = np.empty(target.shape, np.float32)
 
         def work(rows: slice) -> None:
@@ -112,8 +118,8 @@ class Transport:
 
     @cached_property
     def lobes(self) -> NDArray[np.float32]:
-        """(N + 2, 2, 4) as of :meth:`LightMoments.lobes`, for :func:`sent_back`; those of light from all sides where
-        there are no moments, and the last two for UNKNOWN and ESCAPED."""
+        """(N + 2, 2, 4) lobes of :meth:`LightMoments.lobes`, for :func:`sent_back`: those under light from all sides
+        where there are no moments, and the last two for ESCAPED and UNKNOWN."""
         lobes = np.zeros((self.n_patches + 2, 2, 4), np.float32)
         lobes[:, 0, 0] = 1
         lobes[: self.n_patches, 1, 0] = self.kappa
@@ -124,7 +130,7 @@ class Transport:
 
 @inlined
 def sent_back(lobes: NDArray[np.float32], target: Integer, schlick: Real, dx: Real, dy: Real, dz: Real) -> Real:
-    """What a patch sends back along a ray that meets it over what its radiance counts as; 1 for no patch.
+    """Radiance that a patch sends back along a ray that meets it, over the radiance of the patch; 1 for no patch.
 
     Args:
         lobes: :attr:`Transport.lobes`.
@@ -161,7 +167,13 @@ def _mean_of_targets(
     dark: NDArray[np.bool_],
     weight: NDArray[np.float32] | None,
 ) -> NDArray[np.float32]:
-    """(n, 3) of the rays (n, R); those that end on ``dark`` (F + 1,) faces, the last for none, carry nothing."""
+    """(n, 3) mean over the rays (n, R) of the radiance ``table`` (N + 2, 3), rolled by two.
+
+    Args:
+        target: (n, R) patch met.
+        dark: (F + 1,) bool, faces whose rays carry nothing; the last entry is for rays that meet no face.
+        weight: (n, R) of each ray, None for 1.
+    """
     index = np.empty(target.shape, np.int32)
 
     def work(rows: slice) -> None:
@@ -170,20 +182,20 @@ def _mean_of_targets(
 
     over_blocks(len(target), BLOCK // target.shape[1], work)
     at = torch.from_numpy(index).to(table.device)
-    say = None if weight is None else torch.from_numpy(weight).to(table.device)
-    # The mode "mean" takes seven times as long on the CPU.
-    total = torch.nn.functional.embedding_bag(at, table, mode="sum", per_sample_weights=say)
+    weights = None if weight is None else torch.from_numpy(weight).to(table.device)
+    # On the CPU the mode "mean" takes seven times as long.
+    total = torch.nn.functional.embedding_bag(at, table, mode="sum", per_sample_weights=weights)
     return (total / target.shape[1]).cpu().numpy()
 
 
 def radiance_table(radiance: NDArray[np.floating], unknown: NDArray[np.floating]) -> NDArray[np.float32]:
-    """(N + 2, 3) radiance of the patches and, last, darkness and surfaces without a patch: where ESCAPED and UNKNOWN
-    lead, counted from the end."""
+    """(N + 2, 3) radiance of the patches (N, 3) and, last, of ESCAPED, which is 0, and UNKNOWN (3,), which index from
+    the end."""
     return np.concatenate([radiance, np.zeros((1, 3)), np.asarray(unknown)[None]]).astype(np.float32)
 
 
 def table_rows(target: NDArray[np.int32], face: NDArray[np.int32], dark_faces: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Row of :func:`radiance_table` for every ray; those that end on ``dark_faces`` (F,) carry nothing."""
+    """Row of :func:`radiance_table` for each ray; those that end on ``dark_faces`` (F,) carry nothing."""
     return np.where(dark_faces[face] & (face >= 0), np.int32(ESCAPED), target)
 
 
@@ -213,7 +225,11 @@ def _unseen_patches(
     target: NDArray[np.int32],
     limit: int,
 ) -> tuple[PatchGrid, Origins, NDArray[np.int32]]:
-    """Coarse patches where rays ended on surfaces that no photo sees; the ``limit`` most often hit."""
+    """Coarse patches where rays ended on surfaces that no photo sees, the ``limit`` most often hit.
+
+    Returns:
+        Their grid, the points their rays start from, and the region (n,) of each.
+    """
     row, column = np.nonzero(target == UNKNOWN)
     face = rays.face[row, column]
     point = hit_point[row, column]
@@ -223,7 +239,7 @@ def _unseen_patches(
     groups = group_equal(keys)
     count = groups.count
     kept = np.sort(np.argsort(-count, kind="stable")[:limit])
-    # Such patches are large, and what rays of the others met of them is the region that matters.
+    # Such patches are large: rays start from the points that rays of other patches met.
     step = np.arange(ORIGINS_PER_PATCH) * count[kept, None] // ORIGINS_PER_PATCH
     at = groups.order[groups.start[kept, None] + step]
     number = np.arange(len(kept), dtype=np.int32) + np.int32(len(surface.region))
@@ -246,7 +262,11 @@ def build_transport(
     rng: np.random.Generator,
     progress: Progress,
 ) -> Transport:
-    """Trace the gather rays of all patches and name the patch that each one hits."""
+    """Trace ``n_rays`` gather rays from each patch and find the patch that each one meets; all patches Lambertian.
+
+    Args:
+        regions: (F,) region of each face.
+    """
     rays, point = gather(tracer, surface.origins, n_rays, rng, progress)
     target = targets_of(tracer, surface.grid, regions, rays, point)
     unseen_grid, unseen_origins, unseen_region = _unseen_patches(
@@ -272,18 +292,17 @@ def build_transport(
     )
 
 
-# ---- Burley's lobe towards any direction, from a few sums over the light of a patch ---------------------------------
-#
-# A factor of the light times one of the view, with a mean for the angle between the two
-# (:mod:`iris_addon.brdf.diffuse`), serves where light comes from all sides. Beside a window it does not: a rough
-# wall is brighter seen from where its light comes from than seen against it, so that what stands beside the window gets
-# more of it back. The exact lobe is linear in the direction of light, cos²θd being (1 + l·v) / 2: a few sums over the
-# light of a patch serve all directions.
+# ---- Burley's lobe under the light of each patch -------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class LightMoments:
-    """Means over the light that reaches each seen patch, weighted by what it adds to irradiance.
+    """Means over the light that reaches each of P seen patches, weighted by what it adds to irradiance.
+
+    The separable lobe (9) replaces the angle between light and view by its mean, which is good where light comes from
+    all sides. Beside a window a rough wall is brighter seen from the direction of its light than seen against it. The
+    exact lobe is linear in the direction of light, since cos²θd = (1 + l·v) / 2, so that these means give it in every
+    direction, equation (10).
 
     Attributes:
         direction: (P, 3) mean of l, the unit vector towards the light.
@@ -302,10 +321,10 @@ class LightMoments:
         schlick: NDArray[np.floating],
         toward: NDArray[np.floating],
     ) -> NDArray[np.float32]:
-        """What Burley's lobe sends in a direction over albedo times irradiance / pi, (..., n).
+        """(..., n) radiance that Burley's lobe sends in a direction, over albedo times irradiance / pi: equation (10).
 
-        The irradiance is that of the patch under its lobe, ``1 + κ S``. The product of both S is small; in it the mean
-        angle stays.
+        The irradiance is that of the patch under its lobe, 1 + κ S. In the small product of both S the mean angle is
+        kept.
 
         Args:
             patch: (n,) patch seen.
@@ -330,21 +349,18 @@ class LightMoments:
                 toward[:, axis] = 1
             return self.view_factor(patch, roughness, np.full(len(patch), schlick, np.float32), toward)
 
-        # It is linear in v, and in S: eight values tell all.
+        # The factor is linear in v and in S: eight values determine it.
         values = np.stack([np.stack([factor(s), *(factor(s, axis) for axis in range(3))]) for s in (0.0, 1.0)])
         values[:, 1:] -= values[:, :1]
         values[1] -= values[0]
         return np.moveaxis(values, 2, 0)
 
 
-# ---- What a solve computes on ---------------------------------------------------------------------------------------
-
-
 def choose_device(wanted: Literal["auto", "cpu", "cuda"]) -> str:
-    """The torch device to use: a GPU where there is one, unless told otherwise.
+    """The torch device to use: with "auto" a GPU where there is one.
 
     Raises:
-        BadInput: a GPU was asked for and torch finds none.
+        BadInput: a GPU is requested and torch finds none.
     """
     available = torch.cuda.is_available()
     if wanted == "cuda" and not available:

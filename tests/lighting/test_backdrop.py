@@ -27,7 +27,7 @@ from iris_addon.model.response import gamma, identity
 from iris_addon.model.sphere import equirect_directions, equirect_texels, sh_basis
 from iris_addon.response.photometry import Photometry
 from iris_addon.results.result import Result
-from iris_addon.surface.photo_samples import BeyondMesh
+from iris_addon.surface.photo_samples import BackdropPixels
 from tests.blender_room import box, camera, room
 from tests.box_room import look_at
 
@@ -50,7 +50,7 @@ def paint(points: np.ndarray) -> np.ndarray:
     return (stripe * (0.6 + 0.2 * points[:, 2]))[:, None] * [1.0, 0.8, 0.6]
 
 
-def seen(rng: np.random.Generator, n: int, hidden: float = 0.0, share: float = 0.1) -> BeyondMesh:
+def seen(rng: np.random.Generator, n: int, hidden: float = 0.0, share: float = 0.1) -> BackdropPixels:
     """Pixels of a gamma camera that show the wall y = 4, of which the mesh has nothing; something dark stands before
     ``hidden`` of them, for the first camera alone."""
     points = rng.uniform([0.2, 4, 0.2], [4.8, 4, 2.3], (n, 3))
@@ -60,7 +60,9 @@ def seen(rng: np.random.Generator, n: int, hidden: float = 0.0, share: float = 0
     radiance = paint(points)
     radiance[(view == 0) & (rng.random(n) < hidden)] = 0.01
     z = gamma().apply(radiance).astype(np.float32)
-    return BeyondMesh(share=share, view=view.astype(np.int16), pixel=np.zeros(n, np.int32), direction=direction, z=z)
+    return BackdropPixels(
+        share=share, view=view.astype(np.int16), pixel=np.zeros(n, np.int32), direction=direction, z=z
+    )
 
 
 PHOTOMETRY = Photometry(

@@ -15,6 +15,7 @@ from iris_addon.lighting.balance import (
     Balance,
     DirectEvidence,
     Evidence,
+    ShadedPatches,
     _Problem,
     solve_balance,
 )
@@ -43,15 +44,8 @@ class Shading:
 
     def solve(self, evidence: Evidence | None = None, start: np.ndarray | None = None) -> Balance:
         begin = np.ones_like(self.truth) if start is None else start
-        return solve_balance(
-            self.radiance,
-            self.indirect,
-            self.form_factors,
-            self.region,
-            self.weight,
-            evidence or self.nothing_known,
-            begin,
-        )
+        patches = ShadedPatches(self.radiance, self.indirect, self.form_factors, self.region, self.weight)
+        return solve_balance(patches, evidence or self.nothing_known, begin)
 
 
 def exact_shading(room: Room) -> Shading:

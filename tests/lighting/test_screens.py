@@ -142,8 +142,8 @@ def test_a_screen_stays_unless_the_light_of_the_room_speaks_against_it(
 ) -> None:
     asked = []
 
-    def solve(_problem, _observed, emitters, before, _progress, _factors, say, *_args, **_kwargs):
-        asked.append(say)
+    def solve(_problem, _observed, emitters, before, _progress, _factors, fit, *_args, **_kwargs):
+        asked.append(fit.weight)
         held_out = loss if len(emitters) else 1.0
         return replace(before, emitters=emitters, held_out=held_out)
 

@@ -41,7 +41,7 @@ def problem(floor: tuple[float, float, float], clipped: tuple[bool, bool, bool])
         material=np.arange(3, dtype=np.int32),
         adjacency=(nothing, nothing),
         brightness=Brightness(value, np.where(bound > 0, np.nan, value), bound),
-        outshone_by=np.full(N_PATCHES, -1),
+        brighter_neighbour=np.full(N_PATCHES, -1),
         hidden=HiddenSources((), np.zeros((0, 3)), np.zeros((N_PATCHES, 0, 2), np.float32)),
         given=None,
         robust_log=ROBUST_LOG,
@@ -131,7 +131,7 @@ def test_a_bar_whose_own_pixels_could_reflect_what_they_show_must_be_needed(
     which the window is not as bright.
     """
     room = problem(floor=(4.0, shown, 0.1), clipped=(True, True, False))
-    room.outshone_by[np.flatnonzero(PATCH_FACE == BAR)[:lent]] = np.flatnonzero(PATCH_FACE == WINDOW)[0]
+    room.brighter_neighbour[np.flatnonzero(PATCH_FACE == BAR)[:lent]] = np.flatnonzero(PATCH_FACE == WINDOW)[0]
     both = lights([(WINDOW, 4.0), (BAR, 4.0)], irradiance=(0.6, 0.6, 0.5))
 
     def solved(
@@ -149,7 +149,7 @@ def test_a_bar_whose_own_pixels_could_reflect_what_they_show_must_be_needed(
 def test_photos_show_that_much_less_of_a_lamp_as_pixels_are_outshone(lent: int) -> None:
     """A radiance of 4 where photos show 1: two stops, one more if half its pixels may be the window's, ten if all."""
     room = problem(floor=(4.0, 1.0, 0.1), clipped=(True, True, False))
-    room.outshone_by[np.flatnonzero(PATCH_FACE == BAR)[:lent]] = np.flatnonzero(PATCH_FACE == WINDOW)[0]
+    room.brighter_neighbour[np.flatnonzero(PATCH_FACE == BAR)[:lent]] = np.flatnonzero(PATCH_FACE == WINDOW)[0]
     stops = selection._stops_beyond_photos(room, np.array([BAR]), np.full(3, 4.0))
     assert stops == pytest.approx({0: 2, 10: 3, 20: 10}[lent])
 
@@ -309,10 +309,10 @@ def test_light_from_outside_is_chosen_anew_for_lamps_that_are_known(
     lit = lights([(WINDOW, 5.0)] * lamps, (1.0, 1.0, 1.0))
     known, losses = replace(lit, hidden_radiance=np.ones((1, 3)), held_out=0.1), {0: 3.0, 1: 2.0, 12: by_direction}
 
-    def solve(_problem, _observed, emitters, before, *_args, near):
+    def solve(_problem, _observed, emitters, before, *_args, warm_start):
         count = len(before.hidden_radiance)
         # Directions begin at the constant that they refine.
-        assert not near or (count == 12 and (before.hidden_radiance == 3.0).all())
+        assert not warm_start or (count == 12 and (before.hidden_radiance == 3.0).all())
         found = np.full((count, 3), 3.0)
         return replace(before, held_out=losses[count], hidden_radiance=found) if len(emitters) or count else before
 

@@ -32,7 +32,7 @@ from iris_addon.results.maps import bilinear
 from iris_addon.surface.patches import Surface
 from iris_addon.surface.primary_rays import PixelSamples
 from iris_addon.textures.atlas import Atlas, interpolate_uv, rasterise_atlas
-from iris_addon.textures.bake import fuse_texels, pixel_albedo, pixel_weight
+from iris_addon.textures.bake import PixelAlbedo, fuse_texels, pixel_albedo, pixel_weight
 from iris_addon.textures.charts import build_atlas
 from iris_addon.textures.principled import make_textures
 from iris_addon.transport.form_factors import emitter_form_factors
@@ -476,10 +476,8 @@ def test_unseen_faces_take_their_regions_mean_and_lamps_are_black() -> None:
     color = np.where((face < 2)[:, None], [0.5, 0.25, 0.125], 0.9)
     gloss = Gloss(np.array([0.2, 1.0, 0.5]), np.array([0.0, 1.0, 0.0]), np.full((3, 3), 0.04), np.ones(3, bool))
     lamps = np.arange(8) >= 6
-    light = np.full(n, 0.02), gloss.metallic < 0.5
-    textures, at_pixels, paint = make_textures(
-        atlas, mesh.regions, lamps, gloss, samples, color, np.ones((n, 3)), *light
-    )
+    pixels = PixelAlbedo(color, np.ones((n, 3)), np.full(n, 0.02))
+    textures, at_pixels, paint = make_textures(atlas, mesh.regions, lamps, gloss, samples, pixels, gloss.metallic < 0.5)
     shown, _ = rasterise_atlas(uv, size)
 
     def base(*faces: int) -> np.ndarray:

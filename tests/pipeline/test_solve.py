@@ -295,7 +295,7 @@ def test_cancelling_stops_at_the_next_update(shoot: Shoot, reference: Path, stag
     assert (reference / "report.json").read_text() == before
 
 
-@pytest.mark.parametrize("step", ["_surface", "_atlas", "measure_photometry", "make_result"])
+@pytest.mark.parametrize("step", ["trace_room", "atlas_for_photos", "measure_photometry", "make_result"])
 def test_cancelling_does_not_wait_for_a_step_that_reports_nothing(
     shoot: Shoot, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:

@@ -9,10 +9,10 @@ from iris_addon.base.progress import Progress
 from iris_addon.model.capture import Camera
 from iris_addon.rays.tracer import Tracer
 from iris_addon.response.observations import observe
-from iris_addon.surface.mixed_pixels import mixed_pixels, outshone_by
+from iris_addon.surface.mixed_pixels import brighter_neighbours, mixed_pixels
 from iris_addon.surface.primary_rays import trace_pixels
 from iris_addon.textures.bake import TexelAlbedo, pixel_weight
-from iris_addon.textures.principled import DOUBT, with_expected
+from iris_addon.textures.principled import EXPECTED_WEIGHT, with_expected
 from tests.box_room import look_at
 from tests.engine_room import assemble, quad
 
@@ -92,7 +92,7 @@ def test_a_coarse_lattice_asks_the_true_neighbours() -> None:
     assert coarse.any() and (coarse == fine[::3, ::3]).all()
 
 
-def test_a_bar_is_outshone_by_the_window_behind_it_and_nothing_by_what_is_darker_or_its_own_plane() -> None:
+def test_a_bar_before_a_window_has_a_brighter_neighbour_and_nothing_has_a_darker_or_coplanar_one() -> None:
     """The bar before the bright half of a wall; the other half is darker than it."""
     mesh = assemble([WIDE_WALL, quad([-0.06, -3, 0.5], [0.12, 0, 0], [0, 6, 0])], [WALL, TABLE])
     assert mesh.regions is not None
@@ -110,7 +110,7 @@ def test_a_bar_is_outshone_by_the_window_behind_it_and_nothing_by_what_is_darker
     bar, upper = mesh.regions[samples.face] == TABLE, samples.position[:, 1] > 0
     z = np.where(bar, 0.7, np.where(upper, 1.0, 0.2))[:, None].repeat(3, 1)
     mixed = mixed_pixels(tracer, samples, mesh.regions, [camera], 1)
-    by = outshone_by(samples, z, mixed, mesh.regions, [camera], 1)
+    by = brighter_neighbours(samples, z, mixed, mesh.regions, [camera], 1)
     assert bar.sum() > 100 and mixed[bar].all()
     apart = np.abs(samples.position[:, 1]) > 0.1
     assert (by[bar & upper & apart] >= 0).all() and (by[bar & ~upper & apart] < 0).all()
@@ -181,4 +181,4 @@ def test_a_rim_that_only_edges_show_stays_in_doubt_however_many_photos_do() -> N
     one, n = np.ones(3), 500
     mixed, scanned = np.array([True, True, False]), np.array([False, True, False])
     say = pixel_weight(one, 0.01 * one, np.ones((3, 3)), np.zeros((3, 3)), mixed, scanned, 0.01, 1.0).max(1)
-    assert 0 < n * say[0] < DOUBT < n * say[1] and say[2] > 10 * DOUBT
+    assert 0 < n * say[0] < EXPECTED_WEIGHT < n * say[1] and say[2] > 10 * EXPECTED_WEIGHT

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from iris_addon.model.capture import Mesh
 from iris_addon.rays.tracer import Tracer
 from iris_addon.surface.primary_rays import PixelSamples
-from iris_addon.surface.regions import SCAN_FACES, split_regions
+from iris_addon.surface.regions import SCAN_MIN_FACES, split_regions
 from iris_addon.surface.topology import edge_adjacency
 
 SIDE = 110
-assert 2 * (SIDE - 1) ** 2 > SCAN_FACES
+assert 2 * (SIDE - 1) ** 2 > SCAN_MIN_FACES
 
 
 def _sheet(roughness: float) -> Mesh:
@@ -55,8 +55,8 @@ def _seen(mesh: Mesh) -> tuple[PixelSamples, NDArray[np.float32]]:
 def test_a_model_is_split_at_its_folds_and_a_scan_at_its_colours(roughness: float):
     mesh = _sheet(roughness)
     samples, z = _seen(mesh)
-    regions, scanned, given = split_regions(mesh, edge_adjacency(mesh), Tracer(mesh).normals, samples, z)
-    assert (scanned == (roughness > 0)).all() and given is None
+    regions, scanned, in_file = split_regions(mesh, edge_adjacency(mesh), Tracer(mesh).normals, samples, z)
+    assert (scanned == (roughness > 0)).all() and in_file is None
     center = mesh.vertices[mesh.faces].mean(1)
     upright, light = center[:, 2] > 0.005, center[:, 1] > 0.5
     assert _purity(regions, upright if roughness == 0 else light) > 0.97
@@ -70,13 +70,13 @@ def test_a_scan_is_split_within_the_pages_of_its_texture():
     page, light = (center[:, 0] > 0.25).astype(np.int32), center[:, 1] > 0.5
     paged = Mesh(mesh.vertices, mesh.faces, regions=page)
     samples, z = _seen(mesh)
-    regions, scanned, given = split_regions(paged, edge_adjacency(mesh), Tracer(mesh).normals, samples, z)
+    regions, scanned, in_file = split_regions(paged, edge_adjacency(mesh), Tracer(mesh).normals, samples, z)
     assert scanned.all() and _purity(regions, light) > 0.97 and _purity(regions, page == 1) == 1
-    assert given is not None and np.array_equal(given[regions], page)
+    assert in_file is not None and np.array_equal(in_file[regions], page)
     flat = _sheet(0.0)
     modelled = Mesh(flat.vertices, flat.faces, regions=page)
-    regions, scanned, given = split_regions(modelled, edge_adjacency(flat), Tracer(flat).normals, *_seen(flat))
-    assert not scanned.any() and given is not None and np.array_equal(given[regions], page)
+    regions, scanned, in_file = split_regions(modelled, edge_adjacency(flat), Tracer(flat).normals, *_seen(flat))
+    assert not scanned.any() and in_file is not None and np.array_equal(in_file[regions], page)
     upright = flat.vertices[flat.faces].mean(1)[:, 2] > 0.005
     assert _purity(regions, upright) > 0.97, "one of the pages is folded"
 
@@ -94,12 +94,12 @@ def test_what_was_joined_into_one_object_is_taken_apart():
     samples, z = _seen(mesh)
     unseen = samples.take(np.flatnonzero(samples.face < 10))  # no piece between folds is large in the photos
     split = split_regions(mesh, edge_adjacency(mesh), Tracer(mesh).normals, unseen, z[: len(unseen.face)])
-    assert mesh.regions is not None and split.given is not None
-    assert np.array_equal(split.given[split.regions], mesh.regions)
+    assert mesh.regions is not None and split.in_file is not None
+    assert np.array_equal(split.in_file[split.of_face], mesh.regions)
     sheets = np.repeat(np.arange(3), faces)
-    assert len(np.unique(split.regions[sheets < 2])) >= 2
-    assert not np.isin(split.regions[sheets == 0], split.regions[sheets == 1]).any()
-    assert len(np.unique(split.regions[sheets == 2])) == 2
+    assert len(np.unique(split.of_face[sheets < 2])) >= 2
+    assert not np.isin(split.of_face[sheets == 0], split.of_face[sheets == 1]).any()
+    assert len(np.unique(split.of_face[sheets == 2])) == 2
 
 
 def _purity(regions: NDArray[np.integer], side: NDArray[np.bool_]) -> float:
@@ -122,10 +122,10 @@ def test_pieces_of_one_plane_that_look_alike_across_a_gap_are_one(
     beyond = mesh.vertices[mesh.faces].mean(1)[samples.face, 0] > 1
     z = np.where(beyond[:, None], 0.4 * brighter, 0.4) * np.random.default_rng(2).normal(1, 0.02, z.shape)
     split = split_regions(mesh, edge_adjacency(mesh), Tracer(mesh).normals, samples, z.astype(np.float32))
-    assert len(np.unique(split.regions)) == (1 if one else 2)
+    assert len(np.unique(split.of_face)) == (1 if one else 2)
     told = Mesh(mesh.vertices, mesh.faces, regions=(mesh.vertices[mesh.faces].mean(1)[:, 0] > 1).astype(np.int32))
     split = split_regions(told, edge_adjacency(told), Tracer(told).normals, samples, z.astype(np.float32))
-    assert len(np.unique(split.regions)) == 2
+    assert len(np.unique(split.of_face)) == 2
 
 
 def _strip(start: float, end: float, height: float) -> Mesh:

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import iris_addon.pipeline
+import iris_addon.surface.traced_room
 from iris_addon.config import preset
 from iris_addon.materials.rounds import MaterialProblem
 from iris_addon.model.response import gamma
 from iris_addon.pipeline import solve
 from iris_addon.rays.tracer import Tracer
-from iris_addon.surface.regions import APART, REJOIN_MAX_STEP, Split, joined_regions
+from iris_addon.surface.regions import REJOIN_MAX_DIFFERENCE, REJOIN_MAX_STEP, Regions, joined_regions
 from iris_addon.surface.topology import edge_adjacency
 from tests.engine_room import SIZE, assemble, cameras, furnished_room, photograph, quad, render
 
@@ -55,7 +55,7 @@ def test_a_step_in_one_channel_is_a_step() -> None:
 
 def test_small_steps_do_not_add_up_to_another_paint() -> None:
     """Every strip is as bright as the next at their border, but the last is far from the first."""
-    slope = 0.8 * APART / WIDTH
+    slope = 0.8 * REJOIN_MAX_DIFFERENCE / WIDTH
     found = joined(slope * MIDDLE[:, 0])
     assert len(found) > 1
     assert all(len(strips) <= 3 for strips in found)
@@ -79,7 +79,8 @@ def test_walls_that_a_scan_split_in_halves_are_whole_again(tmp_path: Path, monke
     capture = photograph(room, views, radiance, exposures, gamma(), tmp_path / "photos")
     halves = room.regions + len(room.albedo) * (room.mesh.vertices[room.mesh.faces].mean(1)[:, 0] > SIZE[0] / 2)
     split = np.unique(halves, return_inverse=True)[1].astype(np.int32)
-    monkeypatch.setattr(iris_addon.pipeline, "split_parts", lambda *_: Split(split, np.ones(len(split), bool), None))
+    found = Regions(split, np.ones(len(split), bool), None)
+    monkeypatch.setattr(iris_addon.surface.traced_room, "split_regions", lambda *_: found)
     joined_to: list[np.ndarray] = []
     with_materials = MaterialProblem.with_materials
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from iris_addon.textures.paint import find_paint, painted_alike
+from iris_addon.textures.paint import find_paint, shared_paint
 
 WHITE = np.array([0.8, 0.78, 0.74])
 UNTINTED = np.ones(3)
@@ -30,7 +30,7 @@ def window(light_off: np.ndarray, error: float, tint: np.ndarray = UNTINTED) -> 
 
 
 def joined(albedo: np.ndarray, error: np.ndarray, region: np.ndarray, painted: np.ndarray | None = None) -> np.ndarray:
-    return painted_alike(albedo, error, region, np.ones(region.max() + 1, bool) if painted is None else painted)
+    return shared_paint(albedo, error, region, np.ones(region.max() + 1, bool) if painted is None else painted)
 
 
 def test_slats_beside_a_window_have_the_paint_of_its_frame() -> None:

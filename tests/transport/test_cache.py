@@ -5,16 +5,20 @@ from __future__ import annotations
 import os
 from dataclasses import fields, is_dataclass
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from iris_addon.base.errors import IrisError
 from iris_addon.base.progress import Progress
+from iris_addon.config import preset
 from iris_addon.model.capture import Capture
 from iris_addon.rays.tracer import Tracer
 from iris_addon.surface.patches import Surface, build_surface
 from iris_addon.surface.primary_rays import trace_pixels
+from iris_addon.surface.traced_room import TracedRoom
 from iris_addon.transport import cache
 from iris_addon.transport.transport import Transport
 from tests.engine_room import Room, cameras, furnished_room
@@ -29,10 +33,10 @@ class Scene:
         self.surface: Surface = build_surface(self.room.mesh, samples, self.room.regions, 500, np.random.default_rng(0))
 
     def transport(self, n_rays: int = 16, seed: int = 0) -> Transport:
-        rng = np.random.default_rng(seed)
-        return cache.cached_transport(
-            self.capture, self.tracer, self.surface, self.room.regions, n_rays, seed, rng, Progress()
-        )
+        regions = SimpleNamespace(of_face=self.room.regions)
+        room = SimpleNamespace(capture=self.capture, tracer=self.tracer, patches=self.surface, regions=regions)
+        config = preset("draft", gather_rays=n_rays, seed=seed, device="cpu")
+        return cache.cached_transport(cast(TracedRoom, room), config, np.random.default_rng(seed), Progress())
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import numpy as np
 
 from iris_addon.surface.irradiance import IrradianceField
 from iris_addon.transport.aimed_rays import SparseRays
-from iris_addon.transport.glossy_bounce import SPREAD, GlossyBounce
+from iris_addon.transport.glossy_bounce import SPREAD_WIDTH, GlossyBounce
 
 SIDE, SPACING = 40, 0.05
 N = SIDE * SIDE
@@ -32,7 +32,7 @@ def bounce(rows: np.ndarray, n_rows: int = N) -> GlossyBounce:
         target=np.full(k, -1, np.int32),
         face=np.zeros(k, np.int32),
     )
-    return GlossyBounce(paths, floor().kernel(SPREAD))
+    return GlossyBounce(paths, floor().kernel(SPREAD_WIDTH))
 
 
 def test_what_every_patch_gets_alike_stays_as_it_is():

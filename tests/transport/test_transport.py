@@ -223,7 +223,7 @@ def test_radiosity_loses_no_energy() -> None:
 
 @pytest.mark.parametrize("one_region", [False, True])
 def test_surfaces_that_no_photo_sees_come_in_the_order_of_the_rays_that_meet_them(one_region: bool) -> None:
-    """Ceiling and a box that nobody sees, as regions of their own and as pieces of the one region that all is."""
+    """Ceiling and a box that nobody sees, as regions of their own and as components of a single region."""
     room = furnished_room(np.inf)
     _, transport = transport_of(room)
     ceiling, furniture = WALLS.index("ceiling"), 7

@@ -1,0 +1,177 @@
+"""The first solve for light, with every surface rough: the problem as photos pose it, and what it settles for good.
+
+Rounds of lamps and gloss (:mod:`.rounds`) start from here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.errors import BadInput
+from ..base.progress import Progress
+from ..brdf.diffuse import grazing_gain, schlick
+from ..config import SolveConfig
+from ..decide import Decisions
+from ..lighting.backdrop import Beyond, fit_backdrop
+from ..lighting.candidates import brightness, read_given_emitters
+from ..lighting.hidden import HiddenSources, through_holes
+from ..lighting.problem import LightProblem, Lights
+from ..lighting.search import choose_exponent, choose_outside
+from ..response.observations import Observations
+from ..response.photometry import Photometry
+from ..response.radiance import group_radiance, linearise
+from ..surface.traced_room import TracedRoom
+from ..transport.transport import Transport
+from .gloss import LEVELS, rough_everywhere
+from .rounds import MaterialProblem
+from .view_dependence import choose_diffuse, mirrored_radiance
+
+Pose = Callable[[Photometry], MaterialProblem]
+"""The problem under a photometry: :func:`pose_problem` with its other arguments given."""
+
+
+def pose_problem(
+    room: TracedRoom,
+    transport: Transport,
+    hidden: HiddenSources,
+    observations: Observations,
+    config: SolveConfig,
+    decisions: Decisions,
+    photometry: Photometry,
+) -> MaterialProblem:
+    """The radiance of patches and observations under ``photometry``, all surfaces rough, and what is unknown of it.
+
+    Args:
+        hidden: sources that no photo shows, before what photos show through holes of the mesh is known.
+
+    Raises:
+        BadInput: no pixel of any photo is unclipped in all channels, or the file of lamps cannot be used.
+    """
+    exposure = photometry.exposure_at(observations.view, observations.pixel)
+    linear = linearise(observations, photometry.response, exposure)
+    if not linear.open.all(1).any():
+        raise BadInput("every pixel of the photos is clipped in one channel or another", "add darker photos")
+    photos, regions, n_patches = room.photos, room.regions.of_face, len(room.patches.region)
+    angle = schlick(room.samples.cosine[observations.sample].astype(np.float64))
+    diffuse = choose_diffuse(observations, linear, angle, decisions)
+    backdrop = Beyond(None)
+    if not decisions.forbids("hidden_light"):
+        capture = room.capture
+        backdrop = Beyond(fit_backdrop(photos.backdrop, photometry, capture.mesh, capture.views))
+    rough = rough_everywhere(room.n_regions)
+    given = config.emitters
+    light = LightProblem(
+        tracer=room.tracer,
+        samples=room.samples,
+        surface=room.patches,
+        transport=transport.with_lobes(grazing_gain(diffuse.lobe, rough.roughness)[transport.region]),
+        regions=regions,
+        material=np.arange(room.n_regions, dtype=np.int32),
+        adjacency=room.adjacency,
+        brightness=brightness(observations, linear, n_patches),
+        brighter_neighbour=room.mixed.brighter_neighbour,
+        hidden=replace(hidden, holes=through_holes(transport, backdrop)),
+        field=room.field,
+        shadow_rays=config.shadow_rays,
+        seed=config.seed,
+        decisions=decisions,
+        given=read_given_emitters(given, room.tracer.areas) if isinstance(given, Path) else None,
+    )
+    view_factor = 1 + grazing_gain(diffuse.lobe, np.array(LEVELS[-1])) * angle
+    observed = group_radiance(linear, observations.patch, observations.count, n_patches, view_factor=view_factor)
+    return MaterialProblem(
+        light=light,
+        observations=observations,
+        linear=linear,
+        mirrored=mirrored_radiance(observations, linear, observed, photos, photometry),
+        observed=observed,
+        region=regions[room.samples.face[observations.sample]],
+        schlick=angle,
+        diffuse=diffuse,
+        specular_rays=config.specular_rays,
+        seed=config.seed,
+        beyond=backdrop,
+        given=room.regions.in_file,
+    )
+
+
+@dataclass(frozen=True)
+class FirstLights:
+    """What the first solve for light finds.
+
+    Attributes:
+        lights: the lamps and the light from outside.
+        material: (n_regions,) label that regions of a scan share which are one material under that light.
+        directions: number of directions of light from outside.
+        shown: whether light through holes of the mesh is what photos show there, in place of directions.
+        exponent: power of radiance under which the light balances, where exposures leave it open; else 1.
+    """
+
+    lights: Lights
+    material: NDArray[np.int32]
+    directions: int
+    shown: bool
+    exponent: float
+
+    def settle(self, problem: MaterialProblem) -> MaterialProblem:
+        """``problem`` with regions of one material joined and the chosen kind of light from outside."""
+        return problem.with_materials(self.material).with_outside(self.directions, self.shown)
+
+    def arrays(self) -> dict[str, NDArray]:
+        """Plain arrays for a checkpoint."""
+        return {
+            **self.lights.arrays(),
+            "directions": np.array(self.directions),
+            "shown": np.array(self.shown),
+            "exponent": np.array(self.exponent),
+            "material": self.material,
+        }
+
+    @staticmethod
+    def from_arrays(arrays: dict[str, NDArray]) -> FirstLights:
+        """Inverse of :meth:`arrays`."""
+        return FirstLights(
+            lights=Lights.from_arrays(arrays),
+            material=arrays["material"],
+            directions=int(arrays["directions"]),
+            shown=bool(arrays["shown"]),
+            exponent=float(arrays["exponent"]),
+        )
+
+
+def find_first_lights(
+    pose: Pose,
+    problem: MaterialProblem,
+    photometry: Photometry,
+    room: TracedRoom,
+    progress: Progress,
+) -> FirstLights:
+    """The lamps of ``problem``, the regions of a scan that are one material under their light, and the exponent.
+
+    Args:
+        pose: gives the problem under another photometry.
+        problem: that of ``photometry``.
+    """
+    exponent = 1.0
+    light, lights = choose_outside(problem.light, problem.observed, progress)
+    material = problem.materials_under(lights, room.regions.scanned)
+    if (material != problem.light.material).any():
+        problem = problem.with_materials(material)
+        light, lights = choose_outside(problem.light, problem.observed, progress, lights)
+    if photometry.exponent_open and not problem.light.decisions.forbids("exponent"):
+        exponent = choose_exponent(light, problem.observed, lights, photometry.exponent_error, progress)
+    if exponent != 1.0:
+        problem = pose(photometry.raised(exponent)).with_materials(material)
+        light, lights = choose_outside(problem.light, problem.observed, progress)
+    return FirstLights(
+        lights=lights,
+        material=material,
+        directions=len(light.hidden.directions),
+        shown=light.hidden.holes is not None,
+        exponent=exponent,
+    )

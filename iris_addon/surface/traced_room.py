@@ -1,0 +1,94 @@
+"""A room whose photos are traced onto its mesh: the geometry that every later stage computes on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.capture import Camera, Capture
+from ..rays.tracer import Tracer
+from .irradiance import IrradianceField
+from .mixed_pixels import MixedPixels
+from .patches import Surface, build_surface
+from .photo_samples import PhotoSamples
+from .primary_rays import PixelSamples
+from .regions import Regions, split_regions
+from .topology import edge_adjacency, smooth_components
+
+
+@dataclass(frozen=True)
+class TracedRoom:
+    """Photos on the mesh, its faces in regions, and its surface in patches.
+
+    Attributes:
+        capture: with cameras as they fit the mesh.
+        tracer: of the capture's mesh.
+        photos: the n pixels that show the mesh.
+        adjacency: pairs of faces that share an edge, two (k,).
+        regions: the F faces in regions.
+        mixed: which of the n pixels show more than one surface.
+        patches: the P patches that photos see.
+        field: neighbourhoods of the patches.
+    """
+
+    capture: Capture
+    tracer: Tracer
+    photos: PhotoSamples
+    adjacency: tuple[NDArray[np.int64], NDArray[np.int64]]
+    regions: Regions
+    mixed: MixedPixels
+    patches: Surface
+    field: IrradianceField
+
+    @property
+    def samples(self) -> PixelSamples:
+        """The n pixels on the mesh."""
+        return self.photos.samples
+
+    @property
+    def cameras(self) -> list[Camera]:
+        """The cameras of the photos."""
+        return [view.camera for view in self.capture.views]
+
+    @property
+    def n_regions(self) -> int:
+        """Number of regions."""
+        return int(self.regions.of_face.max()) + 1
+
+    @property
+    def surveyed(self) -> NDArray[np.bool_]:
+        """(F,) faces that a photo shows or a scanner saw: of a scan, photos miss only scraps along its borders."""
+        return self.samples.seen_faces(len(self.regions.of_face)) | self.regions.scanned
+
+    @property
+    def smooth_components(self) -> NDArray[np.int32]:
+        """(F,) connected component of each face once its region is cut along sharp edges."""
+        return smooth_components(self.tracer.normals, self.adjacency, self.regions.of_face)
+
+    @cached_property
+    def scanned_pixels(self) -> NDArray[np.bool_]:
+        """(n,) pixels on a scan, whose regions end where its colour changes."""
+        return self.regions.scanned[self.samples.face]
+
+
+def trace_room(
+    capture: Capture, tracer: Tracer, photos: PhotoSamples, max_patches: int, rng: np.random.Generator
+) -> TracedRoom:
+    """Split the mesh into regions, find the pixels that mix them, and cover what photos see with patches."""
+    adjacency = edge_adjacency(capture.mesh)
+    regions = split_regions(capture.mesh, adjacency, tracer.normals, photos.samples, photos.z)
+    cameras = [view.camera for view in capture.views]
+    patches = build_surface(capture.mesh, photos.samples, regions.of_face, max_patches, rng)
+    return TracedRoom(
+        capture=capture,
+        tracer=tracer,
+        photos=photos,
+        adjacency=adjacency,
+        regions=regions,
+        mixed=MixedPixels.of(tracer, photos, regions.of_face, cameras),
+        patches=patches,
+        field=IrradianceField.build(patches),
+    )
