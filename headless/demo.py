@@ -16,6 +16,7 @@ from iris_addon.config import preset
 from iris_addon.edits.jobs import insertion_edits, relight_edit
 from iris_addon.edits.scene_edit import SceneEdit
 from iris_addon.model.capture import Capture, View
+from iris_addon.model.render_settings import RenderSettings
 from iris_addon.model.response import srgb
 from iris_addon.rays.tracer import Tracer
 from iris_addon.results.result import Result
@@ -24,7 +25,7 @@ from .outcome import Outcome, summarise
 from .pictures import Developer, FloatArray, photo_exposure, write_picture
 
 CAPTURE = Path(__file__).resolve().parents[1] / "assets" / "demo_room"
-SAMPLES = 48
+RENDER = RenderSettings(samples=48)
 SHOWN_METRICS = ("kd_psnr", "kd_psnr_all", "emission_iou", "emission_log_l2", "crf_l2")
 
 
@@ -68,7 +69,7 @@ def make_pictures(
     from iris_addon.results.maps import MapRenderer
 
     def rendered(edit: SceneEdit | None) -> FloatArray:
-        (radiance,) = render_views(result, [view.camera], edit=edit, samples=SAMPLES)
+        (radiance,) = render_views(result, [view.camera], edit=edit, settings=RENDER)
         return radiance
 
     photo = load_photo(view).values
@@ -80,7 +81,7 @@ def make_pictures(
     edit, host = best_seen(edits, capture.views, Tracer(result.mesh))
     onto = load_photo(host).values
     exposure = photo_exposure(result, host) * result.local.gain(onto, result.response)
-    inserted = insert_onto_photo(result, host.camera, onto, exposure, edit, samples=SAMPLES)
+    inserted = insert_onto_photo(result, host.camera, onto, exposure, edit, RENDER)
     renderer = MapRenderer(result)
     maps = renderer.maps(view.camera)
     # The view that shows most of the lamps; the one above may show none.

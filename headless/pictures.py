@@ -1,4 +1,4 @@
-"""Rendered radiance as pictures: through the recovered response, with the exposure that was asked for."""
+"""Rendered radiance as pictures: through the recovered response, with the chosen exposure."""
 
 from __future__ import annotations
 

@@ -20,6 +20,7 @@ from iris_addon.base.progress import Progress
 from iris_addon.edits.jobs import insertion_edits, relight_edit
 from iris_addon.edits.scene_edit import SceneEdit
 from iris_addon.model.capture import View
+from iris_addon.model.render_settings import RenderSettings
 from iris_addon.results.folder import load_result
 from iris_addon.results.result import Result
 
@@ -57,7 +58,7 @@ def composite(args: argparse.Namespace, progress: Progress) -> Outcome:
             response,
             exposure_of(args.view, exposures),
             local,
-            **_sampling(args),
+            _render_settings(args),
             on_step=lambda done: progress.update(done / RENDERS),
         )
     return Outcome.of("Composited", {"files": [args.out]})
@@ -127,7 +128,7 @@ def insert(args: argparse.Namespace, progress: Progress) -> Outcome:
     with progress.stage("insert"):
         for number, (index, edit) in enumerate(edits):
             cameras = [views[index].camera]
-            (radiance,) = render_views(result, cameras, edit=edit, **_sampling(args))
+            (radiance,) = render_views(result, cameras, edit=edit, settings=_render_settings(args))
             written.append(developer.write(views[index], radiance))
             progress.update((number + 1) / len(edits))
     return Outcome.of("Rendered", {"files": written})
@@ -148,7 +149,7 @@ def _render_edited(
     if args.frames is not None:
         from .animation import render_frames
 
-        return render_frames(args, progress, result, views, job, edit_at)
+        return render_frames(args, progress, result, views, job, edit_at, _render_settings(args))
     from iris_addon.blender.render.cycles import render_views
 
     developer, written = _developer(args, result), []
@@ -159,7 +160,7 @@ def _render_edited(
 
     with progress.stage(args.command):
         cameras = [view.camera for view in views]
-        render_views(result, cameras, edit=edit_at(0.0), on_view=on_view, **_sampling(args))
+        render_views(result, cameras, edit=edit_at(0.0), settings=_render_settings(args), on_view=on_view)
     return Outcome.of("Rendered", {"files": written})
 
 
@@ -184,12 +185,12 @@ def _insert_onto_photos(
     if args.frames is not None:
         from .animation import insert_frames
 
-        insertion = PhotoInsertion(result, views[edits[0][0]], **_sampling(args))
+        insertion = PhotoInsertion(result, views[edits[0][0]], _render_settings(args))
         return insert_frames(args, progress, insertion, job, lambda time: edits_at(time)[0][1])
     written, warnings = [], []
     with progress.stage("insert"):
         for number, (index, edit) in enumerate(edits):
-            picture = PhotoInsertion(result, views[index], **_sampling(args)).picture(edit)
+            picture = PhotoInsertion(result, views[index], _render_settings(args)).picture(edit)
             written.append(picture.write(args.out, views[index].name, linear=args.linear))
             if (edit.objects or edit.spheres) and not picture.shows_added:
                 warnings.append(f"{written[-1].name} shows nothing of its objects: look at where they are placed")
@@ -207,7 +208,7 @@ def _render_shares(args: argparse.Namespace, progress: Progress, result: Result,
     written = []
     with progress.stage("render"):
         for number, view in enumerate(views):
-            shares = render_light_shares(result, view.camera, denoise=True, **_sampling(args))
+            shares = render_light_shares(result, view.camera, settings=_render_settings(args))
             written.append(args.out / f"{view.name}.exr")
             write_shares(written[-1], shares)
             progress.update((number + 1) / len(views))
@@ -232,8 +233,8 @@ def _mix_shares(
 # ---- common --------------------------------------------------------------------------------------------------------
 
 
-def _sampling(args: argparse.Namespace) -> dict[str, Any]:
-    return {"samples": args.samples, "seed": args.seed, "gpu": args.gpu}
+def _render_settings(args: argparse.Namespace) -> RenderSettings:
+    return RenderSettings(samples=args.samples, seed=args.seed, gpu=args.gpu)
 
 
 def _read(args: argparse.Namespace) -> tuple[Result, tuple[View, ...]]:

@@ -14,9 +14,9 @@ from ..iris_addon.blender.scene_out.lights import lamp_materials
 from ..iris_addon.blender.scene_out.materials import LAMP_ID
 from ..iris_addon.results.folder import load_result
 from ..iris_addon.results.result import Result
+from .editors import view_shadings
+from .folders import folder, result_key
 from .polls import NeedsResult
-from .project import folder, result_key
-from .review import view_shadings
 
 
 class IRIS_OT_apply(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's naming

@@ -6,10 +6,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..iris_addon.blender.apply.camera_look import follow_photo
-from ..iris_addon.blender.camera import set_frame
-from ..iris_addon.blender.scene_in.capture_objects import photo_of
-from .data import start_import
+from .import_capture import start_import
 from .polls import NeedsReader
 
 
@@ -60,23 +57,3 @@ class IRIS_OT_step_photo(bpy.types.Operator):  # noqa: N801 - Blender's naming
             settings.overlay = settings.overlay or 0.5  # asked to be shown, it must not stay hidden
         settings.view_index = (settings.view_index + self.by) % len(settings.views)
         return {"FINISHED"}
-
-
-def look_at_photo(context: bpy.types.Context, index: int) -> None:
-    """Make the camera of photo ``index`` the active one, give the frame its size and look through it."""
-    scene = context.scene
-    if not 0 <= index < len(scene.iris.views):
-        return
-    follow_photo(scene, scene.iris.views[index].name)
-    camera = scene.iris.views[index].camera
-    if camera is None or camera.name not in scene.objects:
-        return
-    scene.camera = camera
-    image = photo_of(camera)
-    if scene.iris.source == "CAPTURE" and image is not None and image.size[0]:
-        width, height = image.size
-        set_frame(scene, width, height, scene.iris.views[index].aspect)
-    for area in context.screen.areas if context.screen is not None else ():
-        if area.type == "VIEW_3D":
-            area.spaces.active.region_3d.view_perspective = "CAMERA"
-            area.tag_redraw()

@@ -13,8 +13,8 @@ from ..iris_addon.base.errors import IrisError
 from ..iris_addon.blender.apply.scene_files import apply, export_textures
 from ..iris_addon.blender.images import read_image
 from ..iris_addon.results.folder import load_result
+from .folders import folder
 from .polls import NeedsResult
-from .project import folder
 
 FORMATS = (
     ("BLEND", ".blend", "Room, lamps and world with textures packed"),

@@ -15,10 +15,10 @@ from ..iris_addon.blender.insert.photo_composite import write_copy
 from ..iris_addon.blender.scene_in.capture_objects import photo_of, show_instead
 from ..iris_addon.blender.worker import jobs
 from ..iris_addon.blender.worker.jobs import composite_command
-from .check import look_at_photo
+from .editors import look_at_photo, show_in_editor
+from .folders import folder
 from .polls import NeedsApplied
-from .project import folder
-from .watch import run, show_in_editor
+from .run_job import run
 
 
 class IRIS_OT_onto_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming

@@ -6,8 +6,7 @@ import bpy
 
 from ..iris_addon.blender.apply.on_objects import APPLIED
 from ..iris_addon.blender.worker import jobs
-from .preferences import solver_python
-from .project import inspection_folder, result_key
+from .folders import inspection_folder, result_key, solver_python
 
 
 class NeedsReader:

@@ -7,12 +7,12 @@ from __future__ import annotations
 import bpy
 
 from ..iris_addon.base.errors import IrisError
-from ..iris_addon.blender.review import curve_image, review_image, reviewed_views, show_confidence
+from ..iris_addon.blender.apply.review import curve_image, review_image, reviewed_views, show_confidence
 from ..iris_addon.blender.scene_in.capture_objects import photo_of, show_instead
 from ..iris_addon.results.records import read_response
+from .editors import show_in_editor, view_shadings
+from .folders import folder
 from .polls import NeedsResult
-from .project import folder
-from .watch import show_in_editor
 
 
 class IRIS_OT_review(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -90,9 +90,3 @@ class IRIS_OT_confidence(bpy.types.Operator):  # noqa: N801 - Blender's naming
             shading.type, shading.color_type = "SOLID", "TEXTURE"
             shading.light = "FLAT" if self.on else "STUDIO"
         return {"FINISHED"}
-
-
-def view_shadings(context: bpy.types.Context) -> list[bpy.types.View3DShading]:
-    """How each open 3D view draws its surfaces; none in background."""
-    areas = context.screen.areas if context.screen is not None else ()
-    return [area.spaces.active.shading for area in areas if area.type == "VIEW_3D"]

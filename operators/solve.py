@@ -6,10 +6,9 @@ import bpy
 
 from ..iris_addon.blender.worker import jobs
 from ..iris_addon.blender.worker.jobs import solve_command
-from .data import write_scene
-from .preferences import solver_python
-from .project import capture_path, folder
-from .watch import run
+from .folders import capture_path, folder, solver_python
+from .import_capture import write_scene
+from .run_job import run
 
 
 class IRIS_OT_solve(bpy.types.Operator):  # noqa: N801 - Blender's naming

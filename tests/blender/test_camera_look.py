@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from iris_addon.model.render_settings import RenderSettings
 from iris_addon.model.response import Response, gamma
 from iris_addon.results.camera_luts import shaper, unshaper, write_luts
 
@@ -140,10 +141,10 @@ def test_a_cycles_render_through_the_camera_is_the_developed_render(scene, tmp_p
     from tests.blender_room import camera, room
 
     result, view = replace(room(emission={4: (9, 6, 3)}), response=gamma()), camera(24, 18)
-    settings = {"samples": 16, "denoise": False, "seed": 2, "max_bounces": 4}
-    (expected,) = render_views(result, [view], **settings)
+    settings = RenderSettings(samples=16, denoise=False, seed=2, max_bounces=4)
+    (expected,) = render_views(result, [view], settings=settings)
     built = build_scene(result)
-    set_cycles(built.scene, **settings)
+    set_cycles(built.scene, settings)
     look_through(built.scene, view, add_camera(view, "view", built.scene.collection))
     layers = own_compositor_tree(built.scene).nodes.new("CompositorNodeRLayers")
     layers.scene = built.scene
@@ -163,7 +164,7 @@ def test_a_scene_matches_one_photo_then_another_and_is_then_what_it_was(scene, t
 
     view = camera(24, 18)
     built = build_scene(room(emission={4: (9, 6, 3)}))
-    set_cycles(built.scene, samples=16, denoise=False, seed=2, max_bounces=4)
+    set_cycles(built.scene, RenderSettings(samples=16, denoise=False, seed=2, max_bounces=4))
     look_through(built.scene, view, add_camera(view, "view", built.scene.collection))
     built.scene.view_settings.exposure = 1.5
     radiance = render_linear(built.scene)

@@ -260,8 +260,8 @@ def test_a_model_of_colmap_comes_in_by_any_of_its_files(package, tmp_path, worke
 def test_the_panel_has_a_picture_of_what_the_solve_knows_so_far(package, tmp_path):
     body = """
     from importlib import import_module
-    preview = import_module(KEY + ".operators.preview")
-    files = import_module(KEY + ".iris_addon.preview_files")
+    preview = import_module(KEY + ".operators.ui.solve_preview")
+    files = import_module(KEY + ".iris_addon.results.files")
     assert preview.picture(home, "albedo") is None
     def write(kind, ns, side):
         image = bpy.data.images.new("x", side, side)
@@ -524,7 +524,7 @@ def test_going_online_is_asked_for_and_a_python_is_tested(package, tmp_path):
 
 
 def test_the_plot_of_a_response_goes_from_corner_to_corner():
-    from iris_addon.blender.review import curve_plot
+    from iris_addon.blender.apply.review import curve_plot
 
     picture = curve_plot(np.tile(np.linspace(0, 1, 1024) ** (1 / 2.2), (3, 1)))
     white = (picture == 1.0).all(axis=-1)
@@ -535,7 +535,7 @@ def test_the_plot_of_a_response_goes_from_corner_to_corner():
 
 
 def test_a_histogram_becomes_a_line_of_blocks():
-    from iris_addon.blender.review import sparkline
+    from iris_addon.blender.apply.review import sparkline
 
     assert sparkline([0, 0.01, 0.25, 1]) == "▁▂▅█"
     assert sparkline([0, 0]) == "▁▁"

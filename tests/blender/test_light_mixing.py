@@ -13,6 +13,7 @@ from iris_addon.blender.render.cycles import render_linear, set_cycles
 from iris_addon.blender.render.light_mixing import mixer, sliders, start_mixing, stop_mixing
 from iris_addon.blender.scene_out.lights import lamp_materials, set_strength, strength, switch
 from iris_addon.blender.version import compositor_output, compositor_tree
+from iris_addon.model.render_settings import RenderSettings
 from iris_addon.model.response import gamma
 from tests.blender_room import camera
 from tests.scene_snapshot import blurred, snapshot
@@ -41,7 +42,7 @@ def scene() -> bpy.types.Scene:
 
 
 def render(scene: bpy.types.Scene, composited: bool) -> np.ndarray:
-    set_cycles(scene, samples=32, denoise=False, seed=0, max_bounces=4)
+    set_cycles(scene, RenderSettings(samples=32, denoise=False, seed=0, max_bounces=4))
     scene.render.use_compositing = composited
     return render_linear(scene)
 

@@ -9,7 +9,7 @@ from mathutils import Matrix
 
 from iris_addon.base.errors import BadInput
 from iris_addon.blender.apply.on_objects import apply_to_objects, restore
-from iris_addon.blender.review import show_confidence
+from iris_addon.blender.apply.review import show_confidence
 from iris_addon.blender.scene_in.scene_capture import read_scene_mesh, whole_object
 from iris_addon.blender.scene_out.lights import color, is_on, lamp_materials, set_color, set_strength, strength, switch
 from iris_addon.model.capture import Mesh

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -17,9 +18,10 @@ from iris_addon.blender.render.cycles import render_coverage, render_linear, set
 from iris_addon.blender.scene_out.materials import layer_transmittance
 from iris_addon.blender.synth.photos import GREY, exposures, film, read_response
 from iris_addon.blender.synth.renders import add_outputs, render_maps
-from iris_addon.blender.synth.run import synth
+from iris_addon.blender.synth.run import TRUTH_RENDER, SynthConfig, synth
 from iris_addon.capture.reader import read_capture
 from iris_addon.model.capture import Capture
+from iris_addon.model.render_settings import RenderSettings
 from iris_addon.rays.tracer import Tracer
 
 pytestmark = pytest.mark.bpy
@@ -86,7 +88,8 @@ def build_room(path: Path) -> Path:
 def capture(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("synth")
     out = folder / "capture"
-    synth(build_room(folder / "room.blend"), out, resolution=(WIDTH, HEIGHT), samples=8)
+    render = replace(TRUTH_RENDER, samples=8)
+    synth(build_room(folder / "room.blend"), out, SynthConfig(resolution=(WIDTH, HEIGHT), render=render))
     return out
 
 
@@ -211,7 +214,7 @@ def test_true_albedo_is_what_cycles_reflects(surface: str, roughness: float):
     scene.render.resolution_x = scene.render.resolution_y = 48
     add_outputs(scene, [paint])
     maps = render_maps(scene, read_camera(scene, thing), thing)
-    set_cycles(scene, samples=256, denoise=False, seed=0, max_bounces=2)
+    set_cycles(scene, RenderSettings(samples=256, denoise=False, seed=0, max_bounces=2))
     scene.cycles.pixel_filter_type, scene.render.film_transparent = "BOX", True
     seen = render_linear(scene).sum((0, 1)) / render_coverage(scene).sum()
     assert maps.albedo[maps.material == 1].mean(0) == pytest.approx(seen, rel=0.012, abs=0.004)
@@ -307,7 +310,7 @@ def test_a_surface_without_ground_truth_is_named(tmp_path: Path):
     tree.links.new(glass.outputs[0], tree.nodes["Material Output"].inputs["Surface"])
     bpy.ops.wm.save_mainfile()
     with pytest.raises(BadInput, match=r"paint.*Glass"):
-        synth(tmp_path / "room.blend", tmp_path / "out", resolution=(WIDTH, HEIGHT), samples=1)
+        synth(tmp_path / "room.blend", tmp_path / "out", SynthConfig(resolution=(WIDTH, HEIGHT)))
     assert not (tmp_path / "out").exists()
 
 

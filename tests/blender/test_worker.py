@@ -173,7 +173,7 @@ def test_no_process_outlives_the_program_that_started_it(tmp_path):
     busy = f"""
         import sys, time
         sys.path.insert(0, {str(ROOT)!r})
-        from headless.caller import stop_with_stdin
+        from headless.cancellation import stop_with_stdin
         from iris_addon.base.progress import Progress
         progress = Progress()
         stop_with_stdin(progress)
@@ -185,7 +185,7 @@ def test_no_process_outlives_the_program_that_started_it(tmp_path):
     blender = f"""
         import sys, time
         sys.path.insert(0, {str(ROOT)!r})
-        from iris_addon.blender import jobs
+        from iris_addon.blender.worker import jobs
         from pathlib import Path
         command = [sys.executable, "-c", {textwrap.dedent(busy)!r}]
         job = jobs.start("solve", Path({str(tmp_path)!r}), command, print)

@@ -15,8 +15,7 @@ import pytest
 
 from headless import cli, environment, make_environment
 from headless.batch import read_jobs
-from headless.run import arguments
-from headless.signals import put_back
+from headless.cancellation import restore_handlers
 from iris_addon.base.errors import BadInput
 from iris_addon.base.images import read_exr, read_image
 from iris_addon.results.folder import SCHEMA_VERSION, load_result, save_result
@@ -138,19 +137,19 @@ def test_a_handler_that_is_not_pythons_becomes_the_default():
     """Blender sets its own for Ctrl-C, of which Python knows no more than that it is there."""
     before = signal.getsignal(signal.SIGTERM)
     try:
-        put_back({signal.SIGTERM: None})
+        restore_handlers({signal.SIGTERM: None})
         assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
     finally:
-        put_back({signal.SIGTERM: before})
+        restore_handlers({signal.SIGTERM: before})
     assert signal.getsignal(signal.SIGTERM) == before
 
 
 def test_arguments_inside_blender_stand_after_two_dashes(monkeypatch):
     monkeypatch.delitem(sys.modules, "bpy", raising=False)
-    assert arguments(["run.py", "solve", "--out", "x"]) == ["solve", "--out", "x"]
+    assert cli._own_arguments(["run.py", "solve", "--out", "x"]) == ["solve", "--out", "x"]
     monkeypatch.setitem(sys.modules, "bpy", types.ModuleType("bpy"))
-    assert arguments(["blender", "-b", "-P", "run.py", "--", "solve", "x"]) == ["solve", "x"]
-    assert arguments(["blender", "-b"]) == []
+    assert cli._own_arguments(["blender", "-b", "-P", "run.py", "--", "solve", "x"]) == ["solve", "x"]
+    assert cli._own_arguments(["blender", "-b"]) == []
 
 
 # ---- solve ---------------------------------------------------------------------------------------------------------

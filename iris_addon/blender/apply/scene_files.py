@@ -22,6 +22,7 @@ from mathutils import Vector
 from ...base.errors import IrisError
 from ...edits.scene_edit import SceneEdit
 from ...model.capture import View
+from ...model.render_settings import RenderSettings
 from ...results.files import MATERIAL_FILES, result_file
 from ...results.records import median_exposure
 from ...results.result import Result
@@ -112,7 +113,7 @@ def apply_to_scene(
     for image in bpy.data.images:
         if image.name.startswith("IRIS ") and image.source == "GENERATED":
             image.pack()
-    set_cycles(scene, samples=128, denoise=True, seed=0, max_bounces=24)
+    set_cycles(scene, RenderSettings(samples=128))
     show_like_the_photos(result, scene)
     return anchor
 

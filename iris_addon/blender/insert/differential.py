@@ -10,8 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 
 from ...edits.scene_edit import SceneEdit
 from ...model.capture import Camera
+from ...model.render_settings import RenderSettings
 from ...model.response import SATURATED, Response
 from ...results.result import Result
 from ..render.cycles import aim, render_coverage, render_linear, set_cycles
@@ -58,11 +58,7 @@ def insert_onto_photo(
     photo: NDArray[np.floating],
     exposure: NDArray[np.floating],
     edit: SceneEdit,
-    *,
-    samples: int = 128,
-    seed: int = 0,
-    max_bounces: int = 24,
-    gpu: bool = False,
+    settings: RenderSettings,
 ) -> NDArray[np.float64]:
     """(H, W, 3) display values of the photo as it would have been with ``edit`` in the room.
 
@@ -72,8 +68,8 @@ def insert_onto_photo(
     """
     if edit.changes_nothing:
         return np.array(photo, dtype=np.float64)
-    without = render_pair(result, camera, None, samples=samples, seed=seed, max_bounces=max_bounces, gpu=gpu)
-    changed = render_change(result, camera, edit, without, samples=samples, seed=seed, max_bounces=max_bounces, gpu=gpu)
+    without = render_pair(result, camera, None, settings)
+    changed = render_change(result, camera, edit, without, settings)
     return change_photo(photo, changed, result.response, exposure)[0]
 
 
@@ -81,17 +77,13 @@ def render_pair(
     result: Result,
     camera: Camera,
     edit: SceneEdit | None,
-    *,
-    samples: int,
-    seed: int,
-    max_bounces: int = 24,
-    gpu: bool = False,
+    settings: RenderSettings,
 ) -> Pair:
-    """The view twice, (H, W, 3) linear radiance each, with half of ``samples`` and random numbers of its own each."""
+    """The view twice, (H, W, 3) linear radiance each, with half of the samples and random numbers of its own each."""
     built = build_scene(result, edit)
     try:
         aim(built, camera)
-        return render_halves(built.scene, samples=samples, seed=seed, max_bounces=max_bounces, gpu=gpu)
+        return render_halves(built.scene, settings)
     finally:
         built.free()
 
@@ -101,11 +93,7 @@ def render_change(
     camera: Camera,
     edit: SceneEdit,
     without: Pair,
-    *,
-    samples: int,
-    seed: int,
-    max_bounces: int = 24,
-    gpu: bool = False,
+    settings: RenderSettings,
 ) -> Differential:
     """How ``edit`` changes the view that ``without`` (:func:`render_pair` of the room alone, same settings) shows."""
     built = build_scene(result, edit)
@@ -113,9 +101,7 @@ def render_change(
         aim(built, camera)
         backdrop = () if built.backdrop is None else (built.backdrop,)
         room = (built.room, *built.lamps, *built.lights, *backdrop)
-        return render_differential(
-            built.scene, room, without, samples=samples, seed=seed, max_bounces=max_bounces, gpu=gpu
-        )
+        return render_differential(built.scene, room, without, settings)
     finally:
         built.free()
 
@@ -124,15 +110,10 @@ def render_differential(
     scene: bpy.types.Scene,
     room: Iterable[bpy.types.Object],
     without: Pair,
-    *,
-    samples: int,
-    seed: int,
-    max_bounces: int = 24,
-    gpu: bool = False,
+    settings: RenderSettings,
 ) -> Differential:
     """As :func:`render_change`, of a scene as it stands, in which all but ``room`` was inserted."""
-    settings: dict[str, Any] = {"max_bounces": max_bounces, "gpu": gpu}
-    halves = render_halves(scene, samples=samples, seed=seed, **settings)
+    halves = render_halves(scene, settings)
     change = shrunk_difference((halves[0] - without[0], halves[1] - without[1]))
     covered = coverage(scene, room)
     with_edit = np.mean(halves, axis=0)
@@ -141,7 +122,7 @@ def render_differential(
         box = ((rows[0], rows[-1] + 1), (columns[0], columns[-1] + 1))
         with border(scene, box, covered.shape) as share:
             if (times := min(CLOSER, int(1 / share))) > 1:
-                set_cycles(scene, samples=times * samples, denoise=True, seed=seed, **settings)
+                set_cycles(scene, replace(settings, samples=times * settings.samples))
                 with_edit = np.where(covered[..., None] > 0, render_linear(scene), with_edit)
     return Differential(np.mean(without, axis=0), with_edit, change, covered)
 
@@ -172,12 +153,12 @@ def border(scene: bpy.types.Scene, box: Box, shape: tuple[int, ...]) -> Iterator
         render.use_border, render.use_crop_to_border = before
 
 
-def render_halves(scene: bpy.types.Scene, *, samples: int, seed: int, max_bounces: int = 24, gpu: bool = False) -> Pair:
+def render_halves(scene: bpy.types.Scene, settings: RenderSettings) -> Pair:
     """As :func:`render_pair`, of a scene as it stands from its active camera; changes how ``scene`` renders."""
     images = []
     for half in (0, 1):
-        count = max(samples // 2, 1)
-        set_cycles(scene, samples=count, denoise=True, seed=2 * seed + half, max_bounces=max_bounces, gpu=gpu)
+        samples, seed = max(settings.samples // 2, 1), 2 * settings.seed + half
+        set_cycles(scene, replace(settings, samples=samples, seed=seed))
         images.append(render_linear(scene))
     return images[0], images[1]
 
@@ -242,7 +223,7 @@ def coverage(scene: bpy.types.Scene, room: Iterable[bpy.types.Object]) -> NDArra
         scene.render.film_transparent = True
         for thing in held_out:
             thing.is_holdout = True
-        set_cycles(scene, samples=COVERAGE_SAMPLES, denoise=False, seed=0, max_bounces=0)
+        set_cycles(scene, RenderSettings(samples=COVERAGE_SAMPLES, max_bounces=0, denoise=False))
         return render_coverage(scene)
     finally:
         scene.render.film_transparent = transparent

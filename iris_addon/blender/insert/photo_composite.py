@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ...base.errors import BadInput
 from ...model.local_exposure import LocalSettings
+from ...model.render_settings import RenderSettings
 from ...model.response import Response
 from ..apply.on_objects import APPLIED, MADE, ORIGINAL
 from ..apply.scene_files import write_whole
@@ -33,10 +34,7 @@ def composite(
     photo: NDArray[np.floating],
     response: Response,
     exposure: NDArray[np.floating],
-    *,
-    samples: int = 128,
-    seed: int = 0,
-    gpu: bool = False,
+    settings: RenderSettings,
     on_step: Callable[[int], None] = lambda done: None,
 ) -> NDArray[np.float64]:
     """(H, W, 3) display values of ``photo`` with what has been added to the room and changed of its lamps.
@@ -59,10 +57,10 @@ def composite(
     render.resolution_y, render.resolution_x = photo.shape[:2]
     render.resolution_percentage, render.use_border = 100, False
     with as_photographed(scene):
-        without = render_halves(scene, samples=samples, seed=seed, gpu=gpu)
+        without = render_halves(scene, settings)
     on_step(1)
     room = [thing for thing in scene.objects if _of_the_room(thing)]
-    changed = render_differential(scene, room, without, samples=samples, seed=seed, gpu=gpu)
+    changed = render_differential(scene, room, without, settings)
     on_step(2)
     return change_photo(photo, changed, response, exposure)[0]
 
@@ -114,10 +112,7 @@ def composite_file(
     response: Response,
     exposure: NDArray[np.floating],
     local: LocalSettings,
-    *,
-    samples: int,
-    seed: int = 0,
-    gpu: bool = False,
+    settings: RenderSettings,
     on_step: Callable[[int], None] = lambda done: None,
 ) -> None:
     """:func:`composite` of the scene in ``blend`` onto the file ``photo``, as the PNG ``out``. Opens ``blend``.
@@ -136,10 +131,9 @@ def composite_file(
     scenes = [scene for scene in bpy.data.scenes if APPLIED in scene]
     if not scenes:
         raise BadInput("has no scene with a result on its objects", "apply a result and save", blend)
-    sampling = {"samples": samples, "seed": seed, "gpu": gpu}
     pixels = read_image(photo)
     at_places = exposure * local.gain(pixels, response)
-    _write_png(out, composite(scenes[0], pixels, response, at_places, **sampling, on_step=on_step))
+    _write_png(out, composite(scenes[0], pixels, response, at_places, settings, on_step))
 
 
 def _write_png(path: Path, display: NDArray[np.floating]) -> None:

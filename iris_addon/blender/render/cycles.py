@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ...base.errors import IrisError
 from ...edits.scene_edit import SceneEdit
 from ...model.capture import Camera
+from ...model.render_settings import RenderSettings
 from ...results.result import Result
 from ..camera import add_camera, look_through
 from ..images import DATA, image_from_array, read_pixels
@@ -36,21 +37,17 @@ def render_views(
     cameras: Sequence[Camera],
     *,
     edit: SceneEdit | None = None,
-    samples: int = 64,
-    denoise: bool = True,
-    seed: int = 0,
-    max_bounces: int = 24,
-    gpu: bool = False,
+    settings: RenderSettings | None = None,
     on_view: OnView | None = None,
 ) -> list[NDArray[np.float32]]:
     """Path-trace ``result`` as changed by ``edit`` from ``cameras``.
 
-    Same arguments, same pixels. With ``denoise`` the image passes through OpenImageDenoise guided by albedo and normal
-    where the build has it (:func:`iris_addon.blender.version.can_denoise`); where not, it stays noisy.
+    Images are denoised by OpenImageDenoise guided by albedo and normal, where the build has it
+    (:func:`iris_addon.blender.version.can_denoise`).
 
     Args:
         cameras: in the capture's axes; each image has its camera's size.
-        gpu: render on a GPU where there is one.
+        settings: None for the defaults.
         on_view: called with the index and the image after each view; may raise to stop.
 
     Returns:
@@ -58,7 +55,7 @@ def render_views(
     """
     built = build_scene(result, edit)
     try:
-        set_cycles(built.scene, samples=samples, denoise=denoise, seed=seed, max_bounces=max_bounces, gpu=gpu)
+        set_cycles(built.scene, settings or RenderSettings())
         images = []
         for index, camera in enumerate(cameras):
             images.append(render_camera(built, camera))
@@ -69,25 +66,24 @@ def render_views(
         built.free()
 
 
-def set_cycles(
-    scene: bpy.types.Scene, *, samples: int, denoise: bool, seed: int, max_bounces: int, gpu: bool = False
-) -> None:
+def set_cycles(scene: bpy.types.Scene, settings: RenderSettings) -> None:
     """Unbiased and repeatable settings: no clamping, no glossy blur, no light left out, a fixed sample count."""
     scene.render.engine = "CYCLES"
     scene.render.use_persistent_data = True  # one BVH for all views
     scene.render.use_compositing = scene.render.use_sequencer = False
     cycles = scene.cycles
-    cycles.device = "GPU" if gpu and enable_gpu() else "CPU"
-    cycles.samples, cycles.seed = samples, seed
+    cycles.device = "GPU" if settings.gpu and enable_gpu() else "CPU"
+    cycles.samples, cycles.seed = settings.samples, settings.seed
     cycles.use_adaptive_sampling = False
-    cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = cycles.transmission_bounces = max_bounces
+    for kind in ("max", "diffuse", "glossy", "transmission"):
+        setattr(cycles, f"{kind}_bounces", settings.max_bounces)
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
     cycles.blur_glossy = cycles.light_sampling_threshold = 0.0
     cycles.caustics_reflective = cycles.caustics_refractive = True
     cycles.use_light_tree = True
     cycles.film_exposure = 1.0
     cycles.pixel_filter_type = PIXEL_FILTER
-    cycles.use_denoising = denoise and can_denoise()
+    cycles.use_denoising = settings.denoise and can_denoise()
     if cycles.use_denoising:
         cycles.denoiser = "OPENIMAGEDENOISE"
         cycles.denoising_input_passes = "RGB_ALBEDO_NORMAL"

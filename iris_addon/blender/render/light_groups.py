@@ -19,6 +19,7 @@ from ...base.errors import IrisError
 from ...edits.light_shares import LightShares
 from ...edits.scene_edit import OUTSIDE, SceneEdit
 from ...model.capture import Camera
+from ...model.render_settings import RenderSettings
 from ...results.result import Result
 from ..camera import add_camera, look_through
 from ..scene_out.backdrop import is_backdrop
@@ -34,25 +35,25 @@ def render_light_shares(
     camera: Camera,
     *,
     edit: SceneEdit | None = None,
-    samples: int = 64,
-    seed: int = 0,
-    denoise: bool = False,
-    max_bounces: int = 24,
-    gpu: bool = False,
+    settings: RenderSettings | None = None,
 ) -> LightShares:
-    """Path-trace one view of ``result`` as changed by ``edit``, every light's part kept apart.
+    """Path-trace one view of ``result`` as changed by ``edit``, with the share of every light kept apart.
 
-    With ``denoise`` each share is denoised by itself: that of a light which is dim now may be turned up later.
+    Each share is denoised by itself: a light that is dim now may be turned up later.
 
-    Lights are named "IRIS Lamp 00" … by the id of the recovered lamp, "IRIS Outside" for light from beyond the mesh,
-    and as :func:`~iris_addon.blender.scene_out.build.build_scene` names what the edit adds.
+    Lights are named "IRIS Lamp 00" … by the id of the recovered lamp, "IRIS Outside" for light from outside, and as
+    :func:`~iris_addon.blender.scene_out.build.build_scene` names what the edit adds.
+
+    Args:
+        settings: None for the defaults.
     """
+    settings = settings or RenderSettings()
     built = build_scene(result, edit, lamps_apart=True)
     try:
-        set_cycles(built.scene, samples=samples, denoise=denoise, seed=seed, max_bounces=max_bounces, gpu=gpu)
+        set_cycles(built.scene, settings)
         names = group_lights(built.scene, [*built.lamps, *built.lights, *built.inserted])
         look_through(built.scene, camera, add_camera(camera, "IRIS View", built.scene.collection))
-        return _render_shares(built.scene, names, denoise and can_denoise())
+        return _render_shares(built.scene, names, settings.denoise and can_denoise())
     finally:
         built.free()
 

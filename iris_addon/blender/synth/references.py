@@ -220,7 +220,7 @@ def write_references(
     progress: Progress,
 ) -> None:
     """Relighting and insertion jobs of the capture ``root``, and how its validation views look then."""
-    seen = SeenPoints(geometry, cameras, studio.seed)
+    seen = SeenPoints(geometry, cameras, studio.settings.seed)
     lights = choose_lights(seen)
     kept, share = choose_kept_emitter(seen, geometry)
     balls = {k: choose_spheres(seen, camera) for k, camera in enumerate(cameras)}

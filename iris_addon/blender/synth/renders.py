@@ -26,6 +26,7 @@ from ...base.errors import BadInput, IrisError
 from ...brdf.ggx import directional_albedo
 from ...edits.scene_edit import Quad, Sphere
 from ...model.capture import Camera
+from ...model.render_settings import RenderSettings
 from ..camera import add_camera, look_through
 from ..render.cycles import render_linear, set_cycles
 from ..scene_out.build import add_sphere
@@ -186,7 +187,7 @@ def _feed(tree: bpy.types.NodeTree, source: Source, target: bpy.types.NodeSocket
 
 def render_maps(scene: bpy.types.Scene, camera: Camera, camera_object: bpy.types.Object) -> Maps:
     """Maps of ``scene``, whose materials went through :func:`add_outputs`, as ``camera`` sees it."""
-    set_cycles(scene, samples=1, denoise=False, seed=0, max_bounces=0)
+    set_cycles(scene, RenderSettings(samples=1, max_bounces=0, denoise=False))
     scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BLACKMAN_HARRIS", 0.01
     look_through(scene, camera, camera_object)
     passes = render_passes(scene)
@@ -242,18 +243,15 @@ def render_passes(scene: bpy.types.Scene) -> dict[str, NDArray[np.float32]]:
 # ---- Path-traced images of the scene itself, as it is or with its lamps changed -------------------------------------
 
 
-MAX_BOUNCES = 16
-
-
 class Studio:
     """The scene with a camera that goes wherever a view is wanted."""
 
-    def __init__(self, scene: bpy.types.Scene, samples: int, seed: int) -> None:
-        self.scene, self.samples, self.seed = scene, samples, seed
+    def __init__(self, scene: bpy.types.Scene, settings: RenderSettings) -> None:
+        self.scene, self.settings = scene, settings
 
     def radiance(self, camera: Camera) -> NDArray[np.float32]:
         """(H, W, 3) denoised linear radiance, scene-linear Rec.709."""
-        set_cycles(self.scene, samples=self.samples, denoise=True, seed=self.seed, max_bounces=MAX_BOUNCES)
+        set_cycles(self.scene, self.settings)
         with self._camera(camera) as thing:
             look_through(self.scene, camera, thing)
             return render_linear(self.scene)

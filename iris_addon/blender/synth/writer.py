@@ -15,6 +15,7 @@ from ...base import images as imaging
 from ...base.files import atomic_write, write_arrays, write_json
 from ...brdf.ggx import DIELECTRIC_F0
 from ...model.capture import Camera
+from ...model.render_settings import RenderSettings
 from ...model.response import Response
 from ..version import can_denoise
 from . import photos
@@ -127,7 +128,15 @@ class CaptureWriter:
         per_face = {"material": geometry.material, "emitter": geometry.emitter}
         write_arrays(self.root / "gt" / "faces.npz", per_face, compressed=True)
 
-    def meta(self, name: str, train: list[Shot], val: list[Shot], scene: bpy.types.Scene, **how: float) -> None:
+    def meta(
+        self,
+        name: str,
+        train: list[Shot],
+        val: list[Shot],
+        scene: bpy.types.Scene,
+        scale: float,
+        settings: RenderSettings,
+    ) -> None:
         """meta.json for whoever reads the capture, gt/meta_gt.json for whoever scores."""
         camera = train[0].camera
         left_out = [*COMPACT_LEAVES_OUT] if self.compact else []
@@ -150,10 +159,10 @@ class CaptureWriter:
         facts = {
             "renderer": f"Cycles, Blender {bpy.app.version_string}",
             "response": response,
-            "global_scale": how["scale"],
-            "samples": how["samples"],
+            "global_scale": scale,
+            "samples": settings.samples,
             "denoised": can_denoise(),
-            "seed": how["seed"],
+            "seed": settings.seed,
             "dielectric_f0": DIELECTRIC_F0,
             "maps": "one sample at the pixel centre; albedo by the formula of EVALUATION, emitters 0",
             "lights_without_mesh": others,

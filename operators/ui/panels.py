@@ -6,19 +6,19 @@ from collections.abc import Callable
 
 import bpy
 
-from ..iris_addon.base.errors import IrisError
-from ..iris_addon.base.files import read_json
-from ..iris_addon.blender.apply.camera_look import MATCHED
-from ..iris_addon.blender.apply.on_objects import APPLIED
-from ..iris_addon.blender.render import light_mixing
-from ..iris_addon.blender.review import model_lines
-from ..iris_addon.blender.scene_out import lights as lamps
-from ..iris_addon.blender.worker import jobs
-from ..iris_addon.results.files import REPORT, result_file
-from . import project
-from .pieces import job_box, paragraph, preview_box
-from .preferences import ROOT_PACKAGE, solver_python
-from .project import ICONS, Step
+from ...iris_addon.base.errors import IrisError
+from ...iris_addon.base.files import read_json
+from ...iris_addon.blender.apply.camera_look import MATCHED
+from ...iris_addon.blender.apply.on_objects import APPLIED
+from ...iris_addon.blender.apply.review import model_lines
+from ...iris_addon.blender.render import light_mixing
+from ...iris_addon.blender.scene_out import lights as lamps
+from ...iris_addon.blender.worker import jobs
+from ...iris_addon.results.files import REPORT, result_file
+from ..folders import ROOT_PACKAGE, folder, result_key, solver_python
+from . import steps
+from .steps import ICONS, Step
+from .widgets import job_box, paragraph, preview_box
 
 StepOf = Callable[[bpy.types.Scene], Step]
 
@@ -69,7 +69,7 @@ class IRIS_PT_data(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
     """Where photos, poses and mesh come from."""
 
     bl_label = "Data"
-    step = staticmethod(project.data_step)
+    step = staticmethod(steps.data_step)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Import, or what was imported."""
@@ -95,7 +95,7 @@ class IRIS_PT_check(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
     """Photo over mesh, and what was measured."""
 
     bl_label = "Check"
-    step = staticmethod(project.check_step)
+    step = staticmethod(steps.check_step)
 
     def draw(self, context: bpy.types.Context) -> None:
         """The photo that is looked at, then the list of all, then warnings."""
@@ -141,20 +141,20 @@ class IRIS_PT_solve(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
     """Preset, solve, progress."""
 
     bl_label = "Solve"
-    step = staticmethod(project.solve_step)
+    step = staticmethod(steps.solve_step)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Settings while nothing runs, bars while it does."""
         layout, settings = self.layout, context.scene.iris
-        running = jobs.running("solve", project.folder(context.scene)) is not None
+        running = jobs.running("solve", folder(context.scene)) is not None
         column = layout.column()
         column.use_property_split, column.use_property_decorate = True, False
         column.enabled = not running
         for name in ("preset", "device", "seed"):
             column.prop(settings, name)
         if not running:
-            state = project.solve_step(context.scene).state
-            record = jobs.record("solve", project.folder(context.scene))
+            state = steps.solve_step(context.scene).state
+            record = jobs.record("solve", folder(context.scene))
             again = {"done": "Solve Again", "stale": "Solve Again"}.get(state, "Solve")
             text = "Resume" if record.state in ("cancelled", "interrupted", "failed") else again
             column.operator("iris.solve", text=text, icon="PLAY")
@@ -167,19 +167,19 @@ class IRIS_PT_review(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
     """Judge the result, then put it onto the objects."""
 
     bl_label = "Review"
-    step = staticmethod(project.review_step)
+    step = staticmethod(steps.review_step)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Pictures, figures, apply."""
         layout, scene = self.layout, context.scene
-        if not project.result_key(scene):
+        if not result_key(scene):
             layout.label(text="No result yet", icon="INFO")
             return
         grid = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
         for kind, text in (("photo", "Photo"), ("render", "Re-render"), ("error", "Error"), ("curve", "Response")):
             grid.operator("iris.review", text=text).kind = kind
         try:
-            report = read_json(result_file(project.folder(scene), REPORT))
+            report = read_json(result_file(folder(scene), REPORT))
         except IrisError as error:
             paragraph(layout, str(error), context, "ERROR")
             return
@@ -206,7 +206,7 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
     """The recovered lamps."""
 
     bl_label = "Relight / Insert"
-    step = staticmethod(project.relight_step)
+    step = staticmethod(steps.relight_step)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Each lamp with a switch, its colour and its strength; objects to put in."""
@@ -278,7 +278,7 @@ class IRIS_PT_export(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
 
     bl_label = "Export"
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 - Blender's form
-    step = staticmethod(project.export_step)
+    step = staticmethod(steps.export_step)
 
     def draw(self, context: bpy.types.Context) -> None:
         """A button per format."""

@@ -6,9 +6,9 @@ from textwrap import wrap
 
 import bpy
 
-from ..iris_addon.blender.worker import jobs
-from . import preview, project
-from .watch import folder_of
+from ...iris_addon.blender.worker import jobs
+from ..folders import folder, job_folder
+from . import solve_preview
 
 
 def paragraph(layout: bpy.types.UILayout, text: str, context: bpy.types.Context, icon: str = "NONE") -> None:
@@ -23,8 +23,8 @@ def paragraph(layout: bpy.types.UILayout, text: str, context: bpy.types.Context,
 
 def job_box(layout: bpy.types.UILayout, name: jobs.JobName, context: bpy.types.Context) -> None:
     """Bars and Cancel while a job runs; reason, mend, Copy and Log when it failed; nothing when there was none."""
-    folder = folder_of(name, context)
-    job, record = jobs.running(name, folder), jobs.record(name, folder)
+    where = job_folder(name, context)
+    job, record = jobs.running(name, where), jobs.record(name, where)
     if job is not None:
         worker = job.worker
         column = layout.column(align=True)
@@ -52,7 +52,7 @@ def job_box(layout: bpy.types.UILayout, name: jobs.JobName, context: bpy.types.C
 def preview_box(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """What the running solve knows of the room; nothing until it knows something."""
     settings = context.scene.iris
-    picture = preview.picture(project.folder(context.scene), settings.preview)
+    picture = solve_preview.picture(folder(context.scene), settings.preview)
     if picture is None:
         return
     layout.row(align=True).prop(settings, "preview", expand=True)

@@ -13,6 +13,8 @@ import bpy
 
 from ..iris_addon.base.errors import IrisError
 from ..iris_addon.blender.worker import jobs
+from .editors import show_in_editor
+from .folders import job_folder
 
 TICK_SECONDS = 0.1
 
@@ -62,16 +64,6 @@ def redraw_sidebars() -> None:
                     region.tag_redraw()
 
 
-def folder_of(name: str, context: bpy.types.Context) -> Path:
-    """The folder of the job ``name`` that the scene, or the preferences, are about."""
-    from .preferences import environment_folder
-    from .project import folder, inspection_folder
-
-    if name in ("environment", "test"):
-        return environment_folder()
-    return inspection_folder(context.scene) if name == "inspect" else folder(context.scene)
-
-
 def register() -> None:
     """Make sure that no process outlives Blender."""
     atexit.register(jobs.stop_all)
@@ -85,8 +77,6 @@ def unregister() -> None:
     atexit.unregister(jobs.stop_all)
 
 
-KEPT_AREAS = ("VIEW_3D", "OUTLINER", "PREFERENCES")
-"""Editors that do not turn into another."""
 JOB_NAMES = tuple((name, name.title(), "") for name in get_args(jobs.JobName))
 
 
@@ -105,7 +95,7 @@ class IRIS_OT_cancel(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Ask the process to stop; the timer notices its end and kills it if it does not listen."""
-        job = jobs.running(self.job, folder_of(self.job, context))
+        job = jobs.running(self.job, job_folder(self.job, context))
         if job is not None:
             job.worker.interrupt()
         return {"FINISHED"}
@@ -121,7 +111,7 @@ class IRIS_OT_copy_error(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Put it into the clipboard."""
-        folder = folder_of(self.job, context)
+        folder = job_folder(self.job, context)
         record = jobs.record(self.job, folder)
         log = _log(folder / f"{self.job}.log").splitlines()[-40:]
         context.window_manager.clipboard = "\n".join([f"error: {record.what} — {record.fix}", *log])
@@ -142,28 +132,9 @@ class IRIS_OT_show_log(bpy.types.Operator):  # noqa: N801 - Blender's naming
         """Fill a text and show it."""
         name = f"IRIS {self.job} log"
         text = bpy.data.texts.get(name) or bpy.data.texts.new(name)
-        text.from_string(_log(folder_of(self.job, context) / f"{self.job}.log"))
+        text.from_string(_log(job_folder(self.job, context) / f"{self.job}.log"))
         show_in_editor(context, "TEXT_EDITOR", "text", text)
         return {"FINISHED"}
-
-
-def show_in_editor(
-    context: bpy.types.Context, area_type: str, attribute: str, shown: bpy.types.ID | str, *, only_open: bool = False
-) -> None:
-    """Give an editor of ``area_type`` what it shows: one that is open, else the roomiest beside the 3D view.
-
-    In background nothing is shown.
-    """
-    if context.screen is None:
-        return
-    areas = [area for area in context.screen.areas if area.type == area_type]
-    others = [] if only_open else [area for area in context.screen.areas if area.type not in KEPT_AREAS]
-    candidates = areas or others
-    if not candidates:
-        return
-    area = max(candidates, key=lambda area: min(area.width, area.height))  # a timeline is wide and too low
-    area.type = area_type
-    setattr(area.spaces.active, attribute, shown)
 
 
 def _log(path: Path) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import bpy.utils.previews
 
-from ..iris_addon.results.files import preview_path
+from ...iris_addon.results.files import preview_path
 
 _pictures: bpy.utils.previews.ImagePreviewCollection | None = None
 

@@ -13,9 +13,9 @@ from ..iris_addon.blender.apply.camera_look import MATCHED, match_photo, stop_ma
 from ..iris_addon.blender.render.light_mixing import start_mixing, stop_mixing
 from ..iris_addon.model.response import Response
 from ..iris_addon.results.records import read_response
+from .editors import show_in_editor
+from .folders import folder
 from .polls import NeedsApplied
-from .project import folder
-from .watch import show_in_editor
 
 
 class IRIS_OT_match_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming

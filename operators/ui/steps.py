@@ -1,17 +1,15 @@
-"""Where the work of a scene lies on disk, and how each step of it stands."""
+"""How far the work of a scene is: the state of each step in the sidebar, and what to do next."""
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import bpy
 
-from ..iris_addon.blender.apply.on_objects import APPLIED
-from ..iris_addon.blender.worker import jobs
-from ..iris_addon.results.files import REPORT, result_file
-from .preferences import ROOT_PACKAGE
+from ...iris_addon.blender.apply.on_objects import APPLIED
+from ...iris_addon.blender.worker import jobs
+from ...iris_addon.results.files import REPORT, result_file
+from ..folders import capture_changed, capture_path, folder, inspection_folder, result_key
 
 
 @dataclass(frozen=True)
@@ -30,52 +28,6 @@ ICONS = {
     "running": "SORTTIME",
     "failed": "ERROR",
 }
-
-
-def capture_path(scene: bpy.types.Scene) -> Path | None:
-    """The capture that is solved: the one chosen, or the one written from the scene; None where there is none."""
-    if scene.iris.source == "SCENE":
-        return folder(scene) / "capture"
-    return Path(bpy.path.abspath(scene.iris.capture)).resolve() if scene.iris.capture else None
-
-
-def folder(scene: bpy.types.Scene) -> Path:
-    """Where checks and results of ``scene`` go: as chosen, beside the capture, beside the .blend, else the user's."""
-    settings = scene.iris
-    if settings.result:
-        return Path(bpy.path.abspath(settings.result)).resolve()
-    if settings.source == "CAPTURE" and settings.capture:
-        capture = capture_path(scene)
-        assert capture is not None
-        capture = capture if capture.is_dir() else capture.parent
-        return capture.with_name(f"{capture.name}-iris")
-    name = bpy.path.clean_name(scene.name)  # "Day/Night" is a name of a scene, and no name of a folder
-    if bpy.data.filepath:
-        return Path(f"{Path(bpy.data.filepath).with_suffix('')}.{name}-iris")
-    return Path(bpy.utils.extension_path_user(ROOT_PACKAGE, path=f"unsaved/{name}"))
-
-
-def own_folder(scene: bpy.types.Scene) -> Path:
-    """:func:`folder`, but one that no other unsaved file finds."""
-    where = folder(scene)
-    unsaved = not scene.iris.result and not bpy.data.filepath
-    return where.with_name(f"{where.name}-{time.time_ns():x}") if unsaved else where
-
-
-def inspection_folder(scene: bpy.types.Scene) -> Path:
-    """Where the check of the capture lies."""
-    return folder(scene) / "inspection"
-
-
-def result_key(scene: bpy.types.Scene) -> str:
-    """Stands for the result as it is on disk now; empty where there is none."""
-    try:
-        return f"{folder(scene)}#{result_file(folder(scene), REPORT).stat().st_mtime_ns}"
-    except OSError:
-        return ""
-
-
-# ---- steps ---------------------------------------------------------------------------------------------------------
 
 
 def data_step(scene: bpy.types.Scene) -> Step:
@@ -117,7 +69,7 @@ def solve_step(scene: bpy.types.Scene) -> Step:
         return Step("stale", "Go on where it stopped")
     if not key:
         return Step("ready", "Choose a preset and press Solve") if scene.iris.views else Step("missing", "First: data")
-    if capture is not None and _newer(capture, result_file(folder(scene), REPORT)):
+    if capture is not None and capture_changed(capture, result_file(folder(scene), REPORT)):
         return Step("stale", "The capture has changed: solve again")
     return Step("done")
 
@@ -143,11 +95,3 @@ def relight_step(scene: bpy.types.Scene) -> Step:
 def export_step(scene: bpy.types.Scene) -> Step:
     """There is something to write."""
     return Step("done") if result_key(scene) else Step("missing", "First: solve")
-
-
-def _newer(capture: Path, result: Path) -> bool:
-    # The folder's own time changes with every file in it, so the poses are asked.
-    poses = ("transforms.json", "train/transforms.json", "sparse/0/images.bin", "sparse/0/images.txt")
-    candidates = (capture, *(capture / name for name in poses))
-    times = [path.stat().st_mtime for path in candidates if path.is_file()]
-    return bool(times) and max(times) > result.stat().st_mtime

@@ -12,7 +12,7 @@ from ..iris_addon.base.errors import IrisError
 from ..iris_addon.base.files import require_own_folder
 from ..iris_addon.blender.apply.on_objects import APPLIED
 from ..iris_addon.blender.apply.photo_cameras import forget_given
-from ..iris_addon.blender.review import sparkline
+from ..iris_addon.blender.apply.review import sparkline
 from ..iris_addon.blender.scene_in.capture_objects import (
     COLLECTION,
     Inspected,
@@ -23,10 +23,9 @@ from ..iris_addon.blender.scene_in.capture_objects import (
 from ..iris_addon.blender.scene_in.scene_capture import read_view_cameras, write_scene_capture
 from ..iris_addon.blender.worker import jobs
 from ..iris_addon.blender.worker.jobs import ADDON, inspect_command
+from .folders import ROOT_PACKAGE, capture_path, folder, inspection_folder, own_folder, solver_python
 from .polls import NeedsReader
-from .preferences import ROOT_PACKAGE, solver_python
-from .project import capture_path, folder, inspection_folder, own_folder
-from .watch import run
+from .run_job import run
 
 CAPTURE = "iris_capture"
 """Custom property of a room: the capture it is of."""

@@ -9,8 +9,9 @@ from typing import Any
 
 import bpy
 
-from ..iris_addon.blender.insert.carry import SHAPES
-from ..iris_addon.blender.scene_out import lights as lamps
+from ...iris_addon.blender.scene_out import lights as lamps
+from ..editors import look_at_photo
+from ..place import PLACEABLE
 
 # ---- callbacks -----------------------------------------------------------------------------------------------------
 
@@ -24,8 +25,6 @@ def _set(write: Callable[[bpy.types.Material | None, Any], None]) -> Callable[[b
 
 
 def _look(settings: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
-    from .check import look_at_photo
-
     look_at_photo(context, settings.view_index)
 
 
@@ -40,13 +39,6 @@ EXPOSURE = bpy.props.FloatProperty(
     name="Exposure",
     description="Relative exposure of this camera's photo, time · ISO/100 / f-number²; 0 where it is unknown",
     min=0.0,
-)
-
-
-SELECTED = "SELECTED"
-PLACEABLE = (
-    *((key, name, "A new one, 30 cm wide") for key, (name, *_rest) in SHAPES.items()),
-    (SELECTED, "Selected Object", "The active object with its children"),
 )
 
 
