@@ -6,7 +6,7 @@ import bpy
 
 from ..iris_addon.base.errors import IrisError
 from ..iris_addon.blender.apply.on_objects import APPLIED, FaceRun, apply_to_objects, restore
-from ..iris_addon.blender.apply.photo_cameras import stand_where_found
+from ..iris_addon.blender.apply.photo_cameras import move_to_solved_poses
 from ..iris_addon.blender.images import read_image
 from ..iris_addon.blender.scene_in.capture_objects import show_instead
 from ..iris_addon.blender.scene_in.scene_capture import read_face_runs, whole_object
@@ -46,7 +46,7 @@ class IRIS_OT_apply(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's 
             return {"FINISHED"}
         list_lamps(scene, result)
         show_the_room(context)
-        moved = stand_where_found(result, capture_cameras(scene), scene)
+        moved = move_to_solved_poses(result, capture_cameras(scene), scene)
         corrected = f", {moved} cameras moved to where the photos fit" if moved else ""
         self.report({"INFO"}, f"{len(result.emitters)} lights{corrected}")
         return {"FINISHED"}

@@ -11,7 +11,7 @@ import bpy
 from ..iris_addon.base.errors import IrisError
 from ..iris_addon.base.files import require_own_folder
 from ..iris_addon.blender.apply.on_objects import APPLIED
-from ..iris_addon.blender.apply.photo_cameras import forget_given
+from ..iris_addon.blender.apply.photo_cameras import forget_given_pose
 from ..iris_addon.blender.apply.review import sparkline
 from ..iris_addon.blender.scene_in.capture_objects import (
     COLLECTION,
@@ -104,7 +104,7 @@ class IRIS_OT_use_scene(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blende
                 setattr(settings, name, value)
             return {"CANCELLED"}
         for thing in context.scene.objects:  # cameras are solved where they stand now
-            forget_given(thing)
+            forget_given_pose(thing)
         return start_check(self, context)
 
 

@@ -1,9 +1,9 @@
-"""Objects put into a photo by differential rendering (Debevec 1998, section 6), in the photo's own response.
+"""Objects inserted into a photo by differential rendering (Debevec 1998, section 6), in the photo's own response.
 
-Two pairs of renders, each pair with and without the edit under the same random numbers: where nothing changes both
-renders of a pair are the same to the last bit, so that noise cancels and the photo stays. What the two pairs do not
-agree on is noise, and the difference is shrunk by it (:func:`shrunk_difference`). What is inserted is shown as it was
-rendered, so its noise shows; it fills a small part of most pictures, which is rendered once more with more samples.
+Two pairs of renders, each with and without the edit under the same random numbers: where nothing changes, both renders
+of a pair are equal to the last bit, so that noise cancels and the photo remains. The two pairs disagree by noise, and
+the difference is shrunk accordingly (:func:`shrunk_difference`). Inserted objects appear as they were rendered, with
+their noise; they cover a small area of most pictures, which is rendered again with more samples.
 """
 
 from __future__ import annotations
@@ -25,11 +25,13 @@ from ..render.cycles import aim, render_coverage, render_linear, set_cycles
 from ..scene_out.build import build_scene
 
 COVERAGE_SAMPLES = 32
-CLOSER = 8
-"""Most samples of a pixel that shows something inserted, in those of any other. For up to an eighth of the picture that
-costs no more than one render of the whole."""
-MARGIN = 8  # pixels of its surroundings that the denoiser sees
-NOISE_RADIUS = 3  # pixels around one over which noise is estimated
+MAX_SAMPLE_FACTOR = 8
+"""Maximum samples of pixels that show something inserted, as a multiple of the others'. Up to an eighth of the picture
+this costs no more than another render of all of it."""
+BORDER_MARGIN = 8
+"""Pixels around a rendered border that the denoiser sees."""
+NOISE_RADIUS = 3
+"""Radius in pixels of the window in which noise is estimated."""
 
 Pair = tuple[NDArray[np.floating], NDArray[np.floating]]
 Box = tuple[tuple[int, int], tuple[int, int]]
@@ -42,8 +44,8 @@ class Differential:
     Attributes:
         without: (H, W, 3) linear radiance of the room as solved.
         with_edit: (H, W, 3) linear radiance with the edit.
-        change: (H, W, 3) their difference, less its noise.
-        covered: (H, W) share of each pixel that something inserted covers.
+        change: (H, W, 3) their difference, shrunk by its noise.
+        covered: (H, W) share of each pixel that inserted objects cover.
     """
 
     without: NDArray[np.floating]
@@ -64,7 +66,7 @@ def insert_onto_photo(
 
     Args:
         photo: (H, W, 3) display values in [0, 1] of the undistorted photo.
-        exposure: factor from radiance to the argument of the response, to be broadcast with the photo.
+        exposure: factor from radiance to the argument of the response, broadcastable to the photo.
     """
     if edit.changes_nothing:
         return np.array(photo, dtype=np.float64)
@@ -112,7 +114,7 @@ def render_differential(
     without: Pair,
     settings: RenderSettings,
 ) -> Differential:
-    """As :func:`render_change`, of a scene as it stands, in which all but ``room`` was inserted."""
+    """Like :func:`render_change`, for an existing scene in which everything but ``room`` was inserted."""
     halves = render_halves(scene, settings)
     change = shrunk_difference((halves[0] - without[0], halves[1] - without[1]))
     covered = coverage(scene, room)
@@ -121,7 +123,7 @@ def render_differential(
     if rows.size:
         box = ((rows[0], rows[-1] + 1), (columns[0], columns[-1] + 1))
         with border(scene, box, covered.shape) as share:
-            if (times := min(CLOSER, int(1 / share))) > 1:
+            if (times := min(MAX_SAMPLE_FACTOR, int(1 / share))) > 1:
                 set_cycles(scene, replace(settings, samples=times * settings.samples))
                 with_edit = np.where(covered[..., None] > 0, render_linear(scene), with_edit)
     return Differential(np.mean(without, axis=0), with_edit, change, covered)
@@ -129,17 +131,17 @@ def render_differential(
 
 @contextmanager
 def border(scene: bpy.types.Scene, box: Box, shape: tuple[int, ...]) -> Iterator[float]:
-    """Inside, only ``box`` and MARGIN pixels around it are rendered, whatever else is black.
+    """Inside, only ``box`` and BORDER_MARGIN pixels around it are rendered; the rest is black.
 
     Args:
-        box: rows and columns, (first, beyond the last) each.
+        box: rows and columns, (first, last + 1) each.
         shape: (H, W) of the picture.
 
     Yields:
         the share of the picture that is rendered.
     """
     (top, bottom), (left, right) = (
-        (max(low - MARGIN, 0) / size, min(high + MARGIN, size) / size)
+        (max(low - BORDER_MARGIN, 0) / size, min(high + BORDER_MARGIN, size) / size)
         for (low, high), size in zip(box, shape, strict=True)
     )
     render = scene.render
@@ -154,7 +156,7 @@ def border(scene: bpy.types.Scene, box: Box, shape: tuple[int, ...]) -> Iterator
 
 
 def render_halves(scene: bpy.types.Scene, settings: RenderSettings) -> Pair:
-    """As :func:`render_pair`, of a scene as it stands from its active camera; changes how ``scene`` renders."""
+    """Like :func:`render_pair`, for an existing scene and its active camera; changes its render settings."""
     images = []
     for half in (0, 1):
         samples, seed = max(settings.samples // 2, 1), 2 * settings.seed + half
@@ -164,10 +166,10 @@ def render_halves(scene: bpy.types.Scene, settings: RenderSettings) -> Pair:
 
 
 def shrunk_difference(differences: Pair) -> NDArray[np.float64]:
-    """(H, W, 3) mean of two estimates of one difference, shrunk towards 0 where they do not agree.
+    """(H, W, 3) mean of two estimates of a difference, shrunk towards 0 where they disagree.
 
     A Wiener filter with the empirical signal: each value is multiplied by 1 − σ²/d², where d² is the mean square of
-    the difference around it and σ² the part of that which the two estimates say is noise.
+    the difference around it and σ² the noise variance that follows from the two estimates.
     """
     first, second = (np.asarray(d, np.float64) for d in differences)
     mean = (first + second) / 2
@@ -182,9 +184,8 @@ def change_photo(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The photo with the change in it: display values and linear radiance, (H, W, 3) each.
 
-    The difference goes back through the response, so that a pixel whose light does not change keeps its value exactly.
-    Where the photo is saturated, the render stands in for it if that is brighter: a shadow over a blown-out wall need
-    not show.
+    The difference passes through the response, so that pixels whose light does not change keep their values exactly.
+    Where the photo is clipped, the render replaces it if that is brighter: a shadow on a clipped wall need not show.
     """
     seen = response.invert(photo)
     light = np.where(photo >= SATURATED, np.maximum(seen, changed.without * exposure), seen)
@@ -198,13 +199,13 @@ def change_light(
 ) -> NDArray[np.float64]:
     """(H, W, 3) the light P of a photo with the change in it, both as radiance times ``exposure``.
 
-    With the render O of the room alone, the render W with the edit, and the coverage A of what was put in, a pixel that
-    shows nothing of it becomes, with the change D = W − O less its noise,
+    With the render O of the room alone, the render W with the edit, and the coverage A of inserted objects, a pixel
+    that shows none of them becomes, with the denoised change D = W − O,
 
         P (1 + D / O)   where light is lost,        P + D   where it is gained,
 
-    so that a shadow darkens by a factor, which the texture of the photo keeps, and a reflection or a bounce adds what
-    it adds. A pixel that shows it becomes W + (1 − A) (P − O): the render, and the right blend on its rim.
+    so that a shadow multiplies, which keeps the texture of the photo, and a reflection or a bounce adds. A pixel that
+    shows an inserted object becomes W + (1 − A) (P − O): the render, blended at the edges of the object.
     """
     without = changed.without * exposure
     gained = np.maximum(changed.change, 0.0) * exposure
@@ -216,7 +217,7 @@ def change_light(
 
 
 def coverage(scene: bpy.types.Scene, room: Iterable[bpy.types.Object]) -> NDArray[np.float32]:
-    """(H, W) share of each pixel in which something else than ``room`` is seen, which may stand in front of it."""
+    """(H, W) share of each pixel that objects other than ``room`` cover; ``room`` may occlude them."""
     held_out = {thing: thing.is_holdout for thing in room}
     transparent = scene.render.film_transparent
     try:
@@ -232,7 +233,7 @@ def coverage(scene: bpy.types.Scene, room: Iterable[bpy.types.Object]) -> NDArra
 
 
 def _local_mean(values: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(H, W, C) mean over a square of 2 · NOISE_RADIUS + 1 pixels around each, cut off at the border."""
+    """(H, W, C) mean over the square of 2 · NOISE_RADIUS + 1 pixels around each pixel, cropped at the border."""
     for axis in (0, 1):
         n = values.shape[axis]
         total = np.concatenate([np.zeros_like(values.take([0], axis)), np.cumsum(values, axis)], axis)

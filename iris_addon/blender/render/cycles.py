@@ -1,4 +1,4 @@
-"""Linear renders of a solved room in Cycles."""
+"""Linear renders in Cycles: of a solved room, of a scene as it stands, and pictures denoised by OpenImageDenoise."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from ..version import (
     single_layer_exr,
 )
 
-PIXEL_FILTER = "BOX"  # one pixel wide: neighbours stay independent, and a mean over the pixel is what a sensor takes
+PIXEL_FILTER = "BOX"  # one pixel wide, like a sensor: neighbouring pixels stay independent
 
 OnView = Callable[[int, NDArray[np.float32]], None]
 
@@ -67,7 +67,7 @@ def render_views(
 
 
 def set_cycles(scene: bpy.types.Scene, settings: RenderSettings) -> None:
-    """Unbiased and repeatable settings: no clamping, no glossy blur, no light left out, a fixed sample count."""
+    """Make renders unbiased and repeatable: no clamping, no glossy blur, no light skipped, a fixed sample count."""
     scene.render.engine = "CYCLES"
     scene.render.use_persistent_data = True  # one BVH for all views
     scene.render.use_compositing = scene.render.use_sequencer = False
@@ -91,13 +91,13 @@ def set_cycles(scene: bpy.types.Scene, settings: RenderSettings) -> None:
 
 
 def render_camera(built: BuiltScene, camera: Camera) -> NDArray[np.float32]:
-    """(H, W, 3) linear radiance of the built scene from ``camera`` with the settings the scene has."""
+    """(H, W, 3) linear radiance of the built scene from ``camera``, with its current settings."""
     aim(built, camera)
     return render_linear(built.scene)
 
 
 def aim(built: BuiltScene, camera: Camera) -> None:
-    """Make ``camera`` the one that the built scene is rendered from."""
+    """Add ``camera`` to the built scene and make it the active one."""
     camera_object = add_camera(camera, "IRIS View", built.scene.collection)
     built.owned |= {camera_object, camera_object.data}
     look_through(built.scene, camera, camera_object)
@@ -114,7 +114,7 @@ def render_coverage(scene: bpy.types.Scene) -> NDArray[np.float32]:
 
 
 def _render(scene: bpy.types.Scene, color_mode: str) -> NDArray[np.float32]:
-    # Through a 32-bit EXR, which no view transform touches, and the same way in background and with a window.
+    # A 32-bit EXR is free of the view transform, and works alike in background and with a window.
     settings = scene.render.image_settings
     single_layer_exr(settings)
     settings.color_mode = color_mode
@@ -127,14 +127,16 @@ def _render(scene: bpy.types.Scene, color_mode: str) -> NDArray[np.float32]:
         return read_pixels(path)
 
 
-# ---- OpenImageDenoise on pictures that are not Cycles' combined pass, through the compositor's node -----------------
-
+# ---- denoising -----------------------------------------------------------------------------------------------------
 
 Picture = NDArray[np.float32]
 
 
 def denoise_pictures(pictures: Mapping[str, Picture], albedo: Picture, normal: Picture) -> dict[str, Picture]:
-    """Each of ``pictures`` (H, W, 3) of linear radiance denoised, guided by the albedo and normals of the same view."""
+    """Denoise ``pictures`` (H, W, 3) of linear radiance, guided by the albedo and normals of the same view.
+
+    By the compositor's node, because Cycles denoises only its combined pass.
+    """
     before = {kind: set(getattr(bpy.data, kind)) for kind in ("scenes", "cameras", "objects", "images", "node_groups")}
     try:
         scene = _empty_scene(albedo.shape[1], albedo.shape[0])
@@ -150,7 +152,7 @@ def denoise_pictures(pictures: Mapping[str, Picture], albedo: Picture, normal: P
         tree.links.new(clean.outputs["Image"], compositor_output(tree))
         done = {}
         for name, pixels in pictures.items():
-            _set_pixels(source.image, pixels)  # one image for all: the compositor keeps what it cached of each
+            _set_pixels(source.image, pixels)  # one image for all, because the compositor caches each
             done[name] = render_linear(scene)
         return done
     finally:

@@ -6,8 +6,8 @@
                  ─► gt/                radiance, Principled maps, emitters, response: for scoring only
 
 Limits: perspective cameras of one focal length without lens shift; surfaces that are Principled, Diffuse, Glossy or
-mixes of these; lamps that are meshes of constant emission. Lamp objects and the world light the photos, but the ground
-truth of emitters cannot name them, and the relighting references switch them off.
+mixes of these; lamps that are meshes of constant emission. Light objects and the world contribute to the photos, but
+they are not in the ground truth of emitters, and the relighting references switch them off.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from .scene import prepare, read_geometry, write_ply
 from .writer import CaptureWriter, Shot
 
 LEVELS = (0.25, 0.5, 1.0, 2.0, 4.0)
-"""Exposures; the brightest views get the lowest."""
+"""Exposure levels; the brightest views get the lowest."""
 TRUTH_RENDER = RenderSettings(samples=256, max_bounces=16)
 STAGE_WEIGHTS = {"maps": 0.03, "views": 0.7, "references": 0.27}
 
@@ -61,7 +61,7 @@ class SynthConfig:
 def synth(scene_blend: Path, out: Path, config: SynthConfig | None = None, progress: Progress | None = None) -> None:
     """Render the capture folder ``out`` from ``scene_blend``.
 
-    The folder appears once it is complete; until then the work goes on in a hidden folder beside it.
+    The folder appears once it is complete; until then work goes on in a hidden folder beside it.
 
     Raises:
         BadInput: ``out`` is not empty, or the scene is outside the limits above.

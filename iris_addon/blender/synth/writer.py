@@ -1,4 +1,4 @@
-"""Files of a synthetic capture: poses, photos, ground truth, descriptions."""
+"""Files of a synthetic capture: poses, photos, ground truth, metadata."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ COMPACT_LEAVES_OUT = ("Image_const", "gt/train: Image, BaseCol, Depth, Normal", 
 
 @dataclass(frozen=True)
 class Shot:
-    """A camera object of the scene and the pinhole camera it is."""
+    """A camera object of the scene and its pinhole camera."""
 
     thing: bpy.types.Object
     camera: Camera
@@ -99,7 +99,7 @@ class CaptureWriter:
             write_npy(self.root / "cam" / f"{name}.npy", of_train)
             write_npy(self.root / "cam" / f"{name}_val.npy", of_val)
             for k, exposure in enumerate([*of_train, *of_val]):
-                # The photo is developed from the radiance that the ground truth stores, half floats.
+                # Photos are developed from the half floats that the ground truth stores.
                 photo = photos.develop(radiance[k].astype(np.float16).astype(np.float64), exposure, self.response)
                 base, number = (self.root / "train", k) if k < n_train else (self.root / "gt" / "val", k - n_train)
                 imaging.write_png(base / folder / f"{number:03d}_0001.png", photo)
@@ -171,7 +171,7 @@ class CaptureWriter:
 
 
 def _describe(index: int, material: bpy.types.Material) -> dict[str, Any]:
-    """What a reader of IndexMA wants to know; None where a value varies over the surface."""
+    """The entry of a material in materials.json; values that vary over the surface are None."""
     shader = surface_shader(material)
 
     def constant(name: str) -> Any:
