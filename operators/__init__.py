@@ -1,4 +1,4 @@
-"""What Blender shows and runs: preferences, scene settings, operators, panels."""
+"""What Blender runs and shows: operators here; panels, preferences and scene settings in :mod:`.ui`."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ CLASSES = (
 
 
 def register() -> None:
-    """Add everything to Blender."""
+    """Register everything with Blender."""
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     bpy.types.Scene.iris = bpy.props.PointerProperty(type=settings.IrisSettings)
@@ -58,7 +58,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Stop what runs and take everything out of Blender."""
+    """Stop all jobs and unregister everything."""
     run_job.unregister()
     import_capture.unregister()
     solve_preview.unregister()

@@ -1,4 +1,4 @@
-"""Look before you wait: photo over mesh from each camera, and what was measured about it."""
+"""Check a capture before the solve: measure it again, and show each photo over the mesh."""
 # Blender declares properties as annotations.
 # pyright: reportInvalidTypeForm=false
 
@@ -19,7 +19,7 @@ class IRIS_OT_check(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blender's 
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """There is something to check and a Python to do it."""
+        """A capture is chosen and the solver's Python is set."""
         settings = context.scene.iris
         if settings.source == "CAPTURE" and not settings.capture:
             cls.poll_message_set("Import a capture first")
@@ -27,7 +27,7 @@ class IRIS_OT_check(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blender's 
         return super().poll(context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Start it."""
+        """Start the check."""
         return start_import(self, context)
 
 
@@ -47,13 +47,13 @@ class IRIS_OT_step_photo(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
     @classmethod
     def description(cls, _context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
-        """What the button does."""
+        """The tooltip: the button with the name shows the photo, the others step."""
         return "Show this photo over the mesh" if not properties.by else cls.__doc__ or ""
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Go on to it, around the end."""
+        """Step to the photo; after the last comes the first."""
         settings = context.scene.iris
         if not self.by:
-            settings.overlay = settings.overlay or 0.5  # asked to be shown, it must not stay hidden
+            settings.overlay = settings.overlay or 0.5  # the button shows the photo, so it must be visible
         settings.view_index = (settings.view_index + self.by) % len(settings.views)
         return {"FINISHED"}

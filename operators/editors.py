@@ -9,15 +9,15 @@ from ..iris_addon.blender.camera import set_frame
 from ..iris_addon.blender.scene_in.capture_objects import photo_of
 
 KEPT_AREAS = ("VIEW_3D", "OUTLINER", "PREFERENCES")
-"""Editors that do not turn into another."""
+"""Editors that are never changed into others."""
 
 
 def show_in_editor(
     context: bpy.types.Context, area_type: str, attribute: str, shown: bpy.types.ID | str, *, only_open: bool = False
 ) -> None:
-    """Give an editor of ``area_type`` what it shows: one that is open, else the roomiest beside the 3D view.
+    """Show ``shown`` in an editor of ``area_type``: an open one, else the largest editor beside the 3D view is changed.
 
-    In background nothing is shown.
+    Does nothing in background.
     """
     if context.screen is None:
         return
@@ -26,13 +26,15 @@ def show_in_editor(
     candidates = areas or others
     if not candidates:
         return
-    area = max(candidates, key=lambda area: min(area.width, area.height))  # a timeline is wide and too low
+    area = max(
+        candidates, key=lambda area: min(area.width, area.height)
+    )  # by the shorter side: timelines are wide but low
     area.type = area_type
     setattr(area.spaces.active, attribute, shown)
 
 
 def look_at_photo(context: bpy.types.Context, index: int) -> None:
-    """Make the camera of photo ``index`` the active one, give the frame its size and look through it."""
+    """Make the camera of photo ``index`` active, set the frame to its size and look through it."""
     scene = context.scene
     if not 0 <= index < len(scene.iris.views):
         return
@@ -52,6 +54,6 @@ def look_at_photo(context: bpy.types.Context, index: int) -> None:
 
 
 def view_shadings(context: bpy.types.Context) -> list[bpy.types.View3DShading]:
-    """How each open 3D view draws its surfaces; none in background."""
+    """Shading of each open 3D view; empty in background."""
     areas = context.screen.areas if context.screen is not None else ()
     return [area.spaces.active.shading for area in areas if area.type == "VIEW_3D"]

@@ -14,7 +14,7 @@ from .run_job import run
 
 
 class IRIS_OT_test_python(bpy.types.Operator):  # noqa: N801 - Blender's naming
-    """Start the solver's Python and import everything that a solve needs"""
+    """Start the solver's Python and import all packages that a solve needs"""
 
     bl_idname = "iris.test_python"
     bl_label = "Test"
@@ -35,32 +35,32 @@ class IRIS_OT_test_python(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
 
 class IRIS_OT_make_environment(bpy.types.Operator):  # noqa: N801 - Blender's naming
-    """Make a Python environment for the solver and download its packages (torch among them) into it"""
+    """Create a Python environment for the solver and download its packages (torch among them)"""
 
     bl_idname = "iris.make_environment"
     bl_label = "Create Environment"
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
-        """Blender may go online, and none is being made."""
+        """Online access is allowed, and no environment is being created."""
         if not bpy.app.online_access:
             cls.poll_message_set("Allow online access in Preferences > System first")
             return False
         return jobs.running("environment", environment_folder()) is None
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Start it; the path is set when it is done."""
+        """Start the job; it sets the preference when it ends."""
         folder = environment_folder()
         preferences = context.preferences.addons[ROOT_PACKAGE].preferences
 
         def ended(record: jobs.Record) -> None:
             if record.state == "done":
                 preferences.python = str(environment_python(folder))
-                context.preferences.is_dirty = True  # so that Blender writes it down when it ends
+                context.preferences.is_dirty = True  # so that Blender saves it on exit
 
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            self.report({"ERROR"}, str(IrisError(f"cannot be made ({error.strerror})", "free some space", folder)))
+            self.report({"ERROR"}, str(IrisError(f"cannot be created ({error.strerror})", "free some space", folder)))
             return {"CANCELLED"}
         return run(self, "environment", folder, environment_command(folder), ended)

@@ -15,14 +15,14 @@ ROOT_PACKAGE = str(__package__).rpartition(".")[0]
 
 
 def capture_path(scene: bpy.types.Scene) -> Path | None:
-    """The capture that is solved: the one chosen, or the one written from the scene; None where there is none."""
+    """The capture to solve: the chosen one, or the one written from the scene; None where there is none."""
     if scene.iris.source == "SCENE":
         return folder(scene) / "capture"
     return Path(bpy.path.abspath(scene.iris.capture)).resolve() if scene.iris.capture else None
 
 
 def folder(scene: bpy.types.Scene) -> Path:
-    """Where checks and results of ``scene`` go: as chosen, beside the capture, beside the .blend, else the user's."""
+    """The folder for checks and results: the chosen one, else beside the capture or the .blend, else the user's."""
     settings = scene.iris
     if settings.result:
         return Path(bpy.path.abspath(settings.result)).resolve()
@@ -31,26 +31,26 @@ def folder(scene: bpy.types.Scene) -> Path:
         assert capture is not None
         capture = capture if capture.is_dir() else capture.parent
         return capture.with_name(f"{capture.name}-iris")
-    name = bpy.path.clean_name(scene.name)  # "Day/Night" is a name of a scene, and no name of a folder
+    name = bpy.path.clean_name(scene.name)  # "Day/Night" names a scene, but cannot name a folder
     if bpy.data.filepath:
         return Path(f"{Path(bpy.data.filepath).with_suffix('')}.{name}-iris")
     return Path(bpy.utils.extension_path_user(ROOT_PACKAGE, path=f"unsaved/{name}"))
 
 
 def own_folder(scene: bpy.types.Scene) -> Path:
-    """:func:`folder`, but one that no other unsaved file finds."""
+    """:func:`folder`, made unique where the file is not saved, so that no other unsaved file uses it."""
     where = folder(scene)
     unsaved = not scene.iris.result and not bpy.data.filepath
     return where.with_name(f"{where.name}-{time.time_ns():x}") if unsaved else where
 
 
 def inspection_folder(scene: bpy.types.Scene) -> Path:
-    """Where the check of the capture lies."""
+    """The folder of the check of the capture."""
     return folder(scene) / "inspection"
 
 
 def result_key(scene: bpy.types.Scene) -> str:
-    """Stands for the result as it is on disk now; empty where there is none."""
+    """Identifies the result on disk; empty where there is none."""
     try:
         return f"{folder(scene)}#{result_file(folder(scene), REPORT).stat().st_mtime_ns}"
     except OSError:
@@ -70,7 +70,7 @@ def capture_changed(capture: Path, result: Path) -> bool:
 
 
 def environment_folder() -> Path:
-    """Where the environment made here lies; nothing is written by asking."""
+    """The folder for an environment created here; this does not create it."""
     return Path(bpy.utils.extension_path_user(ROOT_PACKAGE, path="environment"))
 
 
@@ -81,9 +81,9 @@ def environment_python(folder: Path) -> Path:
 
 
 def solver_python(context: bpy.types.Context) -> str:
-    """Path of the solver's Python: the one chosen, or the one made here; empty where there is neither."""
+    """Path of the solver's Python: the chosen one, or the one created here; empty where there is neither."""
     chosen = bpy.path.abspath(context.preferences.addons[ROOT_PACKAGE].preferences.python)
-    if chosen:  # panels ask at every redraw: the disk is looked at only where nothing is chosen
+    if chosen:  # called at every redraw, so the disk is read only if nothing is chosen
         return chosen
     made = environment_python(environment_folder())
     return str(made) if made.is_file() and jobs.record("environment", environment_folder()).state == "done" else ""

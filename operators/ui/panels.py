@@ -30,12 +30,12 @@ class _Sidebar:
 
 
 class IRIS_PT_iris(_Sidebar, bpy.types.Panel):  # noqa: N801 - Blender's naming
-    """Parent of the steps; says which one comes next."""
+    """The parent of the steps; shows which one is next."""
 
     bl_label = "IRIS"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The next thing to do."""
+        """Draw the next thing to do."""
         layout = self.layout
         if not solver_python(context):
             box = layout.box()
@@ -66,13 +66,13 @@ class _Step(_Sidebar):
 
 
 class IRIS_PT_data(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
-    """Where photos, poses and mesh come from."""
+    """Import of photos, poses and mesh."""
 
     bl_label = "Data"
     step = staticmethod(steps.data_step)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Import, or what was imported."""
+        """Draw import buttons, and a summary of what was imported."""
         layout, settings = self.layout, context.scene.iris
         column = layout.column(align=True)
         column.operator("iris.import_capture", icon="IMPORT")
@@ -92,13 +92,13 @@ class IRIS_PT_data(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
 
 
 class IRIS_PT_check(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
-    """Photo over mesh, and what was measured."""
+    """Photo over mesh, and measurements."""
 
     bl_label = "Check"
     step = staticmethod(steps.check_step)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The photo that is looked at, then the list of all, then warnings."""
+        """Draw the current photo, the list of all, and warnings."""
         layout, settings = self.layout, context.scene.iris
         job_box(layout, "inspect", context)
         if not settings.views:
@@ -112,10 +112,8 @@ class IRIS_PT_check(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         layout.template_list("IRIS_UL_views", "", settings, "views", settings, "view_index", rows=4)
         view = settings.views[index]
         column = layout.column(align=True)
-        fits = {"aligned": "lies on the mesh", "unclear": "too few common edges to tell"}
-        column.label(
-            text=f"Alignment {view.score:.2f}: " + fits.get(view.verdict, f"{view.shift:.0f} px beside the mesh")
-        )
+        fits = {"aligned": "coincides with the mesh", "unclear": "too few common edges to decide"}
+        column.label(text=f"Alignment {view.score:.2f}: " + fits.get(view.verdict, f"{view.shift:.0f} px off the mesh"))
         exposure = f"{view.exposure:.3g}" if view.exposure else "unknown"
         column.label(text=f"Saturated {view.saturated:.0%}, exposure {exposure}")
         column.label(text=view.histogram)
@@ -144,7 +142,7 @@ class IRIS_PT_solve(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
     step = staticmethod(steps.solve_step)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Settings while nothing runs, bars while it does."""
+        """Draw the settings, and progress while a solve runs."""
         layout, settings = self.layout, context.scene.iris
         running = jobs.running("solve", folder(context.scene)) is not None
         column = layout.column()
@@ -164,13 +162,13 @@ class IRIS_PT_solve(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
 
 
 class IRIS_PT_review(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
-    """Judge the result, then put it onto the objects."""
+    """Review of the result, before it is applied to the objects."""
 
     bl_label = "Review"
     step = staticmethod(steps.review_step)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Pictures, figures, apply."""
+        """Draw buttons for pictures, the figures of the model, and Apply."""
         layout, scene = self.layout, context.scene
         if not result_key(scene):
             layout.label(text="No result yet", icon="INFO")
@@ -209,7 +207,7 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
     step = staticmethod(steps.relight_step)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Each lamp with a switch, its colour and its strength; objects to put in."""
+        """Draw the lamps with switch, colour and strength, and buttons to insert objects."""
         layout, scene = self.layout, context.scene
         settings = scene.iris
         if APPLIED not in scene:
@@ -225,7 +223,7 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
             layout.prop(background.inputs["Strength"], "default_value", text="Light from Outside")
         lights = [thing.name for thing in scene.objects if thing.type == "LIGHT" and not thing.hide_render]
         if lights:
-            paragraph(layout, f"Shine as well: {', '.join(lights[:3])}", context, "INFO")
+            paragraph(layout, f"Other lights: {', '.join(lights[:3])}", context, "INFO")
         matched = MATCHED in scene
         text = "Renders Match the Photo" if matched else "Match Photo"
         layout.operator("iris.match_photo", text=text, icon="CAMERA_DATA", depress=matched).on = not matched
@@ -240,7 +238,7 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
 
 
 def _mixing(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
-    """Switch, and a slider and a colour per light of the finished render."""
+    """Draw the switch, and a slider and a colour per light of the finished render."""
     node = light_mixing.mixer(scene)
     text = "Mix Lights" if node is None else "Lights Are Mixed"
     layout.operator("iris.mix_lights", text=text, icon="NODE_COMPOSITING", depress=node is not None).on = node is None
@@ -281,7 +279,7 @@ class IRIS_PT_export(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
     step = staticmethod(steps.export_step)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """A button per format."""
+        """Draw a button per format."""
         layout = self.layout
         row = layout.row(align=True)
         row.operator("iris.export", text=".blend").format = "BLEND"

@@ -1,4 +1,4 @@
-"""Preferences of the extension: the Python that solves, tested or made here."""
+"""Preferences of the extension: the solver's Python, with its test and its creation."""
 # Blender declares properties as annotations.
 # pyright: reportInvalidTypeForm=false
 
@@ -22,7 +22,7 @@ class IrisPreferences(bpy.types.AddonPreferences):
     )
 
     def draw(self, _context: bpy.types.Context) -> None:
-        """The preferences as Blender shows them."""
+        """Draw the preferences."""
         layout = self.layout
         layout.prop(self, "python")
         row = layout.row()
@@ -44,7 +44,7 @@ def _draw_job(layout: bpy.types.UILayout, name: jobs.JobName, title: str) -> Non
         row.operator("iris.cancel", text="", icon="CANCEL").job = name
     elif record.state == "failed":
         layout.label(text=f"{title}: {record.what}", icon="ERROR")
-        layout.label(text=f"Mend: {record.fix}", icon="BLANK1")
+        layout.label(text=f"Fix: {record.fix}", icon="BLANK1")
         layout.operator("iris.copy_error", icon="COPYDOWN").job = name
     elif record.state in ("done", "cancelled", "interrupted"):
         icon = "CHECKMARK" if record.state == "done" else "INFO"

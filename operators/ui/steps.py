@@ -14,7 +14,7 @@ from ..folders import capture_changed, capture_path, folder, inspection_folder, 
 
 @dataclass(frozen=True)
 class Step:
-    """How a step stands: "done", "stale", "ready", "missing", "running" or "failed", and what to do next."""
+    """The state of a step, "done", "stale", "ready", "missing", "running" or "failed", and what to do next."""
 
     state: str
     hint: str = ""
@@ -31,7 +31,7 @@ ICONS = {
 
 
 def data_step(scene: bpy.types.Scene) -> Step:
-    """Photos, poses and mesh are in the scene."""
+    """Whether photos, poses and mesh are in the scene."""
     if jobs.running("inspect", inspection_folder(scene)):
         return Step("running", "Reading the capture")
     if scene.iris.views:
@@ -40,11 +40,11 @@ def data_step(scene: bpy.types.Scene) -> Step:
 
 
 def check_step(scene: bpy.types.Scene) -> Step:
-    """Somebody can know whether a solve is worth its time."""
+    """Whether the capture was checked."""
     settings = scene.iris
     record = jobs.record("inspect", inspection_folder(scene))
     if record.state == "running":
-        return Step("running", "Looking at the photos")
+        return Step("running", "Measuring the photos")
     if record.state in ("failed", "interrupted"):
         return Step("failed", "The capture cannot be used as it is")
     if not settings.views:
@@ -57,7 +57,7 @@ def check_step(scene: bpy.types.Scene) -> Step:
 
 
 def solve_step(scene: bpy.types.Scene) -> Step:
-    """A result is there."""
+    """Whether there is a result of the current capture."""
     record = jobs.record("solve", folder(scene))
     if record.state == "running":
         return Step("running")
@@ -66,7 +66,7 @@ def solve_step(scene: bpy.types.Scene) -> Step:
     key = result_key(scene)
     capture = capture_path(scene)
     if record.state in ("cancelled", "interrupted"):
-        return Step("stale", "Go on where it stopped")
+        return Step("stale", "Resume where it stopped")
     if not key:
         return Step("ready", "Choose a preset and press Solve") if scene.iris.views else Step("missing", "First: data")
     if capture is not None and capture_changed(capture, result_file(folder(scene), REPORT)):
@@ -75,23 +75,23 @@ def solve_step(scene: bpy.types.Scene) -> Step:
 
 
 def review_step(scene: bpy.types.Scene) -> Step:
-    """The result is on the objects."""
+    """Whether the result is applied to the objects."""
     key = result_key(scene)
     applied = scene.get(APPLIED)
     if not key:
         return Step("missing", "First: solve")
     if applied is None:
         return Step("ready", "Look at the result, then apply it")
-    return Step("done") if applied == key else Step("stale", "Another result is on the objects: apply again")
+    return Step("done") if applied == key else Step("stale", "Another result is applied: apply again")
 
 
 def relight_step(scene: bpy.types.Scene) -> Step:
-    """There are lamps to turn."""
+    """Whether there are lamps to edit."""
     if scene.get(APPLIED) is None:
         return Step("missing", "First: apply")
     return Step("done")
 
 
 def export_step(scene: bpy.types.Scene) -> Step:
-    """There is something to write."""
+    """Whether there is a result to export."""
     return Step("done") if result_key(scene) else Step("missing", "First: solve")

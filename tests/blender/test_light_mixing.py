@@ -3,7 +3,6 @@
 import bpy
 import numpy as np
 import pytest
-from tests.test_blender_onto_objects import cube, solve
 
 from iris_addon.base.errors import BadInput
 from iris_addon.blender.apply.camera_look import match_photo, stop_matching
@@ -17,6 +16,7 @@ from iris_addon.model.render_settings import RenderSettings
 from iris_addon.model.response import gamma
 from tests.blender_room import camera
 from tests.scene_snapshot import blurred, snapshot
+from tests.solved_scene import cube, solve
 
 pytestmark = pytest.mark.bpy
 

@@ -233,7 +233,7 @@ def _view(scene: bpy.types.Scene, thing: bpy.types.Object, scale: float) -> tupl
     if abs(frame.height * grow * frame.fx / frame.fy - height) > ASPECT_PIXELS:
         raise BadInput(
             f"the photo of camera '{thing.name}' is {width}x{height}, the frame of the scene "
-            f"{frame.width}x{frame.height}: another aspect ratio",
+            f"{frame.width}x{frame.height}: another shape",
             "give the scene the resolution of its photos",
         )
     c2w = frame.c2w.copy()
