@@ -1,6 +1,6 @@
-"""The commands that render a solved room: render, relight, insert, composite; and its camera for other programs.
+"""The commands that render a solved room: render, relight, insert, composite; and the export of its camera.
 
-Each is: read, hand views and edits to Cycles, write every picture as soon as it is there.
+Each one reads the result, passes views and edits to Cycles, and writes every picture as soon as it is rendered.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from iris_addon.results.result import Result
 from .outcome import Outcome
 
 if TYPE_CHECKING:
-    from .pictures import Developer  # needs packages that `composite`, in Blender's own Python, does without
+    from .pictures import Developer  # needs packages that Blender's own Python lacks; `composite` runs there
 
 EditAt = Callable[[float], SceneEdit | None]
 
@@ -42,7 +42,7 @@ def camera(args: argparse.Namespace, progress: Progress) -> Outcome:
 
 
 def composite(args: argparse.Namespace, progress: Progress) -> Outcome:
-    """What an artist put into the room of a .blend, onto the photo."""
+    """The artist's additions to the room of a .blend, composited onto the photo."""
     from iris_addon.blender.insert.photo_composite import RENDERS, composite_file
     from iris_addon.results.records import exposure_of, read_response
 
@@ -65,7 +65,7 @@ def composite(args: argparse.Namespace, progress: Progress) -> Outcome:
 
 
 def render(args: argparse.Namespace, progress: Progress) -> Outcome:
-    """Novel views; with --light-shares every light's part of them."""
+    """Novel views; with --light-shares the share of every light in them."""
     result, views = _read(args)
     if args.light_shares:
         _without_frames(args, "--light-shares")
@@ -83,7 +83,7 @@ def relight(args: argparse.Namespace, progress: Progress) -> Outcome:
         if args.shares is not None:
             _without_frames(args, "--shares")
             return _mix_shares(args, progress, result, views, job)
-        relight_edit(result, job, args.lights.parent)  # what is wrong is told before anything is rendered
+        relight_edit(result, job, args.lights.parent)  # errors come before anything is rendered
 
     def edit_at(time: float) -> SceneEdit:
         return relight_edit(result, job, args.lights.parent, time)
@@ -92,7 +92,7 @@ def relight(args: argparse.Namespace, progress: Progress) -> Outcome:
 
 
 def insert(args: argparse.Namespace, progress: Progress) -> Outcome:
-    """Views with objects in them, rendered whole or onto their photos."""
+    """Views with inserted objects, rendered completely or composited onto their photos."""
     result, views = _read(args)
     job = read_json(args.objects)
     cameras = [view.camera for view in views]
@@ -102,14 +102,14 @@ def insert(args: argparse.Namespace, progress: Progress) -> Outcome:
             return insertion_edits(result, job, args.objects.parent, cameras, time)
 
     edits = edits_at(0.0)
-    beyond = [index for index, _ in edits if index >= len(views)]
-    if beyond:
-        what = f"names view {beyond[0]}, there are {len(views)}"
+    missing = [index for index, _ in edits if index >= len(views)]
+    if missing:
+        what = f"names view {missing[0]}, there are {len(views)}"
         raise BadInput(what, f"count the views of {args.views}", args.objects)
     shown = [index for index, _ in edits]
-    twice = [index for index in shown if shown.count(index) > 1]
-    if twice:
-        raise BadInput(f"names view {twice[0]} twice", "put all objects of a view into one entry", args.objects)
+    repeated = [index for index in shown if shown.count(index) > 1]
+    if repeated:
+        raise BadInput(f"names view {repeated[0]} twice", "put all objects of a view into one entry", args.objects)
     if args.onto_photos:
         _without_exposure(args, "--onto-photos")
     if args.onto_photos and "camera" in job:
@@ -134,7 +134,7 @@ def insert(args: argparse.Namespace, progress: Progress) -> Outcome:
     return Outcome.of("Rendered", {"files": written})
 
 
-# ---- rendered whole ------------------------------------------------------------------------------------------------
+# ---- complete renders ----------------------------------------------------------------------------------------------
 
 
 def _render_edited(
@@ -193,7 +193,7 @@ def _insert_onto_photos(
             picture = PhotoInsertion(result, views[index], _render_settings(args)).picture(edit)
             written.append(picture.write(args.out, views[index].name, linear=args.linear))
             if (edit.objects or edit.spheres) and not picture.shows_added:
-                warnings.append(f"{written[-1].name} shows nothing of its objects: look at where they are placed")
+                warnings.append(f"{written[-1].name} shows none of its objects: check where they are placed")
             progress.update((number + 1) / len(edits))
     return Outcome.of("Rendered", {"files": written} | ({"warnings": warnings} if warnings else {}))
 
@@ -268,7 +268,7 @@ def _developer(args: argparse.Namespace, result: Result) -> Developer:
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Errors about the job read inside name its file."""
+    """Inside, errors about the job name its file."""
     try:
         yield
     except BadInput as error:

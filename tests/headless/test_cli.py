@@ -8,6 +8,7 @@ import subprocess
 import sys
 import types
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -100,6 +101,26 @@ def test_missing_packages_exit_4_and_name_the_way_out(tmp_path):
     done = run("solve", tmp_path, "--out", tmp_path / "out", python=BARE)
     assert done.returncode == 4
     assert "torch" in done.stderr and "IRIS_PYTHON" in done.stderr and done.stderr.count("\n") == 1
+
+
+@pytest.fixture
+def no_blender(monkeypatch):
+    monkeypatch.delitem(sys.modules, "bpy", raising=False)
+    monkeypatch.delenv("IRIS_PYTHON", raising=False)
+    monkeypatch.setattr(environment, "find_spec", lambda name: None if name == "bpy" else find_spec(name))
+
+
+def test_commands_that_need_blender_name_its_package_where_it_is_missing(solved, no_blender, capsys):
+    result, room_ = str(solved / "result"), str(solved / "room")
+    for command in (["apply", result, "--blend", str(solved / "x.blend")], ["evaluate", result, "--gt", room_]):
+        assert cli.main(command) == 4
+        error = capsys.readouterr().err
+        assert "pip install iris-blender[blender]" in error and "inside Blender" in error and error.count("\n") == 1
+
+
+def test_evaluate_without_rendering_needs_no_blender_and_names_what_it_left_out(solved, no_blender, capsys):
+    assert cli.main(["evaluate", str(solved / "result"), "--gt", str(solved / "room"), "--no-render"]) == 0
+    assert "left out: relight_psnr (nothing was rendered)" in capsys.readouterr().out
 
 
 IN_BLENDER = ("render", "apply")

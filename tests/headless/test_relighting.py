@@ -149,7 +149,7 @@ def test_a_photo_that_shows_nothing_of_its_objects_is_named(solved, capsys):
     job = write_job(solved, "balls.json", views=[{"view": view, "objects": [balls[view]]} for view in (0, 1)])
     run(solved, "insert", "--objects", job, "--onto-photos")
     told = capsys.readouterr().out
-    assert "b.png shows nothing of its objects" in told and "a.png shows" not in told
+    assert "b.png shows none of its objects" in told and "a.png shows" not in told
 
 
 @pytest.mark.bpy
