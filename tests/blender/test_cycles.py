@@ -70,7 +70,7 @@ def test_the_pixel_grid_is_that_of_camera_rays(intrinsics):
 @pytest.mark.parametrize(
     "intrinsics", [{}, {"fx": 14.0, "fy": 9.0, "cx": 5.0, "cy": 8.5}, {"width": 9, "height": 17, "fy": 11.0}]
 )
-def test_a_camera_comes_back_as_it_went(intrinsics):
+def test_cameras_survive_the_round_trip_through_blender(intrinsics):
     view = camera(**intrinsics, position=(1, 2, 3))
     view.c2w[:3, :3] = TURNED
     scene = bpy.context.scene
@@ -92,7 +92,7 @@ def test_a_lamp_is_rendered_with_exactly_its_radiance():
     np.testing.assert_allclose(image[5:7, 7:9].reshape(-1, 3), np.tile(radiance, (4, 1)), rtol=1e-5)
 
 
-def test_an_output_that_is_set_to_film_does_not_matter():
+def test_renders_do_not_depend_on_the_output_format_of_the_scene():
     result = room(emission={1: (3.0, 2.0, 1.0)})
     built = build_scene(result)
     settings = built.scene.render.image_settings
@@ -206,7 +206,7 @@ def test_the_atlas_lies_the_right_way_up():
     assert red[x > 0.1].min() > 0.5 > red[x < -0.1].max()
 
 
-def test_a_ball_is_where_it_was_put():
+def test_a_ball_appears_at_its_position():
     result = room(albedo=0.0, emission={5: (3, 3, 3)})
     ball = Sphere(
         center=np.array([0.0, 0.0, -0.6]), radius=0.2, base_color=np.array([1.0, 0.0, 0.0]), roughness=1.0, metallic=0.0
@@ -229,7 +229,7 @@ def test_rendering_twice_gives_the_same_pixels_and_leaves_nothing_behind():
     assert before == {kind: len(getattr(bpy.data, kind)) for kind in kinds}
 
 
-def test_degenerate_and_double_faces_keep_their_numbers():
+def test_degenerate_and_duplicate_faces_keep_their_indices():
     mesh = box()
     faces = np.concatenate([mesh.faces[:2], [[0, 0, 1]], mesh.faces[:1, ::-1], mesh.faces[2:]])
     uv = np.concatenate([mesh.uv[:2], mesh.uv[:1], mesh.uv[:1], mesh.uv[2:]])
@@ -272,7 +272,7 @@ print(json.dumps(before - resident()))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="memory is read from /proc")
-def test_a_renderer_keeps_nothing_of_a_scene_that_is_gone():
+def test_the_renderer_keeps_nothing_of_a_removed_scene():
     """What it kept pointed to the scene: some builds of the next one ended in a segmentation fault.
 
     Of a floor of 318 000 triangles nothing was given back as long as the renderer kept its copy and BVH, 70 MiB and

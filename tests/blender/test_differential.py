@@ -52,13 +52,13 @@ def changed(change, with_edit=None, covered=0.0, without=1.0):
     return Differential(without, with_edit, blank(value=change), np.full(without.shape[:2], covered))
 
 
-def test_no_change_of_light_is_no_change_of_the_photo():
+def test_a_photo_without_change_of_light_keeps_its_pixels():
     photo = np.random.default_rng(1).integers(0, 256, (20, 30, 3)) / 255
     same, _ = change_photo(photo, changed(0.0), gamma(), EXPOSURE)
     np.testing.assert_array_equal(same, photo)
 
 
-def test_light_that_is_gained_is_exposed_as_its_place_in_the_photo():
+def test_gained_light_gets_the_local_exposure_of_the_photo():
     """Of a photo whose corners a lens darkened to half, what a lamp adds is darkened there too."""
     photo = gamma().apply(blank(value=0.1))
     at_places = EXPOSURE * np.linspace(1.0, 0.5, 30)[:, None]
@@ -75,7 +75,7 @@ def test_a_shadow_scales_what_the_photo_shows_and_never_goes_below_black():
     np.testing.assert_allclose(black, 0.0, atol=1e-9)
 
 
-def test_saturated_pixels_keep_the_light_that_the_model_knows():
+def test_clipped_pixels_keep_the_light_of_the_render():
     """A wall four times as bright as white stays white in half a shadow; at saturation itself the shadow shows."""
     white = blank()
     kept, _ = change_photo(white, changed(-10.0, without=20.0), gamma(), EXPOSURE)
@@ -84,7 +84,7 @@ def test_saturated_pixels_keep_the_light_that_the_model_knows():
     np.testing.assert_allclose(shaded, gamma().apply(blank(value=0.5)), rtol=1e-9)
 
 
-def test_the_rim_of_an_object_blends_render_and_photo():
+def test_the_edge_of_an_object_blends_render_and_photo():
     photo = gamma().apply(blank(value=0.3))
     half, _ = change_photo(photo, changed(0.0, with_edit=0.8, covered=0.5), gamma(), EXPOSURE)
     # Half of the pixel is the object (the render less half the wall), half is the wall of the photo.
@@ -191,7 +191,7 @@ def test_what_is_inserted_has_less_noise_than_the_room_and_the_scene_stays_as_it
 
 @pytest.mark.bpy
 @pytest.mark.usefixtures("empty_blender")
-def test_what_stands_behind_something_stays_hidden():
+def test_occluded_objects_stay_hidden():
     """The ball is behind the wall of the box: the photo is left alone."""
     result, view = lit_room(), camera(24, 18)
     photo = np.random.default_rng(0).integers(0, 256, (18, 24, 3)) / 255

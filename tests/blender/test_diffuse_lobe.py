@@ -59,7 +59,7 @@ def test_burleys_lobe_is_added_to_the_specular_one(roughness: float, cosine: flo
 
 
 @pytest.mark.parametrize("cosine", [0.25, 0.9])
-def test_without_it_the_dielectric_takes_its_light_off_the_base(cosine: float) -> None:
+def test_without_the_group_the_dielectric_attenuates_the_base(cosine: float) -> None:
     black, grey = (radiance_along(cosine, 0.2, albedo, {}) for albedo in (0.0, 0.5))
     assert (grey - black) / 0.5 == pytest.approx(layered_factor(np.array(0.2), np.array(cosine)), rel=0.015)
 

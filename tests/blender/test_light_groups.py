@@ -94,7 +94,7 @@ def test_new_lights_have_shares_too():
     assert light.shares["IRIS Object 00"][..., ::2].max() == 0 < light.shares["IRIS Object 00"][..., 1].mean()
 
 
-def test_shares_come_back_from_disk(tmp_path):
+def test_light_shares_survive_the_round_trip_to_disk(tmp_path):
     light = render_light_shares(lit_room(), view(), settings=RenderSettings(samples=1, denoise=False))
     write_shares(tmp_path / "a.exr", light)
     back = read_shares(tmp_path / "a.exr")

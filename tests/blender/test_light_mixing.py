@@ -47,7 +47,7 @@ def render(scene: bpy.types.Scene, composited: bool) -> np.ndarray:
     return render_linear(scene)
 
 
-def test_turning_a_slider_is_rendering_with_the_lamp_turned(scene, monkeypatch):
+def test_a_slider_equals_a_render_with_the_lamp_changed(scene, monkeypatch):
     monkeypatch.setattr(light_groups, "can_denoise", lambda: False)
     plain = render(scene, composited=False)
     assert set(start_mixing(scene)) == {"IRIS Lamp 07", "bulb", "IRIS Outside"}
@@ -91,7 +91,7 @@ def test_restoring_the_originals_ends_mixing(scene):
     assert not scene.view_layers[0].lightgroups
 
 
-def test_an_object_that_is_being_edited_keeps_what_it_has(scene):
+def test_objects_in_edit_mode_are_refused(scene):
     """Blender takes no other mesh for it and says nothing: the original would be lost."""
     bpy.context.view_layer.objects.active = scene.objects["box"]
 
@@ -112,7 +112,7 @@ def test_an_object_that_is_being_edited_keeps_what_it_has(scene):
     assert len(scene.objects["box"].data.polygons) == 6 and mixer(scene) is None
 
 
-def test_a_compositing_that_is_there_gets_the_mix(scene):
+def test_an_existing_compositing_gets_the_mix(scene):
     blur = blurred(scene)
     layers = blur.inputs["Image"].links[0].from_node
     before = snapshot(scene)

@@ -77,7 +77,7 @@ COLOR = np.array([3.0, 2.0, 1.0])
         ),
     ],
 )
-def test_the_floor_gets_the_irradiance_that_the_light_says(light, irradiance):
+def test_the_floor_receives_the_irradiance_of_the_light(light, irradiance):
     seen = seen_from_above(light).mean(axis=(0, 1))
     np.testing.assert_allclose(seen, reflected(irradiance), rtol=0.08)  # 4 % is the dielectric's lobe
     np.testing.assert_allclose(seen / seen[0], irradiance / irradiance[0], rtol=0.03)
@@ -176,7 +176,7 @@ def test_an_object_stands_where_the_pixel_points():
     np.testing.assert_allclose(at, [0, 0.95, -0.8], atol=0.001)
 
 
-def test_nothing_to_stand_on_is_told():
+def test_an_object_without_support_is_refused():
     with pytest.raises(BadInput, match="to stand on"):
         placed_vertices(Placement((5.0, 0.0, 0.0), snap="down"))
     with pytest.raises(BadInput, match="without height"):

@@ -52,7 +52,7 @@ def test_a_plain_object_keeps_its_polygons_and_gets_the_materials():
     np.testing.assert_allclose(background.inputs["Color"].default_value[:3], 0.5 * 0.2820948, rtol=1e-5)
 
 
-def awkward_scene() -> None:
+def mixed_scene() -> None:
     """Everything that a result cannot simply be painted on, and some things that must survive."""
     plain = cube("plain", rotation_euler=(0.3, 0.2, 0.1))
     twin = bpy.data.objects.new("twin", plain.data)  # shares its mesh
@@ -79,7 +79,7 @@ def awkward_scene() -> None:
 
 
 def test_what_renders_is_the_same_geometry_before_and_after():
-    awkward_scene()
+    mixed_scene()
     result, runs = solve(lamp_faces=[0])
     assert {run.object for run in runs if run.instance} == {"empty"}
     before = evaluated_faces()
@@ -88,7 +88,7 @@ def test_what_renders_is_the_same_geometry_before_and_after():
 
 
 def test_restoring_leaves_no_trace():
-    awkward_scene()
+    mixed_scene()
     result, runs = solve(lamp_faces=[0, 30])
     before = snapshot(bpy.context.scene)
     apply_to_objects(result, runs, bpy.context.scene, "key")
@@ -101,7 +101,7 @@ def test_restoring_leaves_no_trace():
 
 
 def test_applying_twice_changes_nothing_and_another_result_replaces_the_first():
-    awkward_scene()
+    mixed_scene()
     result, runs = solve(lamp_faces=[0])
     before = snapshot(bpy.context.scene)
     scene = bpy.context.scene
@@ -119,7 +119,7 @@ def test_applying_twice_changes_nothing_and_another_result_replaces_the_first():
 
 
 def test_originals_come_back_after_save_and_reload(tmp_path):
-    awkward_scene()
+    mixed_scene()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "before.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "before.blend"))
     result, runs = solve(lamp_faces=[0])
@@ -254,7 +254,7 @@ def test_lamps_are_switched_dimmed_and_tinted_in_their_materials():
     assert thing.data.materials[0].node_tree.nodes.active.name == "IRIS Confidence"
 
 
-def test_a_linked_object_is_refused_with_its_mend(tmp_path):
+def test_a_linked_object_is_refused_with_a_fix(tmp_path):
     cube("box")
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
     bpy.ops.wm.read_factory_settings(use_empty=True)

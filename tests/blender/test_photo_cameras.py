@@ -58,7 +58,7 @@ def corrected(inspected: Inspected):
     return replace(room(), report=report), found
 
 
-def test_cameras_stand_where_photos_were_found_and_go_back_exactly(imported):
+def test_cameras_move_to_solved_poses_and_are_restored_exactly(imported):
     inspected, scene, thing, cameras = imported
     result, found = corrected(inspected)
     before = {name: (c.matrix_basis.copy(), c.data.lens, c.data.shift_x, c.data.shift_y) for name, c in cameras.items()}
@@ -79,14 +79,14 @@ def test_cameras_stand_where_photos_were_found_and_go_back_exactly(imported):
         assert not [key for key in cameras[name].keys() if key.startswith("iris")]  # noqa: SIM118 - no mapping
 
 
-def test_a_result_that_found_nothing_wrong_moves_nothing(imported):
+def test_a_result_without_corrected_poses_moves_no_camera(imported):
     _, scene, _, cameras = imported
     places = [thing.matrix_basis.copy() for thing in cameras.values()]
     assert move_to_solved_poses(room(), cameras, scene) == 0
     assert [thing.matrix_basis for thing in cameras.values()] == places
 
 
-def test_cameras_that_are_read_again_have_nothing_to_go_back_to(imported):
+def test_cameras_read_again_forget_their_given_poses(imported):
     inspected, scene, thing, cameras = imported
     move_to_solved_poses(corrected(inspected)[0], cameras, scene)
     elsewhere = replace(inspected.views[0], camera=camera(position=(0.0, 0.2, 0.9)))

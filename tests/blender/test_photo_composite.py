@@ -75,13 +75,13 @@ def test_an_added_ball_is_that_of_an_insertion_job():
     assert not ball.hide_render
 
 
-def test_nothing_added_is_the_photo():
+def test_without_additions_the_composite_is_the_photo():
     scene = applied(lit_room())
     photo = np.random.default_rng(0).integers(0, 256, (30, 40, 3)) / 255
     np.testing.assert_array_equal(composite(scene, photo, gamma(), EXPOSURE, RenderSettings(samples=4)), photo)
 
 
-def test_a_lamp_turned_down_darkens_the_photo_by_as_much():
+def test_dimming_the_lamp_darkens_the_photo_by_the_same_factor():
     result = lit_room()
     photo, scene = photo_of(result), applied(result)
     (lamp,) = lamp_materials(scene.objects)

@@ -126,7 +126,7 @@ def test_photos_are_the_radiance_through_the_response(capture: Path, read: Captu
         assert (read_image(view.photo) == np.floor(255 * np.interp(x, np.linspace(0, 1, 1024), curve))).all()
 
 
-def test_camera_poses_come_back_as_blender_has_them(capture: Path, read: Capture):
+def test_captured_camera_poses_are_those_of_blender(capture: Path, read: Capture):
     for view, name in zip((*read.views, *read.val_views), (*(f"photo {k}" for k in range(5)), "val 0"), strict=True):
         assert view.camera.c2w == pytest.approx(np.array(bpy.data.objects[name].matrix_world), abs=1e-6)
         assert 2 * np.arctan(WIDTH / 2 / view.camera.fx) == pytest.approx(1.2)
@@ -241,7 +241,7 @@ def test_emitter_faces_emit_the_radiance_that_is_rendered(capture: Path, read: C
     assert seen > 0
 
 
-def test_references_change_the_light_they_say(capture: Path):
+def test_references_change_the_listed_lights(capture: Path):
     lights = json.loads((capture / "relight" / "lights.json").read_text())
     emitters = json.loads((capture / "gt" / "emitters.json").read_text())
     strongest = next(e for e in emitters if e["name"] == "lamp")
@@ -287,7 +287,7 @@ def test_film_is_a_response_unlike_a_power():
     assert best > 0.02
 
 
-def test_a_response_file_that_falls_is_refused(tmp_path: Path):
+def test_a_decreasing_response_is_refused(tmp_path: Path):
     np.save(tmp_path / "curve.npy", np.linspace(1, 0, 1024))
     with pytest.raises(BadInput, match=r"curve\.npy.*monotone"):
         read_response(tmp_path / "curve.npy")
@@ -296,7 +296,7 @@ def test_a_response_file_that_falls_is_refused(tmp_path: Path):
 # ---- refusals -------------------------------------------------------------------------------------------------------
 
 
-def test_a_folder_in_use_is_left_alone(tmp_path: Path):
+def test_a_folder_with_files_is_not_overwritten(tmp_path: Path):
     (tmp_path / "kept.txt").write_text("mine")
     with pytest.raises(BadInput, match="not empty"):
         synth(tmp_path / "room.blend", tmp_path)
