@@ -11,6 +11,7 @@ import argparse
 import shutil
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -21,7 +22,7 @@ sys.path[:0] = [str(ASSETS), str(ASSETS.parent)]
 from room import architecture, cameras, decor, furniture, materials  # noqa: E402
 
 from iris_addon.base.progress import Progress, console  # noqa: E402
-from iris_addon.blender.synth.run import STAGE_WEIGHTS, synth  # noqa: E402
+from iris_addon.blender.synth.run import STAGE_WEIGHTS, TRUTH_RENDER, SynthConfig, synth  # noqa: E402
 
 
 def build_room(blend: Path) -> None:
@@ -49,7 +50,8 @@ def main() -> None:
         blend = Path(folder) / "demo_room.blend"
         build_room(blend)
         capture = Path(folder) / "demo_room"
-        synth(blend, capture, samples=args.samples, compact=True, progress=Progress(console(), STAGE_WEIGHTS))
+        config = SynthConfig(compact=True, render=replace(TRUTH_RENDER, samples=args.samples))
+        synth(blend, capture, config, Progress(console(), STAGE_WEIGHTS))
         shutil.rmtree(args.out, ignore_errors=True)
         shutil.copytree(capture, args.out)
     size = sum(path.stat().st_size for path in args.out.rglob("*") if path.is_file())

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -82,7 +83,7 @@ def render(change: str, level: float, out: Path, resolution: tuple[int, int]) ->
     import bpy
     from make_demo_room import build_room
 
-    from iris_addon.blender.synth.run import synth
+    from iris_addon.blender.synth.run import TRUTH_RENDER, SynthConfig, synth
 
     with tempfile.TemporaryDirectory() as folder:
         blend = Path(folder) / "room.blend"
@@ -95,7 +96,8 @@ def render(change: str, level: float, out: Path, resolution: tuple[int, int]) ->
         bpy.ops.wm.save_as_mainfile(filepath=str(blend), compress=True)
         # References cost as much as photos: those of views that no sweep relights are left out.
         cameras = [name for name in names if name not in held_out[SWEPT_VIEWS:]]
-        synth(blend, out, cameras=cameras, resolution=resolution, samples=SAMPLES, compact=True)
+        render = replace(TRUTH_RENDER, samples=SAMPLES)
+        synth(blend, out, SynthConfig(cameras, resolution, compact=True, render=render))
 
 
 # ---- changes: name of the material, inputs of its shader, level ----------------------------------------------------

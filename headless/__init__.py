@@ -1,1 +1,1 @@
-"""The command line: arguments in, engine and Blender room called, exit code out."""
+"""The command line of the engine, for Python and for Blender in background."""

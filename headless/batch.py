@@ -1,4 +1,4 @@
-"""Many captures and presets in one go: ``batch JOBS.toml``.
+"""Many captures and presets in one run: ``batch JOBS.toml``.
 
 ::
 
@@ -10,7 +10,7 @@
     exposures = "none"              # as the options of solve: also response, hdr, device, seed
     evaluate = true                 # score maps, light and camera against the capture's ground truth
 
-A job that fails is reported and the rest go on. The summary lies beside the results as JSON and CSV.
+A job that fails is reported, and the others go on. The summary is written beside the results as JSON and CSV.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ FIGURES = ("holdout_psnr", "seconds", "lights", "rays_traced", "n_patches")
 
 @dataclass(frozen=True)
 class Job:
-    """One line of the summary before it has run."""
+    """One job of the file."""
 
     name: str
     capture: Path
@@ -52,7 +52,7 @@ class Job:
 
 @dataclass
 class Line:
-    """One line of the summary. ``status`` is done, failed or cancelled; ``wall_seconds`` from start to end."""
+    """One line of the summary. ``status`` is done, failed or cancelled."""
 
     name: str
     preset: str
@@ -64,10 +64,10 @@ class Line:
     error: str = ""
 
     def flat(self) -> dict[str, Any]:
-        """All values side by side, for the table and the CSV."""
-        mine = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("figures", "metrics")}
-        ends = {"out": mine.pop("out"), "error": mine.pop("error")}
-        return {**mine, **{name: self.figures.get(name) for name in FIGURES}, **self.metrics, **ends}
+        """All values in one mapping, for the table and the CSV."""
+        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("figures", "metrics")}
+        ends = {"out": own.pop("out"), "error": own.pop("error")}
+        return {**own, **{name: self.figures.get(name) for name in FIGURES}, **self.metrics, **ends}
 
 
 def run_batch(path: Path, progress: Progress) -> Outcome:
@@ -94,7 +94,7 @@ def run_batch(path: Path, progress: Progress) -> Outcome:
 
 def _run(job: Job, line: Line, progress: Progress) -> None:
     begin = time.monotonic()
-    # A progress of its own keeps the stages of one job apart from those of the next; it stops when ours is stopped.
+    # A separate progress keeps the stages of the jobs apart; cancelling the outer one stops it.
     inner = Progress(lambda event: progress.update(event.overall))
     try:
         result = solve_job(job, inner)
@@ -109,15 +109,15 @@ def _run(job: Job, line: Line, progress: Progress) -> None:
         raise
     except IrisError as error:
         line.status, line.error = "failed", str(error)
-    except Exception as error:  # whatever it is, the other jobs must not suffer for it
+    except Exception as error:  # the other jobs go on, whatever it is
         line.status, line.error = "failed", f"{type(error).__name__}: {error}"
-        _keep_traceback(job.out / "traceback.txt", line)
+        _write_traceback(job.out / "traceback.txt", line)
     finally:
         line.wall_seconds = round(time.monotonic() - begin, 2)
 
 
-def _keep_traceback(path: Path, line: Line) -> None:
-    """Write the error that is handled to ``path``; on a full disk the summary says that there is none."""
+def _write_traceback(path: Path, line: Line) -> None:
+    """Write the current traceback to ``path``; if that fails, the summary says so."""
     text = traceback.format_exc()
     try:
         atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
@@ -138,7 +138,7 @@ def solve_job(job: Job, progress: Progress) -> Result:
 
 
 def read_jobs(path: Path) -> list[Job]:
-    """The jobs of a TOML file; raises BadInput for whatever can be known before the first one runs."""
+    """The jobs of a TOML file; raises BadInput for everything that can be checked before the first one runs."""
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -151,9 +151,9 @@ def read_jobs(path: Path) -> list[Job]:
     jobs = [_job(entry, number, path) for number, entry in enumerate(entries)]
     for what in ("name", "out"):
         values = [getattr(job, what) for job in jobs]
-        twice = next((value for value in values if values.count(value) > 1), None)
-        if twice is not None:
-            raise BadInput(f"two jobs have the {what} {twice}", f"give each job its own {what}", path)
+        repeated = next((value for value in values if values.count(value) > 1), None)
+        if repeated is not None:
+            raise BadInput(f"two jobs have the {what} {repeated}", f"give each job its own {what}", path)
     return jobs
 
 
@@ -208,7 +208,7 @@ TABLE_METRICS = ("kd_psnr", "kd_psnr_all", "emission_iou", "emission_log_l2", "c
 
 
 def _table(lines: Sequence[Line]) -> str:
-    """The summary for a terminal: the figures that fit on a line, and below them why a job failed."""
+    """The summary for a terminal: the main figures, and below them the reasons of failures."""
     shown = ("name", "preset", "status", "wall_seconds", *FIGURES, *TABLE_METRICS)
     keys = [key for key in shown if any(line.flat().get(key) not in (None, "") for line in lines)]
     cells = [keys] + [[_cell(line.flat().get(key)) for key in keys] for line in lines]

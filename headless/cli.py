@@ -1,4 +1,7 @@
-"""Arguments, exit codes, signals and messages; what the commands do is in :mod:`headless.commands`.
+"""The command line: arguments, exit codes, signals and messages; what commands do is in :mod:`headless.commands`.
+
+:func:`main` is the entry point of the program ``iris`` and of ``headless/run.py``. Importing this module needs no
+package beyond Python's own, so that a Python which lacks some can say which.
 
 Exit codes: 0 done, 1 failed, 2 usage, 3 bad input, 4 solver environment missing, 130 cancelled. Errors are one line,
 ``error: what is wrong — how to fix it``, on stderr. With ``--json`` stdout carries one JSON object per line: progress,
@@ -11,7 +14,8 @@ import argparse
 import json
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
@@ -19,10 +23,8 @@ from iris_addon.base.errors import Cancelled, IrisError
 from iris_addon.base.progress import Progress, console, json_lines
 from iris_addon.config import PRESETS
 
-from .caller import stop_with_stdin
+from .cancellation import cancelled_by_signals, stop_with_stdin
 from .environment import delegate, missing_packages, unusable
-from .frame_range import FrameRange
-from .signals import cancelled_by_signals
 
 USAGE_CODE = 2
 
@@ -32,19 +34,28 @@ class _Parser(argparse.ArgumentParser):
         self.exit(USAGE_CODE, f"error: {message} — see {self.prog} --help\n")
 
 
-def main(argv: list[str]) -> int:
-    """Run one command; returns its exit code."""
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command.
+
+    Args:
+        arguments: the command and its options; None for those the program was started with. Inside Blender these are
+            what stands after ``--``.
+
+    Returns:
+        The exit code.
+    """
+    argv = _own_arguments(sys.argv) if arguments is None else arguments
     try:
         args = make_parser().parse_args(argv)
-    except SystemExit as ended:  # argparse has said what it had to say
+    except SystemExit as ended:  # argparse has printed its message
         return int(ended.code or 0)
     lines = args.json is True
     progress = Progress(json_lines(sys.stdout) if lines else console(sys.stderr))
     try:
-        missing = missing_packages(args.command)
+        missing = missing_packages(args)
         if missing:
             return delegate(argv, missing)
-        if getattr(args, "stop_with_stdin", False):  # only the commands that speak JSON lines have it
+        if getattr(args, "stop_with_stdin", False):  # an option of the commands that write JSON lines
             stop_with_stdin(progress)
         with cancelled_by_signals(progress, lambda: _fail(Cancelled(), lines)):
             from . import commands
@@ -63,7 +74,7 @@ def main(argv: list[str]) -> int:
     except Exception as error:
         if args.debug:
             traceback.print_exc()
-        return _fail(_unforeseen(error), lines)
+        return _fail(_unexpected(error), lines)
     if lines:
         from iris_addon.base.files import plain
 
@@ -73,8 +84,15 @@ def main(argv: list[str]) -> int:
     return outcome.exit_code
 
 
-def _unforeseen(error: Exception) -> IrisError:
-    """What to tell of an error that no room has put into words: the file it is about, or else how to report it."""
+def _own_arguments(argv: list[str]) -> list[str]:
+    """The arguments meant for this program: inside Blender those after ``--``, otherwise all but the program's name."""
+    if "bpy" in sys.modules:
+        return argv[argv.index("--") + 1 :] if "--" in argv else []
+    return argv[1:]
+
+
+def _unexpected(error: Exception) -> IrisError:
+    """A message for an error that no room has described: the file it is about, or else how to report it."""
     if isinstance(error, OSError) and error.filename is not None:
         fix = "check the path, its permissions and the space on the disk"
         return IrisError(f"cannot be used ({error.strerror})", fix, Path(error.filename))
@@ -104,7 +122,7 @@ def make_parser() -> _Parser:
     lines = _Parser(add_help=False)
     lines.add_argument("--json", action="store_true", help="progress and result as JSON lines on stdout")
     lines.add_argument("--stop-with-stdin", action="store_true", help="stop when stdin closes: the caller is gone")
-    parser = _Parser(prog="run.py", description="Photos and mesh of a room in, a relightable .blend out.")
+    parser = _Parser(prog="iris", description="Photos and mesh of a room in, a relightable .blend out.")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     def add(name: str, text: str, *parents: _Parser) -> _Parser:
@@ -118,7 +136,7 @@ def make_parser() -> _Parser:
 
 def _add_solving(add: Add) -> None:
     """From photos to a result and its files."""
-    demo = add("demo", "the whole job on the bundled capture: solve, .blend, relit, inserted, report")
+    demo = add("demo", "everything on the bundled capture: solve, .blend, relit, inserted, report")
     demo.add_argument("--out", type=Path, default=Path("out/demo"))
 
     solve = add("solve", "capture folder (or file) to result folder")
@@ -132,7 +150,7 @@ def _add_solving(add: Add) -> None:
     solve.add_argument("--resume", action="store_true", help="go on from the last finished stage")
     solve.add_argument("--seed", type=_whole, default=0)
 
-    inspect = add("inspect", "a look at a capture: clipping, exposure, alignment of photos and mesh")
+    inspect = add("inspect", "measure a capture: clipping, exposure, alignment of photos and mesh")
     inspect.add_argument("capture", type=Path)
     inspect.add_argument("--out", type=Path, required=True)
     inspect.add_argument("--exposures", type=_word_or_path("auto", "none"), default="auto", metavar="auto|none|FILE")
@@ -156,12 +174,12 @@ def _add_rendering(add: Add) -> None:
     insert = add("insert", "objects lit by the recovered light")
     insert.add_argument("--objects", type=Path, required=True, metavar="FILE")
     insert.add_argument("--onto-photos", action="store_true", help="differential rendering onto the views' photos")
-    render.add_argument("--light-shares", action="store_true", help="one EXR per view with every light's part apart")
-    relight.add_argument("--shares", type=Path, metavar="DIR", help="mix what render --light-shares wrote, at no cost")
+    render.add_argument("--light-shares", action="store_true", help="one EXR per view with the share of every light")
+    relight.add_argument("--shares", type=Path, metavar="DIR", help="mix what render --light-shares wrote; no render")
     for command, exposure in ((render, "photo"), (relight, "auto"), (insert, "photo")):
         command.add_argument("result", type=Path)
         command.add_argument("--views", type=Path, required=True, metavar="transforms.json")
-        command.add_argument("--only", nargs="+", metavar="NAME", help="these views alone; jobs count them from 0")
+        command.add_argument("--only", nargs="+", metavar="NAME", help="only these views; jobs count them from 0")
         command.add_argument("--out", type=Path, required=True)
         command.add_argument("--linear", action="store_true", help="write EXR of radiance instead of PNG")
         command.add_argument(
@@ -169,7 +187,7 @@ def _add_rendering(add: Add) -> None:
             type=_exposure,
             default=exposure,
             metavar="photo|auto|FACTOR",
-            help="that of the photos, one that puts the median of each picture at middle grey, or a factor "
+            help="that of the photos, one that maps the median of each picture to middle grey, or a factor "
             f"(default: {exposure})",
         )
         command.add_argument("--frames", type=_frames, metavar="1-120", help="an animation; finished frames are kept")
@@ -177,7 +195,7 @@ def _add_rendering(add: Add) -> None:
         _add_sampling(command)
         command.add_argument("--gpu", action="store_true", help="render on a GPU where Cycles finds one")
 
-    composite = add("composite", "what was put into the solved room of a .blend, onto the photo its camera took")
+    composite = add("composite", "what was added to the solved room of a .blend, onto the photo of its camera")
     composite.add_argument("blend", type=Path, metavar="SCENE.blend")
     composite.add_argument("--result", type=Path, required=True, help="folder of the result that was applied")
     composite.add_argument(
@@ -198,7 +216,7 @@ def _add_scoring(add: Add, common: _Parser) -> None:
     evaluate = add("evaluate", "the metrics of a result against ground truth or held-out photos", common)
     evaluate.add_argument("result", type=Path)
     evaluate.add_argument("--gt", type=Path, required=True, metavar="CAPTURE")
-    evaluate.add_argument("--no-render", action="store_true", help="leave out what needs path tracing")
+    evaluate.add_argument("--no-render", action="store_true", help="leave out what Cycles renders; needs no Blender")
     evaluate.add_argument(
         "--json", nargs="?", const=True, type=Path, metavar="FILE", help="write FILE; without it JSON lines on stdout"
     )
@@ -212,6 +230,29 @@ def _add_scoring(add: Add, common: _Parser) -> None:
     synth.add_argument("--response", default="film", metavar="film|gamma|linear|FILE")
     synth.add_argument("--compact", action="store_true", help="leave out what no metric needs, compress with loss")
     _add_sampling(synth, default=256)
+
+
+@dataclass(frozen=True)
+class FrameRange:
+    """The requested frames of an animation: ``first`` … ``last``, counted from 1, both included."""
+
+    first: int
+    last: int
+
+    @classmethod
+    def parse(cls, text: str) -> FrameRange:
+        """``"1-120"`` or ``"7"``; raises ValueError."""
+        first, _, last = text.partition("-")
+        frames = cls(int(first), int(last or first))
+        if not 1 <= frames.first <= frames.last:
+            raise ValueError(text)
+        return frames
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(range(self.first, self.last + 1))
+
+    def __len__(self) -> int:
+        return self.last - self.first + 1
 
 
 def _add_sampling(parser: argparse.ArgumentParser, default: int = 64) -> None:

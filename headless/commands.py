@@ -1,12 +1,13 @@
-"""What each command does: read, call one room, write. Returns an :class:`Outcome`; errors are raised.
+"""What each command does: read, call one room of the engine, write. Returns an :class:`Outcome`; errors are raised.
 
-Rooms are imported where they are called: a command needs no more packages than it uses.
+Rooms are imported where they are called, so that a command needs only the packages it uses.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from iris_addon.base.files import write_json
@@ -42,7 +43,7 @@ def solve(args: argparse.Namespace, progress: Progress) -> Outcome:
         args.preset, response=args.response, exposures=args.exposures, hdr=args.hdr, device=args.device, seed=args.seed
     )
     capture = read_capture(args.capture, exposures=config.exposures, hdr=config.hdr)
-    from iris_addon.pipeline import solve as run_solve  # slow to import; a capture that cannot be read is told at once
+    from iris_addon.pipeline import solve as run_solve  # slow to import: errors of the capture come first
 
     result = run_solve(capture, config, args.out, progress, resume=args.resume)
     figures = {"result": args.out, "report": args.out / "report.html", **summarise(result)}
@@ -50,13 +51,13 @@ def solve(args: argparse.Namespace, progress: Progress) -> Outcome:
 
 
 def inspect(args: argparse.Namespace, progress: Progress) -> Outcome:
-    """What can be said about a capture before it is solved."""
-    from iris_addon.capture.inspection import inspect as look
+    """Measurements of a capture before it is solved."""
+    from iris_addon.capture.inspection import inspect as measure
     from iris_addon.capture.reader import read_capture
 
     with progress.stage("reading"):
         capture = read_capture(args.capture, exposures=args.exposures)
-    content = look(capture, args.out, progress)
+    content = measure(capture, args.out, progress)
     return Outcome.of(f"Looked at {capture.name}", {"photos": len(capture.views), "warnings": content["warnings"]})
 
 
@@ -95,20 +96,17 @@ def evaluate(args: argparse.Namespace, progress: Progress) -> Outcome:
 
 def synth(args: argparse.Namespace, progress: Progress) -> Outcome:
     """Blender scene to capture with ground truth."""
+    from iris_addon.blender.synth.run import TRUTH_RENDER, SynthConfig
     from iris_addon.blender.synth.run import synth as write_capture
 
-    named = args.response in ("film", "gamma", "linear")
-    write_capture(
-        args.scene,
-        args.out,
+    config = SynthConfig(
         cameras=args.cameras,
         resolution=args.resolution,
-        response=args.response if named else Path(args.response),
-        samples=args.samples,
-        seed=args.seed,
+        response=args.response,
         compact=args.compact,
-        progress=progress,
+        render=replace(TRUTH_RENDER, samples=args.samples, seed=args.seed),
     )
+    write_capture(args.scene, args.out, config, progress)
     return Outcome.of("Wrote the capture", {"capture": args.out})
 
 

@@ -1,4 +1,4 @@
-"""The whole job on the bundled capture: what a newcomer runs first, and the shortest example of every room's use."""
+"""Everything on the bundled capture: the first thing to run, and a short example of the use of each room."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from iris_addon.config import preset
 from iris_addon.edits.jobs import insertion_edits, relight_edit
 from iris_addon.edits.scene_edit import SceneEdit
 from iris_addon.model.capture import Capture, View
+from iris_addon.model.render_settings import RenderSettings
 from iris_addon.model.response import srgb
 from iris_addon.rays.tracer import Tracer
 from iris_addon.results.result import Result
@@ -24,7 +25,7 @@ from .outcome import Outcome, summarise
 from .pictures import Developer, FloatArray, photo_exposure, write_picture
 
 CAPTURE = Path(__file__).resolve().parents[1] / "assets" / "demo_room"
-SAMPLES = 48
+RENDER = RenderSettings(samples=48)
 SHOWN_METRICS = ("kd_psnr", "kd_psnr_all", "emission_iou", "emission_log_l2", "crf_l2")
 
 
@@ -68,7 +69,7 @@ def make_pictures(
     from iris_addon.results.maps import MapRenderer
 
     def rendered(edit: SceneEdit | None) -> FloatArray:
-        (radiance,) = render_views(result, [view.camera], edit=edit, samples=SAMPLES)
+        (radiance,) = render_views(result, [view.camera], edit=edit, settings=RENDER)
         return radiance
 
     photo = load_photo(view).values
@@ -80,10 +81,10 @@ def make_pictures(
     edit, host = best_seen(edits, capture.views, Tracer(result.mesh))
     onto = load_photo(host).values
     exposure = photo_exposure(result, host) * result.local.gain(onto, result.response)
-    inserted = insert_onto_photo(result, host.camera, onto, exposure, edit, samples=SAMPLES)
+    inserted = insert_onto_photo(result, host.camera, onto, exposure, edit, RENDER)
     renderer = MapRenderer(result)
     maps = renderer.maps(view.camera)
-    # The view that shows most of the lamps; the one above may show none.
+    # The view that shows most of the lamps; ``view`` may show none.
     emission = max((renderer.maps(v.camera).emission for v in capture.views[::3]), key=lambda e: (e > 0).sum())
     peak = max(float(emission.max()), 1e-9)
     pictures = {
@@ -91,26 +92,26 @@ def make_pictures(
         "relit": relit,
         "inserted": inserted,
         "albedo": srgb(maps.base_color),
-        "lights": np.log1p(emission) / np.log1p(peak),  # decades apart: log keeps the dim ones visible
+        "lights": np.log1p(emission) / np.log1p(peak),  # a logarithmic scale keeps dim lamps visible
     }
     return pictures, rerender
 
 
 def visible_detail(view: View) -> float:
-    """How much a photo shows between black and blown: its mean gradient after clipping both away."""
+    """How much detail a photo shows: the mean gradient of its values between nearly black and nearly clipped."""
     grey = np.clip(load_photo(view).values.mean(-1), 0.1, 0.9)
     return float(np.abs(np.diff(grey, axis=0)).mean() + np.abs(np.diff(grey, axis=1)).mean())
 
 
 def night(result: Result) -> SceneEdit:
-    """The light that gives most (in the bundled room the window) and the light from outside off, the other lamps on."""
+    """The strongest lamp (in the bundled room the window) and the light from outside off, the other lamps on."""
     strongest = max(result.emitters, key=lambda lamp: lamp.area * float(lamp.radiance.mean()), default=None)
     off = {} if strongest is None or len(result.emitters) == 1 else {str(strongest.id): {"off": True}}
     return relight_edit(result, {"recovered": off, "outside": 0.0})
 
 
 def best_seen(edits: Sequence[SceneEdit], views: Sequence[View], tracer: Tracer) -> tuple[SceneEdit, View]:
-    """The edit and the photo that show most of inserted balls, by the area of their discs in pixels."""
+    """The edit and the photo that show most of the inserted balls, by the area of their discs in pixels."""
 
     def seen(edit: SceneEdit, view: View) -> float:
         camera, area = view.camera, 0.0

@@ -1,10 +1,11 @@
-"""Which Python a command needs, and handing it over where the one at hand will not do.
+"""Which packages a command needs, and handing it to another Python where the current one lacks them.
 
 Blender's Python changes with every release and has no torch; the solver's own Python is named by IRIS_PYTHON.
 """
 
 from __future__ import annotations
 
+import argparse
 import os
 import signal
 import subprocess
@@ -15,7 +16,7 @@ from pathlib import Path
 from iris_addon.base.errors import IrisError, SolverEnvironmentMissing
 from iris_addon.blender.worker.process import worker_environment
 
-from .signals import put_back
+from .cancellation import restore_handlers
 
 _IMAGES = ("numpy", "OpenEXR", "PIL")
 _SOLVER = (*_IMAGES, "torch", "scipy", "trimesh", "embreex", "filelock", "numba", "threadpoolctl")
@@ -36,13 +37,16 @@ NEEDS = {
 RUN = Path(__file__).with_name("run.py")
 
 
-def missing_packages(command: str) -> list[str]:
-    """Packages that ``command`` needs and this Python lacks."""
-    return [name for name in NEEDS[command] if name not in sys.modules and find_spec(name) is None]
+def missing_packages(args: argparse.Namespace) -> list[str]:
+    """Packages that the command of ``args`` needs and this Python lacks."""
+    needed = NEEDS[args.command]
+    if args.command == "evaluate" and not args.no_render:
+        needed = (*needed, "bpy")
+    return [name for name in needed if name not in sys.modules and find_spec(name) is None]
 
 
 def unusable(error: ImportError) -> IrisError:
-    """What to tell when a package was found but does not import, or an optional one is missing."""
+    """The error to report when a package was found but does not import, or an optional one is missing."""
     return SolverEnvironmentMissing(
         f"this Python ({sys.executable}) cannot import what it needs ({error})",
         "run make setup and use .venv/bin/python",
@@ -58,14 +62,14 @@ def delegate(argv: list[str], missing: list[str]) -> int:
     """
     python = os.environ.get("IRIS_PYTHON")
     if not python:
-        by_hand = "run make setup and use .venv/bin/python, or name a Python that has everything in IRIS_PYTHON"
-        from_blender = "press Create Environment in the preferences of the extension"
-        raise SolverEnvironmentMissing(
-            f"this Python ({sys.executable}) lacks {', '.join(missing)}",
-            from_blender if "--stop-with-stdin" in argv else by_hand,
-        )
+        fix = "run make setup and use .venv/bin/python, or name a Python that has everything in IRIS_PYTHON"
+        if missing == ["bpy"]:
+            fix = "pip install iris-blender[blender], or run this command inside Blender"
+        elif "--stop-with-stdin" in argv:
+            fix = "press Create Environment in the preferences of the extension"
+        raise SolverEnvironmentMissing(f"this Python ({sys.executable}) lacks {', '.join(missing)}", fix)
     try:
-        # Without IRIS_PYTHON a Python that lacks the same says so, instead of starting itself for ever.
+        # Its environment has no IRIS_PYTHON: a Python that lacks the same packages says so and does not start itself.
         process = subprocess.Popen([python, str(RUN), *argv], env=worker_environment())
     except OSError as error:
         raise SolverEnvironmentMissing(
@@ -81,7 +85,7 @@ def delegate(argv: list[str], missing: list[str]) -> int:
     try:
         code = process.wait()
     finally:
-        put_back(before)
+        restore_handlers(before)
     if code < 0:
         fix = "run again with --resume" if argv[0] == "solve" else "run again"
         raise IrisError(f"the solver was killed by signal {-code}", fix)

@@ -1,4 +1,4 @@
-"""Make or test the solver's environment; run by Blender's Python in a process of its own, standard library alone.
+"""Create or test the solver's environment: run by Blender's Python as a separate process, with the standard library.
 
     make_environment.py FOLDER          a virtual environment in FOLDER/venv with what solver_requirements.txt pins
     make_environment.py --test PYTHON   import everything a solve needs in PYTHON
@@ -31,16 +31,16 @@ _stop = threading.Event()
 
 
 def main(arguments: list[str]) -> None:
-    """Do what the arguments say."""
+    """Create or test, as the arguments say."""
     for name in ("SIGINT", "SIGTERM", "SIGBREAK"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), lambda *_: stop())
     threading.Thread(target=stop_with_stdin, daemon=True).start()
     testing, given = arguments[0] == "--test", arguments[-1]
-    if not testing or Path(given).name != given:  # else the name of a program on the PATH
+    if not testing or Path(given).name != given:  # otherwise the name of a program on the PATH
         given = str(Path(given).absolute())
-    # Python's -m and -c import from the current folder first, and Windows looks for programs there. It is that of
-    # Blender, and so often that of a file which came from somebody else: here it is an empty one.
+    # Python's -m and -c import from the current folder first, and Windows searches it for programs. Blender's current
+    # folder is often that of a file from an untrusted source: an empty folder replaces it.
     with tempfile.TemporaryDirectory(prefix="iris-") as empty:
         os.chdir(empty)
         try:
@@ -49,16 +49,16 @@ def main(arguments: list[str]) -> None:
             else:
                 make(Path(given))
         finally:
-            os.chdir(HERE)  # Windows removes no folder that is the current one
+            os.chdir(HERE)  # Windows cannot remove the current folder
     say(type="done", result={})
 
 
 def make(folder: Path) -> None:
-    """Virtual environment, packages, test."""
+    """Create the virtual environment, install the packages and test them."""
     venv = folder / "venv"
     python = venv / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
     progress("making the environment", 0.0)
-    # Without pip first: Blender's Python brings no ensurepip everywhere, and its failure has its own mend.
+    # A Blender without ensurepip fails here, which has its own message.
     if call([sys.executable, "-I", "-m", "venv", "--clear", str(venv)]):
         fail(
             f"{sys.executable} cannot make a virtual environment",
@@ -73,9 +73,9 @@ def make(folder: Path) -> None:
 
 
 def test(python: str, at: float = 0.0) -> None:
-    """Import everything; name what is missing."""
+    """Import all packages; fail with the names of missing ones."""
     progress("importing the packages", at)
-    # Not isolated: packages that the user installed for themselves are there in a solve as well.
+    # Not isolated: packages in the user's site folder are available to a solve as well.
     missing = []
     for number, name in enumerate(IMPORTS):
         try:
@@ -93,7 +93,7 @@ def test(python: str, at: float = 0.0) -> None:
 
 
 def call(command: list[str]) -> int:
-    """Exit code of ``command``; what it says goes to the log. Leaves if somebody asked to stop."""
+    """Run ``command`` with its output in the log; returns its exit code. Exits if a stop was requested."""
     global _child
     _child = subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
@@ -109,31 +109,31 @@ def call(command: list[str]) -> int:
 
 
 def stop() -> None:
-    """End the command that runs."""
+    """Stop the running command."""
     _stop.set()
     if _child is not None and _child.poll() is None:
         _child.terminate()
 
 
 def stop_with_stdin() -> None:
-    """Stop when the caller is gone."""
+    """Stop when the calling program has ended."""
     while os.read(0, 4096):
         pass
     stop()
 
 
 def progress(stage: str, overall: float) -> None:
-    """Tell how far it is."""
+    """Report progress."""
     say(type="progress", stage=stage, fraction=overall, overall=overall, seconds_left=None, message="")
 
 
 def say(**message: Any) -> None:
-    """One JSON line."""
+    """Write one JSON line."""
     print(json.dumps(message), flush=True)
 
 
 def fail(what: str, fix: str) -> NoReturn:
-    """One error, and out."""
+    """Report an error and exit."""
     say(type="error", what=what, fix=fix, exit_code=FAILED)
     sys.exit(FAILED)
 

@@ -1,10 +1,9 @@
-"""One photo with things put into it: the photo, its exposure and the renders that are shared between edits."""
+"""One photo with objects inserted: the photo, its exposure and the renders that edits of it share."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from iris_addon.base.errors import BadInput
 from iris_addon.capture.photos import load_photo
 from iris_addon.edits.scene_edit import SceneEdit
 from iris_addon.model.capture import View
+from iris_addon.model.render_settings import RenderSettings
 from iris_addon.results.result import Result
 
 from .pictures import FloatArray, known_exposure, write_picture
@@ -24,7 +24,7 @@ class ChangedPhoto:
     Attributes:
         display: (H, W, 3) display values, or None where the photo holds radiance.
         radiance: (H, W, 3) linear; in the unit of the photo where that holds radiance.
-        shows_added: whether anything is to be seen of what was put in.
+        shows_added: whether anything of the inserted objects is visible.
     """
 
     display: FloatArray | None
@@ -32,7 +32,7 @@ class ChangedPhoto:
     shows_added: bool
 
     def write(self, folder: Path, name: str, *, linear: bool) -> Path:
-        """Write ``name``.png, or .exr of radiance if that is wanted or all there is."""
+        """Write ``name``.png, or ``name``.exr of radiance where ``linear`` or the photo holds radiance."""
         if linear or self.display is None:
             return write_picture(folder / f"{name}.exr", self.radiance)
         return write_picture(folder / f"{name}.png", self.display)
@@ -41,7 +41,7 @@ class ChangedPhoto:
 class PhotoInsertion:
     """Differential rendering onto the photo of one view; the room without edits is rendered once."""
 
-    def __init__(self, result: Result, view: View, samples: int, seed: int, gpu: bool = False) -> None:
+    def __init__(self, result: Result, view: View, settings: RenderSettings) -> None:
         """Read the photo; raises BadInput if the result has no response that it was taken with."""
         self.result, self.view = result, view
         self.photo = load_photo(view)
@@ -51,8 +51,8 @@ class PhotoInsertion:
                 "solve the photos, or give --views whose photos are the EXR files",
                 view.photo,
             )
-        self.places = np.ones(1) if self.photo.hdr else result.local.gain(self.photo.values, result.response)
-        self.sampling: dict[str, Any] = {"samples": samples, "seed": seed, "gpu": gpu}
+        self._gain = np.ones(1) if self.photo.hdr else result.local.gain(self.photo.values, result.response)
+        self.settings = settings
         self._without: tuple[FloatArray, FloatArray] | None = None
 
     def picture(self, edit: SceneEdit) -> ChangedPhoto:
@@ -62,13 +62,13 @@ class PhotoInsertion:
         values, response = self.photo.values.astype(np.float64), self.result.response
         known = known_exposure(self.result, self.view)
         if known is not None:
-            known = known * self.places
+            known = known * self._gain
         if edit.changes_nothing:
             linear = values if self.photo.hdr else response.invert(values) / (1.0 if known is None else known)
             return ChangedPhoto(None if self.photo.hdr else values, linear, shows_added=False)
         if self._without is None:
-            self._without = render_pair(self.result, self.view.camera, None, **self.sampling)
-        changed = render_change(self.result, self.view.camera, edit, self._without, **self.sampling)
+            self._without = render_pair(self.result, self.view.camera, None, self.settings)
+        changed = render_change(self.result, self.view.camera, edit, self._without, self.settings)
         shows_added = bool(changed.covered.any())
         if self.photo.hdr:
             return ChangedPhoto(None, change_light(values, changed, 1.0 if known is None else known), shows_added)
@@ -76,7 +76,7 @@ class PhotoInsertion:
         return ChangedPhoto(*change_photo(values, changed, response, exposure), shows_added)
 
     def _fitted_exposure(self, without: FloatArray) -> FloatArray:
-        """(H, W, 3), or what broadcasts to it: the exposure that makes the render look like the photo."""
+        """The exposure that makes the render look like the photo, (H, W, 3) or broadcastable to it."""
         from iris_addon.evaluate.held_out import fit_gains
 
-        return self.places * fit_gains(without * self.places, self.photo, self.result.response)
+        return self._gain * fit_gains(without * self._gain, self.photo, self.result.response)

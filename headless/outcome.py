@@ -1,4 +1,4 @@
-"""What a command hands back to the command line."""
+"""What a command returns to the command line."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Outcome:
 
 
 def rows(data: Mapping[str, Any]) -> list[str]:
-    """One indented line per entry; lists take one line per item, numbers four digits, nested objects are left out."""
+    """One indented line per entry, of a list one per item; numbers have four digits, nested objects are omitted."""
     width = max((len(key) for key in data), default=0)
     lines = []
     for key, value in data.items():

@@ -1,4 +1,4 @@
-"""Rendered radiance as pictures: through the recovered response, with the exposure that was asked for."""
+"""Rendered radiance as pictures: through the recovered response, with the chosen exposure."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def photo_exposure(result: Result, view: View) -> FloatArray:
 
 @dataclass(frozen=True)
 class Developer:
-    """Turns radiance into files in ``folder``.
+    """Writes radiance as pictures into ``folder``.
 
     Attributes:
         exposure: "photo", "auto" or a factor.
@@ -45,7 +45,7 @@ class Developer:
     linear: bool = False
 
     def factor(self, view: View, radiance: FloatArray) -> FloatArray | float:
-        """What ``radiance`` (H, W, 3) of ``view`` is multiplied by before the response."""
+        """The exposure by which ``radiance`` (H, W, 3) of ``view`` is multiplied before the response."""
         if self.exposure == "photo":
             return photo_exposure(self.result, view)
         return grey_exposure(radiance) if self.exposure == "auto" else float(self.exposure)

@@ -1,6 +1,6 @@
-"""The commands that render a solved room: render, relight, insert, composite; and its camera for other programs.
+"""The commands that render a solved room: render, relight, insert, composite; and the export of its camera.
 
-Each is: read, hand views and edits to Cycles, write every picture as soon as it is there.
+Each one reads the result, passes views and edits to Cycles, and writes every picture as soon as it is rendered.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ from iris_addon.base.progress import Progress
 from iris_addon.edits.jobs import insertion_edits, relight_edit
 from iris_addon.edits.scene_edit import SceneEdit
 from iris_addon.model.capture import View
+from iris_addon.model.render_settings import RenderSettings
 from iris_addon.results.folder import load_result
 from iris_addon.results.result import Result
 
 from .outcome import Outcome
 
 if TYPE_CHECKING:
-    from .pictures import Developer  # needs packages that `composite`, in Blender's own Python, does without
+    from .pictures import Developer  # needs packages that Blender's own Python lacks; `composite` runs there
 
 EditAt = Callable[[float], SceneEdit | None]
 
@@ -41,7 +42,7 @@ def camera(args: argparse.Namespace, progress: Progress) -> Outcome:
 
 
 def composite(args: argparse.Namespace, progress: Progress) -> Outcome:
-    """What an artist put into the room of a .blend, onto the photo."""
+    """The artist's additions to the room of a .blend, composited onto the photo."""
     from iris_addon.blender.insert.photo_composite import RENDERS, composite_file
     from iris_addon.results.records import exposure_of, read_response
 
@@ -57,14 +58,14 @@ def composite(args: argparse.Namespace, progress: Progress) -> Outcome:
             response,
             exposure_of(args.view, exposures),
             local,
-            **_sampling(args),
+            _render_settings(args),
             on_step=lambda done: progress.update(done / RENDERS),
         )
     return Outcome.of("Composited", {"files": [args.out]})
 
 
 def render(args: argparse.Namespace, progress: Progress) -> Outcome:
-    """Novel views; with --light-shares every light's part of them."""
+    """Novel views; with --light-shares the share of every light in them."""
     result, views = _read(args)
     if args.light_shares:
         _without_frames(args, "--light-shares")
@@ -82,7 +83,7 @@ def relight(args: argparse.Namespace, progress: Progress) -> Outcome:
         if args.shares is not None:
             _without_frames(args, "--shares")
             return _mix_shares(args, progress, result, views, job)
-        relight_edit(result, job, args.lights.parent)  # what is wrong is told before anything is rendered
+        relight_edit(result, job, args.lights.parent)  # errors come before anything is rendered
 
     def edit_at(time: float) -> SceneEdit:
         return relight_edit(result, job, args.lights.parent, time)
@@ -91,7 +92,7 @@ def relight(args: argparse.Namespace, progress: Progress) -> Outcome:
 
 
 def insert(args: argparse.Namespace, progress: Progress) -> Outcome:
-    """Views with objects in them, rendered whole or onto their photos."""
+    """Views with inserted objects, rendered completely or composited onto their photos."""
     result, views = _read(args)
     job = read_json(args.objects)
     cameras = [view.camera for view in views]
@@ -101,14 +102,14 @@ def insert(args: argparse.Namespace, progress: Progress) -> Outcome:
             return insertion_edits(result, job, args.objects.parent, cameras, time)
 
     edits = edits_at(0.0)
-    beyond = [index for index, _ in edits if index >= len(views)]
-    if beyond:
-        what = f"names view {beyond[0]}, there are {len(views)}"
+    missing = [index for index, _ in edits if index >= len(views)]
+    if missing:
+        what = f"names view {missing[0]}, there are {len(views)}"
         raise BadInput(what, f"count the views of {args.views}", args.objects)
     shown = [index for index, _ in edits]
-    twice = [index for index in shown if shown.count(index) > 1]
-    if twice:
-        raise BadInput(f"names view {twice[0]} twice", "put all objects of a view into one entry", args.objects)
+    repeated = [index for index in shown if shown.count(index) > 1]
+    if repeated:
+        raise BadInput(f"names view {repeated[0]} twice", "put all objects of a view into one entry", args.objects)
     if args.onto_photos:
         _without_exposure(args, "--onto-photos")
     if args.onto_photos and "camera" in job:
@@ -127,13 +128,13 @@ def insert(args: argparse.Namespace, progress: Progress) -> Outcome:
     with progress.stage("insert"):
         for number, (index, edit) in enumerate(edits):
             cameras = [views[index].camera]
-            (radiance,) = render_views(result, cameras, edit=edit, **_sampling(args))
+            (radiance,) = render_views(result, cameras, edit=edit, settings=_render_settings(args))
             written.append(developer.write(views[index], radiance))
             progress.update((number + 1) / len(edits))
     return Outcome.of("Rendered", {"files": written})
 
 
-# ---- rendered whole ------------------------------------------------------------------------------------------------
+# ---- complete renders ----------------------------------------------------------------------------------------------
 
 
 def _render_edited(
@@ -148,7 +149,7 @@ def _render_edited(
     if args.frames is not None:
         from .animation import render_frames
 
-        return render_frames(args, progress, result, views, job, edit_at)
+        return render_frames(args, progress, result, views, job, edit_at, _render_settings(args))
     from iris_addon.blender.render.cycles import render_views
 
     developer, written = _developer(args, result), []
@@ -159,7 +160,7 @@ def _render_edited(
 
     with progress.stage(args.command):
         cameras = [view.camera for view in views]
-        render_views(result, cameras, edit=edit_at(0.0), on_view=on_view, **_sampling(args))
+        render_views(result, cameras, edit=edit_at(0.0), settings=_render_settings(args), on_view=on_view)
     return Outcome.of("Rendered", {"files": written})
 
 
@@ -184,15 +185,15 @@ def _insert_onto_photos(
     if args.frames is not None:
         from .animation import insert_frames
 
-        insertion = PhotoInsertion(result, views[edits[0][0]], **_sampling(args))
+        insertion = PhotoInsertion(result, views[edits[0][0]], _render_settings(args))
         return insert_frames(args, progress, insertion, job, lambda time: edits_at(time)[0][1])
     written, warnings = [], []
     with progress.stage("insert"):
         for number, (index, edit) in enumerate(edits):
-            picture = PhotoInsertion(result, views[index], **_sampling(args)).picture(edit)
+            picture = PhotoInsertion(result, views[index], _render_settings(args)).picture(edit)
             written.append(picture.write(args.out, views[index].name, linear=args.linear))
             if (edit.objects or edit.spheres) and not picture.shows_added:
-                warnings.append(f"{written[-1].name} shows nothing of its objects: look at where they are placed")
+                warnings.append(f"{written[-1].name} shows none of its objects: check where they are placed")
             progress.update((number + 1) / len(edits))
     return Outcome.of("Rendered", {"files": written} | ({"warnings": warnings} if warnings else {}))
 
@@ -207,7 +208,7 @@ def _render_shares(args: argparse.Namespace, progress: Progress, result: Result,
     written = []
     with progress.stage("render"):
         for number, view in enumerate(views):
-            shares = render_light_shares(result, view.camera, denoise=True, **_sampling(args))
+            shares = render_light_shares(result, view.camera, settings=_render_settings(args))
             written.append(args.out / f"{view.name}.exr")
             write_shares(written[-1], shares)
             progress.update((number + 1) / len(views))
@@ -232,8 +233,8 @@ def _mix_shares(
 # ---- common --------------------------------------------------------------------------------------------------------
 
 
-def _sampling(args: argparse.Namespace) -> dict[str, Any]:
-    return {"samples": args.samples, "seed": args.seed, "gpu": args.gpu}
+def _render_settings(args: argparse.Namespace) -> RenderSettings:
+    return RenderSettings(samples=args.samples, seed=args.seed, gpu=args.gpu)
 
 
 def _read(args: argparse.Namespace) -> tuple[Result, tuple[View, ...]]:
@@ -267,7 +268,7 @@ def _developer(args: argparse.Namespace, result: Result) -> Developer:
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Errors about the job read inside name its file."""
+    """Inside, errors about the job name its file."""
     try:
         yield
     except BadInput as error:

@@ -1,4 +1,4 @@
-"""The result onto the objects, and off again."""
+"""Apply the result to the objects, and restore them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import bpy
 
 from ..iris_addon.base.errors import IrisError
 from ..iris_addon.blender.apply.on_objects import APPLIED, FaceRun, apply_to_objects, restore
-from ..iris_addon.blender.apply.photo_cameras import stand_where_found
+from ..iris_addon.blender.apply.photo_cameras import move_to_solved_poses
 from ..iris_addon.blender.images import read_image
 from ..iris_addon.blender.scene_in.capture_objects import show_instead
 from ..iris_addon.blender.scene_in.scene_capture import read_face_runs, whole_object
@@ -14,23 +14,23 @@ from ..iris_addon.blender.scene_out.lights import lamp_materials
 from ..iris_addon.blender.scene_out.materials import LAMP_ID
 from ..iris_addon.results.folder import load_result
 from ..iris_addon.results.result import Result
+from .editors import view_shadings
+from .folders import folder, result_key
 from .polls import NeedsResult
-from .project import folder, result_key
-from .review import view_shadings
 
 
 class IRIS_OT_apply(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's naming
-    """Put the recovered materials and lights onto the objects; what they have now is kept and can be restored"""
+    """Give the objects the recovered materials and lights; what they have now is kept and can be restored"""
 
     bl_idname = "iris.apply"
     bl_label = "Apply"
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Apply it."""
+        """Apply the result."""
         scene = context.scene
         if context.window is not None:
-            context.window.cursor_set("WAIT")  # textures are decoded and packed: seconds for large ones
+            context.window.cursor_set("WAIT")  # decoding and packing large textures takes seconds
         try:
             result = load_result(folder(scene), read_image=read_image)
             runs = face_runs(scene)
@@ -45,15 +45,15 @@ class IRIS_OT_apply(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's 
             self.report({"INFO"}, "This result is applied already")
             return {"FINISHED"}
         list_lamps(scene, result)
-        show_the_room(context)
-        moved = stand_where_found(result, capture_cameras(scene), scene)
+        show_room(context)
+        moved = move_to_solved_poses(result, capture_cameras(scene), scene)
         corrected = f", {moved} cameras moved to where the photos fit" if moved else ""
         self.report({"INFO"}, f"{len(result.emitters)} lights{corrected}")
         return {"FINISHED"}
 
 
 class IRIS_OT_restore(bpy.types.Operator):  # noqa: N801 - Blender's naming
-    """Give the objects back the meshes, materials and modifiers they had, and the scene its world and view"""
+    """Restore the meshes, materials and modifiers of the objects, and the world and view settings of the scene"""
 
     bl_idname = "iris.restore"
     bl_label = "Restore Originals"
@@ -61,11 +61,11 @@ class IRIS_OT_restore(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Something was applied."""
+        """A result was applied."""
         return APPLIED in context.scene
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Restore."""
+        """Restore the objects."""
         try:
             count = restore(context.scene)
         except IrisError as error:
@@ -84,9 +84,9 @@ def face_runs(scene: bpy.types.Scene) -> list[FaceRun]:
 
 
 def capture_cameras(scene: bpy.types.Scene) -> dict[str, bpy.types.Object]:
-    """Cameras of an imported capture by photo, but those that have become another kind of camera since.
+    """Perspective cameras of an imported capture by photo.
 
-    Those of Use This Scene are the user's and stay where they are.
+    Empty for Use This Scene, whose cameras belong to the user and stay where they are.
     """
     if scene.iris.source == "SCENE":
         return {}
@@ -94,8 +94,8 @@ def capture_cameras(scene: bpy.types.Scene) -> dict[str, bpy.types.Object]:
     return {name: camera for name, camera in cameras.items() if camera.data.type == "PERSP"}
 
 
-def show_the_room(context: bpy.types.Context) -> None:
-    """Take the pictures that were looked at off the cameras' view, and draw textures in solid views."""
+def show_room(context: bpy.types.Context) -> None:
+    """Remove pictures from the views of the cameras, and show textures in solid views."""
     settings = context.scene.iris
     for view in settings.views:
         if view.camera is not None:

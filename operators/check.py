@@ -1,4 +1,4 @@
-"""Look before you wait: photo over mesh from each camera, and what was measured about it."""
+"""Check a capture before the solve: measure it again, and show each photo over the mesh."""
 # Blender declares properties as annotations.
 # pyright: reportInvalidTypeForm=false
 
@@ -6,10 +6,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..iris_addon.blender.apply.camera_look import follow_photo
-from ..iris_addon.blender.camera import set_frame
-from ..iris_addon.blender.scene_in.capture_objects import photo_of
-from .data import start_import
+from .import_capture import start_import
 from .polls import NeedsReader
 
 
@@ -22,7 +19,7 @@ class IRIS_OT_check(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blender's 
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """There is something to check and a Python to do it."""
+        """A capture is chosen and the solver's Python is set."""
         settings = context.scene.iris
         if settings.source == "CAPTURE" and not settings.capture:
             cls.poll_message_set("Import a capture first")
@@ -30,7 +27,7 @@ class IRIS_OT_check(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blender's 
         return super().poll(context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Start it."""
+        """Start the check."""
         return start_import(self, context)
 
 
@@ -50,33 +47,13 @@ class IRIS_OT_step_photo(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
     @classmethod
     def description(cls, _context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
-        """What the button does."""
+        """The tooltip: the button with the name shows the photo, the others step."""
         return "Show this photo over the mesh" if not properties.by else cls.__doc__ or ""
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Go on to it, around the end."""
+        """Step to the photo; after the last comes the first."""
         settings = context.scene.iris
         if not self.by:
-            settings.overlay = settings.overlay or 0.5  # asked to be shown, it must not stay hidden
+            settings.overlay = settings.overlay or 0.5  # the button shows the photo, so it must be visible
         settings.view_index = (settings.view_index + self.by) % len(settings.views)
         return {"FINISHED"}
-
-
-def look_at_photo(context: bpy.types.Context, index: int) -> None:
-    """Make the camera of photo ``index`` the active one, give the frame its size and look through it."""
-    scene = context.scene
-    if not 0 <= index < len(scene.iris.views):
-        return
-    follow_photo(scene, scene.iris.views[index].name)
-    camera = scene.iris.views[index].camera
-    if camera is None or camera.name not in scene.objects:
-        return
-    scene.camera = camera
-    image = photo_of(camera)
-    if scene.iris.source == "CAPTURE" and image is not None and image.size[0]:
-        width, height = image.size
-        set_frame(scene, width, height, scene.iris.views[index].aspect)
-    for area in context.screen.areas if context.screen is not None else ():
-        if area.type == "VIEW_3D":
-            area.spaces.active.region_3d.view_perspective = "CAMERA"
-            area.tag_redraw()

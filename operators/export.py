@@ -1,4 +1,4 @@
-"""The solved room as a file of its own."""
+"""Export the solved room to a file."""
 # Blender declares properties as annotations.
 # pyright: reportInvalidTypeForm=false
 
@@ -13,8 +13,8 @@ from ..iris_addon.base.errors import IrisError
 from ..iris_addon.blender.apply.scene_files import apply, export_textures
 from ..iris_addon.blender.images import read_image
 from ..iris_addon.results.folder import load_result
+from .folders import folder
 from .polls import NeedsResult
-from .project import folder
 
 FORMATS = (
     ("BLEND", ".blend", "Room, lamps and world with textures packed"),
@@ -26,7 +26,7 @@ SUFFIX = {"BLEND": ".blend", "GLB": ".glb", "USD": ".usdc", "TEXTURES": ""}
 
 
 class IRIS_OT_export(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's naming
-    """Write the solved room as a file of its own; this scene is left alone"""
+    """Write the solved room to a file; this scene does not change"""
 
     bl_idname = "iris.export"
     bl_label = "Export"
@@ -36,25 +36,25 @@ class IRIS_OT_export(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's
     check_existing: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
-        """Ask for the file."""
+        """Open the file browser."""
         name = "room-textures" if self.format == "TEXTURES" else f"room{SUFFIX[self.format]}"
         self.filepath = str(folder(context.scene) / name)
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
     def check(self, _context: bpy.types.Context) -> bool:
-        """Complete the name while it is chosen, so that the browser asks before it replaces that very file."""
+        """Complete the name while it is chosen, so that the browser asks before it replaces that file."""
         typed = self.filepath
         self.filepath = self._named()
         return self.filepath != typed
 
     def _named(self) -> str:
-        """The path with the suffix of the format; one that names no file stays."""
+        """The path with the suffix of the format; unchanged if it names no file."""
         name = Path(self.filepath).name if self.filepath and not self.filepath.endswith(("/", os.sep)) else ""
         return bpy.path.ensure_ext(self.filepath, SUFFIX[self.format]) if name else self.filepath
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Write it."""
+        """Write the file."""
         if not self.filepath:
             self.report({"ERROR"}, "no file is named — give a file path")
             return {"CANCELLED"}

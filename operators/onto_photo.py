@@ -1,4 +1,4 @@
-"""What stands in the room onto the photo that is looked at, rendered by another Blender."""
+"""Composite the additions to the room onto the current photo, rendered by another Blender."""
 # Blender declares properties as annotations.
 # pyright: reportInvalidTypeForm=false
 
@@ -15,15 +15,15 @@ from ..iris_addon.blender.insert.photo_composite import write_copy
 from ..iris_addon.blender.scene_in.capture_objects import photo_of, show_instead
 from ..iris_addon.blender.worker import jobs
 from ..iris_addon.blender.worker.jobs import composite_command
-from .check import look_at_photo
+from .editors import look_at_photo, show_in_editor
+from .folders import folder
 from .polls import NeedsApplied
-from .project import folder
-from .watch import run, show_in_editor
+from .run_job import run
 
 
 class IRIS_OT_onto_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
-    """Put what was added to the room, and what was changed of its lamps, into the photo that is looked at. Another
-    Blender renders it, so that this one stays free"""
+    """Composite what was added to the room, and changes of its lamps, onto the current photo. Another Blender renders
+    it, so that this one stays free"""
 
     bl_idname = "iris.onto_photo"
     bl_label = "Onto Photo"
@@ -32,7 +32,7 @@ class IRIS_OT_onto_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """A room is lit, a photo is looked at, and none is being made."""
+        """A result is applied, there is a photo, and no such render runs."""
         if not super().poll(context):
             return False
         if not context.scene.iris.views:
@@ -41,7 +41,7 @@ class IRIS_OT_onto_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
         return jobs.running("composite", folder(context.scene)) is None
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Write a copy of the scene and start; in background wait for it, with a window a timer watches it."""
+        """Write a copy of the scene and start the job."""
         scene, out = context.scene, folder(context.scene)
         view = scene.iris.views[scene.iris.view_index]
         image = None if view.camera is None else photo_of(view.camera)
@@ -61,9 +61,9 @@ class IRIS_OT_onto_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
         name, view_name = scene.name, view.name
 
         def ended(record: jobs.Record) -> None:
-            for spare in (copy, *packed):
-                spare.unlink(missing_ok=True)
-            # The file that was open may be another one by now.
+            for path in (copy, *packed):
+                path.unlink(missing_ok=True)
+            # Another file may be open by now.
             shown = bpy.data.scenes.get(name) if record.state == "done" else None
             if shown is not None and folder(shown) == out:
                 _show(shown, view_name, picture)
@@ -73,7 +73,7 @@ class IRIS_OT_onto_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
 
 
 def _photo_file(image: bpy.types.Image, beside: Path) -> tuple[Path, list[Path]]:
-    """The file of a photo, and that it is to be removed where a packed one was written ``beside`` another file."""
+    """The file of a photo, and files to remove later: a packed photo is written next to ``beside``."""
     path = Path(bpy.path.abspath(image.filepath, library=image.library))
     if image.packed_file is None:
         return path, []
@@ -83,7 +83,7 @@ def _photo_file(image: bpy.types.Image, beside: Path) -> tuple[Path, list[Path]]
 
 
 def _show(scene: bpy.types.Scene, view: str, picture: Path) -> None:
-    """The finished picture over the camera's view, and in the Image Editor where one is open."""
+    """Show the finished picture over the view of the camera, and in the Image Editor if one is open."""
     try:
         image = bpy.data.images.load(str(picture), check_existing=True)
     except RuntimeError as error:

@@ -1,4 +1,4 @@
-"""Put something into the room by pointing at where it is to stand."""
+"""Place an object in the room: it follows the mouse over the surfaces until it is dropped."""
 # Blender declares properties as annotations.
 # pyright: reportInvalidTypeForm=false
 
@@ -8,19 +8,24 @@ import bpy
 from bpy_extras.view3d_utils import region_2d_to_origin_3d, region_2d_to_vector_3d
 
 from ..iris_addon.base.errors import BadInput
-from ..iris_addon.blender.insert.carry import Carried
+from ..iris_addon.blender.insert.dragging import SHAPES, DraggedObject
 from .polls import NeedsApplied
-from .settings import PLACEABLE, SELECTED
+
+SELECTED = "SELECTED"
+PLACEABLE = (
+    *((key, name, "A new one, 30 cm wide") for key, (name, *_rest) in SHAPES.items()),
+    (SELECTED, "Selected Object", "The active object with its children"),
+)
 
 NOTCH, NOTCH_DEGREES = 1.1, 15.0
-"""A notch of the wheel: factor on the size, and turn."""
-TAKING_AWAY = ("Z", "X", "DEL")
-"""Keys that undo or delete what is carried; all others go on to the view, which can be turned meanwhile."""
+"""One notch of the mouse wheel: factor on the size, and rotation."""
+BLOCKED_KEYS = ("Z", "X", "DEL")
+"""Keys that would undo or delete the dragged object. All others reach the view, so that it can be navigated."""
 HELP = "Click: leave it there    Wheel: size (× {size:.2f})    Shift Wheel: turn ({turn:.0f}°)    Esc: cancel"
 
 
 class IRIS_OT_place(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
-    """Set something onto the surface under the mouse. Wheel: size; Shift and wheel: turn; click: leave it there"""
+    """Place an object on the surface under the mouse. Wheel: size; Shift and wheel: turn; click: leave it there"""
 
     bl_idname = "iris.place"
     bl_label = "Place Object"
@@ -28,57 +33,66 @@ class IRIS_OT_place(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's
 
     thing: bpy.props.EnumProperty(name="Object", items=PLACEABLE)
     size: bpy.props.FloatProperty(
-        name="Size", description="Factor on its size", default=1.0, min=0.01, soft_max=10.0, options={"SKIP_SAVE"}
+        name="Size",
+        description="Factor on the size of the object",
+        default=1.0,
+        min=0.01,
+        soft_max=10.0,
+        options={"SKIP_SAVE"},
     )
-    turn: bpy.props.FloatProperty(name="Turn", description="Degrees about the normal", options={"SKIP_SAVE"})
+    turn: bpy.props.FloatProperty(
+        name="Turn", description="Rotation about the normal of the surface, degrees", options={"SKIP_SAVE"}
+    )
     origin: bpy.props.FloatVectorProperty(
-        name="From", description="Where the line of sight begins", options={"HIDDEN", "SKIP_SAVE"}
+        name="From", description="Origin of the line of sight", options={"HIDDEN", "SKIP_SAVE"}
     )
     direction: bpy.props.FloatVectorProperty(
-        name="Towards", description="Where it goes, to the first surface", options={"HIDDEN", "SKIP_SAVE"}
+        name="Towards",
+        description="Direction of the line of sight, which ends at the first surface",
+        options={"HIDDEN", "SKIP_SAVE"},
     )
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Place it where the line of sight meets the room."""
+        """Place the object where the line of sight meets the room."""
         try:
-            carried = self._taken_up(context)
+            dragged = self._pick_up(context)
         except BadInput as error:
-            return self._refused(error)
+            return self._refuse(error)
         try:
-            carried.move(self.origin, self.direction, self.size, self.turn)
+            dragged.move(self.origin, self.direction, self.size, self.turn)
         except BadInput as error:
-            carried.take_back()
-            return self._refused(error)
-        carried.leave(context)
+            dragged.cancel()
+            return self._refuse(error)
+        dragged.drop(context)
         return {"FINISHED"}
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
-        """Take it up; from here on it follows the mouse."""
+        """Pick the object up; from here on it follows the mouse."""
         if context.area is None or context.area.type != "VIEW_3D":
-            return self._refused(BadInput("there is no 3D view here", "press it in the sidebar of one"))
-        self._region = next(part for part in context.area.regions if part.type == "WINDOW")
+            return self._refuse(BadInput("there is no 3D view here", "press the button in the sidebar of one"))
+        self._region = next(region for region in context.area.regions if region.type == "WINDOW")
         self._view = context.area.spaces.active.region_3d
-        context.window.cursor_set("WAIT")  # the room is read once: seconds for a million triangles
+        context.window.cursor_set("WAIT")  # reading the room takes seconds for a million triangles
         try:
-            self._carried = self._taken_up(context)
+            self._dragged = self._pick_up(context)
         except BadInput as error:
-            return self._refused(error)
+            return self._refuse(error)
         finally:
             context.window.cursor_set("DEFAULT")
-        self._stands = False
-        self._say(context)
+        self._on_surface = False
+        self._show_help(context)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """One event of mouse or keys."""
+        """Handle one event of mouse or keyboard."""
         try:
-            return self._take(context, event)
-        except ReferenceError:  # a menu has undone or deleted what is carried
+            return self._handle(context, event)
+        except ReferenceError:  # a menu has undone or deleted the dragged object
             self.cancel(context)
             return {"CANCELLED"}
 
-    def _take(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def _handle(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         x, y = event.mouse_x - self._region.x, event.mouse_y - self._region.y
         inside = 0 <= x < self._region.width and 0 <= y < self._region.height
         if event.type in ("ESC", "RIGHTMOUSE"):
@@ -87,30 +101,28 @@ class IRIS_OT_place(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's
             return self._end(context, keep=True)
         if event.type in ("WHEELUPMOUSE", "WHEELDOWNMOUSE") and inside:
             self._notch(up=event.type == "WHEELUPMOUSE", turn=event.shift)
-            self._say(context)
+            self._show_help(context)
         elif event.type != "MOUSEMOVE":
-            return {"RUNNING_MODAL"} if event.type in TAKING_AWAY else {"PASS_THROUGH"}
+            return {"RUNNING_MODAL"} if event.type in BLOCKED_KEYS else {"PASS_THROUGH"}
         if inside:
             self._follow(x, y)
         return {"RUNNING_MODAL"}
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """Blender ends it: another file is opened, or the window closes."""
+        """Blender ends the operator: another file is opened, or the window closes."""
         context.workspace.status_text_set(None)
 
-    # ---- pieces ------------------------------------------------------------------------------------------------------
-
-    def _taken_up(self, context: bpy.types.Context) -> Carried:
+    def _pick_up(self, context: bpy.types.Context) -> DraggedObject:
         if self.thing != SELECTED:
-            return Carried.made(self.thing, context)
+            return DraggedObject.from_shape(self.thing, context)
         thing = context.active_object
         if thing is None:
-            raise BadInput("no object is selected", "select the one that is to be placed")
+            raise BadInput("no object is selected", "select the object that is to be placed")
         if thing == context.scene.iris.room:
-            raise BadInput(f"'{thing.name}' is the room", "select what is to be placed in it")
-        return Carried(thing, context)
+            raise BadInput(f"'{thing.name}' is the room", "select the object that is to be placed in it")
+        return DraggedObject(thing, context)
 
-    def _refused(self, error: BadInput) -> set[str]:
+    def _refuse(self, error: BadInput) -> set[str]:
         self.report({"ERROR"}, str(error))
         return {"CANCELLED"}
 
@@ -124,18 +136,18 @@ class IRIS_OT_place(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's
         self.origin = region_2d_to_origin_3d(self._region, self._view, (x, y))
         self.direction = region_2d_to_vector_3d(self._region, self._view, (x, y))
         try:
-            self._carried.move(self.origin, self.direction, self.size, self.turn)
-            self._stands = True
+            self._dragged.move(self.origin, self.direction, self.size, self.turn)
+            self._on_surface = True
         except BadInput:
-            self._stands = False  # the mouse is beside the room; what is carried waits where it was
+            self._on_surface = False  # the mouse points past the room: the object stays where it was
 
-    def _say(self, context: bpy.types.Context) -> None:
+    def _show_help(self, context: bpy.types.Context) -> None:
         context.workspace.status_text_set(HELP.format(size=self.size, turn=self.turn))
 
     def _end(self, context: bpy.types.Context, keep: bool) -> set[str]:
         context.workspace.status_text_set(None)
-        if keep and self._stands:
-            self._carried.leave(context)
+        if keep and self._on_surface:
+            self._dragged.drop(context)
             return {"FINISHED"}
-        self._carried.take_back()
+        self._dragged.cancel()
         return {"CANCELLED"}

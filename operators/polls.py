@@ -1,4 +1,4 @@
-"""What several operators need before they may run; a poll says what is missing."""
+"""Preconditions that several operators share; their poll says what is missing."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import bpy
 
 from ..iris_addon.blender.apply.on_objects import APPLIED
 from ..iris_addon.blender.worker import jobs
-from .preferences import solver_python
-from .project import inspection_folder, result_key
+from .folders import inspection_folder, result_key, solver_python
 
 
 class NeedsReader:
@@ -15,7 +14,7 @@ class NeedsReader:
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """There is such a Python, and it is not reading already."""
+        """The solver's Python is set, and it is not reading yet."""
         if not solver_python(context):
             cls.poll_message_set("Set the solver's Python in the preferences of IRIS first")  # type: ignore[attr-defined]
             return False
@@ -27,7 +26,7 @@ class NeedsResult:
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """There is one."""
+        """There is a result."""
         if not result_key(context.scene):
             cls.poll_message_set("Solve first")  # type: ignore[attr-defined]
             return False
@@ -35,7 +34,7 @@ class NeedsResult:
 
 
 class NeedsApplied:
-    """Mixin of operators on a room that is lit by the recovered light."""
+    """Mixin of operators on a room with an applied result."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -1,4 +1,4 @@
-"""Judge a result: pictures in an Image Editor, the response curve, the confidence in the viewport."""
+"""Review a result: pictures of it, the response curve, the confidence in the viewport."""
 # Blender declares properties as annotations.
 # pyright: reportInvalidTypeForm=false
 
@@ -7,12 +7,12 @@ from __future__ import annotations
 import bpy
 
 from ..iris_addon.base.errors import IrisError
-from ..iris_addon.blender.review import curve_image, review_image, reviewed_views, show_confidence
+from ..iris_addon.blender.apply.review import curve_image, review_image, reviewed_views, show_confidence
 from ..iris_addon.blender.scene_in.capture_objects import photo_of, show_instead
 from ..iris_addon.results.records import read_response
+from .editors import show_in_editor, view_shadings
+from .folders import folder
 from .polls import NeedsResult
-from .project import folder
-from .watch import show_in_editor
 
 
 class IRIS_OT_review(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -32,26 +32,26 @@ class IRIS_OT_review(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's
     )
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Load it and show it."""
+        """Load the picture and show it."""
         settings, out = context.scene.iris, folder(context.scene)
         try:
             if self.kind == "curve":
                 image = curve_image(read_response(out)[0].samples)
-            elif self.kind == "photo" and (looked_at := _photo_looked_at(settings)) is not None:
-                camera, image = looked_at
+            elif self.kind == "photo" and (current := _current_photo(settings)) is not None:
+                camera, image = current
                 show_instead(camera, None)
                 settings.overlay = 1.0
             else:
                 shown = reviewed_views(out)
                 name = settings.views[settings.view_index].name if settings.views else ""
-                # The report compares a few photos: the one looked at if it is among them, else the next.
+                # The report compares a few photos: the current one if it is among them, else the next.
                 view = name if name in shown or not shown else min(shown, key=lambda other: (other < name, other))
                 image = review_image(out, view, self.kind)
                 self._show_in_view(settings, view, image)
         except IrisError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        # The curve has no view to lie over, so it takes an editor; pictures take one only where it is there.
+        # The curve belongs to no view and needs an editor; pictures use one only if it is open.
         show_in_editor(context, "IMAGE_EDITOR", "image", image, only_open=self.kind != "curve")
         self.report({"INFO"}, image.name)
         return {"FINISHED"}
@@ -65,15 +65,15 @@ class IRIS_OT_review(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's
         settings.view_index = index
 
 
-def _photo_looked_at(settings: bpy.types.PropertyGroup) -> tuple[bpy.types.Object, bpy.types.Image] | None:
-    """The photo that is looked at with its camera, if both are still there."""
+def _current_photo(settings: bpy.types.PropertyGroup) -> tuple[bpy.types.Object, bpy.types.Image] | None:
+    """Camera and image of the current photo, if both still exist."""
     camera = settings.views[settings.view_index].camera if settings.views else None
     image = None if camera is None else photo_of(camera)
     return None if image is None else (camera, image)
 
 
 class IRIS_OT_confidence(bpy.types.Operator):  # noqa: N801 - Blender's naming
-    """Show in the solid view how sure the textures are: white where many photos agree, black where nothing was seen"""
+    """Show in the solid view how certain the textures are: white where many photos agree, black where none shows it"""
 
     bl_idname = "iris.confidence"
     bl_label = "Confidence"
@@ -82,7 +82,7 @@ class IRIS_OT_confidence(bpy.types.Operator):  # noqa: N801 - Blender's naming
     on: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Swap the texture that is shown; what renders is left alone."""
+        """Change the displayed texture; renders do not change."""
         if not show_confidence(list(context.scene.objects), self.on):
             self.report({"ERROR"}, "nothing is applied — apply the result first")
             return {"CANCELLED"}
@@ -90,9 +90,3 @@ class IRIS_OT_confidence(bpy.types.Operator):  # noqa: N801 - Blender's naming
             shading.type, shading.color_type = "SOLID", "TEXTURE"
             shading.light = "FLAT" if self.on else "STUDIO"
         return {"FINISHED"}
-
-
-def view_shadings(context: bpy.types.Context) -> list[bpy.types.View3DShading]:
-    """How each open 3D view draws its surfaces; none in background."""
-    areas = context.screen.areas if context.screen is not None else ()
-    return [area.spaces.active.shading for area in areas if area.type == "VIEW_3D"]

@@ -1,4 +1,4 @@
-"""Solve the capture of the scene in the solver's Python."""
+"""Solve the capture of the scene with the solver's Python."""
 
 from __future__ import annotations
 
@@ -6,22 +6,20 @@ import bpy
 
 from ..iris_addon.blender.worker import jobs
 from ..iris_addon.blender.worker.jobs import solve_command
-from .data import write_scene
-from .preferences import solver_python
-from .project import capture_path, folder
-from .watch import run
+from .folders import capture_path, folder, solver_python
+from .import_capture import write_scene
+from .run_job import run
 
 
 class IRIS_OT_solve(bpy.types.Operator):  # noqa: N801 - Blender's naming
-    """Recover materials, lights and camera response from the photos, outside Blender; go on where an earlier solve
-    stopped"""
+    """Recover materials, lights and camera response from the photos, outside Blender; resumes an earlier solve"""
 
     bl_idname = "iris.solve"
     bl_label = "Solve"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """A capture is chosen, the solver's Python is set, nothing runs yet."""
+        """A capture is chosen, the solver's Python is set, and no solve runs."""
         capture = capture_path(context.scene)
         if capture is None or (context.scene.iris.source == "SCENE" and not context.scene.iris.views):
             cls.poll_message_set("Import a capture first")
@@ -32,7 +30,7 @@ class IRIS_OT_solve(bpy.types.Operator):  # noqa: N801 - Blender's naming
         return False
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Start the worker; in background wait for it, with a window a timer watches it."""
+        """Start the worker."""
         settings, out = context.scene.iris, folder(context.scene)
         capture = capture_path(context.scene)
         assert capture is not None

@@ -1,4 +1,4 @@
-"""Pinhole cameras in and out of Blender, exactly: fx ≠ fy becomes pixel aspect, cx and cy become lens shift.
+"""Pinhole cameras to and from Blender, exactly: fx ≠ fy is pixel aspect, cx and cy are lens shift.
 
 Blender projects a pixel i of W onto the sensor as ``(sensor / lens) · (i − W/2 + shift_x · fit) / fit`` where ``fit``
 is the fitted side in pixels, and does the same vertically with pixels ``aspect_y / aspect_x`` as high as they are wide.
@@ -26,7 +26,7 @@ def add_camera(camera: Camera, name: str, collection: bpy.types.Collection) -> b
 
 
 def set_lens(data: bpy.types.Camera, camera: Camera) -> None:
-    """Focal length and shift of ``camera``; how high its pixels are is up to the frame."""
+    """Set focal length and shift of ``camera``; the aspect of its pixels belongs to the frame."""
     data.sensor_fit = "HORIZONTAL"
     data.sensor_width = SENSOR_MM
     data.lens = camera.fx * SENSOR_MM / camera.width
@@ -43,14 +43,14 @@ def look_through(scene: bpy.types.Scene, camera: Camera, camera_object: bpy.type
 
 
 def set_frame(scene: bpy.types.Scene, width: int, height: int, aspect: float) -> None:
-    """Pixels of the frame, and fx / fy of the cameras it is for."""
+    """Set the pixels of the frame, and ``aspect`` = fx / fy of its cameras."""
     scene.render.resolution_x, scene.render.resolution_y = width, height
     # Blender takes each side of the ratio only from 1 up.
     scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = max(1.0, 1.0 / aspect), max(1.0, aspect)
 
 
 def read_camera(scene: bpy.types.Scene, camera_object: bpy.types.Object) -> Camera:
-    """The pinhole camera that ``camera_object`` is with the frame size and pixel aspect of ``scene``.
+    """The pinhole camera of ``camera_object`` with the frame size and pixel aspect of ``scene``.
 
     Raises:
         BadInput: the camera is orthographic or panoramic.

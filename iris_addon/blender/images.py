@@ -16,7 +16,7 @@ DATA = "Non-Color"
 
 
 def read_image(path: Path) -> NDArray[np.float32]:
-    """The values in an image file as they stand, (H, W, 3) float32, row 0 on top.
+    """The stored values of an image file, (H, W, 3) float32, row 0 on top.
 
     EXR gives its floats, PNG gives code values divided by their maximum; a grey file gives three equal channels.
     Works in every Blender, which need not have OpenEXR or Pillow beside it.
@@ -29,12 +29,12 @@ def read_image(path: Path) -> NDArray[np.float32]:
 
 
 def read_pixels(path: Path) -> NDArray[np.float32]:
-    """As :func:`read_image`, with all (H, W, C) channels that Blender has for the file."""
+    """Like :func:`read_image`, with all channels (H, W, C) that Blender reads."""
     path = Path(path)
     image = None
     try:
         image = bpy.data.images.load(str(path.absolute()), check_existing=False)
-        # Before the pixels are first touched: 16-bit files are converted to scene linear while they load.
+        # Set before the first access: 16-bit files are converted to scene linear when pixels are loaded.
         image.colorspace_settings.name = DATA
         width, height = image.size
         pixels = np.empty((height, width, image.channels), np.float32)
@@ -68,7 +68,7 @@ def image_from_array(
 
 
 def srgb_image(linear: bpy.types.Image) -> bpy.types.Image:
-    """An 8-bit sRGB copy of a linear float image, for formats that know no other base colour."""
+    """An 8-bit sRGB copy of a linear float image, for formats whose base colour is sRGB."""
     width, height = linear.size
     pixels = np.empty((height, width, 4), np.float32)
     linear.pixels.foreach_get(pixels.ravel())

@@ -1,4 +1,4 @@
-"""The one place that knows how Blender 4.2 to 5.2 differ, and what this build of it can do."""
+"""Differences between Blender 4.2 and 5.2, and capabilities of this build; no other module checks versions."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..base.errors import IrisError
 
 
 def node_tree(owner: bpy.types.Material | bpy.types.World) -> bpy.types.NodeTree:
-    """The emptied shader node tree of a material or world; since 5.0 each is born with one and ``use_nodes`` warns."""
+    """The emptied shader node tree of a material or world, which has one from the start since 5.0."""
     if bpy.app.version < (5, 0, 0):
         owner.use_nodes = True
     owner.node_tree.nodes.clear()
@@ -36,7 +36,7 @@ def single_layer_exr(settings: bpy.types.ImageFormatSettings) -> None:
 
 
 def _exr(settings: bpy.types.ImageFormatSettings, media_type: str, file_format: str) -> None:
-    if bpy.app.version >= (5, 0, 0):  # formats are those of a media type, and a film has no pictures
+    if bpy.app.version >= (5, 0, 0):  # formats depend on the media type
         settings.media_type = media_type
     settings.file_format = file_format
     settings.color_depth, settings.exr_codec = "32", "NONE"
@@ -49,7 +49,7 @@ def compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
 
 
 def remove_lightgroup(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, name: str) -> None:
-    """Remove the light group ``name`` of a view layer of ``scene``; in 4.3 an operator can, the collection cannot."""
+    """Remove the light group ``name`` of a view layer of ``scene``; 4.3 has only an operator for it."""
     if hasattr(layer.lightgroups, "remove"):
         layer.lightgroups.remove(layer.lightgroups[name])
         return
@@ -59,15 +59,15 @@ def remove_lightgroup(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, name: 
 
 
 EEVEE = ("BLENDER_EEVEE", "BLENDER_EEVEE_NEXT")
-"""One engine, called the latter from 4.2 to 4.5."""
+"""Two names of one engine: the second from 4.2 to 4.5."""
 
 
 def set_engine(scene: bpy.types.Scene, engine: str) -> None:
-    """Render ``scene`` with ``engine``, as whichever release called it; one this Blender lacks changes nothing."""
+    """Render ``scene`` with ``engine``, under its name in this release; does nothing where it is missing."""
     for name in EEVEE if engine in EEVEE else (engine,):
         try:
             scene.render.engine = name
-        except TypeError:  # not in the list of engines, which can be had in no other way
+        except TypeError:  # not an engine of this build, and there is no list of engines to ask
             continue
         return
 
@@ -80,7 +80,7 @@ def can_denoise() -> bool:
 
 
 def require_build_option(option: str, what: str) -> None:
-    """Raise :class:`IrisError` unless ``bpy.app.build_options`` has ``option``; ``what`` names what needs it."""
+    """Raise :class:`IrisError` unless ``bpy.app.build_options`` has ``option``; ``what`` needs it."""
     if not getattr(bpy.app.build_options, option, False):
         raise IrisError(
             f"{what} needs Blender built with {option}, and this build ({bpy.app.version_string}) has none",
@@ -91,7 +91,7 @@ def require_build_option(option: str, what: str) -> None:
 def usd_library() -> ModuleType | None:
     """Blender's own USD modules (``pxr``) with UsdGeom and UsdLux loaded; None in a build without them.
 
-    The bpy package keeps them beside Blender's other modules, where Python finds them once it is told to (4.4).
+    The bpy package has them among Blender's bundled modules, which must be exposed since 4.4.
     """
     if not bpy.app.build_options.usd:
         return None
@@ -135,15 +135,15 @@ def enable_gpu() -> bool:
     return False
 
 
-# ---- compositor: a tree of the scene up to 4.5; a node group with shader nodes for arithmetic since 5.0 --------------
+# ---- compositor: a tree of the scene up to 4.5, a node group with shader nodes for arithmetic since 5.0 --------------
 
 
 def own_compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree:
-    """The compositing tree of ``scene``, made and switched on where there is none; what is in it stays."""
+    """The compositing tree of ``scene``, created and switched on where there is none."""
     if bpy.app.version < (5, 0, 0):
         new, scene.use_nodes = scene.node_tree is None, True
         if new:
-            scene.node_tree.nodes.clear()  # it is born with nodes that render whatever scene is open
+            scene.node_tree.nodes.clear()  # a new tree has nodes that render the open scene
         return scene.node_tree
     if scene.compositing_node_group is None:
         scene.compositing_node_group = bpy.data.node_groups.new(f"{scene.name} Compositing", "CompositorNodeTree")
@@ -156,9 +156,9 @@ def composites(scene: bpy.types.Scene) -> bool:
 
 
 def leave_compositor_tree(scene: bpy.types.Scene) -> None:
-    """Renders of ``scene`` pass through no tree any more; one without nodes goes."""
+    """Detach the compositing tree of ``scene``; a tree without nodes is removed."""
     tree = compositor_tree(scene)
-    if bpy.app.version < (5, 0, 0):  # the tree is a part of the scene
+    if bpy.app.version < (5, 0, 0):  # the tree belongs to the scene
         scene.use_nodes = False
         return
     scene.compositing_node_group = None
@@ -167,7 +167,7 @@ def leave_compositor_tree(scene: bpy.types.Scene) -> None:
 
 
 def compositor_output(tree: bpy.types.NodeTree) -> bpy.types.NodeSocket:
-    """The socket of ``tree`` that takes the finished picture, made where there is none."""
+    """The socket of ``tree`` for the finished picture, created where there is none."""
     old = bpy.app.version < (5, 0, 0)
     kind = "CompositorNodeComposite" if old else "NodeGroupOutput"
     if not old and not any(i.item_type == "SOCKET" and i.in_out == "OUTPUT" for i in tree.interface.items_tree):
@@ -202,7 +202,7 @@ def compositor_mix(
 
 
 def compositor_denoise(tree: bpy.types.NodeTree) -> bpy.types.Node:
-    """A denoising node that filters its guides fast: the accurate way leaks a picture each time (seen in 5.0)."""
+    """A denoising node that prefilters its guides fast: accurate prefiltering leaks one picture per render (5.0)."""
     node = tree.nodes.new("CompositorNodeDenoise")
     if bpy.app.version < (5, 0, 0):
         node.prefilter = "FAST"

@@ -1,6 +1,7 @@
 """Scores of path-traced pictures: novel views, the two relighting references, inserted balls.
 
-The renderer is handed in (``iris_addon.blender.render_views`` in practice), so nothing here needs Blender.
+The renderer is an argument (:func:`iris_addon.blender.render.cycles.render_views` in practice), so that nothing here
+needs Blender.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from ..base.progress import Progress
 from ..edits.jobs import insertion_edits, new_lights_edit, one_emitter_edit
 from ..edits.scene_edit import SceneEdit
 from ..model.capture import Camera
+from ..model.render_settings import RenderSettings
 from ..model.response import Response, gamma
 from ..results.result import Result
 from . import metrics
@@ -37,8 +39,7 @@ class RenderViews(Protocol):
         cameras: Sequence[Camera],
         *,
         edit: SceneEdit | None = None,
-        samples: int = 64,
-        seed: int = 0,
+        settings: RenderSettings | None = None,
         on_view: Callable[[int, NDArray[np.float32]], None] | None = None,
     ) -> list[NDArray[np.float32]]:
         """Render ``cameras``; ``on_view`` hears of each finished image and may raise to stop."""
@@ -192,4 +193,5 @@ def render_all(
     def on_view(index: int, _image: NDArray[np.float32]) -> None:
         progress.update((index + 1) / len(cameras))
 
-    return render(result, cameras, edit=edit, samples=samples, seed=seed, on_view=on_view) if cameras else []
+    settings = RenderSettings(samples=samples, seed=seed)
+    return render(result, cameras, edit=edit, settings=settings, on_view=on_view) if cameras else []

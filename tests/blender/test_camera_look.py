@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from iris_addon.model.render_settings import RenderSettings
 from iris_addon.model.response import Response, gamma
 from iris_addon.results.camera_luts import shaper, unshaper, write_luts
 
@@ -108,7 +109,7 @@ def through_blender(scene, picture, tmp_path):
 
 
 @pytest.mark.bpy
-def test_the_compositor_group_takes_the_photo_of_a_radiance(scene, tmp_path):
+def test_the_compositor_group_develops_radiance_into_the_photo(scene, tmp_path):
     import bpy
 
     from iris_addon.blender.apply.camera_look import set_photo, show_through_camera
@@ -140,10 +141,10 @@ def test_a_cycles_render_through_the_camera_is_the_developed_render(scene, tmp_p
     from tests.blender_room import camera, room
 
     result, view = replace(room(emission={4: (9, 6, 3)}), response=gamma()), camera(24, 18)
-    settings = {"samples": 16, "denoise": False, "seed": 2, "max_bounces": 4}
-    (expected,) = render_views(result, [view], **settings)
+    settings = RenderSettings(samples=16, denoise=False, seed=2, max_bounces=4)
+    (expected,) = render_views(result, [view], settings=settings)
     built = build_scene(result)
-    set_cycles(built.scene, **settings)
+    set_cycles(built.scene, settings)
     look_through(built.scene, view, add_camera(view, "view", built.scene.collection))
     layers = own_compositor_tree(built.scene).nodes.new("CompositorNodeRLayers")
     layers.scene = built.scene
@@ -153,7 +154,7 @@ def test_a_cycles_render_through_the_camera_is_the_developed_render(scene, tmp_p
 
 
 @pytest.mark.bpy
-def test_a_scene_matches_one_photo_then_another_and_is_then_what_it_was(scene, tmp_path):
+def test_matching_photos_is_undone_exactly(scene, tmp_path):
     from iris_addon.blender.apply.camera_look import follow_photo, match_photo, stop_matching
     from iris_addon.blender.camera import add_camera, look_through
     from iris_addon.blender.render.cycles import render_linear, set_cycles
@@ -163,7 +164,7 @@ def test_a_scene_matches_one_photo_then_another_and_is_then_what_it_was(scene, t
 
     view = camera(24, 18)
     built = build_scene(room(emission={4: (9, 6, 3)}))
-    set_cycles(built.scene, samples=16, denoise=False, seed=2, max_bounces=4)
+    set_cycles(built.scene, RenderSettings(samples=16, denoise=False, seed=2, max_bounces=4))
     look_through(built.scene, view, add_camera(view, "view", built.scene.collection))
     built.scene.view_settings.exposure = 1.5
     radiance = render_linear(built.scene)
@@ -183,7 +184,7 @@ def test_a_scene_matches_one_photo_then_another_and_is_then_what_it_was(scene, t
 
 
 @pytest.mark.bpy
-def test_the_camera_comes_last_in_a_compositing_that_is_there(scene):
+def test_the_camera_comes_last_in_an_existing_compositing(scene):
     from iris_addon.blender.apply.camera_look import CAMERA_GROUP, match_photo, stop_matching
     from iris_addon.blender.version import own_compositor_tree
     from tests.scene_snapshot import blurred, snapshot

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -15,6 +16,7 @@ from iris_addon.blender.scene_out.build import build_scene
 from iris_addon.edits.scene_edit import Quad, SceneEdit, Sphere
 from iris_addon.model.capture import Mesh
 from iris_addon.model.recovered import OutsideLight
+from iris_addon.model.render_settings import RenderSettings
 from iris_addon.model.sphere import sh_radiance
 from iris_addon.results.result import Result
 from tests.blender_room import box, camera, room
@@ -22,7 +24,7 @@ from tests.blender_room import box, camera, room
 pytestmark = pytest.mark.bpy
 
 ROOT = Path(__file__).resolve().parents[2]
-QUICK = {"samples": 16, "denoise": False}
+QUICK = RenderSettings(samples=16, denoise=False)
 
 
 @pytest.fixture(autouse=True)
@@ -57,7 +59,7 @@ def test_the_pixel_grid_is_that_of_camera_rays(intrinsics):
     tree.links.new(geometry.outputs["Incoming"], shift.inputs[0])
     tree.links.new(shift.outputs[0], emission.inputs["Color"])
     tree.links.new(emission.outputs[0], output.inputs["Surface"])
-    set_cycles(built.scene, samples=64, denoise=False, seed=0, max_bounces=0)
+    set_cycles(built.scene, RenderSettings(samples=64, denoise=False, seed=0, max_bounces=0))
     look_through(built.scene, view, add_camera(view, "view", built.scene.collection))
     seen = render_linear(built.scene).reshape(-1, 3) * 2 - 1
     _, expected = view.rays()
@@ -68,7 +70,7 @@ def test_the_pixel_grid_is_that_of_camera_rays(intrinsics):
 @pytest.mark.parametrize(
     "intrinsics", [{}, {"fx": 14.0, "fy": 9.0, "cx": 5.0, "cy": 8.5}, {"width": 9, "height": 17, "fy": 11.0}]
 )
-def test_a_camera_comes_back_as_it_went(intrinsics):
+def test_cameras_survive_the_round_trip_through_blender(intrinsics):
     view = camera(**intrinsics, position=(1, 2, 3))
     view.c2w[:3, :3] = TURNED
     scene = bpy.context.scene
@@ -86,20 +88,20 @@ def test_a_camera_comes_back_as_it_went(intrinsics):
 
 def test_a_lamp_is_rendered_with_exactly_its_radiance():
     radiance = (61.25, 17.5, 3.75)
-    (image,) = render_views(room(emission={4: radiance}), [camera()], samples=4, denoise=False)
+    (image,) = render_views(room(emission={4: radiance}), [camera()], settings=RenderSettings(samples=4, denoise=False))
     np.testing.assert_allclose(image[5:7, 7:9].reshape(-1, 3), np.tile(radiance, (4, 1)), rtol=1e-5)
 
 
-def test_an_output_that_is_set_to_film_does_not_matter():
+def test_renders_do_not_depend_on_the_output_format_of_the_scene():
     result = room(emission={1: (3.0, 2.0, 1.0)})
     built = build_scene(result)
     settings = built.scene.render.image_settings
     if bpy.app.version >= (5, 0, 0):
         settings.media_type = "VIDEO"
     settings.file_format = "FFMPEG"
-    set_cycles(built.scene, **QUICK, seed=0, max_bounces=0)
+    set_cycles(built.scene, replace(QUICK, max_bounces=0))
     look_through(built.scene, camera(), add_camera(camera(), "eye", built.scene.collection))
-    (expected,) = render_views(result, [camera()], **QUICK, max_bounces=0)
+    (expected,) = render_views(result, [camera()], settings=replace(QUICK, max_bounces=0))
     np.testing.assert_array_equal(render_linear(built.scene), expected)
     built.free()
 
@@ -120,7 +122,7 @@ def test_the_diffuse_albedo_of_a_rendered_surface_is_the_recovered_one(roughness
         ball = Sphere(center=np.zeros(3), radius=1.0, base_color=np.full(3, base), roughness=roughness, metallic=0.0)
         built = build_scene(room(mesh=far_triangle(), outside=white_world()), SceneEdit(spheres=(ball,)))
         built.scene.render.film_transparent = True
-        set_cycles(built.scene, samples=64, denoise=False, seed=0, max_bounces=4)
+        set_cycles(built.scene, RenderSettings(samples=64, denoise=False, seed=0, max_bounces=4))
         view = camera(32, 32, fx=960.0, fy=960.0, position=(0, 0, 60))
         look_through(built.scene, view, add_camera(view, "view", built.scene.collection))
         covered = render_coverage(built.scene).sum()
@@ -142,7 +144,7 @@ def furnace(result: Result, emitted: float) -> np.ndarray:
     shader = built.room.data.materials[0].node_tree.nodes["Principled BSDF"]
     shader.inputs["Emission Color"].default_value = (1, 1, 1, 1)
     shader.inputs["Emission Strength"].default_value = emitted
-    set_cycles(built.scene, samples=64, denoise=False, seed=0, max_bounces=40)
+    set_cycles(built.scene, RenderSettings(samples=64, denoise=False, seed=0, max_bounces=40))
     view = camera()
     look_through(built.scene, view, add_camera(view, "view", built.scene.collection))
     return render_linear(built.scene).mean(axis=(0, 1))
@@ -156,10 +158,10 @@ def test_light_from_outside_follows_the_axes_of_the_capture():
     sh[0] = 3.0
     sh[1, 0], sh[2, 1], sh[3, 2] = 0.7, -0.9, 0.5
     view = camera(fx=40.0, fy=40.0)
-    (image,) = render_views(room(outside=OutsideLight(sh), mesh=open_mesh), [view], **QUICK)
+    (image,) = render_views(room(outside=OutsideLight(sh), mesh=open_mesh), [view], settings=QUICK)
     np.testing.assert_allclose(image.reshape(-1, 3), sh_radiance(sh, view.rays()[1]), rtol=0.01, atol=0.005)
     edit = SceneEdit(outside_scale=0.5)
-    (half,) = render_views(room(outside=OutsideLight(sh[:1]), mesh=open_mesh), [view], edit=edit, **QUICK)
+    (half,) = render_views(room(outside=OutsideLight(sh[:1]), mesh=open_mesh), [view], edit=edit, settings=QUICK)
     np.testing.assert_allclose(half, 0.5 * 3.0 * 0.28209479, rtol=1e-4)
 
 
@@ -168,7 +170,7 @@ def test_a_quad_shines_only_where_its_normal_points():
     view = camera(position=(0, 0, 0.8))
     for normal, expected in (((0, 0, 1), 5.0), ((0, 0, -1), 0.0)):
         quad = Quad(corners, np.array(normal, float), np.array([5.0, 5.0, 5.0]))
-        (image,) = render_views(room(albedo=0.0), [view], edit=SceneEdit(lights=(quad,)), **QUICK)
+        (image,) = render_views(room(albedo=0.0), [view], edit=SceneEdit(lights=(quad,)), settings=QUICK)
         np.testing.assert_allclose(image[5:7, 7:9], expected, atol=1e-5)
 
 
@@ -178,9 +180,9 @@ def test_an_edit_turns_lamps_off_and_faces_black():
     emission[[8, 9]] = 0.0
     black = np.zeros(12, bool)
     black[[8, 9]] = True
-    (image,) = render_views(result, [camera()], edit=SceneEdit(emission), **QUICK)
+    (image,) = render_views(result, [camera()], edit=SceneEdit(emission), settings=QUICK)
     assert 0.05 < image[5:7, 7:9].mean() < 2.0  # an ordinary wall in the light of the other lamp
-    (image,) = render_views(result, [camera()], edit=SceneEdit(emission, black), **QUICK)
+    (image,) = render_views(result, [camera()], edit=SceneEdit(emission, black), settings=QUICK)
     np.testing.assert_allclose(image[5:7, 7:9], 0.0)
 
 
@@ -192,7 +194,7 @@ def test_the_atlas_lies_the_right_way_up():
     upper = result.mesh.faces[8:10][result.mesh.uv[8:10, :, 1] == 1]
     assert (result.mesh.vertices[upper, 0] > 0).all()  # of the side towards -z, v = 1 is where x is positive
     view = camera()
-    set_cycles(built.scene, samples=16, denoise=False, seed=0, max_bounces=0)
+    set_cycles(built.scene, RenderSettings(samples=16, denoise=False, seed=0, max_bounces=0))
     shader = built.room.data.materials[0].node_tree.nodes["Principled BSDF"]
     tree = built.room.data.materials[0].node_tree
     tree.links.new(shader.inputs["Base Color"].links[0].from_socket, shader.inputs["Emission Color"])
@@ -204,12 +206,12 @@ def test_the_atlas_lies_the_right_way_up():
     assert red[x > 0.1].min() > 0.5 > red[x < -0.1].max()
 
 
-def test_a_ball_is_where_it_was_put():
+def test_a_ball_appears_at_its_position():
     result = room(albedo=0.0, emission={5: (3, 3, 3)})
     ball = Sphere(
         center=np.array([0.0, 0.0, -0.6]), radius=0.2, base_color=np.array([1.0, 0.0, 0.0]), roughness=1.0, metallic=0.0
     )
-    (image,) = render_views(result, [camera()], edit=SceneEdit(spheres=(ball,)), **QUICK)
+    (image,) = render_views(result, [camera()], edit=SceneEdit(spheres=(ball,)), settings=QUICK)
     assert image[5:7, 7:9, 0].min() > 0.3
     assert image[0, :, 0].max() < 0.1
 
@@ -217,17 +219,17 @@ def test_a_ball_is_where_it_was_put():
 def test_rendering_twice_gives_the_same_pixels_and_leaves_nothing_behind():
     result = room(emission={5: (9, 9, 9)})
     kinds = ("scenes", "objects", "meshes", "materials", "images", "worlds", "cameras")
-    render_views(result, [camera()], samples=1)  # Blender's own Render Result stays
+    render_views(result, [camera()], settings=RenderSettings(samples=1))  # Blender's own Render Result stays
     before = {kind: len(getattr(bpy.data, kind)) for kind in kinds}
-    first = render_views(result, [camera(), camera(fx=5.0)], samples=4, denoise=False, seed=3)
-    again = render_views(result, [camera(), camera(fx=5.0)], samples=4, denoise=False, seed=3)
-    other = render_views(result, [camera()], samples=4, denoise=False, seed=4)
+    first = render_views(result, [camera(), camera(fx=5.0)], settings=RenderSettings(samples=4, denoise=False, seed=3))
+    again = render_views(result, [camera(), camera(fx=5.0)], settings=RenderSettings(samples=4, denoise=False, seed=3))
+    other = render_views(result, [camera()], settings=RenderSettings(samples=4, denoise=False, seed=4))
     np.testing.assert_array_equal(first[1], again[1])
     assert np.abs(first[0] - other[0]).max() > 0
     assert before == {kind: len(getattr(bpy.data, kind)) for kind in kinds}
 
 
-def test_degenerate_and_double_faces_keep_their_numbers():
+def test_degenerate_and_duplicate_faces_keep_their_indices():
     mesh = box()
     faces = np.concatenate([mesh.faces[:2], [[0, 0, 1]], mesh.faces[:1, ::-1], mesh.faces[2:]])
     uv = np.concatenate([mesh.uv[:2], mesh.uv[:1], mesh.uv[:1], mesh.uv[2:]])
@@ -244,6 +246,7 @@ import ctypes, json, sys
 from dataclasses import replace
 import numpy as np
 from iris_addon.blender.render.cycles import render_camera, set_cycles
+from iris_addon.model.render_settings import RenderSettings
 from iris_addon.blender.scene_out.build import build_scene
 from iris_addon.model.capture import Mesh
 from tests.blender_room import camera, room
@@ -260,7 +263,7 @@ faces = np.concatenate([np.stack([a, b, d], -1), np.stack([a, d, c], -1)])
 vertices = np.stack([x.ravel(), y.ravel(), np.full(side**2, -0.9)], -1)
 floor = Mesh(vertices, faces, np.zeros((len(faces), 3, 2), np.float32))
 built = build_scene(replace(room(), mesh=floor, regions=np.zeros(len(faces), np.int32), emitters=()))
-set_cycles(built.scene, samples=1, denoise=False, seed=0, max_bounces=1)
+set_cycles(built.scene, RenderSettings(samples=1, denoise=False, seed=0, max_bounces=1))
 render_camera(built, camera())
 before = resident()
 built.free()
@@ -269,7 +272,7 @@ print(json.dumps(before - resident()))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="memory is read from /proc")
-def test_a_renderer_keeps_nothing_of_a_scene_that_is_gone():
+def test_the_renderer_keeps_nothing_of_a_removed_scene():
     """What it kept pointed to the scene: some builds of the next one ended in a segmentation fault.
 
     Of a floor of 318 000 triangles nothing was given back as long as the renderer kept its copy and BVH, 70 MiB and

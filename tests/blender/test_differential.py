@@ -19,11 +19,12 @@ from iris_addon.blender.render import cycles as blender_render
 from iris_addon.blender.render.cycles import aim, render_views
 from iris_addon.blender.scene_out.build import build_scene
 from iris_addon.edits.scene_edit import Material, Placement, Primitive, SceneEdit, Sphere
+from iris_addon.model.render_settings import RenderSettings
 from iris_addon.model.response import gamma
 from tests.blender_room import camera, room
 
 EXPOSURE = np.array([0.2, 0.2, 0.2])
-SETTINGS = {"samples": 32, "seed": 0, "max_bounces": 4}
+SETTINGS = RenderSettings(samples=32, seed=0, max_bounces=4)
 
 
 def blank(height=20, width=30, value=1.0):
@@ -51,13 +52,13 @@ def changed(change, with_edit=None, covered=0.0, without=1.0):
     return Differential(without, with_edit, blank(value=change), np.full(without.shape[:2], covered))
 
 
-def test_no_change_of_light_is_no_change_of_the_photo():
+def test_a_photo_without_change_of_light_keeps_its_pixels():
     photo = np.random.default_rng(1).integers(0, 256, (20, 30, 3)) / 255
     same, _ = change_photo(photo, changed(0.0), gamma(), EXPOSURE)
     np.testing.assert_array_equal(same, photo)
 
 
-def test_light_that_is_gained_is_exposed_as_its_place_in_the_photo():
+def test_gained_light_gets_the_local_exposure_of_the_photo():
     """Of a photo whose corners a lens darkened to half, what a lamp adds is darkened there too."""
     photo = gamma().apply(blank(value=0.1))
     at_places = EXPOSURE * np.linspace(1.0, 0.5, 30)[:, None]
@@ -74,7 +75,7 @@ def test_a_shadow_scales_what_the_photo_shows_and_never_goes_below_black():
     np.testing.assert_allclose(black, 0.0, atol=1e-9)
 
 
-def test_saturated_pixels_keep_the_light_that_the_model_knows():
+def test_clipped_pixels_keep_the_light_of_the_render():
     """A wall four times as bright as white stays white in half a shadow; at saturation itself the shadow shows."""
     white = blank()
     kept, _ = change_photo(white, changed(-10.0, without=20.0), gamma(), EXPOSURE)
@@ -83,7 +84,7 @@ def test_saturated_pixels_keep_the_light_that_the_model_knows():
     np.testing.assert_allclose(shaded, gamma().apply(blank(value=0.5)), rtol=1e-9)
 
 
-def test_the_rim_of_an_object_blends_render_and_photo():
+def test_the_edge_of_an_object_blends_render_and_photo():
     photo = gamma().apply(blank(value=0.3))
     half, _ = change_photo(photo, changed(0.0, with_edit=0.8, covered=0.5), gamma(), EXPOSURE)
     # Half of the pixel is the object (the render less half the wall), half is the wall of the photo.
@@ -109,7 +110,7 @@ def lit_room(roughness=1.0, metallic=0.0):
 
 def photo_of(result, view, seed=100):
     """What a camera sees: a render of its own random numbers, in bytes."""
-    (radiance,) = render_views(result, [view], samples=256, denoise=True, seed=seed, max_bounces=4)
+    (radiance,) = render_views(result, [view], settings=RenderSettings(samples=256, seed=seed, max_bounces=4))
     return np.round(gamma().apply(radiance * EXPOSURE) * 255) / 255
 
 
@@ -121,8 +122,8 @@ def test_a_card_of_the_walls_albedo_flat_on_the_wall_is_invisible():
     material = Material(base_color=(0.5, 0.45, 0.4), roughness=1.0)
     card = Primitive("card", (0.5, 0.4, 1.0), Placement((0.1, 0.0, -0.95), snap="surface"), material)
     edit = SceneEdit(objects=(card,))
-    without = render_pair(result, view, None, **SETTINGS)
-    change = render_change(result, view, edit, without, **SETTINGS)
+    without = render_pair(result, view, None, SETTINGS)
+    change = render_change(result, view, edit, without, SETTINGS)
     assert 0.05 < change.covered.mean() < 0.5  # it is there
     seen, _ = change_photo(photo, change, result.response, EXPOSURE)
     assert np.abs(seen - photo).mean() * 255 < 2.0
@@ -142,7 +143,7 @@ def test_a_polished_wall_shows_the_object_and_far_pixels_keep_their_bytes():
         roughness=1.0,
         metallic=0.0,
     )
-    seen = insert_onto_photo(result, view, photo, EXPOSURE, SceneEdit(spheres=(ball,)), **SETTINGS)
+    seen = insert_onto_photo(result, view, photo, EXPOSURE, SceneEdit(spheres=(ball,)), SETTINGS)
     greener = (seen - photo)[..., 1] - (seen - photo)[..., 0]
     # The wall z = -1 shows it as if it stood at z = -1.4; x / depth gives the columns, y / depth the rows.
     column, row = int(20 + 20 * 0.5 / 1.9), int(15 + 20 * 0.2 / 1.9)
@@ -150,7 +151,7 @@ def test_a_polished_wall_shows_the_object_and_far_pixels_keep_their_bytes():
     assert right_of_ball > 0.02
     matte = lit_room()
     photo = photo_of(matte, view)
-    seen = insert_onto_photo(matte, view, photo, EXPOSURE, SceneEdit(spheres=(ball,)), **SETTINGS)
+    seen = insert_onto_photo(matte, view, photo, EXPOSURE, SceneEdit(spheres=(ball,)), SETTINGS)
     assert np.abs(seen - photo)[:, :8].mean() * 255 < 1.5
 
 
@@ -190,12 +191,12 @@ def test_what_is_inserted_has_less_noise_than_the_room_and_the_scene_stays_as_it
 
 @pytest.mark.bpy
 @pytest.mark.usefixtures("empty_blender")
-def test_what_stands_behind_something_stays_hidden():
+def test_occluded_objects_stay_hidden():
     """The ball is behind the wall of the box: the photo is left alone."""
     result, view = lit_room(), camera(24, 18)
     photo = np.random.default_rng(0).integers(0, 256, (18, 24, 3)) / 255
     ball = Sphere(
         center=np.array([0.0, 0.0, -2.0]), radius=0.4, base_color=np.array([0.9, 0.9, 0.9]), roughness=1.0, metallic=0.0
     )
-    seen = insert_onto_photo(result, view, photo, EXPOSURE, SceneEdit(spheres=(ball,)), **SETTINGS)
+    seen = insert_onto_photo(result, view, photo, EXPOSURE, SceneEdit(spheres=(ball,)), SETTINGS)
     np.testing.assert_array_equal(np.round(seen * 255), np.round(photo * 255))

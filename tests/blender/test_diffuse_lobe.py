@@ -16,6 +16,7 @@ from iris_addon.brdf.diffuse import albedo_gain
 from iris_addon.brdf.ggx import layered_factor
 from iris_addon.model.capture import Mesh
 from iris_addon.model.recovered import OutsideLight
+from iris_addon.model.render_settings import RenderSettings
 from tests.blender_room import camera, room
 
 pytestmark = pytest.mark.bpy
@@ -41,7 +42,7 @@ def radiance_along(cosine: float, roughness: float, albedo: float, report: dict)
     view = camera(width=4, height=4, fx=400.0, fy=400.0)
     view.c2w[:3] = np.array([[1, 0, 0, 0], [0, cosine, -sine, -3 * sine], [0, sine, cosine, 3 * cosine]])
     built = build_scene(result)
-    set_cycles(built.scene, samples=1024, denoise=False, seed=0, max_bounces=2)
+    set_cycles(built.scene, RenderSettings(samples=1024, denoise=False, seed=0, max_bounces=2))
     look_through(built.scene, view, add_camera(view, "view", built.scene.collection))
     value = float(render_linear(built.scene).mean())
     built.free()
@@ -58,7 +59,7 @@ def test_burleys_lobe_is_added_to_the_specular_one(roughness: float, cosine: flo
 
 
 @pytest.mark.parametrize("cosine", [0.25, 0.9])
-def test_without_it_the_dielectric_takes_its_light_off_the_base(cosine: float) -> None:
+def test_without_the_group_the_dielectric_attenuates_the_base(cosine: float) -> None:
     black, grey = (radiance_along(cosine, 0.2, albedo, {}) for albedo in (0.0, 0.5))
     assert (grey - black) / 0.5 == pytest.approx(layered_factor(np.array(0.2), np.array(cosine)), rel=0.015)
 

@@ -64,7 +64,7 @@ def pixel_behind(socket):
     return np.array(node.image.pixels[:4]), node.image.colorspace_settings.name
 
 
-def test_every_face_is_where_it_was(exported):
+def test_exports_keep_every_face_in_place(exported):
     world = np.concatenate(
         [[(thing.matrix_world @ vertex.co)[:] for vertex in thing.data.vertices] for thing in exported]
     )
@@ -75,7 +75,7 @@ def test_every_face_is_where_it_was(exported):
     np.testing.assert_allclose(ceiling[:, 2], 1.25, atol=1e-5)  # +Y of the capture is up
 
 
-def test_every_lamp_shines_as_strongly(exported):
+def test_exports_keep_the_strength_of_every_lamp(exported):
     emitted = {}
     for thing in exported:
         for material in thing.data.materials:
@@ -110,7 +110,7 @@ def test_lamps_in_usd_are_lights_that_shine_as_they_glow(tmp_path, kind):
     np.testing.assert_allclose(sorted(glow), sorted(LAMPS.values()), rtol=1e-3)
 
 
-def test_colour_and_gloss_are_the_same(exported):
+def test_exports_keep_colour_and_gloss(exported):
     material = next(m for thing in exported for m in thing.data.materials if "Surface" in m.name)
     shader = shader_of(material)
     color, space = pixel_behind(shader.inputs["Base Color"])
@@ -137,7 +137,7 @@ def test_the_texture_set_is_the_result_again(tmp_path):
     np.testing.assert_allclose(back.mesh.vertices, result.mesh.vertices, atol=1e-6)
 
 
-def test_gltf_files_ask_for_the_add_on_that_reads_them(tmp_path):
+def test_gltf_files_need_the_gltf_add_on(tmp_path):
     import addon_utils
 
     apply(solved(), glb=tmp_path / "room.glb", blend=None)

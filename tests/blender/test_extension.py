@@ -209,7 +209,7 @@ def test_from_capture_to_files_and_back(package, tmp_path, worker, nerfstudio_ro
     assert not [line for line in said.splitlines() if "Warning: " in line or "rna_uiItemO" in line]
 
 
-def test_a_capture_comes_in_by_the_menu_and_by_being_dropped(package, tmp_path, worker, nerfstudio_room):
+def test_captures_are_imported_by_menu_and_by_drag_and_drop(package, tmp_path, worker, nerfstudio_room):
     """What Blender does with File > Import and with a file dropped into the 3D view, but for the mouse."""
     in_blender(
         package,
@@ -235,7 +235,7 @@ def test_a_capture_comes_in_by_the_menu_and_by_being_dropped(package, tmp_path, 
     )
 
 
-def test_a_model_of_colmap_comes_in_by_any_of_its_files(package, tmp_path, worker, nerfstudio_room):
+def test_a_colmap_model_is_imported_by_any_of_its_files(package, tmp_path, worker, nerfstudio_room):
     capture = read_capture(nerfstudio_room.root)
     model = nerfstudio_room.root / "sparse" / "0"
     model.mkdir(parents=True)
@@ -257,11 +257,11 @@ def test_a_model_of_colmap_comes_in_by_any_of_its_files(package, tmp_path, worke
     )
 
 
-def test_the_panel_has_a_picture_of_what_the_solve_knows_so_far(package, tmp_path):
+def test_the_panel_shows_the_newest_preview_of_the_solve(package, tmp_path):
     body = """
     from importlib import import_module
-    preview = import_module(KEY + ".operators.preview")
-    files = import_module(KEY + ".iris_addon.preview_files")
+    preview = import_module(KEY + ".operators.ui.solve_preview")
+    files = import_module(KEY + ".iris_addon.results.files")
     assert preview.picture(home, "albedo") is None
     def write(kind, ns, side):
         image = bpy.data.images.new("x", side, side)
@@ -312,7 +312,7 @@ def test_a_scene_is_solved_on_its_own_objects(package, tmp_path, worker, nerfstu
     in_blender(package, tmp_path, body)
 
 
-def test_things_are_set_onto_the_surface_they_are_pointed_at(package, tmp_path, worker, nerfstudio_room):
+def test_objects_are_placed_on_the_surface_pointed_at(package, tmp_path, worker, nerfstudio_room):
     """What a click does with the line of sight through it: to the floor, to a wall, in units of centimetres, beside."""
     body = f"""
     from mathutils import Vector
@@ -411,7 +411,7 @@ def test_what_was_added_goes_onto_the_photo_and_lights_are_mixed(package, tmp_pa
     in_blender(package, tmp_path, body)
 
 
-def test_a_capture_that_has_changed_is_taken_in_by_checking_again(package, tmp_path, worker, nerfstudio_room):
+def test_checking_again_imports_changes_of_the_capture(package, tmp_path, worker, nerfstudio_room):
     """Poses, lenses and mesh onto the objects that are there; what is no capture takes nothing away."""
     higher = tmp_path / "higher.ply"
     mesh = box_mesh()
@@ -458,7 +458,7 @@ def test_a_capture_that_has_changed_is_taken_in_by_checking_again(package, tmp_p
 # ---- what goes wrong -----------------------------------------------------------------------------------------------
 
 
-def test_each_mishap_has_its_message(package, tmp_path, worker, nerfstudio_room, monkeypatch):
+def test_every_user_error_has_its_message(package, tmp_path, worker, nerfstudio_room, monkeypatch):
     killed = fake_solver(tmp_path, "import signal; os.kill(os.getpid(), signal.SIGKILL)", "killed")
     bare = fake_solver(tmp_path, f"os.execv({sys.executable!r}, [{sys.executable!r}, '-S', *sys.argv[1:]])", "bare")
     photo = sorted(nerfstudio_room.root.rglob("*.png"))[0]
@@ -509,7 +509,7 @@ def test_each_mishap_has_its_message(package, tmp_path, worker, nerfstudio_room,
     in_blender(package, tmp_path, body)
 
 
-def test_going_online_is_asked_for_and_a_python_is_tested(package, tmp_path):
+def test_an_environment_needs_online_access_and_its_python_is_tested(package, tmp_path):
     pytest.importorskip("torch")
     body = f"""
     assert not bpy.app.online_access
@@ -524,7 +524,7 @@ def test_going_online_is_asked_for_and_a_python_is_tested(package, tmp_path):
 
 
 def test_the_plot_of_a_response_goes_from_corner_to_corner():
-    from iris_addon.blender.review import curve_plot
+    from iris_addon.blender.apply.review import curve_plot
 
     picture = curve_plot(np.tile(np.linspace(0, 1, 1024) ** (1 / 2.2), (3, 1)))
     white = (picture == 1.0).all(axis=-1)
@@ -535,7 +535,7 @@ def test_the_plot_of_a_response_goes_from_corner_to_corner():
 
 
 def test_a_histogram_becomes_a_line_of_blocks():
-    from iris_addon.blender.review import sparkline
+    from iris_addon.blender.apply.review import sparkline
 
     assert sparkline([0, 0.01, 0.25, 1]) == "▁▂▅█"
     assert sparkline([0, 0]) == "▁▁"

@@ -15,13 +15,14 @@ from iris_addon.blender.version import can_denoise
 from iris_addon.edits.jobs import relight_edit
 from iris_addon.edits.light_shares import light_gains, mix_shares, read_shares, write_shares
 from iris_addon.model.recovered import OutsideLight
+from iris_addon.model.render_settings import RenderSettings
 from iris_addon.model.response import identity
 from tests.blender_room import box, camera, room
 
 pytestmark = pytest.mark.bpy
 
 LAMPS = ["IRIS Lamp 00", "IRIS Lamp 01"]
-QUICK = {"samples": 64, "denoise": False, "max_bounces": 6}
+QUICK = RenderSettings(samples=64, denoise=False, max_bounces=6)
 JOB = {"recovered": {"0": {"scale": 0.2, "color": [1, 0.2, 0.1]}, "1": {"scale": 3.0}}, "outside": 0.5}
 
 
@@ -47,21 +48,21 @@ def rmse(a, b):
 
 
 def test_the_shares_of_all_lights_add_up_to_the_picture():
-    light = render_light_shares(lit_room(), view(), samples=16)
+    light = render_light_shares(lit_room(), view(), settings=RenderSettings(samples=16, denoise=False))
     assert list(light.shares) == [*LAMPS, "IRIS Outside"]
     assert all(share.mean() > 0.01 for share in light.shares.values())
     np.testing.assert_allclose(mix_shares(light.shares, {}), light.combined, rtol=1e-4, atol=1e-5)
     off = relight_edit(lit_room(), {"recovered": {"1": {"off": True}}, "outside": 0})
-    (alone,) = render_views(lit_room(), [view()], edit=off, samples=256, denoise=False)
+    (alone,) = render_views(lit_room(), [view()], edit=off, settings=RenderSettings(samples=256, denoise=False))
     np.testing.assert_allclose(light.shares[LAMPS[0]].mean((0, 1)), alone.mean((0, 1)), rtol=0.05)
 
 
 def test_mixing_is_rendering_again_with_the_lamps_changed():
     """The error of the mix is Monte-Carlo noise: no more than that between renders with other random numbers."""
     result, edit = lit_room(), relight_edit(lit_room(), JOB)
-    light = render_light_shares(result, view(), samples=QUICK["samples"], max_bounces=6)
+    light = render_light_shares(result, view(), settings=QUICK)
     mixed = mix_shares(light.shares, light_gains(result, JOB))
-    again = [render_views(result, [view()], edit=edit, seed=seed, **QUICK)[0] for seed in (1, 2, 3, 4)]
+    again = [render_views(result, [view()], edit=edit, settings=replace(QUICK, seed=seed))[0] for seed in (1, 2, 3, 4)]
     truth = np.mean(again, axis=0)
     noise = np.mean([rmse(image, truth) for image in again]) * np.sqrt(4 / 3)  # of one render about the expected value
     # Lamps turned up bring their noise along; the mix samples them as they were.
@@ -74,9 +75,9 @@ def test_denoised_shares_are_closer_to_the_light_of_each_lamp():
     if not can_denoise():
         pytest.skip("this Blender was built without OpenImageDenoise")
     eye = camera(40, 32, fx=25.0, fy=25.0, position=(0.2, 0.0, 0.9))
-    truth = render_light_shares(result, eye, samples=256, seed=5).shares
-    noisy = render_light_shares(result, eye, samples=8).shares
-    clean = render_light_shares(result, eye, samples=8, denoise=True).shares
+    truth = render_light_shares(result, eye, settings=RenderSettings(samples=256, seed=5, denoise=False)).shares
+    noisy = render_light_shares(result, eye, settings=RenderSettings(samples=8, denoise=False)).shares
+    clean = render_light_shares(result, eye, settings=RenderSettings(samples=8)).shares
     for name, light in truth.items():
         wall = light.max(axis=-1) < 1.5  # not the rim of a lamp, where eight samples are all that counts
         assert rmse(clean[name][wall], light[wall]) < 0.7 * rmse(noisy[name][wall], light[wall])
@@ -86,14 +87,15 @@ def test_denoised_shares_are_closer_to_the_light_of_each_lamp():
 def test_new_lights_have_shares_too():
     spot = {"type": "spot", "position": [0, 0.5, 0], "direction": [0, -1, 0], "intensity": [0.5, 0, 0]}
     ball = {"type": "mesh", "shape": "sphere", "radius": 0.1, "location": [0, 0, -0.5], "radiance": [0, 4, 0]}
-    light = render_light_shares(lit_room(), view(), edit=relight_edit(lit_room(), {"lights": [spot, ball]}), samples=16)
+    edit = relight_edit(lit_room(), {"lights": [spot, ball]})
+    light = render_light_shares(lit_room(), view(), edit=edit, settings=RenderSettings(samples=16, denoise=False))
     assert list(light.shares) == [*LAMPS, "IRIS Light 00", "IRIS Object 00", "IRIS Outside"]
     assert light.shares["IRIS Light 00"][..., 1:].max() == 0 < light.shares["IRIS Light 00"][..., 0].mean()
     assert light.shares["IRIS Object 00"][..., ::2].max() == 0 < light.shares["IRIS Object 00"][..., 1].mean()
 
 
-def test_shares_come_back_from_disk(tmp_path):
-    light = render_light_shares(lit_room(), view(), samples=1)
+def test_light_shares_survive_the_round_trip_to_disk(tmp_path):
+    light = render_light_shares(lit_room(), view(), settings=RenderSettings(samples=1, denoise=False))
     write_shares(tmp_path / "a.exr", light)
     back = read_shares(tmp_path / "a.exr")
     np.testing.assert_array_equal(back.combined, light.combined)
@@ -120,12 +122,12 @@ def test_the_sliders_of_the_compositor_mix_the_same(monkeypatch):
     monkeypatch.setattr("iris_addon.blender.render.light_groups.can_denoise", lambda: False)
     result = lit_room()
     gains = light_gains(result, JOB)
-    light = render_light_shares(result, view(), samples=8, max_bounces=4)
+    light = render_light_shares(result, view(), settings=RenderSettings(samples=8, max_bounces=4, denoise=False))
 
     from iris_addon.blender.camera import add_camera, look_through
 
     built = build_scene(result, lamps_apart=True)
-    set_cycles(built.scene, samples=8, denoise=False, seed=0, max_bounces=4)
+    set_cycles(built.scene, RenderSettings(samples=8, denoise=False, seed=0, max_bounces=4))
     look_through(built.scene, view(), add_camera(view(), "view", built.scene.collection))
     exposure = np.full(3, 0.02)  # so that nothing clips
     add_compositing(built.scene, built.lamps, identity(), exposure)

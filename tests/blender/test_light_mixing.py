@@ -3,7 +3,6 @@
 import bpy
 import numpy as np
 import pytest
-from tests.test_blender_onto_objects import cube, solve
 
 from iris_addon.base.errors import BadInput
 from iris_addon.blender.apply.camera_look import match_photo, stop_matching
@@ -13,9 +12,11 @@ from iris_addon.blender.render.cycles import render_linear, set_cycles
 from iris_addon.blender.render.light_mixing import mixer, sliders, start_mixing, stop_mixing
 from iris_addon.blender.scene_out.lights import lamp_materials, set_strength, strength, switch
 from iris_addon.blender.version import compositor_output, compositor_tree
+from iris_addon.model.render_settings import RenderSettings
 from iris_addon.model.response import gamma
 from tests.blender_room import camera
 from tests.scene_snapshot import blurred, snapshot
+from tests.solved_scene import cube, solve
 
 pytestmark = pytest.mark.bpy
 
@@ -41,12 +42,12 @@ def scene() -> bpy.types.Scene:
 
 
 def render(scene: bpy.types.Scene, composited: bool) -> np.ndarray:
-    set_cycles(scene, samples=32, denoise=False, seed=0, max_bounces=4)
+    set_cycles(scene, RenderSettings(samples=32, denoise=False, seed=0, max_bounces=4))
     scene.render.use_compositing = composited
     return render_linear(scene)
 
 
-def test_turning_a_slider_is_rendering_with_the_lamp_turned(scene, monkeypatch):
+def test_a_slider_equals_a_render_with_the_lamp_changed(scene, monkeypatch):
     monkeypatch.setattr(light_groups, "can_denoise", lambda: False)
     plain = render(scene, composited=False)
     assert set(start_mixing(scene)) == {"IRIS Lamp 07", "bulb", "IRIS Outside"}
@@ -90,7 +91,7 @@ def test_restoring_the_originals_ends_mixing(scene):
     assert not scene.view_layers[0].lightgroups
 
 
-def test_an_object_that_is_being_edited_keeps_what_it_has(scene):
+def test_objects_in_edit_mode_are_refused(scene):
     """Blender takes no other mesh for it and says nothing: the original would be lost."""
     bpy.context.view_layer.objects.active = scene.objects["box"]
 
@@ -111,7 +112,7 @@ def test_an_object_that_is_being_edited_keeps_what_it_has(scene):
     assert len(scene.objects["box"].data.polygons) == 6 and mixer(scene) is None
 
 
-def test_a_compositing_that_is_there_gets_the_mix(scene):
+def test_an_existing_compositing_gets_the_mix(scene):
     blur = blurred(scene)
     layers = blur.inputs["Image"].links[0].from_node
     before = snapshot(scene)

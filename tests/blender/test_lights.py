@@ -13,12 +13,13 @@ from iris_addon.blender.scene_out.placing import Room
 from iris_addon.edits.jobs import insertion_edits, relight_edit
 from iris_addon.edits.scene_edit import Material, Placement, Primitive, SceneEdit
 from iris_addon.model.capture import Mesh
+from iris_addon.model.render_settings import RenderSettings
 from tests.blender_room import camera, room
 
 pytestmark = pytest.mark.bpy
 
 ALBEDO = 0.5
-QUICK = {"samples": 64, "denoise": False, "max_bounces": 0}
+QUICK = RenderSettings(samples=64, denoise=False, max_bounces=0)
 
 
 @pytest.fixture(autouse=True)
@@ -38,7 +39,7 @@ def seen_from_above(light, folder=None, time=0.0, **view):
     result = room(albedo=ALBEDO, mesh=floor())
     edit = relight_edit(result, {"lights": [light]}, folder, time)
     above = camera(fx=400.0, fy=400.0, position=(0, 0, 1), **view)
-    (image,) = render_views(result, [above], edit=edit, **QUICK)
+    (image,) = render_views(result, [above], edit=edit, settings=QUICK)
     return image
 
 
@@ -76,7 +77,7 @@ COLOR = np.array([3.0, 2.0, 1.0])
         ),
     ],
 )
-def test_the_floor_gets_the_irradiance_that_the_light_says(light, irradiance):
+def test_the_floor_receives_the_irradiance_of_the_light(light, irradiance):
     seen = seen_from_above(light).mean(axis=(0, 1))
     np.testing.assert_allclose(seen, reflected(irradiance), rtol=0.08)  # 4 % is the dielectric's lobe
     np.testing.assert_allclose(seen / seen[0], irradiance / irradiance[0], rtol=0.03)
@@ -104,7 +105,7 @@ def test_a_panorama_lights_from_the_side_its_pixels_are_on(tmp_path):
     result = room(mesh=far)
     for rotation, expected in ((0, 1.0), (90, 0.0), (180, 0.0), (270, 0.0)):
         light = {"type": "hdri", "file": "side.exr", "rotation": rotation}
-        (image,) = render_views(result, [out], edit=relight_edit(result, {"lights": [light]}, tmp_path), **QUICK)
+        (image,) = render_views(result, [out], edit=relight_edit(result, {"lights": [light]}, tmp_path), settings=QUICK)
         np.testing.assert_allclose(image.mean(), expected, atol=0.01)
     with pytest.raises(BadInput, match="panorama"):
         build_scene(result, relight_edit(result, {"lights": [{"type": "hdri", "file": "none.exr"}]}, tmp_path))
@@ -175,7 +176,7 @@ def test_an_object_stands_where_the_pixel_points():
     np.testing.assert_allclose(at, [0, 0.95, -0.8], atol=0.001)
 
 
-def test_nothing_to_stand_on_is_told():
+def test_an_object_without_support_is_refused():
     with pytest.raises(BadInput, match="to stand on"):
         placed_vertices(Placement((5.0, 0.0, 0.0), snap="down"))
     with pytest.raises(BadInput, match="without height"):

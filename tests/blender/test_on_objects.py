@@ -9,59 +9,20 @@ from mathutils import Matrix
 
 from iris_addon.base.errors import BadInput
 from iris_addon.blender.apply.on_objects import apply_to_objects, restore
-from iris_addon.blender.review import show_confidence
+from iris_addon.blender.apply.review import show_confidence
 from iris_addon.blender.scene_in.scene_capture import read_scene_mesh, whole_object
 from iris_addon.blender.scene_out.lights import color, is_on, lamp_materials, set_color, set_strength, strength, switch
-from iris_addon.model.capture import Mesh
-from iris_addon.model.recovered import Backdrop, Emitter, OutsideLight
+from iris_addon.model.recovered import Backdrop, OutsideLight
 from iris_addon.results.result import Result
-from tests.blender_room import room
 from tests.scene_snapshot import snapshot
+from tests.solved_scene import cube, solve
 
 pytestmark = pytest.mark.bpy
-
-QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 
 
 @pytest.fixture(autouse=True)
 def empty_blender():
     bpy.ops.wm.read_factory_settings(use_empty=True)
-
-
-def cube(name: str, material: str | None = "paint", **placed) -> bpy.types.Object:
-    """A cube of quads from -1 to 1 with one material, a UV map of its own and a transform."""
-    data = bpy.data.meshes.new(name)
-    corners = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
-    data.from_pydata(corners, [], QUADS)
-    data.uv_layers.new(name="Own")
-    if material:
-        data.materials.append(bpy.data.materials.get(material) or bpy.data.materials.new(material))
-    thing = bpy.data.objects.new(name, data)
-    for attribute, value in placed.items():
-        setattr(thing, attribute, value)
-    bpy.context.scene.collection.objects.link(thing)
-    return thing
-
-
-def solve(lamp_faces=(), uv=None, scale=1.0) -> tuple[Result, list]:
-    """A result for the open scene as the solver would give it, and its face runs."""
-    bpy.context.view_layer.update()
-    seen = read_scene_mesh(bpy.context.evaluated_depsgraph_get())
-    n = len(seen.mesh.faces)
-    if uv is None:  # every pair of triangles that is one quad in a cell of its own
-        cells = np.arange(n) // 2
-        u, v = (cells % 16) / 16, (cells // 16) / 16
-        corner = np.array([[[0, 0], [1, 0], [1, 1]], [[0, 0], [1, 1], [0, 1]]]) / 16
-        uv = (np.stack([u, v], -1)[:, None] + corner[np.arange(n) % 2]).astype(np.float32)
-    mesh = Mesh(seen.mesh.vertices * scale, seen.mesh.faces, uv, seen.mesh.regions)
-    base = room(albedo=(0.8, 0.4, 0.2), mesh=mesh, roughness=0.6)
-    emitters = (
-        (Emitter(id=7, faces=np.array(lamp_faces), radiance=np.array([3.0, 6.0, 1.5]), area=1.5, confidence=0.75),)
-        if len(lamp_faces)
-        else ()
-    )
-    exposures = {"a": np.full(3, 0.25)}
-    return replace(base, emitters=emitters, outside=OutsideLight(np.full((1, 3), 0.5)), exposures=exposures), seen.runs
 
 
 def evaluated_faces() -> np.ndarray:
@@ -91,7 +52,7 @@ def test_a_plain_object_keeps_its_polygons_and_gets_the_materials():
     np.testing.assert_allclose(background.inputs["Color"].default_value[:3], 0.5 * 0.2820948, rtol=1e-5)
 
 
-def awkward_scene() -> None:
+def mixed_scene() -> None:
     """Everything that a result cannot simply be painted on, and some things that must survive."""
     plain = cube("plain", rotation_euler=(0.3, 0.2, 0.1))
     twin = bpy.data.objects.new("twin", plain.data)  # shares its mesh
@@ -118,7 +79,7 @@ def awkward_scene() -> None:
 
 
 def test_what_renders_is_the_same_geometry_before_and_after():
-    awkward_scene()
+    mixed_scene()
     result, runs = solve(lamp_faces=[0])
     assert {run.object for run in runs if run.instance} == {"empty"}
     before = evaluated_faces()
@@ -127,7 +88,7 @@ def test_what_renders_is_the_same_geometry_before_and_after():
 
 
 def test_restoring_leaves_no_trace():
-    awkward_scene()
+    mixed_scene()
     result, runs = solve(lamp_faces=[0, 30])
     before = snapshot(bpy.context.scene)
     apply_to_objects(result, runs, bpy.context.scene, "key")
@@ -140,7 +101,7 @@ def test_restoring_leaves_no_trace():
 
 
 def test_applying_twice_changes_nothing_and_another_result_replaces_the_first():
-    awkward_scene()
+    mixed_scene()
     result, runs = solve(lamp_faces=[0])
     before = snapshot(bpy.context.scene)
     scene = bpy.context.scene
@@ -158,7 +119,7 @@ def test_applying_twice_changes_nothing_and_another_result_replaces_the_first():
 
 
 def test_originals_come_back_after_save_and_reload(tmp_path):
-    awkward_scene()
+    mixed_scene()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "before.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "before.blend"))
     result, runs = solve(lamp_faces=[0])
@@ -293,7 +254,7 @@ def test_lamps_are_switched_dimmed_and_tinted_in_their_materials():
     assert thing.data.materials[0].node_tree.nodes.active.name == "IRIS Confidence"
 
 
-def test_a_linked_object_is_refused_with_its_mend(tmp_path):
+def test_a_linked_object_is_refused_with_a_fix(tmp_path):
     cube("box")
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
     bpy.ops.wm.read_factory_settings(use_empty=True)

@@ -9,7 +9,7 @@ import pytest
 
 from iris_addon.base.images import write_png
 from iris_addon.blender.apply.on_objects import FaceRun, apply_to_objects, restore
-from iris_addon.blender.apply.photo_cameras import stand_where_found
+from iris_addon.blender.apply.photo_cameras import move_to_solved_poses
 from iris_addon.blender.camera import read_camera
 from iris_addon.blender.scene_in.capture_objects import Inspected, InspectedView, add_capture, refresh_capture
 from iris_addon.model.corrections import CameraCorrection, PoseCorrections, rigid
@@ -58,14 +58,14 @@ def corrected(inspected: Inspected):
     return replace(room(), report=report), found
 
 
-def test_cameras_stand_where_photos_were_found_and_go_back_exactly(imported):
+def test_cameras_move_to_solved_poses_and_are_restored_exactly(imported):
     inspected, scene, thing, cameras = imported
     result, found = corrected(inspected)
     before = {name: (c.matrix_basis.copy(), c.data.lens, c.data.shift_x, c.data.shift_y) for name, c in cameras.items()}
     apply_to_objects(
         result, [FaceRun(object=thing.name, start=0, stop=12, instance=False, to_capture=np.eye(4))], scene, "key"
     )
-    assert stand_where_found(result, cameras, scene) == 2
+    assert move_to_solved_poses(result, cameras, scene) == 2
     bpy.context.view_layer.update()
     upright = np.array(thing.parent.matrix_world)
     for moved, expected in zip(cameras.values(), found, strict=True):
@@ -79,16 +79,16 @@ def test_cameras_stand_where_photos_were_found_and_go_back_exactly(imported):
         assert not [key for key in cameras[name].keys() if key.startswith("iris")]  # noqa: SIM118 - no mapping
 
 
-def test_a_result_that_found_nothing_wrong_moves_nothing(imported):
+def test_a_result_without_corrected_poses_moves_no_camera(imported):
     _, scene, _, cameras = imported
     places = [thing.matrix_basis.copy() for thing in cameras.values()]
-    assert stand_where_found(room(), cameras, scene) == 0
+    assert move_to_solved_poses(room(), cameras, scene) == 0
     assert [thing.matrix_basis for thing in cameras.values()] == places
 
 
-def test_cameras_that_are_read_again_have_nothing_to_go_back_to(imported):
+def test_cameras_read_again_forget_their_given_poses(imported):
     inspected, scene, thing, cameras = imported
-    stand_where_found(corrected(inspected)[0], cameras, scene)
+    move_to_solved_poses(corrected(inspected)[0], cameras, scene)
     elsewhere = replace(inspected.views[0], camera=camera(position=(0.0, 0.2, 0.9)))
     refresh_capture(replace(inspected, views=(elsewhere, inspected.views[1])), scene, thing, cameras)
     restore(scene)

@@ -19,6 +19,7 @@ from iris_addon.blender.scene_in.scene_capture import whole_object
 from iris_addon.blender.scene_out.build import add_sphere, plain_mesh
 from iris_addon.blender.scene_out.lights import lamp_materials, set_strength
 from iris_addon.edits.scene_edit import SceneEdit, Sphere
+from iris_addon.model.render_settings import RenderSettings
 from iris_addon.model.response import gamma
 from iris_addon.results.folder import save_result
 from iris_addon.results.result import Result
@@ -55,18 +56,18 @@ def applied(result: Result) -> bpy.types.Scene:
 
 
 def photo_of(result: Result) -> np.ndarray:
-    (radiance,) = render_views(result, [VIEW], samples=128, seed=9, max_bounces=8)
+    (radiance,) = render_views(result, [VIEW], settings=RenderSettings(samples=128, seed=9, max_bounces=8))
     return np.round(gamma().apply(radiance * EXPOSURE) * 255) / 255
 
 
 def test_an_added_ball_is_that_of_an_insertion_job():
     result = lit_room()
     photo = photo_of(result)
-    expected = insert_onto_photo(result, VIEW, photo, EXPOSURE, SceneEdit(spheres=(BALL,)), samples=128)
+    expected = insert_onto_photo(result, VIEW, photo, EXPOSURE, SceneEdit(spheres=(BALL,)), RenderSettings(samples=128))
     scene = applied(result)
     ball = add_sphere(BALL, "ball", scene.collection)
     ball.matrix_world = Matrix.Translation(tuple(BALL.center))
-    seen = composite(scene, photo, gamma(), EXPOSURE, samples=128)
+    seen = composite(scene, photo, gamma(), EXPOSURE, RenderSettings(samples=128))
     changed = np.abs(expected - photo).max(-1) > 0.05
     assert 0.02 < changed.mean() < 0.6
     assert np.abs(seen - expected)[changed].mean() < 0.012
@@ -74,18 +75,18 @@ def test_an_added_ball_is_that_of_an_insertion_job():
     assert not ball.hide_render
 
 
-def test_nothing_added_is_the_photo():
+def test_without_additions_the_composite_is_the_photo():
     scene = applied(lit_room())
     photo = np.random.default_rng(0).integers(0, 256, (30, 40, 3)) / 255
-    np.testing.assert_array_equal(composite(scene, photo, gamma(), EXPOSURE, samples=4), photo)
+    np.testing.assert_array_equal(composite(scene, photo, gamma(), EXPOSURE, RenderSettings(samples=4)), photo)
 
 
-def test_a_lamp_turned_down_darkens_the_photo_by_as_much():
+def test_dimming_the_lamp_darkens_the_photo_by_the_same_factor():
     result = lit_room()
     photo, scene = photo_of(result), applied(result)
     (lamp,) = lamp_materials(scene.objects)
     set_strength(lamp, 3.0)  # of 12: the only light there is
-    seen = composite(scene, photo, gamma(), EXPOSURE, samples=128)
+    seen = composite(scene, photo, gamma(), EXPOSURE, RenderSettings(samples=128))
     dark = (photo.max(-1) < 0.9) & (photo.min(-1) > 0.1)
     ratio = gamma().invert(seen[dark]) / gamma().invert(photo[dark])
     np.testing.assert_allclose(np.median(ratio), 0.25, rtol=0.03)

@@ -76,7 +76,7 @@ def test_a_scene_becomes_a_capture_in_metres_that_the_solver_reads(tmp_path):
     np.testing.assert_allclose(runs[0].to_capture[:3, :3], np.diag([3, 2, 1.5]), atol=1e-6)
 
 
-def test_photos_of_cameras_with_like_names_stay_apart_and_are_never_written_to(tmp_path):
+def test_photos_of_cameras_with_similar_names_stay_apart_and_are_never_written_to(tmp_path):
     """Two names that are one once they are cleaned for the disk, written twice: links to the artist's own files."""
     box("room")
     scene = bpy.context.scene
@@ -98,7 +98,7 @@ def test_photos_of_cameras_with_like_names_stay_apart_and_are_never_written_to(t
         assert [(tmp_path / f"{number}.png").read_bytes() for number in range(3)] == list(own.values())
 
 
-def test_what_renders_but_is_not_seen_in_viewports_is_named(tmp_path):
+def test_objects_disabled_in_viewports_are_named(tmp_path):
     box("room")
     box("ceiling")
     scene = bpy.context.scene
@@ -127,7 +127,7 @@ def test_a_scene_without_usable_photos_is_refused(tmp_path):
         write_scene_capture(scene, graph(), tmp_path)
 
 
-def test_links_in_a_folder_of_a_stranger_lead_nothing_out_of_it(tmp_path):
+def test_links_in_an_untrusted_folder_are_not_followed(tmp_path):
     box("room")
     eye = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
     bpy.context.scene.collection.objects.link(eye)

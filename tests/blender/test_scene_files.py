@@ -16,6 +16,7 @@ from iris_addon.blender.scene_out.build import build_scene
 from iris_addon.edits.scene_edit import ObjectFile, Placement, SceneEdit, Sphere
 from iris_addon.model.capture import View
 from iris_addon.model.recovered import OutsideLight
+from iris_addon.model.render_settings import RenderSettings
 from iris_addon.model.response import gamma
 from tests.blender_room import camera, room
 
@@ -41,7 +42,7 @@ def test_the_blend_opens_upright_and_renders_the_same_room(tmp_path):
     apply(result, path, views=[View("a", view, None), View("b", camera(), None)])
     assert len(bpy.data.scenes) == scenes
     assert [file.name for file in path.parent.iterdir()] == ["scene.blend"]
-    expected = render_views(result, [view], samples=64, denoise=False)[0]
+    expected = render_views(result, [view], settings=RenderSettings(samples=64, denoise=False))[0]
 
     bpy.ops.wm.open_mainfile(filepath=str(path))
     scene = bpy.context.scene
@@ -109,14 +110,16 @@ def srgb_to_linear(value):
 
 def test_an_empty_edit_returns_the_photo_itself():
     photo = np.random.default_rng(0).random((12, 16, 3))
-    np.testing.assert_array_equal(insert_onto_photo(solved(), camera(), photo, np.ones(3), SceneEdit()), photo)
+    np.testing.assert_array_equal(
+        insert_onto_photo(solved(), camera(), photo, np.ones(3), SceneEdit(), RenderSettings()), photo
+    )
 
 
 def test_a_ball_in_a_photo_is_rendered_and_leaves_far_pixels_alone():
     """The photo is a render that is 20 % brighter than the model: the ball has the model's light, the wall the
     photo's."""
     result, view = solved(), camera(32, 24, fx=20.0, fy=20.0)
-    (without,) = render_views(result, [view], samples=64)
+    (without,) = render_views(result, [view], settings=RenderSettings(samples=64))
     photo = result.response.apply(without * 1.2 * 0.1)
     sphere = Sphere(
         center=np.array([0.0, 0.0, -0.8]),
@@ -126,8 +129,8 @@ def test_a_ball_in_a_photo_is_rendered_and_leaves_far_pixels_alone():
         metallic=0.0,
     )
     ball = SceneEdit(spheres=(sphere,))
-    onto = insert_onto_photo(result, view, photo, np.full(3, 0.1), ball, samples=64)
-    (with_ball,) = render_views(result, [view], edit=ball, samples=64)
+    onto = insert_onto_photo(result, view, photo, np.full(3, 0.1), ball, RenderSettings(samples=64))
+    (with_ball,) = render_views(result, [view], edit=ball, settings=RenderSettings(samples=64))
     np.testing.assert_allclose(onto[11:13, 15:17], result.response.apply(with_ball * 0.1)[11:13, 15:17], atol=0.01)
     assert np.abs(onto - photo)[:3, :3].max() < 0.02
     assert (onto - photo)[:, :, 1].min() < -0.1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -17,9 +18,10 @@ from iris_addon.blender.render.cycles import render_coverage, render_linear, set
 from iris_addon.blender.scene_out.materials import layer_transmittance
 from iris_addon.blender.synth.photos import GREY, exposures, film, read_response
 from iris_addon.blender.synth.renders import add_outputs, render_maps
-from iris_addon.blender.synth.run import synth
+from iris_addon.blender.synth.run import TRUTH_RENDER, SynthConfig, synth
 from iris_addon.capture.reader import read_capture
 from iris_addon.model.capture import Capture
+from iris_addon.model.render_settings import RenderSettings
 from iris_addon.rays.tracer import Tracer
 
 pytestmark = pytest.mark.bpy
@@ -86,7 +88,8 @@ def build_room(path: Path) -> Path:
 def capture(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("synth")
     out = folder / "capture"
-    synth(build_room(folder / "room.blend"), out, resolution=(WIDTH, HEIGHT), samples=8)
+    render = replace(TRUTH_RENDER, samples=8)
+    synth(build_room(folder / "room.blend"), out, SynthConfig(resolution=(WIDTH, HEIGHT), render=render))
     return out
 
 
@@ -123,7 +126,7 @@ def test_photos_are_the_radiance_through_the_response(capture: Path, read: Captu
         assert (read_image(view.photo) == np.floor(255 * np.interp(x, np.linspace(0, 1, 1024), curve))).all()
 
 
-def test_camera_poses_come_back_as_blender_has_them(capture: Path, read: Capture):
+def test_captured_camera_poses_are_those_of_blender(capture: Path, read: Capture):
     for view, name in zip((*read.views, *read.val_views), (*(f"photo {k}" for k in range(5)), "val 0"), strict=True):
         assert view.camera.c2w == pytest.approx(np.array(bpy.data.objects[name].matrix_world), abs=1e-6)
         assert 2 * np.arctan(WIDTH / 2 / view.camera.fx) == pytest.approx(1.2)
@@ -211,7 +214,7 @@ def test_true_albedo_is_what_cycles_reflects(surface: str, roughness: float):
     scene.render.resolution_x = scene.render.resolution_y = 48
     add_outputs(scene, [paint])
     maps = render_maps(scene, read_camera(scene, thing), thing)
-    set_cycles(scene, samples=256, denoise=False, seed=0, max_bounces=2)
+    set_cycles(scene, RenderSettings(samples=256, denoise=False, seed=0, max_bounces=2))
     scene.cycles.pixel_filter_type, scene.render.film_transparent = "BOX", True
     seen = render_linear(scene).sum((0, 1)) / render_coverage(scene).sum()
     assert maps.albedo[maps.material == 1].mean(0) == pytest.approx(seen, rel=0.012, abs=0.004)
@@ -238,7 +241,7 @@ def test_emitter_faces_emit_the_radiance_that_is_rendered(capture: Path, read: C
     assert seen > 0
 
 
-def test_references_change_the_light_they_say(capture: Path):
+def test_references_change_the_listed_lights(capture: Path):
     lights = json.loads((capture / "relight" / "lights.json").read_text())
     emitters = json.loads((capture / "gt" / "emitters.json").read_text())
     strongest = next(e for e in emitters if e["name"] == "lamp")
@@ -284,7 +287,7 @@ def test_film_is_a_response_unlike_a_power():
     assert best > 0.02
 
 
-def test_a_response_file_that_falls_is_refused(tmp_path: Path):
+def test_a_decreasing_response_is_refused(tmp_path: Path):
     np.save(tmp_path / "curve.npy", np.linspace(1, 0, 1024))
     with pytest.raises(BadInput, match=r"curve\.npy.*monotone"):
         read_response(tmp_path / "curve.npy")
@@ -293,7 +296,7 @@ def test_a_response_file_that_falls_is_refused(tmp_path: Path):
 # ---- refusals -------------------------------------------------------------------------------------------------------
 
 
-def test_a_folder_in_use_is_left_alone(tmp_path: Path):
+def test_a_folder_with_files_is_not_overwritten(tmp_path: Path):
     (tmp_path / "kept.txt").write_text("mine")
     with pytest.raises(BadInput, match="not empty"):
         synth(tmp_path / "room.blend", tmp_path)
@@ -307,7 +310,7 @@ def test_a_surface_without_ground_truth_is_named(tmp_path: Path):
     tree.links.new(glass.outputs[0], tree.nodes["Material Output"].inputs["Surface"])
     bpy.ops.wm.save_mainfile()
     with pytest.raises(BadInput, match=r"paint.*Glass"):
-        synth(tmp_path / "room.blend", tmp_path / "out", resolution=(WIDTH, HEIGHT), samples=1)
+        synth(tmp_path / "room.blend", tmp_path / "out", SynthConfig(resolution=(WIDTH, HEIGHT)))
     assert not (tmp_path / "out").exists()
 
 

@@ -56,7 +56,7 @@ def alive(pid: int) -> bool:
 # ---- worker --------------------------------------------------------------------------------------------------------
 
 
-def test_a_worker_reports_progress_and_all_it_says(tmp_path):
+def test_a_worker_reports_its_progress_and_its_output(tmp_path):
     done = json.dumps({"type": "done", "result": {"photos": 3}})
     worker = Worker(python(f"print('chatter'); {SPEAK}; print({done!r})"), tmp_path / "deep" / "a.log")
     ended(worker).raise_if_failed()
@@ -66,7 +66,7 @@ def test_a_worker_reports_progress_and_all_it_says(tmp_path):
     assert set((tmp_path / "deep" / "a.log").read_text().split()) == {"chatter", "tracing"}
 
 
-def test_a_worker_that_does_not_listen_is_killed_soon_after_it_was_asked():
+def test_a_worker_that_does_not_stop_is_killed():
     deaf = Worker(python(f"import signal, time; signal.signal(2, signal.SIG_IGN); {SPEAK}; time.sleep(60)"))
     until(deaf.poll)
     deaf.interrupt()
@@ -80,7 +80,7 @@ def test_a_worker_that_does_not_listen_is_killed_soon_after_it_was_asked():
         deaf.raise_if_failed()
 
 
-def test_a_worker_that_dies_says_how():
+def test_the_way_a_worker_ended_is_reported():
     with pytest.raises(IrisError, match=r"was killed \(signal 9\), often .* memory"):
         ended(Worker(python("import os, signal; os.kill(os.getpid(), signal.SIGKILL)"))).raise_if_failed()
     with pytest.raises(IrisError, match=r"ended with code 7 \(last words\)"):
@@ -89,7 +89,7 @@ def test_a_worker_that_dies_says_how():
         Worker(["/no/such/python"])
 
 
-def test_the_worker_s_own_words_are_the_error():
+def test_the_error_of_a_worker_is_its_own_message():
     error = json.dumps({"type": "error", "what": "no photos", "fix": "add some", "exit_code": 3})
     with pytest.raises(IrisError, match="no photos — add some"):
         ended(Worker(python(f"print({error!r}); raise SystemExit(3)"))).raise_if_failed()
@@ -173,7 +173,7 @@ def test_no_process_outlives_the_program_that_started_it(tmp_path):
     busy = f"""
         import sys, time
         sys.path.insert(0, {str(ROOT)!r})
-        from headless.caller import stop_with_stdin
+        from headless.cancellation import stop_with_stdin
         from iris_addon.base.progress import Progress
         progress = Progress()
         stop_with_stdin(progress)
@@ -185,7 +185,7 @@ def test_no_process_outlives_the_program_that_started_it(tmp_path):
     blender = f"""
         import sys, time
         sys.path.insert(0, {str(ROOT)!r})
-        from iris_addon.blender import jobs
+        from iris_addon.blender.worker import jobs
         from pathlib import Path
         command = [sys.executable, "-c", {textwrap.dedent(busy)!r}]
         job = jobs.start("solve", Path({str(tmp_path)!r}), command, print)

@@ -99,7 +99,8 @@ def test_pictures_that_match_their_references_score_perfectly_and_edits_arrive(t
     write_references(root, radiance)
     edits = []
 
-    def render(result, cameras, *, edit=None, samples, seed, on_view=None):
+    def render(result, cameras, *, edit=None, settings, on_view=None):
+        assert settings.samples == 1
         edits.append(edit)
         for index in range(len(cameras)):
             on_view(index, radiance)

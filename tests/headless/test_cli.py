@@ -8,6 +8,7 @@ import subprocess
 import sys
 import types
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,7 @@ import pytest
 
 from headless import cli, environment, make_environment
 from headless.batch import read_jobs
-from headless.run import arguments
-from headless.signals import put_back
+from headless.cancellation import restore_handlers
 from iris_addon.base.errors import BadInput
 from iris_addon.base.images import read_exr, read_image
 from iris_addon.results.folder import SCHEMA_VERSION, load_result, save_result
@@ -103,6 +103,26 @@ def test_missing_packages_exit_4_and_name_the_way_out(tmp_path):
     assert "torch" in done.stderr and "IRIS_PYTHON" in done.stderr and done.stderr.count("\n") == 1
 
 
+@pytest.fixture
+def no_blender(monkeypatch):
+    monkeypatch.delitem(sys.modules, "bpy", raising=False)
+    monkeypatch.delenv("IRIS_PYTHON", raising=False)
+    monkeypatch.setattr(environment, "find_spec", lambda name: None if name == "bpy" else find_spec(name))
+
+
+def test_commands_that_need_blender_name_its_package_where_it_is_missing(solved, no_blender, capsys):
+    result, room_ = str(solved / "result"), str(solved / "room")
+    for command in (["apply", result, "--blend", str(solved / "x.blend")], ["evaluate", result, "--gt", room_]):
+        assert cli.main(command) == 4
+        error = capsys.readouterr().err
+        assert "pip install iris-blender[blender]" in error and "inside Blender" in error and error.count("\n") == 1
+
+
+def test_evaluate_without_rendering_needs_no_blender_and_names_what_it_left_out(solved, no_blender, capsys):
+    assert cli.main(["evaluate", str(solved / "result"), "--gt", str(solved / "room"), "--no-render"]) == 0
+    assert "left out: relight_psnr (nothing was rendered)" in capsys.readouterr().out
+
+
 IN_BLENDER = ("render", "apply")
 
 
@@ -138,19 +158,19 @@ def test_a_handler_that_is_not_pythons_becomes_the_default():
     """Blender sets its own for Ctrl-C, of which Python knows no more than that it is there."""
     before = signal.getsignal(signal.SIGTERM)
     try:
-        put_back({signal.SIGTERM: None})
+        restore_handlers({signal.SIGTERM: None})
         assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
     finally:
-        put_back({signal.SIGTERM: before})
+        restore_handlers({signal.SIGTERM: before})
     assert signal.getsignal(signal.SIGTERM) == before
 
 
 def test_arguments_inside_blender_stand_after_two_dashes(monkeypatch):
     monkeypatch.delitem(sys.modules, "bpy", raising=False)
-    assert arguments(["run.py", "solve", "--out", "x"]) == ["solve", "--out", "x"]
+    assert cli._own_arguments(["run.py", "solve", "--out", "x"]) == ["solve", "--out", "x"]
     monkeypatch.setitem(sys.modules, "bpy", types.ModuleType("bpy"))
-    assert arguments(["blender", "-b", "-P", "run.py", "--", "solve", "x"]) == ["solve", "x"]
-    assert arguments(["blender", "-b"]) == []
+    assert cli._own_arguments(["blender", "-b", "-P", "run.py", "--", "solve", "x"]) == ["solve", "x"]
+    assert cli._own_arguments(["blender", "-b"]) == []
 
 
 # ---- solve ---------------------------------------------------------------------------------------------------------

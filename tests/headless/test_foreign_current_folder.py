@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from headless import frames, make_environment
+from headless import animation, make_environment
 from iris_addon.blender.worker.jobs import composite_command, environment_command, inspect_command, solve_command
 from iris_addon.blender.worker.process import Worker
 
@@ -121,6 +121,6 @@ def test_ffmpeg_is_never_that_of_the_current_folder(
         (folder / "ffmpeg").write_text("#!/bin/sh\n")
         (folder / "ffmpeg").chmod(0o755)
     monkeypatch.setenv("PATH", os.pathsep.join(["", ".", str(tmp_path / "empty")]))
-    assert frames.find_ffmpeg() is None
+    assert animation.find_ffmpeg() is None
     monkeypatch.setenv("PATH", os.pathsep.join([".", str(tmp_path / "bin")]))
-    assert frames.find_ffmpeg() == str(tmp_path / "bin" / "ffmpeg")
+    assert animation.find_ffmpeg() == str(tmp_path / "bin" / "ffmpeg")

@@ -10,6 +10,7 @@ from iris_addon.base.images import to_codes, write_png
 from iris_addon.edits.scene_edit import SceneEdit, Sphere
 from iris_addon.model.capture import View
 from iris_addon.model.local_exposure import LocalSettings
+from iris_addon.model.render_settings import RenderSettings
 from iris_addon.model.response import gamma
 from tests.blender_room import camera, room
 
@@ -39,7 +40,7 @@ def test_an_exposure_that_nobody_recorded_is_found_at_every_place(tmp_path, monk
     monkeypatch.setattr(insert, "render_change", lambda *_a, **_k: change)
     result = replace(room(), response=gamma(), exposures={}, local=LocalSettings(falloff=falloff))
     view = View("photo", camera(WIDTH, HEIGHT, fx=50.0, fy=50.0), photo)
-    changed = PhotoInsertion(result, view, samples=1, seed=0).picture(BALL)
+    changed = PhotoInsertion(result, view, RenderSettings(samples=1)).picture(BALL)
     assert changed.display is not None
     np.testing.assert_allclose(changed.display, gamma().apply(2 * radiance * exposure * places), atol=2.5 / 255)
     np.testing.assert_allclose(changed.radiance, 2 * radiance, rtol=0.05)

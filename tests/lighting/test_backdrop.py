@@ -23,6 +23,7 @@ from iris_addon.edits.scene_edit import SceneEdit, Sphere
 from iris_addon.lighting.backdrop import MIN_SHARE, fit_backdrop
 from iris_addon.model.capture import Mesh, View
 from iris_addon.model.recovered import Backdrop, Emitter, OutsideLight
+from iris_addon.model.render_settings import RenderSettings
 from iris_addon.model.response import gamma, identity
 from iris_addon.model.sphere import equirect_directions, equirect_texels, sh_basis
 from iris_addon.response.photometry import Photometry
@@ -41,7 +42,7 @@ def views_at(positions: np.ndarray) -> list[View]:
 
 
 VIEWS = views_at(CAMERAS)
-QUICK = {"samples": 16, "denoise": False}
+QUICK = RenderSettings(samples=16, denoise=False)
 
 
 def paint(points: np.ndarray) -> np.ndarray:
@@ -176,14 +177,14 @@ def test_cameras_see_it_through_the_hole_with_parallax_and_it_lights_nothing_dif
     at = origin + direction * ((-2.0 - origin[:, 2]) / direction[:, 2])[:, None]
     through = (np.abs(origin + direction * ((-1.0 - 0.6) / direction[:, 2])[:, None])[:, :2] < 0.9).all(1)
     side = (np.abs(at[:, :2]) < 1.95).all(1)
-    (image,) = render_views(result, [view], **QUICK)
+    (image,) = render_views(result, [view], settings=QUICK)
     image = image.reshape(-1, 3)
     expected = 0.5 + 0.4 * at / np.linalg.norm(at, axis=1, keepdims=True)
     assert (through & side).sum() > 20
     np.testing.assert_allclose(image[through & side], expected[through & side], atol=0.01)
     wall = (np.abs(origin + direction * ((-0.9 - 0.6) / direction[:, 2])[:, None])[:, :2] > 1.1).any(1)
     assert wall.sum() > 20 and image[wall].mean() < 0.05  # what a varnish of 4 % reflects
-    (half,) = render_views(result, [view], edit=SceneEdit(outside_scale=0.5), **QUICK)
+    (half,) = render_views(result, [view], edit=SceneEdit(outside_scale=0.5), settings=QUICK)
     np.testing.assert_allclose(half.reshape(-1, 3)[through & side], 0.5 * expected[through & side], atol=0.01)
 
 
@@ -194,7 +195,7 @@ def test_reflections_show_it_sharp_or_blurred_and_not_the_light_from_outside(rou
     ball = Sphere(center=np.zeros(3), radius=0.5, base_color=np.ones(3), roughness=roughness, metallic=1.0)
     view = camera(position=(0, 0, 3), fx=60.0, fy=60.0)
     result = replace(open_room(), outside=OutsideLight(np.array([[0.2, 0.2, 0.2]]) / sh_basis(np.eye(3)[2:], 1)))
-    (image,) = render_views(result, [view], edit=SceneEdit(spheres=(ball,)), **QUICK)
+    (image,) = render_views(result, [view], edit=SceneEdit(spheres=(ball,)), settings=QUICK)
     middle = image[view.height // 2 - 1 : view.height // 2 + 2, view.width // 2 - 1 : view.width // 2 + 2].mean((0, 1))
     np.testing.assert_allclose(middle, [0.5, 0.5, 0.88], atol=0.05)
 
@@ -204,8 +205,8 @@ def test_from_outside_one_looks_through_it_into_the_room() -> None:
     result = open_room()
     view = camera(position=(0, 0, 6), fx=30.0, fy=30.0)
     lit = replace(result, emitters=room(emission={2: (3, 2, 1)}).emitters)
-    (with_shell,) = render_views(lit, [view], **QUICK)
-    (without,) = render_views(replace(lit, backdrop=None), [view], **QUICK)
+    (with_shell,) = render_views(lit, [view], settings=QUICK)
+    (without,) = render_views(replace(lit, backdrop=None), [view], settings=QUICK)
     lamp = (without[..., 0] > 1).reshape(-1)
     assert lamp.sum() > 3
     means = [image.reshape(-1, 3)[lamp].mean(0) for image in (with_shell, without)]
@@ -235,7 +236,9 @@ def lamp_in_a_shell(picture: np.ndarray, albedo: np.ndarray) -> Result:
 def test_one_that_reflects_is_an_integrating_sphere(albedo: float) -> None:
     """A lamp of radiance L in the middle: the wall has one of a / (1 - a) L times the ratio of their areas."""
     result = lamp_in_a_shell(np.zeros((8, 16, 3)), np.full((8, 16, 3), albedo))
-    (image,) = render_views(result, [camera(position=(0, 0, -0.5))], samples=256, denoise=False)
+    (image,) = render_views(
+        result, [camera(position=(0, 0, -0.5))], settings=RenderSettings(samples=256, denoise=False)
+    )
     expected = albedo / (1 - albedo) * 5.0 * (0.1 / 2.0) ** 2
     assert image.mean() == pytest.approx(expected, rel=0.03)
 
@@ -249,13 +252,13 @@ def test_through_its_openings_one_sees_outside_whatever_the_lamps_do() -> None:
     for scale, world in ((1.0, 0.0), (0.5, 0.0), (0.5, 0.3)):
         outside = OutsideLight(np.full((1, 3), world) / sh_basis(np.eye(3)[2:], 1))
         lit = replace(result, outside=outside)
-        (image,) = render_views(lit, [view], edit=SceneEdit(outside_scale=scale), **QUICK)
+        (image,) = render_views(lit, [view], edit=SceneEdit(outside_scale=scale), settings=QUICK)
         np.testing.assert_allclose(image, scale * (0.4 + world), rtol=0.01)
 
 
 @pytest.mark.bpy
 def test_it_goes_with_the_light_from_outside_in_a_mix() -> None:
-    shares = render_light_shares(open_room(), camera(), samples=4)
+    shares = render_light_shares(open_room(), camera(), settings=RenderSettings(samples=4, denoise=False))
     assert set(shares.shares) == {"IRIS Outside"}
     np.testing.assert_allclose(shares.shares["IRIS Outside"], shares.combined, atol=1e-5)
     assert shares.combined.max() > 0.1

@@ -83,9 +83,9 @@ def sidebar_tab() -> str:
 
 def job(name: str) -> dict:
     """How a job of the scene stands: state, what is wrong, its fix; process, stage and share done while it runs."""
-    jobs = sys.modules[f"{ADDON}.iris_addon.blender.jobs"]
+    jobs = sys.modules[f"{ADDON}.iris_addon.blender.worker.jobs"]
     with bpy.context.temp_override(window=bpy.context.window_manager.windows[0]):
-        folder = sys.modules[f"{ADDON}.operators.watch"].folder_of(name, bpy.context)
+        folder = sys.modules[f"{ADDON}.operators.folders"].job_folder(name, bpy.context)
     record, running = jobs.record(name, folder), jobs.running(name, folder)
     found = {"state": record.state, "what": record.what, "fix": record.fix, "folder": str(folder)}
     if running is not None:

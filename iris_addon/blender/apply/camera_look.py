@@ -1,11 +1,9 @@
-"""The recovered camera in Blender's compositor: exposure, white balance and response as the node group "IRIS Camera".
+"""Renders that look like a photo: the recovered camera as node group "IRIS Camera" at the end of the compositing.
 
-The group takes scene-linear radiance and gives what the camera's picture shows, decoded from sRGB: under the view
-transform "Standard" the picture on screen, and in a PNG, has the code values of the photo. Linear EXR comes from the
-render layers as ever, before the group.
-
-The curve is stored over x^0.35, where responses are close to straight, as 128 linear pieces per channel; it meets the
-table of response.json within 1/255 (see the tests). Exposures beyond 1 clip, as they do in the photo.
+The group takes scene-linear radiance and returns what the camera's picture shows, decoded from sRGB: under the view
+transform "Standard" the picture on screen, and in a PNG, has the code values of the photo. Linear EXR is written from
+the render layers, before the group. :func:`match_photo` adds it to the open scene, behind what the scene composites
+already, and :func:`stop_matching` removes it; :func:`add_compositing` makes the whole tree of an exported scene.
 """
 
 from __future__ import annotations
@@ -33,12 +31,13 @@ from ..version import (
 )
 
 CAMERA_GROUP = "IRIS Camera"
-WARP = 0.35
-PIECES = 128
+CURVE_WARP, CURVE_SEGMENTS = 0.35, 128
+"""The response is stored over x^0.35, where responses are close to straight, as 128 linear segments per channel. That
+agrees with the table of response.json within 1/255. Exposures beyond 1 clip, as they do in the photo."""
 
 
 def camera_group(response: Response, exposure: NDArray[np.floating]) -> bpy.types.NodeTree:
-    """A compositor node group: Image (radiance) and Exposure (a factor per channel) in, Image out.
+    """A compositor node group with inputs Image (radiance) and Exposure (a factor per channel), and output Image.
 
     Args:
         exposure: (3,) default of the input Exposure: factor from radiance to the argument of the response.
@@ -57,13 +56,13 @@ def camera_group(response: Response, exposure: NDArray[np.floating]) -> bpy.type
     tree.links.new(exposed, split.inputs[0])
     tree.links.new(split.outputs["Alpha"], joined.inputs["Alpha"])
     for channel in ("Red", "Green", "Blue"):
-        clipped, warped = compositor_math(tree, "MAXIMUM"), compositor_math(tree, "POWER")
-        clipped.inputs[1].default_value, warped.inputs[1].default_value = 0.0, WARP
-        below = compositor_math(tree, "MINIMUM")
-        below.inputs[1].default_value = 1.0
-        tree.links.new(split.outputs[channel], clipped.inputs[0])
-        tree.links.new(clipped.outputs[0], below.inputs[0])
-        tree.links.new(below.outputs[0], warped.inputs[0])
+        positive, warped = compositor_math(tree, "MAXIMUM"), compositor_math(tree, "POWER")
+        positive.inputs[1].default_value, warped.inputs[1].default_value = 0.0, CURVE_WARP
+        clipped = compositor_math(tree, "MINIMUM")
+        clipped.inputs[1].default_value = 1.0
+        tree.links.new(split.outputs[channel], positive.inputs[0])
+        tree.links.new(positive.outputs[0], clipped.inputs[0])
+        tree.links.new(clipped.outputs[0], warped.inputs[0])
         tree.links.new(warped.outputs[0], joined.inputs[channel])
     curves = tree.nodes.new("CompositorNodeCurveRGB")
     _set_curves(curves.mapping, response)
@@ -79,10 +78,12 @@ def camera_group(response: Response, exposure: NDArray[np.floating]) -> bpy.type
 def show_through_camera(
     scene: bpy.types.Scene, picture: bpy.types.NodeSocket, response: Response, exposure: NDArray[np.floating]
 ) -> bpy.types.Node:
-    """Lead ``picture``, a socket of the scene's compositing tree with radiance, through the camera to the output.
+    """Connect ``picture``, a socket with radiance in the scene's compositing tree, through the camera to the output.
 
-    Also sets the view transform the group is made for; the exposure of the view, which the viewport needs, is taken off
-    again. Returns the group's node, whose input Exposure is that of the photo to be matched.
+    Also sets the view transform the group is made for. The view exposure, which the viewport needs, is compensated.
+
+    Returns:
+        The group's node, whose input Exposure is that of the matched photo.
     """
     tree = own_compositor_tree(scene)
     node = tree.nodes.new("CompositorNodeGroup")
@@ -107,8 +108,8 @@ def set_photo(node: bpy.types.Node, exposure: NDArray[np.floating]) -> None:
 
 
 def _set_curves(mapping: bpy.types.CurveMapping, response: Response) -> None:
-    s = np.linspace(0.0, 1.0, PIECES + 1)
-    z = response.apply(np.repeat(s[:, None] ** (1 / WARP), 3, axis=1))
+    s = np.linspace(0.0, 1.0, CURVE_SEGMENTS + 1)
+    z = response.apply(np.repeat(s[:, None] ** (1 / CURVE_WARP), 3, axis=1))
     mapping.use_clip = False
     mapping.extend = "HORIZONTAL"
     for channel in range(3):
@@ -122,28 +123,25 @@ def _set_curves(mapping: bpy.types.CurveMapping, response: Response) -> None:
 
 
 def _lay_out(tree: bpy.types.NodeTree) -> None:
-    """Spread the nodes from left to right in the order they were made in; the output last."""
+    """Place the nodes from left to right in the order they were made in, the output last."""
     ordered = sorted(tree.nodes, key=lambda node: node.bl_idname == "NodeGroupOutput")
     for column, node in enumerate(ordered):
         node.location = (180.0 * column, -60.0 * (column % 3))
 
 
-# Renders of the open scene that look like a photo: the recovered camera at the end of its compositing, and out again
-#
-# What the scene composites already stays, in front of the camera.
-
+# ---- in the open scene ---------------------------------------------------------------------------------------------
 
 MATCHED = "iris_matched"
-"""Custom property of a scene whose renders pass through the recovered camera: what it was like before."""
+"""Custom property of a scene whose renders pass through the recovered camera: its compositing before that."""
 
 
 def match_photo(
     scene: bpy.types.Scene, response: Response, exposures: Mapping[str, NDArray[np.floating]], photo: str
 ) -> None:
-    """Let renders of ``scene`` come out as ``photo`` would.
+    """Make renders of ``scene`` look as ``photo`` would.
 
     Args:
-        exposures: (3,) exposure × white balance by photo. One that is not there is given their median.
+        exposures: (3,) exposure × white balance by photo. A photo without one gets their median.
     """
     stop_matching(scene)
     view, render = scene.view_settings, scene.render
@@ -174,7 +172,7 @@ def match_photo(
 
 
 def follow_photo(scene: bpy.types.Scene, photo: str) -> None:
-    """Expose like another photo, where renders of ``scene`` pass through the camera."""
+    """Use the exposure of another photo, where renders of ``scene`` pass through the camera."""
     tree = compositor_tree(scene) if MATCHED in scene else None
     camera = None if tree is None else tree.nodes.get(CAMERA_GROUP)
     if camera is not None:
@@ -183,12 +181,12 @@ def follow_photo(scene: bpy.types.Scene, photo: str) -> None:
 
 
 def stop_matching(scene: bpy.types.Scene) -> None:
-    """Give ``scene`` back the compositing it had; nothing where it was not changed."""
+    """Restore the compositing of ``scene``; does nothing where it was not changed."""
     if MATCHED not in scene:
         return
     before, tree = json.loads(scene[MATCHED]), compositor_tree(scene)
     if tree is not None:
-        _take_out(tree, before["made"], before.get("source"))
+        _remove_camera(tree, before["made"], before.get("source"))
     if not before["composites"]:
         leave_compositor_tree(scene)
     scene.render.use_compositing = before["use_compositing"]
@@ -198,14 +196,14 @@ def stop_matching(scene: bpy.types.Scene) -> None:
     del scene[MATCHED]
 
 
-def _take_out(tree: bpy.types.NodeTree, made: Sequence[str], source: tuple[str, str] | None) -> None:
+def _remove_camera(tree: bpy.types.NodeTree, made: Sequence[str], source: tuple[str, str] | None) -> None:
     remove_nodes(tree, made)
     if source is not None and source[0] in tree.nodes:
         sockets = {socket.identifier: socket for socket in tree.nodes[source[0]].outputs}
         tree.links.new(sockets[source[1]], compositor_output(tree))
 
 
-# ---- The compositing tree of a solved room: a slider per lamp, denoising, then the recovered camera -----------------
+# ---- of an exported scene ------------------------------------------------------------------------------------------
 
 
 def add_compositing(
@@ -214,13 +212,13 @@ def add_compositing(
     response: Response,
     exposure: NDArray[np.floating],
 ) -> None:
-    """Render layers with a light group per emitter → "IRIS Lights" → denoising → "IRIS Camera" → output.
+    """Composite a solved room: render layers, a light group per emitter → "IRIS Lights" → denoising → "IRIS Camera".
 
-    Replaces the compositing tree that ``scene`` has.
+    Replaces the compositing tree of ``scene``.
 
     Args:
         emitters: lamps and other lights, each an object of ``scene``.
-        exposure: (3,) of the photo whose look is wanted.
+        exposure: (3,) of the photo that renders are to look like.
     """
     names = group_lights(scene, emitters)
     tree = own_compositor_tree(scene)

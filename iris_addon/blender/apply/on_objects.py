@@ -1,9 +1,9 @@
-"""A result on the objects it was solved from: undoable, and undone exactly by :func:`restore`.
+"""A result applied to the objects it was solved from, and undone exactly by :func:`restore`.
 
 Each object gets another mesh and keeps everything else. Where its own polygons can carry the result, that mesh is a
-copy of its own with UVs and materials added; where they cannot (modifiers, instances, an n-gon cut by the atlas) it is
-made of the triangles that were solved, with the modifiers switched off. The original mesh is never touched. Objects
-point to it by custom properties, so that it is saved with the file and needs no add-on to be found.
+copy of its own with UVs and materials added; where they cannot (modifiers, instances, an n-gon cut by the atlas) it
+consists of the triangles that were solved, and the modifiers are switched off. The original mesh is never changed.
+Objects refer to it by custom properties, so that it is saved with the file and found without the add-on.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from ...base.errors import BadInput
 from ...edits.scene_edit import SceneEdit
 from ...model.capture import Mesh
 from ...results.result import Result
-from ..render.light_mixing import is_taken_apart, stop_mixing
+from ..render.light_mixing import has_separated_lamps, stop_mixing
 from ..scene_out.backdrop import add_backdrop
 from ..scene_out.build import face_materials, plain_mesh
 from ..scene_out.materials import UV_MAP, add_confidence
 from ..scene_out.scene_state import forget_scene, keep_scene, require_object_mode, restore_scene, show_like_the_photos
 from ..scene_out.world import make_world
 from .camera_look import stop_matching
-from .photo_cameras import go_back
+from .photo_cameras import restore_given_poses
 
 ORIGINAL_MESH, ORIGINAL, SLOT, MADE = "iris_original_mesh", "iris_original", "iris_slot_", "iris_made"
 APPLIED = "iris_applied"
@@ -38,11 +38,11 @@ SAME_UV = 1e-5
 
 @dataclass(frozen=True)
 class FaceRun:
-    """The faces [start, stop) of the solved mesh, which came from one object.
+    """The faces [start, stop) of the solved mesh that came from one object.
 
     Attributes:
         object: its name.
-        instance: the faces are those of something that the object instances.
+        instance: whether the faces are those of an object that this one instances.
         to_capture: (4, 4) from the space of the object's mesh to that of the capture.
     """
 
@@ -54,10 +54,10 @@ class FaceRun:
 
 
 def apply_to_objects(result: Result, runs: Sequence[FaceRun], scene: bpy.types.Scene, key: str) -> bool:
-    """Put ``result`` onto the objects of ``runs`` and its outside light into the world of ``scene``.
+    """Apply ``result`` to the objects of ``runs``, and its outside light to the world of ``scene``.
 
     Args:
-        key: stands for the result; the same key again changes nothing.
+        key: identifies the result; applying the same key again changes nothing.
 
     Returns:
         Whether anything was changed.
@@ -87,7 +87,7 @@ def apply_to_objects(result: Result, runs: Sequence[FaceRun], scene: bpy.types.S
         shell[MADE] = shell.data[MADE] = True
     show_like_the_photos(result, scene)
     images = set(bpy.data.images) - before
-    for image in images:  # all of them, those of world and backdrop too: undo and reload bring unpacked ones back black
+    for image in images:  # those of world and backdrop too: unpacked images are black after undo and reload
         image.pack()
     for made in (*images, *(set(bpy.data.materials) - before), scene.world):
         made[MADE] = key
@@ -96,7 +96,7 @@ def apply_to_objects(result: Result, runs: Sequence[FaceRun], scene: bpy.types.S
 
 
 def is_applied(scene: bpy.types.Scene, runs: Sequence[FaceRun], key: str) -> bool:
-    """Whether the result ``key`` is on the objects of ``runs`` already."""
+    """Whether the result ``key`` is applied to the objects of ``runs`` already."""
     if scene.get(APPLIED) != key:
         return False
     objects = [scene.objects.get(run.object) for run in runs]
@@ -104,18 +104,18 @@ def is_applied(scene: bpy.types.Scene, runs: Sequence[FaceRun], key: str) -> boo
 
 
 def restore(scene: bpy.types.Scene) -> int:
-    """Give the objects of ``scene`` back what they had and remove what was made; returns the number of objects.
+    """Restore the objects of ``scene`` and remove what was made for them; returns the number of objects.
 
     Raises:
         BadInput: one of them is being edited. Nothing was changed then.
     """
-    require_object_mode(thing for thing in scene.objects if ORIGINAL in thing or is_taken_apart(thing))
+    require_object_mode(thing for thing in scene.objects if ORIGINAL in thing or has_separated_lamps(thing))
     stop_matching(scene)
     stop_mixing(scene)
     kept = [thing for thing in scene.objects if ORIGINAL in thing]
     for thing in kept:
         _restore_object(thing)
-    go_back(scene)
+    restore_given_poses(scene)
     if APPLIED in scene:
         restore_scene(scene)
         forget_scene(scene)
@@ -150,9 +150,9 @@ def _apply_run(
     used, slots = np.unique(slot_of_face[faces], return_inverse=True)
     assert result.mesh.uv is not None
     uv = result.mesh.uv[faces]
-    if np.linalg.det(run.to_capture[:3, :3]) < 0:  # corners of a mirrored object were turned round
+    if np.linalg.det(run.to_capture[:3, :3]) < 0:  # the winding of a mirrored object was reversed
         uv = uv[:, ::-1]
-    data = None if run.instance or thing.type != "MESH" else _dressed_copy(thing, uv, slots.ravel(), own_uv)
+    data = None if run.instance or thing.type != "MESH" else _textured_copy(thing, uv, slots.ravel(), own_uv)
     as_solved = data is None
     if data is None:
         data = plain_mesh(_local_mesh(result.mesh, run), f"{thing.name} IRIS")
@@ -172,11 +172,14 @@ def _apply_run(
                 modifier.show_viewport = modifier.show_render = False
 
 
-def _dressed_copy(
+def _textured_copy(
     thing: bpy.types.Object, uv: NDArray[np.float32], slots: NDArray[np.integer], own_uv: str | None
 ) -> bpy.types.Mesh | None:
-    """A copy of the object's mesh with UVs (F, 3, 2) and slots (F,) per triangle; None where its polygons cannot
-    carry them."""
+    """A copy of the object's mesh with UVs (F, 3, 2) and slots (F,) per triangle.
+
+    Returns:
+        None where its polygons cannot hold them.
+    """
     if any(modifier.show_render or modifier.show_viewport for modifier in thing.modifiers):
         return None
     data = thing.data
@@ -195,7 +198,7 @@ def _dressed_copy(
     copy.polygons.foreach_set("material_index", slot_of_polygon)
     if own_uv is None:
         layer = copy.uv_layers.get(UV_MAP) or copy.uv_layers.new(name=UV_MAP, do_init=False)
-        if layer is None:  # Blender stops at eight UV maps
+        if layer is None:  # Blender allows eight UV maps
             bpy.data.meshes.remove(copy)
             return None
         layer.uv.foreach_set("vector", per_loop.ravel())
@@ -203,7 +206,7 @@ def _dressed_copy(
 
 
 def triangles_of(data: bpy.types.Mesh) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Polygon (F,) and loops (F, 3) of the triangles Blender cuts ``data`` into."""
+    """Polygon (F,) and loops (F, 3) of the triangles into which Blender divides ``data``."""
     n = len(data.loop_triangles)
     polygon, loops = np.empty(n, np.int32), np.empty(3 * n, np.int32)
     data.loop_triangles.foreach_get("polygon_index", polygon)
@@ -212,7 +215,7 @@ def triangles_of(data: bpy.types.Mesh) -> tuple[NDArray[np.int32], NDArray[np.in
 
 
 def _local_mesh(mesh: Mesh, run: FaceRun) -> Mesh:
-    """The faces of ``run`` in the space of its object, only the vertices they use."""
+    """The faces of ``run`` in the space of its object, with the vertices they use."""
     faces = mesh.faces[run.start : run.stop]
     used, corners = np.unique(faces, return_inverse=True)
     to_object = np.linalg.inv(run.to_capture)
@@ -225,19 +228,19 @@ def _local_mesh(mesh: Mesh, run: FaceRun) -> Mesh:
 
 
 def _stand_in(thing: bpy.types.Object, data: bpy.types.Mesh, run: FaceRun) -> None:
-    """A mesh object where an instance or a curve was, and the original hidden."""
+    """Replace an instance or a curve by a mesh object; the original is hidden."""
     stand_in = bpy.data.objects.new(f"{thing.name} IRIS", data)
     stand_in.matrix_world = Matrix(run.to_capture.tolist())
     stand_in[MADE] = True
     for collection in thing.users_collection:
         collection.objects.link(stand_in)
-    if ORIGINAL not in thing:  # a mesh that instances beside itself was applied to first
+    if ORIGINAL not in thing:  # unset, unless the object has both a mesh and instances
         _keep_object(thing)
         thing.hide_render = thing.hide_viewport = True
 
 
 def _keep_object(thing: bpy.types.Object) -> None:
-    """Write down on ``thing`` what :func:`_restore_object` needs."""
+    """Store on ``thing`` what :func:`_restore_object` needs."""
     slots = thing.material_slots
     thing[ORIGINAL] = json.dumps(
         {
@@ -276,7 +279,7 @@ def _restore_object(thing: bpy.types.Object) -> None:
 
 
 def _remove_made(scene: bpy.types.Scene) -> None:
-    """Remove the stand-ins of ``scene``, and what :func:`apply_to_objects` made and nothing uses any more."""
+    """Remove the stand-ins of ``scene``, and data that :func:`apply_to_objects` made and nothing uses any more."""
     bpy.data.batch_remove([thing for thing in scene.objects if MADE in thing])
     for kind in ("meshes", "worlds", "materials", "images"):  # users before what they use
         bpy.data.batch_remove([block for block in getattr(bpy.data, kind) if MADE in block and not block.users])
@@ -286,7 +289,7 @@ def _remove_made(scene: bpy.types.Scene) -> None:
 
 
 def _kept_uv_map(result: Result, runs: Sequence[FaceRun], objects: Sequence[bpy.types.Object]) -> str | None:
-    """Name of the objects' own UV map that the result is laid out on; None where the solver made an atlas."""
+    """Name of the objects' own UV map if the result uses it; None where the solver made an atlas."""
     names = set()
     for run, thing in zip(runs, objects, strict=True):
         if run.instance or thing.type != "MESH":

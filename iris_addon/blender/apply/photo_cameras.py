@@ -1,4 +1,4 @@
-"""Cameras of an imported capture stand where the solve found its photos to be taken, and go back with the rest."""
+"""Cameras of an imported capture, moved to the poses that the solve found, and back to the given ones."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from ...results.result import Result
 from ..camera import read_camera, set_lens
 
 GIVEN = "iris_given"
-"""Custom property of a camera that was moved: its place and lens before."""
+"""Custom property of a camera that was moved: its given pose and lens."""
 LENS = ("sensor_fit", "sensor_width", "lens", "shift_x", "shift_y", "clip_start", "clip_end")
 
 
-def stand_where_found(result: Result, cameras: Mapping[str, bpy.types.Object], scene: bpy.types.Scene) -> int:
-    """Move the cameras of the photos, children in the frame of the capture, by what ``result`` found wrong with them.
+def move_to_solved_poses(result: Result, cameras: Mapping[str, bpy.types.Object], scene: bpy.types.Scene) -> int:
+    """Move the cameras of the photos, which are in the space of the capture, to the poses that ``result`` corrected.
 
     Args:
         cameras: by name of the photo.
 
     Returns:
-        How many were moved.
+        The number of cameras that were moved.
     """
     given = []
     for name, thing in cameras.items():
@@ -44,8 +44,8 @@ def stand_where_found(result: Result, cameras: Mapping[str, bpy.types.Object], s
     return moved
 
 
-def go_back(scene: bpy.types.Scene) -> None:
-    """Undo :func:`stand_where_found`."""
+def restore_given_poses(scene: bpy.types.Scene) -> None:
+    """Undo :func:`move_to_solved_poses`."""
     for thing in scene.objects:
         if GIVEN in thing:
             given = json.loads(thing[GIVEN])
@@ -55,7 +55,7 @@ def go_back(scene: bpy.types.Scene) -> None:
             del thing[GIVEN]
 
 
-def forget_given(thing: bpy.types.Object) -> None:
-    """``thing`` has been given a place and a lens anew: there is nothing to go back to."""
+def forget_given_pose(thing: bpy.types.Object) -> None:
+    """Forget the given pose of ``thing``, because it has been given another one."""
     if GIVEN in thing:
         del thing[GIVEN]

@@ -1,7 +1,8 @@
-"""A solved room for artists: into the open scene, or as a .blend, .glb or .usd of its own.
+"""A solved room as a .blend, .glb or .usd of its own, or as a folder of textures.
 
-The room, its lamps and the cameras of the photos are children of the empty "IRIS Room", which turns the capture's up
-axis to Blender's +Z; their own transforms stay those of the capture. The world is laid out in Blender's axes.
+The room, its lamps and the cameras of the photos are children of the empty "IRIS Room", which rotates the capture's up
+axis to Blender's +Z; their own transforms stay those of the capture. The world is laid out in Blender's axes. In USD
+files lamps are UsdLux lights: meshes that shine as their material glows.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from mathutils import Vector
 from ...base.errors import IrisError
 from ...edits.scene_edit import SceneEdit
 from ...model.capture import View
+from ...model.render_settings import RenderSettings
 from ...results.files import MATERIAL_FILES, result_file
 from ...results.records import median_exposure
 from ...results.result import Result
@@ -45,13 +47,13 @@ def apply(
     glb: Path | None = None,
     usd: Path | None = None,
 ) -> None:
-    """Write ``result`` as ``blend``, ``glb`` and ``usd``, each where given; the open scene is left alone.
+    """Write ``result`` as ``blend``, ``glb`` and ``usd``, each where given; the open scene does not change.
 
-    Files appear whole or not at all. Textures are packed into the .blend, lamps carry their radiance as emission
-    strength (KHR_materials_emissive_strength in glTF), cameras of ``views`` come along.
+    Files appear whole or not at all. Textures are packed into the .blend, the radiance of lamps is their
+    emission strength (KHR_materials_emissive_strength in glTF), and cameras of ``views`` are included.
 
     Raises:
-        IrisError: a file cannot be written, or this Blender lacks an exporter that is asked for.
+        IrisError: a file cannot be written, or this Blender lacks the exporter.
     """
     if usd is not None:
         require_build_option("usd", "USD export")
@@ -82,10 +84,10 @@ def apply(
 def apply_to_scene(
     result: Result, scene: bpy.types.Scene, views: Sequence[View] = (), *, lamps_apart: bool = False
 ) -> bpy.types.Object:
-    """Add the room to ``scene`` in a collection "IRIS", with its world, its cameras and settings that show it well.
+    """Add the room to ``scene`` in a collection "IRIS", with its world, its cameras and suitable settings.
 
-    The view exposure is that of the photos' median, in the Standard view transform: what the photos show at
-    mid-brightness is so in the viewport.
+    The view exposure is the median of the photos' in the Standard view transform: mid-tones of the photos are mid-tones
+    in the viewport.
 
     Args:
         lamps_apart: every lamp becomes an object of its own, child of the room's mesh.
@@ -112,7 +114,7 @@ def apply_to_scene(
     for image in bpy.data.images:
         if image.name.startswith("IRIS ") and image.source == "GENERATED":
             image.pack()
-    set_cycles(scene, samples=128, denoise=True, seed=0, max_bounces=24)
+    set_cycles(scene, RenderSettings(samples=128))
     show_like_the_photos(result, scene)
     return anchor
 
@@ -142,7 +144,7 @@ def _use_srgb_base_color(scene: bpy.types.Scene) -> None:
 
 
 def _leave_out_burley(scene: bpy.types.Scene) -> None:
-    # Exporters look for the texture right behind the base colour; their formats know Lambert's lobe alone.
+    # Exporters expect the texture directly behind the base colour, and their formats have only Lambert's lobe.
     materials = {slot.material for thing in scene.objects for slot in thing.material_slots}
     for material in materials:
         remove_burley(material.node_tree)
@@ -150,8 +152,8 @@ def _leave_out_burley(scene: bpy.types.Scene) -> None:
 
 @contextmanager
 def _in_window(scene: bpy.types.Scene) -> Iterator[None]:
-    # Exporters take the scene of the window and glTF's leaves it set, which must not outlive the scene. Blender 5.2
-    # crashes when it writes a scene that no window has shown.
+    # Exporters use the scene of the window, and that of glTF leaves it set although the scene is removed afterwards.
+    # Blender 5.2 crashes when it writes a scene that no window has shown.
     window = bpy.context.window
     before, window.scene = window.scene, scene
     try:
@@ -160,12 +162,12 @@ def _in_window(scene: bpy.types.Scene) -> Iterator[None]:
         window.scene = before
 
 
-# ---- Lamps of an exported room as UsdLux lights: meshes that shine as their material glows --------------------------
+# ---- USD -----------------------------------------------------------------------------------------------------------
 
 
 @contextmanager
 def lamps_as_lights() -> Iterator[None]:
-    """USD files written inside have lamps as lights; without USD's Python modules they stay emissive meshes."""
+    """Inside, USD files get lamps as lights; without USD's Python modules lamps stay emissive meshes."""
     library = usd_library()
     if library is None:
         yield
@@ -179,7 +181,7 @@ def lamps_as_lights() -> Iterator[None]:
 
 
 def _hook(library: ModuleType) -> type:
-    """The class that Blender calls; a build without USD has no base for it."""
+    """The class that Blender calls; made on demand because a build without USD lacks its base class."""
 
     class LampsAsLights(bpy.types.USDHook):
         """Applies MeshLightAPI to lamps, so that renderers sample them as lights."""
@@ -194,7 +196,7 @@ def _hook(library: ModuleType) -> type:
                 if prim.IsA(library.UsdGeom.Mesh) and prim.GetParent().GetName().startswith("IRIS_Lamp"):
                     library.UsdLux.MeshLightAPI.Apply(prim)
                     light = library.UsdLux.LightAPI(prim)
-                    # What the material emits, neither tinted nor scaled: radiance, whatever the area.
+                    # The radiance that the material emits, neither tinted nor scaled by the area.
                     light.CreateMaterialSyncModeAttr(library.UsdLux.Tokens.materialGlowTintsLight)
                     light.CreateIntensityAttr(1.0)
                     light.CreateNormalizeAttr(False)
@@ -203,11 +205,13 @@ def _hook(library: ModuleType) -> type:
     return LampsAsLights
 
 
-# ---- Files that Blender writes itself, whole or not at all ----------------------------------------------------------
+# ---- atomic files --------------------------------------------------------------------------------------------------
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Let ``write`` make a file (and what lies beside it, textures) in a folder of its own, then move it to ``path``.
+    """Let ``write`` make a file, and textures beside it, in a temporary folder, then move all to ``path``.
+
+    For files that Blender writes itself: they appear whole or not at all.
 
     Raises:
         IrisError: it cannot be written.
@@ -217,11 +221,11 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".iris-", dir=path.parent) as folder:
             write(Path(folder) / path.name)
-            made = sorted(thing for thing in Path(folder).rglob("*") if thing.is_file())
-            for thing in sorted(made, key=lambda thing: thing.name == path.name):  # the file itself last
-                target = path.parent / thing.relative_to(folder)
+            made = sorted(file for file in Path(folder).rglob("*") if file.is_file())
+            for file in sorted(made, key=lambda file: file.name == path.name):  # the file itself last
+                target = path.parent / file.relative_to(folder)
                 target.parent.mkdir(exist_ok=True)
-                os.replace(thing, target)
+                os.replace(file, target)
     except (RuntimeError, OSError) as error:
         what = f"cannot be written ({str(error).strip()})"
         raise IrisError(what, "free disk space or choose another place", path) from error

@@ -1,17 +1,16 @@
-"""Objects put into a photo by differential rendering (Debevec 1998, section 6), in the photo's own response.
+"""Objects inserted into a photo by differential rendering (Debevec 1998, section 6), in the photo's own response.
 
-Two pairs of renders, each pair with and without the edit under the same random numbers: where nothing changes both
-renders of a pair are the same to the last bit, so that noise cancels and the photo stays. What the two pairs do not
-agree on is noise, and the difference is shrunk by it (:func:`shrunk_difference`). What is inserted is shown as it was
-rendered, so its noise shows; it fills a small part of most pictures, which is rendered once more with more samples.
+Two pairs of renders, each with and without the edit under the same random numbers: where nothing changes, both renders
+of a pair are equal to the last bit, so that noise cancels and the photo remains. The two pairs disagree by noise, and
+the difference is shrunk accordingly (:func:`shrunk_difference`). Inserted objects appear as they were rendered, with
+their noise; they cover a small area of most pictures, which is rendered again with more samples.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
@@ -19,17 +18,20 @@ from numpy.typing import NDArray
 
 from ...edits.scene_edit import SceneEdit
 from ...model.capture import Camera
+from ...model.render_settings import RenderSettings
 from ...model.response import SATURATED, Response
 from ...results.result import Result
 from ..render.cycles import aim, render_coverage, render_linear, set_cycles
 from ..scene_out.build import build_scene
 
 COVERAGE_SAMPLES = 32
-CLOSER = 8
-"""Most samples of a pixel that shows something inserted, in those of any other. For up to an eighth of the picture that
-costs no more than one render of the whole."""
-MARGIN = 8  # pixels of its surroundings that the denoiser sees
-NOISE_RADIUS = 3  # pixels around one over which noise is estimated
+MAX_SAMPLE_FACTOR = 8
+"""Maximum samples of pixels that show something inserted, as a multiple of the others'. Up to an eighth of the picture
+this costs no more than another render of all of it."""
+BORDER_MARGIN = 8
+"""Pixels around a rendered border that the denoiser sees."""
+NOISE_RADIUS = 3
+"""Radius in pixels of the window in which noise is estimated."""
 
 Pair = tuple[NDArray[np.floating], NDArray[np.floating]]
 Box = tuple[tuple[int, int], tuple[int, int]]
@@ -42,8 +44,8 @@ class Differential:
     Attributes:
         without: (H, W, 3) linear radiance of the room as solved.
         with_edit: (H, W, 3) linear radiance with the edit.
-        change: (H, W, 3) their difference, less its noise.
-        covered: (H, W) share of each pixel that something inserted covers.
+        change: (H, W, 3) their difference, shrunk by its noise.
+        covered: (H, W) share of each pixel that inserted objects cover.
     """
 
     without: NDArray[np.floating]
@@ -58,22 +60,18 @@ def insert_onto_photo(
     photo: NDArray[np.floating],
     exposure: NDArray[np.floating],
     edit: SceneEdit,
-    *,
-    samples: int = 128,
-    seed: int = 0,
-    max_bounces: int = 24,
-    gpu: bool = False,
+    settings: RenderSettings,
 ) -> NDArray[np.float64]:
     """(H, W, 3) display values of the photo as it would have been with ``edit`` in the room.
 
     Args:
         photo: (H, W, 3) display values in [0, 1] of the undistorted photo.
-        exposure: factor from radiance to the argument of the response, to be broadcast with the photo.
+        exposure: factor from radiance to the argument of the response, broadcastable to the photo.
     """
     if edit.changes_nothing:
         return np.array(photo, dtype=np.float64)
-    without = render_pair(result, camera, None, samples=samples, seed=seed, max_bounces=max_bounces, gpu=gpu)
-    changed = render_change(result, camera, edit, without, samples=samples, seed=seed, max_bounces=max_bounces, gpu=gpu)
+    without = render_pair(result, camera, None, settings)
+    changed = render_change(result, camera, edit, without, settings)
     return change_photo(photo, changed, result.response, exposure)[0]
 
 
@@ -81,17 +79,13 @@ def render_pair(
     result: Result,
     camera: Camera,
     edit: SceneEdit | None,
-    *,
-    samples: int,
-    seed: int,
-    max_bounces: int = 24,
-    gpu: bool = False,
+    settings: RenderSettings,
 ) -> Pair:
-    """The view twice, (H, W, 3) linear radiance each, with half of ``samples`` and random numbers of its own each."""
+    """The view twice, (H, W, 3) linear radiance each, with half of the samples and random numbers of its own each."""
     built = build_scene(result, edit)
     try:
         aim(built, camera)
-        return render_halves(built.scene, samples=samples, seed=seed, max_bounces=max_bounces, gpu=gpu)
+        return render_halves(built.scene, settings)
     finally:
         built.free()
 
@@ -101,11 +95,7 @@ def render_change(
     camera: Camera,
     edit: SceneEdit,
     without: Pair,
-    *,
-    samples: int,
-    seed: int,
-    max_bounces: int = 24,
-    gpu: bool = False,
+    settings: RenderSettings,
 ) -> Differential:
     """How ``edit`` changes the view that ``without`` (:func:`render_pair` of the room alone, same settings) shows."""
     built = build_scene(result, edit)
@@ -113,9 +103,7 @@ def render_change(
         aim(built, camera)
         backdrop = () if built.backdrop is None else (built.backdrop,)
         room = (built.room, *built.lamps, *built.lights, *backdrop)
-        return render_differential(
-            built.scene, room, without, samples=samples, seed=seed, max_bounces=max_bounces, gpu=gpu
-        )
+        return render_differential(built.scene, room, without, settings)
     finally:
         built.free()
 
@@ -124,15 +112,10 @@ def render_differential(
     scene: bpy.types.Scene,
     room: Iterable[bpy.types.Object],
     without: Pair,
-    *,
-    samples: int,
-    seed: int,
-    max_bounces: int = 24,
-    gpu: bool = False,
+    settings: RenderSettings,
 ) -> Differential:
-    """As :func:`render_change`, of a scene as it stands, in which all but ``room`` was inserted."""
-    settings: dict[str, Any] = {"max_bounces": max_bounces, "gpu": gpu}
-    halves = render_halves(scene, samples=samples, seed=seed, **settings)
+    """Like :func:`render_change`, for an existing scene in which everything but ``room`` was inserted."""
+    halves = render_halves(scene, settings)
     change = shrunk_difference((halves[0] - without[0], halves[1] - without[1]))
     covered = coverage(scene, room)
     with_edit = np.mean(halves, axis=0)
@@ -140,25 +123,25 @@ def render_differential(
     if rows.size:
         box = ((rows[0], rows[-1] + 1), (columns[0], columns[-1] + 1))
         with border(scene, box, covered.shape) as share:
-            if (times := min(CLOSER, int(1 / share))) > 1:
-                set_cycles(scene, samples=times * samples, denoise=True, seed=seed, **settings)
+            if (times := min(MAX_SAMPLE_FACTOR, int(1 / share))) > 1:
+                set_cycles(scene, replace(settings, samples=times * settings.samples))
                 with_edit = np.where(covered[..., None] > 0, render_linear(scene), with_edit)
     return Differential(np.mean(without, axis=0), with_edit, change, covered)
 
 
 @contextmanager
 def border(scene: bpy.types.Scene, box: Box, shape: tuple[int, ...]) -> Iterator[float]:
-    """Inside, only ``box`` and MARGIN pixels around it are rendered, whatever else is black.
+    """Inside, only ``box`` and BORDER_MARGIN pixels around it are rendered; the rest is black.
 
     Args:
-        box: rows and columns, (first, beyond the last) each.
+        box: rows and columns, (first, last + 1) each.
         shape: (H, W) of the picture.
 
     Yields:
         the share of the picture that is rendered.
     """
     (top, bottom), (left, right) = (
-        (max(low - MARGIN, 0) / size, min(high + MARGIN, size) / size)
+        (max(low - BORDER_MARGIN, 0) / size, min(high + BORDER_MARGIN, size) / size)
         for (low, high), size in zip(box, shape, strict=True)
     )
     render = scene.render
@@ -172,21 +155,21 @@ def border(scene: bpy.types.Scene, box: Box, shape: tuple[int, ...]) -> Iterator
         render.use_border, render.use_crop_to_border = before
 
 
-def render_halves(scene: bpy.types.Scene, *, samples: int, seed: int, max_bounces: int = 24, gpu: bool = False) -> Pair:
-    """As :func:`render_pair`, of a scene as it stands from its active camera; changes how ``scene`` renders."""
+def render_halves(scene: bpy.types.Scene, settings: RenderSettings) -> Pair:
+    """Like :func:`render_pair`, for an existing scene and its active camera; changes its render settings."""
     images = []
     for half in (0, 1):
-        count = max(samples // 2, 1)
-        set_cycles(scene, samples=count, denoise=True, seed=2 * seed + half, max_bounces=max_bounces, gpu=gpu)
+        samples, seed = max(settings.samples // 2, 1), 2 * settings.seed + half
+        set_cycles(scene, replace(settings, samples=samples, seed=seed))
         images.append(render_linear(scene))
     return images[0], images[1]
 
 
 def shrunk_difference(differences: Pair) -> NDArray[np.float64]:
-    """(H, W, 3) mean of two estimates of one difference, shrunk towards 0 where they do not agree.
+    """(H, W, 3) mean of two estimates of a difference, shrunk towards 0 where they disagree.
 
     A Wiener filter with the empirical signal: each value is multiplied by 1 − σ²/d², where d² is the mean square of
-    the difference around it and σ² the part of that which the two estimates say is noise.
+    the difference around it and σ² the noise variance that follows from the two estimates.
     """
     first, second = (np.asarray(d, np.float64) for d in differences)
     mean = (first + second) / 2
@@ -201,9 +184,8 @@ def change_photo(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The photo with the change in it: display values and linear radiance, (H, W, 3) each.
 
-    The difference goes back through the response, so that a pixel whose light does not change keeps its value exactly.
-    Where the photo is saturated, the render stands in for it if that is brighter: a shadow over a blown-out wall need
-    not show.
+    The difference passes through the response, so that pixels whose light does not change keep their values exactly.
+    Where the photo is clipped, the render replaces it if that is brighter: a shadow on a clipped wall need not show.
     """
     seen = response.invert(photo)
     light = np.where(photo >= SATURATED, np.maximum(seen, changed.without * exposure), seen)
@@ -217,13 +199,13 @@ def change_light(
 ) -> NDArray[np.float64]:
     """(H, W, 3) the light P of a photo with the change in it, both as radiance times ``exposure``.
 
-    With the render O of the room alone, the render W with the edit, and the coverage A of what was put in, a pixel that
-    shows nothing of it becomes, with the change D = W − O less its noise,
+    With the render O of the room alone, the render W with the edit, and the coverage A of inserted objects, a pixel
+    that shows none of them becomes, with the denoised change D = W − O,
 
         P (1 + D / O)   where light is lost,        P + D   where it is gained,
 
-    so that a shadow darkens by a factor, which the texture of the photo keeps, and a reflection or a bounce adds what
-    it adds. A pixel that shows it becomes W + (1 − A) (P − O): the render, and the right blend on its rim.
+    so that a shadow multiplies, which keeps the texture of the photo, and a reflection or a bounce adds. A pixel that
+    shows an inserted object becomes W + (1 − A) (P − O): the render, blended at the edges of the object.
     """
     without = changed.without * exposure
     gained = np.maximum(changed.change, 0.0) * exposure
@@ -235,14 +217,14 @@ def change_light(
 
 
 def coverage(scene: bpy.types.Scene, room: Iterable[bpy.types.Object]) -> NDArray[np.float32]:
-    """(H, W) share of each pixel in which something else than ``room`` is seen, which may stand in front of it."""
+    """(H, W) share of each pixel that objects other than ``room`` cover; ``room`` may occlude them."""
     held_out = {thing: thing.is_holdout for thing in room}
     transparent = scene.render.film_transparent
     try:
         scene.render.film_transparent = True
         for thing in held_out:
             thing.is_holdout = True
-        set_cycles(scene, samples=COVERAGE_SAMPLES, denoise=False, seed=0, max_bounces=0)
+        set_cycles(scene, RenderSettings(samples=COVERAGE_SAMPLES, max_bounces=0, denoise=False))
         return render_coverage(scene)
     finally:
         scene.render.film_transparent = transparent
@@ -251,7 +233,7 @@ def coverage(scene: bpy.types.Scene, room: Iterable[bpy.types.Object]) -> NDArra
 
 
 def _local_mean(values: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(H, W, C) mean over a square of 2 · NOISE_RADIUS + 1 pixels around each, cut off at the border."""
+    """(H, W, C) mean over the square of 2 · NOISE_RADIUS + 1 pixels around each pixel, cropped at the border."""
     for axis in (0, 1):
         n = values.shape[axis]
         total = np.concatenate([np.zeros_like(values.take([0], axis)), np.cumsum(values, axis)], axis)

@@ -1,7 +1,7 @@
-"""What an artist put into a solved room, onto the photo that the active camera took.
+"""The artist's additions to a solved room, composited onto the photo of the active camera.
 
-The artist's own scene is rendered, so that everything Blender renders can be put in: modifiers, hair, glass, other
-lights, lamps turned down. The room as it was photographed is the same scene without all that.
+The artist's own scene is rendered, so that everything Blender renders can be inserted: modifiers, hair, glass, other
+lights, dimmed lamps. The room as it was photographed is the same scene without these.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ...base.errors import BadInput
 from ...model.local_exposure import LocalSettings
+from ...model.render_settings import RenderSettings
 from ...model.response import Response
 from ..apply.on_objects import APPLIED, MADE, ORIGINAL
 from ..apply.scene_files import write_whole
@@ -25,7 +26,7 @@ from ..scene_out.lights import as_recovered, lamp_materials
 from .differential import change_photo, render_differential, render_halves
 
 RENDERS = 2
-"""Steps of the work: the room alone, and with what was put in."""
+"""Steps of the work: the room alone, and the room with the additions."""
 
 
 def composite(
@@ -33,23 +34,20 @@ def composite(
     photo: NDArray[np.floating],
     response: Response,
     exposure: NDArray[np.floating],
-    *,
-    samples: int = 128,
-    seed: int = 0,
-    gpu: bool = False,
+    settings: RenderSettings,
     on_step: Callable[[int], None] = lambda done: None,
 ) -> NDArray[np.float64]:
-    """(H, W, 3) display values of ``photo`` with what has been added to the room and changed of its lamps.
+    """(H, W, 3) display values of ``photo`` with the objects added to the room and the changes of its lamps.
 
-    Changes how ``scene`` renders: give it a copy. Its active camera must be that of the photo.
+    Changes the render settings of ``scene``: pass a copy. Its active camera must be that of the photo.
 
     Args:
         photo: (H, W, 3) display values in [0, 1].
-        exposure: factor from radiance to the argument of the response, to be broadcast with the photo.
-        on_step: told how many of RENDERS are done; may raise to stop.
+        exposure: factor from radiance to the argument of the response, broadcastable to the photo.
+        on_step: called with the number of finished RENDERS; may raise to stop.
 
     Raises:
-        BadInput: no result is on the objects of ``scene``, or it has no camera.
+        BadInput: no result is applied to the objects of ``scene``, or it has no camera.
     """
     if APPLIED not in scene:
         raise BadInput("no result is applied to the scene", "apply one first")
@@ -59,18 +57,18 @@ def composite(
     render.resolution_y, render.resolution_x = photo.shape[:2]
     render.resolution_percentage, render.use_border = 100, False
     with as_photographed(scene):
-        without = render_halves(scene, samples=samples, seed=seed, gpu=gpu)
+        without = render_halves(scene, settings)
     on_step(1)
-    room = [thing for thing in scene.objects if _of_the_room(thing)]
-    changed = render_differential(scene, room, without, samples=samples, seed=seed, gpu=gpu)
+    room = [thing for thing in scene.objects if _belongs_to_room(thing)]
+    changed = render_differential(scene, room, without, settings)
     on_step(2)
     return change_photo(photo, changed, response, exposure)[0]
 
 
 @contextmanager
 def as_photographed(scene: bpy.types.Scene) -> Iterator[None]:
-    """The room alone, its lamps and the light from outside as they were recovered."""
-    added = [thing for thing in scene.objects if not _of_the_room(thing) and not thing.hide_render]
+    """Inside, the room alone renders, with its lamps and the light from outside as they were recovered."""
+    added = [thing for thing in scene.objects if not _belongs_to_room(thing) and not thing.hide_render]
     background = _recovered_background(scene)
     strength = None if background is None else background.inputs["Strength"].default_value
     try:
@@ -87,12 +85,12 @@ def as_photographed(scene: bpy.types.Scene) -> Iterator[None]:
             background.inputs["Strength"].default_value = strength
 
 
-def _of_the_room(thing: bpy.types.Object) -> bool:
+def _belongs_to_room(thing: bpy.types.Object) -> bool:
     return ORIGINAL in thing or MADE in thing or APART in thing
 
 
 def _recovered_background(scene: bpy.types.Scene) -> bpy.types.Node | None:
-    """The node with the strength of the recovered world; None where the artist has another world."""
+    """The node with the strength of the recovered world; None where the artist uses another world."""
     world = scene.world
     if world is None or MADE not in world or world.node_tree is None:
         return None
@@ -114,19 +112,17 @@ def composite_file(
     response: Response,
     exposure: NDArray[np.floating],
     local: LocalSettings,
-    *,
-    samples: int,
-    seed: int = 0,
-    gpu: bool = False,
+    settings: RenderSettings,
     on_step: Callable[[int], None] = lambda done: None,
 ) -> None:
     """:func:`composite` of the scene in ``blend`` onto the file ``photo``, as the PNG ``out``. Opens ``blend``.
 
     Args:
-        exposure: (3,) of the photo, which ``local`` says how the camera changed from place to place.
+        exposure: (3,) of the photo.
+        local: how the camera changed the exposure over the photo.
 
     Raises:
-        BadInput: a file cannot be read, or as :func:`composite`.
+        BadInput: a file cannot be read, or for the reasons of :func:`composite`.
         IrisError: ``out`` cannot be written.
     """
     try:
@@ -136,10 +132,9 @@ def composite_file(
     scenes = [scene for scene in bpy.data.scenes if APPLIED in scene]
     if not scenes:
         raise BadInput("has no scene with a result on its objects", "apply a result and save", blend)
-    sampling = {"samples": samples, "seed": seed, "gpu": gpu}
     pixels = read_image(photo)
-    at_places = exposure * local.gain(pixels, response)
-    _write_png(out, composite(scenes[0], pixels, response, at_places, **sampling, on_step=on_step))
+    local_exposure = exposure * local.gain(pixels, response)
+    _write_png(out, composite(scenes[0], pixels, response, local_exposure, settings, on_step))
 
 
 def _write_png(path: Path, display: NDArray[np.floating]) -> None:

@@ -1,4 +1,4 @@
-"""Linear renders of a solved room in Cycles."""
+"""Linear renders in Cycles: of a solved room, of a scene as it stands, and pictures denoised by OpenImageDenoise."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ...base.errors import IrisError
 from ...edits.scene_edit import SceneEdit
 from ...model.capture import Camera
+from ...model.render_settings import RenderSettings
 from ...results.result import Result
 from ..camera import add_camera, look_through
 from ..images import DATA, image_from_array, read_pixels
@@ -26,7 +27,7 @@ from ..version import (
     single_layer_exr,
 )
 
-PIXEL_FILTER = "BOX"  # one pixel wide: neighbours stay independent, and a mean over the pixel is what a sensor takes
+PIXEL_FILTER = "BOX"  # one pixel wide, like a sensor: neighbouring pixels stay independent
 
 OnView = Callable[[int, NDArray[np.float32]], None]
 
@@ -36,21 +37,17 @@ def render_views(
     cameras: Sequence[Camera],
     *,
     edit: SceneEdit | None = None,
-    samples: int = 64,
-    denoise: bool = True,
-    seed: int = 0,
-    max_bounces: int = 24,
-    gpu: bool = False,
+    settings: RenderSettings | None = None,
     on_view: OnView | None = None,
 ) -> list[NDArray[np.float32]]:
     """Path-trace ``result`` as changed by ``edit`` from ``cameras``.
 
-    Same arguments, same pixels. With ``denoise`` the image passes through OpenImageDenoise guided by albedo and normal
-    where the build has it (:func:`iris_addon.blender.version.can_denoise`); where not, it stays noisy.
+    Images are denoised by OpenImageDenoise guided by albedo and normal, where the build has it
+    (:func:`iris_addon.blender.version.can_denoise`).
 
     Args:
         cameras: in the capture's axes; each image has its camera's size.
-        gpu: render on a GPU where there is one.
+        settings: None for the defaults.
         on_view: called with the index and the image after each view; may raise to stop.
 
     Returns:
@@ -58,7 +55,7 @@ def render_views(
     """
     built = build_scene(result, edit)
     try:
-        set_cycles(built.scene, samples=samples, denoise=denoise, seed=seed, max_bounces=max_bounces, gpu=gpu)
+        set_cycles(built.scene, settings or RenderSettings())
         images = []
         for index, camera in enumerate(cameras):
             images.append(render_camera(built, camera))
@@ -69,25 +66,24 @@ def render_views(
         built.free()
 
 
-def set_cycles(
-    scene: bpy.types.Scene, *, samples: int, denoise: bool, seed: int, max_bounces: int, gpu: bool = False
-) -> None:
-    """Unbiased and repeatable settings: no clamping, no glossy blur, no light left out, a fixed sample count."""
+def set_cycles(scene: bpy.types.Scene, settings: RenderSettings) -> None:
+    """Make renders unbiased and repeatable: no clamping, no glossy blur, no light skipped, a fixed sample count."""
     scene.render.engine = "CYCLES"
     scene.render.use_persistent_data = True  # one BVH for all views
     scene.render.use_compositing = scene.render.use_sequencer = False
     cycles = scene.cycles
-    cycles.device = "GPU" if gpu and enable_gpu() else "CPU"
-    cycles.samples, cycles.seed = samples, seed
+    cycles.device = "GPU" if settings.gpu and enable_gpu() else "CPU"
+    cycles.samples, cycles.seed = settings.samples, settings.seed
     cycles.use_adaptive_sampling = False
-    cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = cycles.transmission_bounces = max_bounces
+    for kind in ("max", "diffuse", "glossy", "transmission"):
+        setattr(cycles, f"{kind}_bounces", settings.max_bounces)
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
     cycles.blur_glossy = cycles.light_sampling_threshold = 0.0
     cycles.caustics_reflective = cycles.caustics_refractive = True
     cycles.use_light_tree = True
     cycles.film_exposure = 1.0
     cycles.pixel_filter_type = PIXEL_FILTER
-    cycles.use_denoising = denoise and can_denoise()
+    cycles.use_denoising = settings.denoise and can_denoise()
     if cycles.use_denoising:
         cycles.denoiser = "OPENIMAGEDENOISE"
         cycles.denoising_input_passes = "RGB_ALBEDO_NORMAL"
@@ -95,13 +91,13 @@ def set_cycles(
 
 
 def render_camera(built: BuiltScene, camera: Camera) -> NDArray[np.float32]:
-    """(H, W, 3) linear radiance of the built scene from ``camera`` with the settings the scene has."""
+    """(H, W, 3) linear radiance of the built scene from ``camera``, with its current settings."""
     aim(built, camera)
     return render_linear(built.scene)
 
 
 def aim(built: BuiltScene, camera: Camera) -> None:
-    """Make ``camera`` the one that the built scene is rendered from."""
+    """Add ``camera`` to the built scene and make it the active one."""
     camera_object = add_camera(camera, "IRIS View", built.scene.collection)
     built.owned |= {camera_object, camera_object.data}
     look_through(built.scene, camera, camera_object)
@@ -118,7 +114,7 @@ def render_coverage(scene: bpy.types.Scene) -> NDArray[np.float32]:
 
 
 def _render(scene: bpy.types.Scene, color_mode: str) -> NDArray[np.float32]:
-    # Through a 32-bit EXR, which no view transform touches, and the same way in background and with a window.
+    # A 32-bit EXR is free of the view transform, and works alike in background and with a window.
     settings = scene.render.image_settings
     single_layer_exr(settings)
     settings.color_mode = color_mode
@@ -131,14 +127,16 @@ def _render(scene: bpy.types.Scene, color_mode: str) -> NDArray[np.float32]:
         return read_pixels(path)
 
 
-# ---- OpenImageDenoise on pictures that are not Cycles' combined pass, through the compositor's node -----------------
-
+# ---- denoising -----------------------------------------------------------------------------------------------------
 
 Picture = NDArray[np.float32]
 
 
 def denoise_pictures(pictures: Mapping[str, Picture], albedo: Picture, normal: Picture) -> dict[str, Picture]:
-    """Each of ``pictures`` (H, W, 3) of linear radiance denoised, guided by the albedo and normals of the same view."""
+    """Denoise ``pictures`` (H, W, 3) of linear radiance, guided by the albedo and normals of the same view.
+
+    By the compositor's node, because Cycles denoises only its combined pass.
+    """
     before = {kind: set(getattr(bpy.data, kind)) for kind in ("scenes", "cameras", "objects", "images", "node_groups")}
     try:
         scene = _empty_scene(albedo.shape[1], albedo.shape[0])
@@ -154,7 +152,7 @@ def denoise_pictures(pictures: Mapping[str, Picture], albedo: Picture, normal: P
         tree.links.new(clean.outputs["Image"], compositor_output(tree))
         done = {}
         for name, pixels in pictures.items():
-            _set_pixels(source.image, pixels)  # one image for all: the compositor keeps what it cached of each
+            _set_pixels(source.image, pixels)  # one image for all, because the compositor caches each
             done[name] = render_linear(scene)
         return done
     finally:

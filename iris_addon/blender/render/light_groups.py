@@ -1,4 +1,4 @@
-"""One Cycles light group per lamp: a single render holds every lamp's share, and relighting is a weighted sum.
+"""One Cycles light group per lamp: a single render holds the share of every lamp, and relighting is a weighted sum.
 
 The shares are mixed by :mod:`iris_addon.edits.light_shares`, or by artists in the compositor with the node group
 "IRIS Lights". A light that is off when the room is rendered has no share.
@@ -19,6 +19,7 @@ from ...base.errors import IrisError
 from ...edits.light_shares import LightShares
 from ...edits.scene_edit import OUTSIDE, SceneEdit
 from ...model.capture import Camera
+from ...model.render_settings import RenderSettings
 from ...results.result import Result
 from ..camera import add_camera, look_through
 from ..scene_out.backdrop import is_backdrop
@@ -34,25 +35,25 @@ def render_light_shares(
     camera: Camera,
     *,
     edit: SceneEdit | None = None,
-    samples: int = 64,
-    seed: int = 0,
-    denoise: bool = False,
-    max_bounces: int = 24,
-    gpu: bool = False,
+    settings: RenderSettings | None = None,
 ) -> LightShares:
-    """Path-trace one view of ``result`` as changed by ``edit``, every light's part kept apart.
+    """Path-trace one view of ``result`` as changed by ``edit``, with the share of every light kept apart.
 
-    With ``denoise`` each share is denoised by itself: that of a light which is dim now may be turned up later.
+    Each share is denoised by itself: a light that is dim now may be turned up later.
 
-    Lights are named "IRIS Lamp 00" … by the id of the recovered lamp, "IRIS Outside" for light from beyond the mesh,
-    and as :func:`~iris_addon.blender.scene_out.build.build_scene` names what the edit adds.
+    Lights are named "IRIS Lamp 00" … by the id of the recovered lamp, "IRIS Outside" for light from outside, and as
+    :func:`~iris_addon.blender.scene_out.build.build_scene` names what the edit adds.
+
+    Args:
+        settings: None for the defaults.
     """
+    settings = settings or RenderSettings()
     built = build_scene(result, edit, lamps_apart=True)
     try:
-        set_cycles(built.scene, samples=samples, denoise=denoise, seed=seed, max_bounces=max_bounces, gpu=gpu)
+        set_cycles(built.scene, settings)
         names = group_lights(built.scene, [*built.lamps, *built.lights, *built.inserted])
         look_through(built.scene, camera, add_camera(camera, "IRIS View", built.scene.collection))
-        return _render_shares(built.scene, names, denoise and can_denoise())
+        return _render_shares(built.scene, names, settings.denoise and can_denoise())
     finally:
         built.free()
 
@@ -60,7 +61,7 @@ def render_light_shares(
 def group_lights(scene: bpy.types.Scene, things: Sequence[bpy.types.Object]) -> list[str]:
     """Give each light and emissive object among ``things``, and the world, a light group; returns their names.
 
-    What cameras see through holes goes with the world.
+    The backdrop belongs to the group of the world.
     """
     layer = scene.view_layers[0]
     names = []
@@ -82,9 +83,9 @@ def group_lights(scene: bpy.types.Scene, things: Sequence[bpy.types.Object]) -> 
 
 
 def _group_name(thing: bpy.types.Object) -> str:
-    """The object's name, without the number that Blender appends to ours when another scene has the like.
+    """The object's name, without the number that Blender appends where another scene has an object of that name.
 
-    Image files cannot have a dot in the name of a pass.
+    Names of passes in image files have no dots.
     """
     name = thing.name.removesuffix(" Mesh")
     return re.sub(r"\.\d{3,}$", "", name) if name.startswith("IRIS ") else name.replace(".", "_")
@@ -94,7 +95,7 @@ def _group_name(thing: bpy.types.Object) -> str:
 
 
 def light_mix_group(names: Sequence[str]) -> bpy.types.NodeTree:
-    """The node group "IRIS Lights": per light a picture, a strength and a colour in; their sum out."""
+    """The node group "IRIS Lights": a picture, a strength and a colour per light in, their sum out."""
     tree = bpy.data.node_groups.new(MIX_GROUP, "CompositorNodeTree")
     tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
     source, target = tree.nodes.new("NodeGroupInput"), tree.nodes.new("NodeGroupOutput")
@@ -128,10 +129,10 @@ def light_mix_group(names: Sequence[str]) -> bpy.types.NodeTree:
 
 
 def mixed_picture(scene: bpy.types.Scene, tree: bpy.types.NodeTree, names: Sequence[str]) -> bpy.types.NodeSocket:
-    """Socket of the picture of ``scene`` behind new nodes in ``tree``: render layers, "IRIS Lights", denoising if any.
+    """Add nodes to ``tree`` (render layers, "IRIS Lights", denoising) and return the socket of the mixed picture.
 
-    The light groups are denoised after they are mixed, guided by the render's albedo and normals: before, each dim one
-    would lose detail.
+    The light groups are denoised after mixing, guided by the render's albedo and normals: before, dim groups would lose
+    detail.
     """
     layers, node = tree.nodes.new("CompositorNodeRLayers"), tree.nodes.new("CompositorNodeGroup")
     layers.scene = scene
@@ -164,7 +165,7 @@ def _render_shares(scene: bpy.types.Scene, names: Sequence[str], denoise: bool) 
         bpy.data.images["Render Result"].save_render(str(path), scene=scene)
         if not path.is_file():
             raise IrisError("Cycles gave no image", "look at Blender's console for the reason, often memory")
-        # One part per pass in files of 5.0 and later, one part with all passes before.
+        # Blender 5.0 and later write one part per pass, earlier versions one part with all passes.
         parts = OpenEXR.File(str(path), separate_channels=True).parts
         channels = {name: channel.pixels for part in parts for name, channel in part.channels.items()}
     shares = {name: _pick(channels, f"Combined_{name}") for name in names}
@@ -181,7 +182,7 @@ def _pick(channels: Mapping[str, NDArray[np.floating]], name: str, letters: str 
 
 
 def _emits(thing: bpy.types.Object) -> bool:
-    """Whether a material of ``thing`` gives light, or it is a lamp itself."""
+    """Whether ``thing`` is a light or has an emissive material."""
     if thing.type == "LIGHT":
         return True
     nodes = (

@@ -1,8 +1,8 @@
-"""Sliders for the lights of the artist's own scene that change a finished render: light groups, mixed in compositing.
+"""Sliders for the lights of the artist's scene that change a finished render: light groups mixed in compositing.
 
-Cycles keeps light apart by object, and a lamp of the room is a few of its faces. While lights are mixed, the lamps
-stand apart as objects of their own, and the objects they were part of have meshes without them; what was there is
-kept on the scene and put back by :func:`stop_mixing`.
+Light groups are per object in Cycles, and a lamp of the room is a few of its faces. While lights are mixed, lamps are
+objects of their own, and the objects they belong to have meshes without them. The previous state is stored on the scene
+and restored by :func:`stop_mixing`.
 """
 
 from __future__ import annotations
@@ -30,18 +30,19 @@ from ..version import (
 from .light_groups import MIX_GROUP, group_lights, mixed_picture
 
 MIXED = "iris_mixed"
-"""Custom property of a scene whose lights are mixed: what it was like before."""
+"""Custom property of a scene whose lights are mixed: its state before."""
 WHOLE_MESH, APART = "iris_whole_mesh", "iris_apart"
-"""Custom properties: of an object without its lamps, the mesh with them; of a lamp that stands apart, a mark."""
+"""Custom properties: of an object without its lamps, the complete mesh; of a separated lamp, a mark."""
 
 
 def start_mixing(scene: bpy.types.Scene) -> list[str]:
     """Give every light of ``scene`` a group and a slider in its compositing; returns their names.
 
-    Renders must not pass through the recovered camera meanwhile (:func:`.photo_look.stop_matching`): that comes last.
+    Renders must not pass through the recovered camera yet: that must be the last node. Call
+    :func:`iris_addon.blender.apply.camera_look.stop_matching` first.
 
     Raises:
-        BadInput: nothing in the scene gives light, or an object that does is being edited.
+        BadInput: nothing in the scene emits light, or an object with lamps is in edit mode.
     """
     require_object_mode(thing for thing in scene.objects if _has_lamps(thing))
     stop_mixing(scene)
@@ -55,30 +56,30 @@ def start_mixing(scene: bpy.types.Scene) -> list[str]:
         "world": "" if scene.world is None else scene.world.lightgroup,
     }
     for thing in [thing for thing in scene.objects if thing.type == "MESH" and _has_lamps(thing)]:
-        _set_lamps_apart(thing)
+        _separate_lamps(thing)
     scene[MIXED] = json.dumps(before)
-    # What a lamp was taken off still has its material, but no face of it.
+    # Objects whose lamps were separated still have the material, but no face with it.
     names = group_lights(scene, [t for t in scene.objects if not t.hide_render and WHOLE_MESH not in t])
     if not names:
         stop_mixing(scene)
-        raise BadInput("nothing in the scene gives light", "switch a lamp on or add one")
-    before |= _into_compositing(scene, names)
+        raise BadInput("nothing in the scene emits light", "switch a lamp on or add one")
+    before |= _add_mix(scene, names)
     scene[MIXED] = json.dumps(before)
     return names
 
 
 def stop_mixing(scene: bpy.types.Scene) -> None:
-    """Give ``scene`` back its compositing, its light groups and its whole objects; nothing where it was not changed.
+    """Restore compositing, light groups and objects of ``scene``; does nothing where it was not changed.
 
     Raises:
-        BadInput: one of the objects is being edited. Nothing was changed then.
+        BadInput: one of the objects is in edit mode. Nothing was changed then.
     """
     if MIXED not in scene:
         return
-    require_object_mode(thing for thing in scene.objects if is_taken_apart(thing))
+    require_object_mode(thing for thing in scene.objects if has_separated_lamps(thing))
     before, tree = json.loads(scene[MIXED]), compositor_tree(scene)
     if tree is not None and "made" in before:
-        _out_of_compositing(tree, before)
+        _remove_mix(tree, before)
     if not before["composites"]:
         leave_compositor_tree(scene)
     scene.render.use_compositing = before["use_compositing"]
@@ -90,12 +91,12 @@ def stop_mixing(scene: bpy.types.Scene) -> None:
         scene.world.lightgroup = before["world"]
     for name in [group.name for group in layer.lightgroups if group.name not in before["groups"]]:
         remove_lightgroup(scene, layer, name)
-    _put_lamps_back(scene)
+    _restore_lamps(scene)
     del scene[MIXED]
 
 
-def is_taken_apart(thing: bpy.types.Object) -> bool:
-    """Whether ``thing`` is an object without its lamps, or one of these, while lights are mixed."""
+def has_separated_lamps(thing: bpy.types.Object) -> bool:
+    """Whether ``thing`` is a separated lamp, or an object whose lamps are separated."""
     return WHOLE_MESH in thing or APART in thing
 
 
@@ -112,14 +113,14 @@ def sliders(node: bpy.types.Node) -> list[tuple[str, bpy.types.NodeSocket, bpy.t
     return [(name, node.inputs[f"{name} Strength"], node.inputs[f"{name} Color"]) for name in names]
 
 
-# ---- lamps apart ---------------------------------------------------------------------------------------------------
+# ---- separated lamps -----------------------------------------------------------------------------------------------
 
 
 def _has_lamps(thing: bpy.types.Object) -> bool:
     return any(slot.material is not None and LAMP_ID in slot.material for slot in thing.material_slots)
 
 
-def _set_lamps_apart(thing: bpy.types.Object) -> None:
+def _separate_lamps(thing: bpy.types.Object) -> None:
     whole = thing.data
     slot_of_face = np.empty(len(whole.polygons), np.int32)
     whole.polygons.foreach_get("material_index", slot_of_face)
@@ -136,20 +137,20 @@ def _set_lamps_apart(thing: bpy.types.Object) -> None:
 
 
 def _only_faces(whole: bpy.types.Mesh, faces: NDArray[np.integer], material: bpy.types.Material) -> bpy.types.Mesh:
-    """Some ``faces`` of ``whole`` in one ``material``, which needs no UVs."""
+    """A mesh of some ``faces`` of ``whole`` with one ``material``, without UVs."""
     corners = [list(whole.polygons[int(face)].vertices) for face in faces]
     used = sorted({vertex for face in corners for vertex in face})
-    place = {vertex: k for k, vertex in enumerate(used)}
+    index = {vertex: k for k, vertex in enumerate(used)}
     data = bpy.data.meshes.new(material.name)
     data.from_pydata(
-        [tuple(whole.vertices[vertex].co) for vertex in used], [], [[place[v] for v in face] for face in corners]
+        [tuple(whole.vertices[vertex].co) for vertex in used], [], [[index[v] for v in face] for face in corners]
     )
     data.materials.append(material)
     return data
 
 
 def _without_faces(whole: bpy.types.Mesh, faces: NDArray[np.integer]) -> bpy.types.Mesh:
-    """A copy of ``whole`` less ``faces``."""
+    """A copy of ``whole`` without ``faces``."""
     data = whole.copy()
     mesh = bmesh.new()
     mesh.from_mesh(data)
@@ -160,7 +161,7 @@ def _without_faces(whole: bpy.types.Mesh, faces: NDArray[np.integer]) -> bpy.typ
     return data
 
 
-def _put_lamps_back(scene: bpy.types.Scene) -> None:
+def _restore_lamps(scene: bpy.types.Scene) -> None:
     apart = [thing for thing in scene.objects if APART in thing]
     spare = [thing.data for thing in apart]
     for thing in scene.objects:
@@ -174,8 +175,8 @@ def _put_lamps_back(scene: bpy.types.Scene) -> None:
 # ---- compositing ---------------------------------------------------------------------------------------------------
 
 
-def _into_compositing(scene: bpy.types.Scene, names: list[str]) -> dict[str, Any]:
-    """Put the mix in the place of the rendered picture, wherever the scene's compositing uses that."""
+def _add_mix(scene: bpy.types.Scene, names: list[str]) -> dict[str, Any]:
+    """Replace the rendered picture by the mix wherever the scene's compositing uses it."""
     tree = own_compositor_tree(scene)
     present = {node.name for node in tree.nodes}
     picture = mixed_picture(scene, tree, names)
@@ -195,7 +196,7 @@ def _into_compositing(scene: bpy.types.Scene, names: list[str]) -> dict[str, Any
     return {"made": made, "replaced": replaced}
 
 
-def _out_of_compositing(tree: bpy.types.NodeTree, before: dict[str, Any]) -> None:
+def _remove_mix(tree: bpy.types.NodeTree, before: dict[str, Any]) -> None:
     remove_nodes(tree, before["made"])
     for source, target, identifier in before["replaced"]:
         if source in tree.nodes and target in tree.nodes:

@@ -1,7 +1,7 @@
-"""A capture as Blender objects: the room's mesh, a camera per photo with the photo behind it, upright.
+"""A capture as Blender objects, upright: the room's mesh, and a camera per photo with the photo in front of it.
 
-What is read is the folder that ``inspect`` wrote (:mod:`iris_addon.capture.inspection`), so that every format the
-solver knows comes in the same way, with Blender's own Python and numpy alone.
+Read from the folder that ``inspect`` wrote (:mod:`iris_addon.capture.inspection`), so that every format the solver
+knows is imported in the same way, with only Blender's own Python and numpy.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from ...base.errors import BadInput
 from ...base.files import json_object, numbers, read_arrays, read_json
 from ...model.capture import Camera, Mesh
 from ..apply.on_objects import APPLIED, ORIGINAL_MESH, restore
-from ..apply.photo_cameras import forget_given
+from ..apply.photo_cameras import forget_given_pose
 from ..camera import add_camera, look_through, set_lens
 from ..scene_out.build import plain_mesh
 from ..scene_out.scene_state import require_object_mode
 
-MEND = "check the capture again"
+FIX = "check the capture again"
 COLLECTION = "IRIS Capture"
 
 
 @dataclass(frozen=True)
 class InspectedView:
-    """What was found out about one photo; see :mod:`iris_addon.capture.inspection`.
+    """The measurements of one photo; see :mod:`iris_addon.capture.inspection`.
 
     Attributes:
-        shift: pixels by which the photo's edges lie beside those of the mesh, where ``verdict`` is "shifted".
+        shift: offset of the photo's edges from those of the mesh, pixels, where ``verdict`` is "shifted".
     """
 
     name: str
@@ -60,12 +60,12 @@ class Inspected:
 
 
 def read_inspected(folder: Path) -> Inspected:
-    """Read what ``inspect`` wrote. Touches no bpy, so that a thread may do it; raises BadInput."""
+    """Read what ``inspect`` wrote; does not use bpy, so that a thread may call it. Raises BadInput."""
     path = folder / "capture.json"
     content = read_json(path)
     listed = content.get("views")
     if not isinstance(listed, list) or not listed:
-        raise BadInput("lists no photos", MEND, path)
+        raise BadInput("lists no photos", FIX, path)
     views = tuple(_view(json_object(row, "views", path), path) for row in listed)
     x, y, z = numbers(content.get("up"), (3,), "up", path).tolist()
     warnings = tuple(str(warning) for warning in content.get("warnings", []))
@@ -96,16 +96,16 @@ def _view(row: dict[str, Any], path: Path) -> InspectedView:
             verdict=str(alignment["verdict"]),
         )
     except (KeyError, TypeError, ValueError) as error:
-        raise BadInput(f"a photo is described wrongly ({error!r})", MEND, path) from error
+        raise BadInput(f"a photo is described wrongly ({error!r})", FIX, path) from error
 
 
 def _mesh(path: Path) -> Mesh:
     arrays = read_arrays(path)
     if arrays is None or not {"vertices", "faces"} <= arrays.keys():
-        raise BadInput("is missing or damaged", MEND, path)
+        raise BadInput("is missing or damaged", FIX, path)
     faces = arrays["faces"].astype(np.int64)
     if faces.size and not 0 <= faces.min() <= faces.max() < len(arrays["vertices"]):
-        raise BadInput("names vertices it does not have", MEND, path)
+        raise BadInput("names vertices it does not have", FIX, path)
     return Mesh(arrays["vertices"], faces, arrays.get("uv"), arrays.get("regions"))
 
 
@@ -133,15 +133,15 @@ def add_capture(inspected: Inspected, scene: bpy.types.Scene) -> tuple[bpy.types
 def refresh_capture(
     inspected: Inspected, scene: bpy.types.Scene, room: bpy.types.Object, present: Mapping[str, bpy.types.Object]
 ) -> list[bpy.types.Object]:
-    """What was read again onto the objects of :func:`add_capture`; returns the camera of each photo.
+    """Update the objects of :func:`add_capture` from a capture that was read again; returns the camera of each photo.
 
-    A result that was applied is taken off where it is that of another mesh.
+    An applied result is removed if it belongs to another mesh.
 
     Args:
-        present: cameras by view. Those that are gone are made again.
+        present: existing cameras by view. Missing ones are created.
 
     Raises:
-        BadInput: the room is being edited.
+        BadInput: the room is in edit mode.
     """
     require_object_mode([room])
     spare = plain_mesh(inspected.mesh, room.name)
@@ -156,7 +156,7 @@ def refresh_capture(
         camera = present.get(view.name)
         if camera is None:
             camera = _add_view(view, room.parent, room.users_collection[0])
-        forget_given(camera)
+        forget_given_pose(camera)
         set_lens(camera.data, view.camera)
         camera.matrix_basis = Matrix(view.camera.c2w.tolist())
         camera.data.iris_exposure = view.exposure or 0.0
@@ -183,7 +183,7 @@ def _add_view(
 
 
 def show_photo(camera: bpy.types.Object, photo: Path, alpha: float = 0.5) -> None:
-    """Put ``photo`` over what ``camera`` sees; the file is read when it is first drawn."""
+    """Show ``photo`` over the view of ``camera``; the file is read when it is first drawn."""
     image = bpy.data.images.load(str(photo), check_existing=True)
     behind = camera.data.background_images.new()
     behind.image, behind.alpha = image, alpha

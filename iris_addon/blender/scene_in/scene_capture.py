@@ -1,4 +1,14 @@
-"""A Blender scene as the solver's input: its mesh objects as one mesh with regions."""
+"""A Blender scene written as a capture: mesh objects are the room, cameras with a photo are the views.
+
+::
+
+    capture/transforms.json   nerfstudio's format: pinholes, poses in metres
+    capture/mesh.obj          the triangles, one material per object and slot
+    capture/photos/           the photos, as links where the file system can
+    scene_map.json            which faces came from which object
+
+The face runs of scene_map.json assign the result to the same objects.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +38,7 @@ class SceneMesh:
 
     Attributes:
         mesh: in Blender's units and axes; ``regions`` is set.
-        part_names: "object / material" per region.
+        region_names: "object / material" per region.
         runs: the faces of each object, in order.
     """
 
@@ -38,13 +48,13 @@ class SceneMesh:
 
 
 def read_scene_mesh(depsgraph: bpy.types.Depsgraph, objects: Iterable[bpy.types.Object] | None = None) -> SceneMesh:
-    """What Cycles would see of the scene's geometry: modifiers applied, instances real, in world space.
+    """The geometry of the scene as Cycles renders it: modifiers applied, instances made real, in world space.
 
     Each pair of object and material slot is a region. Faces follow the order of the depsgraph's instances; UVs are
     those of the active render layer, kept only if every object has them.
 
     Args:
-        objects: take these (and what they instance) instead of all that render.
+        objects: only these and their instances; None for all that render.
 
     Raises:
         BadInput: there is no face.
@@ -66,7 +76,7 @@ def read_scene_mesh(depsgraph: bpy.types.Depsgraph, objects: Iterable[bpy.types.
             points, corners, uv, slot = _triangles(data)
             matrix = np.array(instance.matrix_world)
             points = points @ matrix[:3, :3].T + matrix[:3, 3]
-            if np.linalg.det(matrix[:3, :3]) < 0:  # a mirrored instance keeps its outside
+            if np.linalg.det(matrix[:3, :3]) < 0:  # keeps the outside of mirrored instances
                 corners, uv = corners[:, ::-1], None if uv is None else uv[:, ::-1]
             used, region = np.unique(slot, return_inverse=True)
             vertices.append(points)
@@ -117,28 +127,18 @@ def _slot_name(thing: bpy.types.Object, index: int) -> str:
     return material.name if material else "no material"
 
 
-# A Blender scene written as a capture that the solver reads: mesh objects as the room, cameras with a photo as views
-#
-# ::
-#
-#     capture/transforms.json   nerfstudio's format: pinholes, poses in metres
-#     capture/mesh.obj          the triangles, one material per object and slot
-#     capture/photos/           the photos, as links where the file system can
-#     scene_map.json            which faces came from which object
-#
-# What comes back is put onto the same objects by the face runs of scene_map.json.
-
+# ---- writing and reading the capture -------------------------------------------------------------------------------
 
 PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
 ASPECT_PIXELS = 1.0
-"""By how many pixels the frame of the scene, scaled to a photo's width, may miss its height."""
+"""Maximum difference in height between a photo and the frame of the scene at the photo's width, pixels."""
 
 
 def write_scene_capture(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, folder: Path) -> list[str]:
     """Write the capture of ``scene`` into ``folder`` and return warnings.
 
     Raises:
-        BadInput: no mesh, no camera with a photo, a photo of another shape than the frame, a file that is missing, or
+        BadInput: no mesh, no camera with a photo, a photo of another aspect than the frame, a missing file, or
             ``folder/capture`` is a link.
         IrisError: the folder cannot be written.
     """
@@ -159,7 +159,7 @@ def write_scene_capture(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, 
         (target / "photos").mkdir()
         frames, cameras = [], {}
         for number, view in enumerate(views):
-            stem = f"{number:04d}_{bpy.path.clean_name(view[0])}"  # two names may be the same once they are cleaned
+            stem = f"{number:04d}_{bpy.path.clean_name(view[0])}"  # cleaned names may coincide
             frames.append(_frame(target / "photos" / stem, *view))
             cameras[stem] = view[0]
         atomic_write(target / "mesh.obj", lambda path: _write_obj(path, room, scale))
@@ -229,7 +229,7 @@ def _view(scene: bpy.types.Scene, thing: bpy.types.Object, scale: float) -> tupl
     if not width:
         raise BadInput(f"the photo of camera '{thing.name}' cannot be read", "find the missing file", image.filepath)
     grow = width / frame.width
-    # Camera space is that of the frame; a photo of the same shape has the same field of view.
+    # The camera is that of the frame; a photo of the same aspect has the same field of view.
     if abs(frame.height * grow * frame.fx / frame.fy - height) > ASPECT_PIXELS:
         raise BadInput(
             f"the photo of camera '{thing.name}' is {width}x{height}, the frame of the scene "
@@ -252,13 +252,13 @@ def _view(scene: bpy.types.Scene, thing: bpy.types.Object, scale: float) -> tupl
 
 
 def _frame(stem: Path, name: str, image: bpy.types.Image, camera: Camera, exposure: float) -> dict[str, Any]:
-    """The entry of transforms.json, with the photo brought to ``stem`` and its suffix."""
+    """The entry of transforms.json; the photo is linked or copied to ``stem`` plus its suffix."""
     source = Path(bpy.path.abspath(image.filepath_raw or image.filepath))
     suffix = source.suffix.lower()
     if suffix not in PHOTO_SUFFIXES:
         raise BadInput(f"the photo of camera '{name}' is no PNG, JPEG or EXR", "save it as one of them", source)
     target = stem.with_name(stem.name + suffix)
-    target.unlink(missing_ok=True)  # it may be a link to the artist's own file, which must not be written to
+    target.unlink(missing_ok=True)  # a link to the artist's own file must not be written to
     if image.packed_file is not None:
         target.write_bytes(image.packed_file.data)
     elif not source.is_file():
@@ -285,7 +285,7 @@ def _warnings(scene: bpy.types.Scene) -> list[str]:
     warnings = []
     hidden = [thing.name for thing in scene.objects if thing.type == "MESH" and thing.hide_viewport > thing.hide_render]
     if hidden:
-        warnings.append(f"disabled in viewports, and so left out of the room: {', '.join(hidden[:5])}")
+        warnings.append(f"disabled in viewports and therefore left out of the room: {', '.join(hidden[:5])}")
     tree = compositor_tree(scene)
     if tree is not None and any(node.bl_idname == "CompositorNodeLensdist" for node in tree.nodes):
         warnings.append("the compositor's Lens Distortion is ignored: the photos must be undistorted")

@@ -1,5 +1,4 @@
-"""What cameras see through holes of the mesh: a shell that only they and reflections show, or a surface of the room;
-either from within."""
+"""The backdrop in Blender: a shell around the room that is visible from inside, through holes of the mesh."""
 
 from __future__ import annotations
 
@@ -18,10 +17,10 @@ KEY = "iris_backdrop"
 def add_backdrop(backdrop: Backdrop, scale: float, collection: bpy.types.Collection) -> bpy.types.Object:
     """The shell with its picture times ``scale``, in the capture's axes; wire in the viewport, not selectable.
 
-    One with an albedo is a surface of the room, with openings where that is zero: through these one sees its picture,
-    and the world's light comes in. Without, cameras, glass and all reflections, sharp or blurred, show the picture.
-    What lights diffuse surfaces then is the world behind it, and it casts no shadow. From outside one looks through
-    either into the room.
+    A backdrop with an albedo is a surface of the room, with openings where the albedo is zero: these show the picture
+    and let in the world's light. Without an albedo the picture is visible to cameras, through glass and in all
+    reflections, sharp or blurred; diffuse surfaces are lit by the world behind it, and it casts no shadow. From outside
+    either shell is transparent.
     """
     data = bpy.data.meshes.new(BACKDROP)
     data.from_pydata((backdrop.vertices - backdrop.centre).tolist(), [], backdrop.faces.tolist())
@@ -60,24 +59,26 @@ def _material(backdrop: Backdrop, scale: float) -> bpy.types.Material:
     for column, node in enumerate(tree.nodes):
         node.location = (220 * column, 0)
     opens = backdrop.albedo is not None and bool(backdrop.picture.any())
-    # Only what one sees through openings lights the room.
+    # The room is lit only by what its openings show.
     material.cycles.emission_sampling = "AUTO" if opens else "NONE"
     return material
 
 
 def _panorama(tree: bpy.types.NodeTree, name: str, picture: NDArray[np.floating]) -> bpy.types.NodeSocket:
-    """Colour of an equirectangular picture (H, 2 H, 3) around the origin of the shell, from where it was painted: a
-    place on the shell is the direction to look up."""
-    place, texture = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeTexEnvironment")
+    """Colour of an equirectangular picture (H, 2 H, 3) seen from the origin of the shell, where it was painted.
+
+    A position on the shell is the direction to look up.
+    """
+    position, texture = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeTexEnvironment")
     texture.image = image_from_array(name, picture, colorspace=LINEAR, float_buffer=True)
-    tree.links.new(place.outputs["Object"], texture.inputs["Vector"])
+    tree.links.new(position.outputs["Object"], texture.inputs["Vector"])
     return texture.outputs["Color"]
 
 
 def _surface(
     tree: bpy.types.NodeTree, emission: bpy.types.NodeSocket, clear: bpy.types.NodeSocket, albedo: NDArray[np.floating]
 ) -> bpy.types.NodeSocket:
-    """A wall where ``albedo`` (H, 2 H, 3) is not zero, an opening with ``emission`` beyond where it is."""
+    """A wall where ``albedo`` (H, 2 H, 3) is not zero, and where it is zero an opening that shows ``emission``."""
     color, wall = _panorama(tree, f"{BACKDROP} Albedo", albedo), tree.nodes.new("ShaderNodeBsdfDiffuse")
     tree.links.new(color, wall.inputs["Color"])
     reflects = _math(tree, "GREATER_THAN", color)
@@ -89,7 +90,7 @@ def _surface(
 
 
 def _from_within(tree: bpy.types.NodeTree) -> bpy.types.NodeSocket:
-    """1 on the side that looks inwards."""
+    """1 on the side that faces inwards."""
     within = _math(tree, "SUBTRACT")
     within.inputs[0].default_value = 1.0
     tree.links.new(tree.nodes.new("ShaderNodeNewGeometry").outputs["Backfacing"], within.inputs[1])
@@ -97,9 +98,9 @@ def _from_within(tree: bpy.types.NodeTree) -> bpy.types.NodeSocket:
 
 
 def _looked_at(tree: bpy.types.NodeTree) -> bpy.types.NodeSocket:
-    """Above 0 on the side that looks inwards, for rays of cameras, of reflections and through clear glass.
+    """Above 0 on the side that faces inwards, for camera rays, reflected rays and rays through clear glass.
 
-    Through clear glass rays are singular and not glossy; rough glass shows what the world sends.
+    Rays through clear glass are singular and not glossy; rough glass shows the world.
     """
     path = tree.nodes.new("ShaderNodeLightPath")
     reflected = _math(tree, "MAXIMUM", path.outputs["Is Glossy Ray"], path.outputs["Is Singular Ray"])

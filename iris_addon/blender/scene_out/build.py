@@ -1,13 +1,13 @@
-"""A solved room as Blender data: mesh, materials, lamps, world, and what an edit adds to it.
+"""A solved room as a Blender scene: mesh, materials, lamps, world, and what an edit adds.
 
-Everything is made from the plain arrays of a :class:`~iris_addon.results.result.Result`, in its own scene, so that
-nothing the user has open is touched; :meth:`BuiltScene.free` takes all of it away again.
+Everything is made from the arrays of a :class:`~iris_addon.results.result.Result`, in a scene of its
+own, so that the user's scene does not change; :meth:`BuiltScene.free` removes all of it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import bmesh
 import bpy
@@ -32,26 +32,27 @@ class BuiltScene:
     Attributes:
         room: the room's mesh, faces in the order of the result; without the lamps if those were kept apart.
         lamps: the recovered lamps as objects of their own, in the order of the result; empty if they are in ``room``.
-        backdrop: what cameras see through holes of the mesh; None where the result has none.
+        backdrop: the shell that shows through holes of the mesh; None where the result has none.
         lights: lights added by the edit.
         inserted: balls and objects added by the edit.
+        owned: every datablock made for the scene.
     """
 
     scene: bpy.types.Scene
     room: bpy.types.Object
-    lamps: list[bpy.types.Object] = field(default_factory=list)
-    backdrop: bpy.types.Object | None = None
-    lights: list[bpy.types.Object] = field(default_factory=list)
-    inserted: list[bpy.types.Object] = field(default_factory=list)
-    owned: set[bpy.types.ID] = field(default_factory=set)
+    lamps: list[bpy.types.Object]
+    backdrop: bpy.types.Object | None
+    lights: list[bpy.types.Object]
+    inserted: list[bpy.types.Object]
+    owned: set[bpy.types.ID]
 
     def free(self) -> None:
         """Remove the scene and every datablock that was made for it."""
-        # What a renderer keeps between renders would outlive the scene it points to, and Blender walks over it when the
-        # next scene is built: now and then onto memory that is no longer there.
+        # Data that the renderer keeps between renders would outlive its scene, and Blender follows its pointers when
+        # the next scene is built: sometimes into memory that has been freed.
         self.scene.render.use_persistent_data = False
         bpy.data.batch_remove(self.owned)
-        self.owned = set()
+        self.owned.clear()
 
 
 def build_scene(result: Result, edit: SceneEdit | None = None, *, lamps_apart: bool = False) -> BuiltScene:
@@ -67,22 +68,19 @@ def build_scene(result: Result, edit: SceneEdit | None = None, *, lamps_apart: b
     try:
         scene = bpy.data.scenes.new("IRIS")
         room, *lamps = add_room(result, edit, scene.collection, lamps_apart=lamps_apart)
-        built = BuiltScene(scene, room, lamps)
         scene.world = make_world(result.outside, edit.outside_scale, np.eye(3), edit.panoramas, result.up)
+        backdrop = None
         if result.backdrop is not None:
-            built.backdrop = add_backdrop(result.backdrop, edit.outside_scale, scene.collection)
-        for number, light in enumerate(edit.lights):
-            built.lights.append(add_light(light, f"IRIS Light {number:02d}", scene.collection))
-        for number, sphere in enumerate(edit.spheres):
-            built.inserted.append(add_sphere(sphere, f"IRIS Ball {number:02d}", scene.collection))
+            backdrop = add_backdrop(result.backdrop, edit.outside_scale, scene.collection)
+        lights = [add_light(light, f"IRIS Light {k:02d}", scene.collection) for k, light in enumerate(edit.lights)]
+        inserted = [add_sphere(ball, f"IRIS Ball {k:02d}", scene.collection) for k, ball in enumerate(edit.spheres)]
         ground = Room(result.mesh, result.up)
         for number, thing in enumerate(edit.objects):
-            built.inserted += add_object(thing, f"IRIS Object {number:02d}", ground, scene.collection)
+            inserted += add_object(thing, f"IRIS Object {number:02d}", ground, scene.collection)
     except BaseException:
         bpy.data.batch_remove(set(datablocks()) - before)
         raise
-    built.owned = set(datablocks()) - before
-    return built
+    return BuiltScene(scene, room, lamps, backdrop, lights, inserted, owned=set(datablocks()) - before)
 
 
 def add_room(
@@ -90,7 +88,7 @@ def add_room(
 ) -> list[bpy.types.Object]:
     """The room as a mesh object named "IRIS Room Mesh": UV map "IRIS", flat shaded, a material slot per lamp.
 
-    With ``lamps_apart`` the recovered lamps follow it as objects "IRIS Lamp 00" … and are its children.
+    With ``lamps_apart`` the recovered lamps are objects "IRIS Lamp 00" … of their own, children of that one.
     """
     slots, slot_of_face = face_materials(result, edit)
     every_face = np.arange(len(slot_of_face))
@@ -98,7 +96,7 @@ def add_room(
     rest = np.setdiff1d(every_face, np.concatenate([faces for _, faces in lamps])) if lamps else every_face
     made = []
     for name, faces in [("IRIS Room Mesh", rest), *lamps]:
-        data = room_mesh(_region(result.mesh, faces) if lamps else result.mesh, name)
+        data = room_mesh(_submesh(result.mesh, faces) if lamps else result.mesh, name)
         used, own_slot = np.unique(slot_of_face[faces], return_inverse=True)
         for slot in used:
             data.materials.append(slots[slot])
@@ -110,7 +108,7 @@ def add_room(
     return made
 
 
-def _region(mesh: Mesh, faces: NDArray[np.integer]) -> Mesh:
+def _submesh(mesh: Mesh, faces: NDArray[np.integer]) -> Mesh:
     """Some ``faces`` of ``mesh`` with the vertices they use."""
     used, corners = np.unique(mesh.faces[faces], return_inverse=True)
     uv = None if mesh.uv is None else mesh.uv[faces]
@@ -125,8 +123,8 @@ def room_mesh(mesh: Mesh, name: str) -> bpy.types.Mesh:
 
 
 def plain_mesh(mesh: Mesh, name: str) -> bpy.types.Mesh:
-    """As :func:`room_mesh`, and without a UV map where ``mesh`` has none."""
-    vertices, faces = _separate_awkward_faces(mesh)
+    """Like :func:`room_mesh`, but without a UV map where ``mesh`` has none."""
+    vertices, faces = _separate_invalid_faces(mesh)
     n = len(faces)
     data = bpy.data.meshes.new(name)
     data.vertices.add(len(vertices))
@@ -144,7 +142,7 @@ def plain_mesh(mesh: Mesh, name: str) -> bpy.types.Mesh:
 
 
 def add_sphere(sphere: Sphere, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
-    """A smooth ball, round to 0.03 % of its radius."""
+    """A smooth ball; its facets deviate from the sphere by 0.03 % of the radius."""
     data = bpy.data.meshes.new(name)
     mesh = bmesh.new()
     bmesh.ops.create_uvsphere(mesh, u_segments=128, v_segments=64, radius=sphere.radius)
@@ -178,28 +176,28 @@ def face_materials(
         slots[-1][LAMP_ID], slots[-1][RECOVERED] = int(emitter_id), [float(value) for value in radiance]
 
     if edit.black_faces is not None:
-        black = edit.black_faces & (slot_of_face == 0)  # a lamp is black already
+        black = edit.black_faces & (slot_of_face == 0)  # lamps are black already
         if black.any():
             slot_of_face[black] = len(slots)
             slots.append(black_material())
     return slots, slot_of_face
 
 
-def _separate_awkward_faces(mesh: Mesh) -> tuple[NDArray[np.floating], NDArray[np.int64]]:
-    """``mesh`` with own vertices for faces that Blender calls invalid: a repeated corner, or another face's corners.
+def _separate_invalid_faces(mesh: Mesh) -> tuple[NDArray[np.floating], NDArray[np.int64]]:
+    """``mesh`` with separate vertices for faces that Blender calls invalid: corners repeated, or those of another face.
 
-    It would drop them, and so shift the face indices that emitters refer to.
+    Blender would drop them, which would shift the face indices that emitters refer to.
     """
     faces = mesh.faces
     corners = np.sort(faces, axis=1)
-    awkward = (corners[:, 0] == corners[:, 1]) | (corners[:, 1] == corners[:, 2])
+    invalid = (corners[:, 0] == corners[:, 1]) | (corners[:, 1] == corners[:, 2])
     _, first = np.unique(corners, axis=0, return_index=True)
     duplicate = np.ones(len(faces), bool)
     duplicate[first] = False
-    awkward |= duplicate
-    own = mesh.vertices[faces[awkward]].reshape(-1, 3)
+    invalid |= duplicate
+    own = mesh.vertices[faces[invalid]].reshape(-1, 3)
     faces = faces.copy()
-    faces[awkward] = len(mesh.vertices) + np.arange(len(own)).reshape(-1, 3)
+    faces[invalid] = len(mesh.vertices) + np.arange(len(own)).reshape(-1, 3)
     return np.concatenate([mesh.vertices, own]), faces
 
 
@@ -210,6 +208,6 @@ BLOCK_KINDS = (
 
 
 def datablocks() -> Iterator[bpy.types.ID]:
-    """Everything in the session of a kind that building or importing a scene adds to."""
+    """All datablocks of the session, of the kinds that building or importing a scene adds."""
     for kind in BLOCK_KINDS:
         yield from getattr(bpy.data, kind)

@@ -1,7 +1,11 @@
-"""Lights an edit adds: one-sided quads as emissive meshes, the others as Blender's own lights.
+"""Lights in Blender: those an edit adds, and the recovered lamps switched, dimmed and tinted.
 
-Blender gives point and spot lights the watts that would leave to all sides, whatever their cone: energy E is the
-radiant intensity E / 4π. A sun's energy is its irradiance.
+Added quads are one-sided emissive meshes, other added lights are Blender's own. The energy E of a point or spot light
+is the power that would leave in all directions, whatever the cone: its radiant intensity is E / 4π. The energy of a sun
+is its irradiance.
+
+A recovered lamp is an emissive material; switching, dimming and tinting it changes two sockets of that material. The
+functions do nothing where the artist has rebuilt it with other nodes.
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ ENERGY_PER_INTENSITY = 4 * np.pi
 
 
 def add_light(light: Light, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
-    """An object named ``name`` that shines as ``light`` says."""
+    """An object named ``name`` that emits ``light``."""
     if isinstance(light, Quad):
         return add_quad(light, name, collection)
     if isinstance(light, SunLight):
@@ -43,7 +47,7 @@ def add_light(light: Light, name: str, collection: bpy.types.Collection) -> bpy.
 
 
 def add_quad(quad: Quad, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
-    """A one-sided rectangular light; its winding is made to agree with ``quad.normal``."""
+    """A one-sided rectangular light, wound to agree with ``quad.normal``."""
     corners = np.asarray(quad.corners, float)
     if np.cross(corners[1] - corners[0], corners[2] - corners[0]) @ quad.normal < 0:
         corners = corners[::-1]
@@ -72,11 +76,10 @@ def _aimed(direction: NDArray[np.floating]) -> Matrix:
     return Vector(tuple(direction)).to_track_quat("-Z", "Y").to_matrix().to_4x4()
 
 
-# A recovered lamp is a plain emissive material; switching, dimming and tinting it is turning two of its sockets
-
+# ---- recovered lamps -----------------------------------------------------------------------------------------------
 
 OFF_STRENGTH = "iris_strength"
-"""Custom property: the strength of a lamp that is switched off."""
+"""Custom property of a lamp that is switched off: its strength."""
 
 
 def lamp_materials(objects: Iterable[bpy.types.Object]) -> list[bpy.types.Material]:
@@ -87,17 +90,17 @@ def lamp_materials(objects: Iterable[bpy.types.Object]) -> list[bpy.types.Materi
 
 
 def is_plain(material: bpy.types.Material | None) -> bool:
-    """Whether it is as it was made, so that it can be turned here."""
+    """Whether the material still has the nodes it was made with."""
     return _shader(material) is not None
 
 
 def is_on(material: bpy.types.Material | None) -> bool:
-    """Whether it shines."""
+    """Whether the lamp is switched on."""
     return material is not None and OFF_STRENGTH not in material
 
 
 def switch(material: bpy.types.Material | None, on: bool) -> None:
-    """Let it shine with the strength it had, or not at all."""
+    """Switch the lamp on, with the strength it had, or off."""
     shader = _shader(material)
     if material is None or shader is None or on == is_on(material):
         return
@@ -111,7 +114,7 @@ def switch(material: bpy.types.Material | None, on: bool) -> None:
 
 
 def strength(material: bpy.types.Material | None) -> float:
-    """Radiance of the brightest channel, also of a lamp that is off."""
+    """Radiance of the brightest channel; of a lamp that is off, the radiance it would have."""
     shader = _shader(material)
     if material is None or shader is None:
         return 0.0
@@ -130,7 +133,7 @@ def set_strength(material: bpy.types.Material | None, value: float) -> None:
 
 
 def color(material: bpy.types.Material | None) -> tuple[float, float, float]:
-    """Linear colour of its light."""
+    """Linear colour of the light."""
     shader = _shader(material)
     if material is None or shader is None:
         return (0.0, 0.0, 0.0)
@@ -139,7 +142,7 @@ def color(material: bpy.types.Material | None) -> tuple[float, float, float]:
 
 
 def set_color(material: bpy.types.Material | None, value: Sequence[float]) -> None:
-    """Set the linear colour of its light."""
+    """Set the linear colour of the light."""
     shader = _shader(material)
     if shader is not None:
         shader.inputs["Emission Color"].default_value = (*value, 1.0)
@@ -147,7 +150,7 @@ def set_color(material: bpy.types.Material | None, value: Sequence[float]) -> No
 
 @contextmanager
 def as_recovered(materials: Iterable[bpy.types.Material]) -> Iterator[None]:
-    """Lamps shine inside as they did when they were made; those that the artist has built anew stay as they are."""
+    """Inside, lamps emit what was recovered; materials that the artist has rebuilt stay as they are."""
     before = []
     for material in materials:
         shader = _shader(material)
@@ -166,6 +169,6 @@ def as_recovered(materials: Iterable[bpy.types.Material]) -> Iterator[None]:
 
 
 def _shader(material: bpy.types.Material | None) -> bpy.types.Node | None:
-    """The Principled BSDF; None without a material, and where the artist has built the lamp anew."""
+    """The Principled BSDF; None without a material, and where the artist has rebuilt it."""
     nodes = material.node_tree.nodes if material is not None and material.node_tree is not None else ()
     return next((node for node in nodes if node.bl_idname == "ShaderNodeBsdfPrincipled"), None)

@@ -1,11 +1,18 @@
-"""The materials of a solved room: one textured Principled surface, lamps, black, and the balls put in.
+"""The materials of a solved room: one textured Principled surface, lamps, black, and inserted objects.
 
 The Principled distribution is GGX (single scatter), the lobe the solver fits, rather than Blender's default with
 multiple scattering. The dielectric part is that of IOR 1.5 everywhere.
 
 The solver's model adds the two lobes, ``kd / π + specular``; Cycles lays the dielectric over the diffuse base and
-takes what it may reflect off the base. :func:`layered_base_color` gives the base colour that leaves the diffuse albedo
-as recovered; without it a light room comes out a quarter too dark.
+attenuates the base by what that layer reflects. :func:`layered_base_color` is the base colour that leaves the diffuse
+albedo as recovered; without it a light room becomes a quarter too dark.
+
+Principled's base is Lambertian; where the result has Burley's diffuse lobe, a node group makes the base colour depend
+on the view. The solver's lobe is a factor of the light times a factor of the view (:mod:`iris_addon.brdf.diffuse`). A
+base colour may depend on the view alone, so it takes the view factor and the mean of the light factor. The next vertex
+of a path is "the view" of the surface it leaves, so this holds for bounced light as well. The group also compensates
+for the layer, which attenuates more at grazing angles than the mean that :func:`layered_base_color` allows for
+(:func:`iris_addon.brdf.ggx.layered_factor`): renderers that have Burley's lobe add the specular one.
 """
 
 from __future__ import annotations
@@ -37,12 +44,12 @@ LAYER_TRANSMITTANCE = {
     "GGX": (0.9077, 0.9083, 0.9109, 0.9164, 0.9235, 0.9305, 0.9366, 0.9417, 0.9459, 0.9487, 0.9513),
     "MULTI_GGX": (0.9081, 0.9088, 0.9125, 0.9199, 0.9291, 0.9388, 0.9483, 0.9573, 0.9652, 0.9723, 0.9782),
 }
-"""Share of the base's light that is left under the dielectric (IOR 1.5) of each of Principled's distributions, averaged
-over the cosine-weighted hemisphere; measured in Cycles with a ball in a white world."""
+"""Share of the base's light that remains under the dielectric (IOR 1.5) of each of Principled's distributions, averaged
+over the cosine-weighted hemisphere; measured in Cycles with a ball in a white world (docs/experiments/0008)."""
 
 
 def layer_transmittance(roughness: NDArray[np.floating] | float, distribution: str = "GGX") -> NDArray[np.float64]:
-    """(...) what the dielectric layer of Cycles' Principled leaves of the diffuse base's light, (0, 1]."""
+    """Share (...) of the diffuse base's light that the dielectric layer of Cycles' Principled transmits, in (0, 1]."""
     return np.asarray(np.interp(roughness, LAYER_ROUGHNESS, LAYER_TRANSMITTANCE[distribution]))
 
 
@@ -51,7 +58,7 @@ def layered_base_color(
 ) -> NDArray[np.float32]:
     """Base colour (..., 3) for Cycles' Principled whose diffuse albedo is that of ``base_color`` in the solver's model.
 
-    Metals have no layer and keep theirs. Capped at 1: beyond, a surface would reflect more than it gets.
+    Metals have no layer and keep theirs. Capped at 1, above which a surface would reflect more than it receives.
     """
     gain = (1 - metallic) / layer_transmittance(roughness) + metallic
     return np.minimum(base_color * gain[..., None], 1.0).astype(np.float32)
@@ -80,7 +87,7 @@ def surface_material(textures: Textures, uv_map: str = UV_MAP, diffuse: DiffuseL
 
 
 def add_confidence(material: bpy.types.Material, textures: Textures) -> None:
-    """An image node that is linked to nothing: what the solid view shows when it is the active one."""
+    """An unlinked image node with the confidence; the solid view shows it when it is the active node."""
     node = material.node_tree.nodes.new("ShaderNodeTexImage")
     node.name = node.label = CONFIDENCE
     node.image = image_from_array(CONFIDENCE, textures.confidence)
@@ -120,7 +127,7 @@ def black_material(name: str = "IRIS Black") -> bpy.types.Material:
 
 
 def sphere_material(name: str, sphere: Sphere | Material) -> bpy.types.Material:
-    """The Principled material of what is put in; its values mean what they mean for the room."""
+    """The Principled material of an inserted object, with values as those of the room."""
     material, shader = _principled(name)
     roughness, metallic = np.array(sphere.roughness), np.array(sphere.metallic)
     base_color = layered_base_color(np.array(sphere.base_color), roughness, metallic)
@@ -162,23 +169,15 @@ def _emit(shader: bpy.types.ShaderNodeBsdfPrincipled, radiance: Sequence[float] 
     shader.inputs["Emission Strength"].default_value = strength
 
 
-# ---- Burley's diffuse lobe in Cycles, whose Principled surface is Lambertian under a dielectric layer ---------------
-#
-# The solver's lobe is a factor of the light times a factor of the view (:mod:`iris_addon.brdf.diffuse`). A base
-# colour may depend on the view alone, so it takes the view factor, and the light factor's mean. A path's next vertex is
-# "the view" of the surface it leaves, so this holds for bounced light as well.
-#
-# Renderers with this lobe add the specular one. Principled takes that off, more at grazing angles than head-on about
-# the mean that the base colour allows for (:func:`iris_addon.brdf.ggx.layered_factor`); the group gives it back.
+# ---- Burley's diffuse lobe -----------------------------------------------------------------------------------------
 
-
-GROUP = "IRIS Burley Diffuse"
-TABLE, TABLE_SIZE = "IRIS Unlayered", (16, 128)
-"""Image of what the layer's factor is taken back by: over roughness, upwards, and over the cosine to the viewer."""
+BURLEY_GROUP = "IRIS Burley Diffuse"
+UNLAYERED_IMAGE, UNLAYERED_SIZE = "IRIS Unlayered", (16, 128)
+"""Image of the inverse of the layer's factor, over roughness (upwards) and over the cosine to the viewer."""
 
 
 def insert_burley(tree: bpy.types.NodeTree, shader: bpy.types.ShaderNodeBsdfPrincipled) -> None:
-    """Put the group between the base colour of ``shader`` and what feeds it."""
+    """Insert the group in front of the base colour of ``shader``."""
     node = tree.nodes.new("ShaderNodeGroup")
     node.node_tree, node.location = burley_group(), (-180, 200)
     for name, socket in (("Color", "Base Color"), ("Roughness", "Roughness"), ("Metallic", "Metallic")):
@@ -189,7 +188,9 @@ def insert_burley(tree: bpy.types.NodeTree, shader: bpy.types.ShaderNodeBsdfPrin
 
 def remove_burley(tree: bpy.types.NodeTree) -> None:
     """Undo :func:`insert_burley`; a tree without the group stays as it is."""
-    for node in [n for n in tree.nodes if n.bl_idname == "ShaderNodeGroup" and n.node_tree.name.startswith(GROUP)]:
+    for node in [
+        n for n in tree.nodes if n.bl_idname == "ShaderNodeGroup" and n.node_tree.name.startswith(BURLEY_GROUP)
+    ]:
         source = node.inputs["Color"].links[0].from_socket
         for link in list(node.outputs["Color"].links):
             tree.links.new(source, link.to_socket)
@@ -198,7 +199,7 @@ def remove_burley(tree: bpy.types.NodeTree) -> None:
 
 def burley_group() -> bpy.types.NodeTree:
     """The node group: Color, Roughness and Metallic in, the base colour as seen from the incoming direction out."""
-    group = bpy.data.node_groups.new(GROUP, "ShaderNodeTree")
+    group = bpy.data.node_groups.new(BURLEY_GROUP, "ShaderNodeTree")
     for name, kind in (("Color", "NodeSocketColor"), ("Roughness", "NodeSocketFloat"), ("Metallic", "NodeSocketFloat")):
         group.interface.new_socket(name, in_out="INPUT", socket_type=kind)
     group.interface.new_socket("Color", in_out="OUTPUT", socket_type="NodeSocketColor")
@@ -218,7 +219,7 @@ def burley_group() -> bpy.types.NodeTree:
     lobe = _math(group, "MULTIPLY", view, light, at=(200, -150))
     unlayered = _unlayered(group, cosine, source.outputs["Roughness"])
     excess = _math(group, "MULTIPLY_ADD", lobe, unlayered, -1.0, at=(380, -150))
-    # A metal has no diffuse part: its base colour is that of its highlight.
+    # A metal has no diffuse lobe: its base colour is that of its highlight.
     dielectric = _math(group, "SUBTRACT", 1.0, source.outputs["Metallic"], at=(380, -350))
     gain = _math(group, "MULTIPLY_ADD", excess, dielectric, 1.0, at=(560, -150))
     scaled = group.nodes.new("ShaderNodeVectorMath")
@@ -232,11 +233,11 @@ def burley_group() -> bpy.types.NodeTree:
 def _unlayered(
     tree: bpy.types.NodeTree, cosine: bpy.types.NodeSocket, roughness: bpy.types.NodeSocket
 ) -> bpy.types.NodeSocket:
-    """One over the factor of the layer, looked up."""
-    rows, columns = TABLE_SIZE
+    """One over the factor of the layer, from a table."""
+    rows, columns = UNLAYERED_SIZE
     factor = layered_factor(np.linspace(0, 1, rows)[:, None], np.linspace(0, 1, columns)[None])
     node = tree.nodes.new("ShaderNodeTexImage")
-    node.image = image_from_array(TABLE, 1 / factor[::-1], float_buffer=True)
+    node.image = image_from_array(UNLAYERED_IMAGE, 1 / factor[::-1], float_buffer=True)
     node.extension, node.location = "EXTEND", (-160, -500)
     at = tree.nodes.new("ShaderNodeCombineXYZ")
     at.location = (-340, -500)

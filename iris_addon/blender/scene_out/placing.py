@@ -1,4 +1,7 @@
-"""Shapes and objects put into the room: made or imported, then stood up, scaled in metres and set on a surface."""
+"""Inserted shapes and objects: made or imported, set upright, scaled in metres and placed on a surface.
+
+Objects come from .blend, .glb, .gltf, .obj and .usd files.
+"""
 
 from __future__ import annotations
 
@@ -18,14 +21,17 @@ from ...model.capture import Mesh
 from ..version import require_build_option, require_gltf
 from .materials import sphere_material
 
-CONTACT_GAP = 2e-4  # metres between an object and what it stands on: faces in one plane flicker
-LEVEL_RADIUS = 0.06  # metres around a point over which its surface is levelled
-SAME_SURFACE = 0.7  # cosine between normals from which on faces are of one surface
-REACH = 1e-2  # metres that something placed just under a surface is lifted before it falls
+CONTACT_GAP = 2e-4
+"""Distance between an object and the surface it stands on, metres: coplanar faces flicker."""
+NORMAL_RADIUS, NORMAL_MIN_COSINE = 0.06, 0.7
+"""The normal of the surface at a point is the mean over faces within this radius, metres, whose normals have at least
+this cosine with that of the face hit."""
+DROP_LIFT = 1e-2
+"""Distance by which an object is lifted before it drops, metres: it may have been placed just below a surface."""
 
 
 class Room:
-    """The room as placing sees it.
+    """The surface on which objects are placed.
 
     Attributes:
         up: unit up vector.
@@ -41,20 +47,24 @@ class Room:
     def along(self, origin: Vector, direction: Vector) -> tuple[Vector, Vector] | None:
         """Point and normal (towards ``origin``) of the first surface along a ray, or None."""
         point, normal, _face, _distance = self._tree.ray_cast(origin, direction)
-        return None if point is None else (point, self._level(point, -normal if normal.dot(direction) > 0 else normal))
+        return (
+            None
+            if point is None
+            else (point, self._mean_normal(point, -normal if normal.dot(direction) > 0 else normal))
+        )
 
     def nearest(self, at: Vector) -> tuple[Vector, Vector]:
-        """Nearest point of the room and the normal there, on the side of ``at`` where that is to be told."""
+        """Nearest point of the room and the normal there, towards ``at``."""
         point, normal, _face, _distance = self._tree.find_nearest(at)
-        return point, self._level(point, -normal if normal.dot(at - point) < 0 else normal)
+        return point, self._mean_normal(point, -normal if normal.dot(at - point) < 0 else normal)
 
-    def _level(self, at: Vector, normal: Vector) -> Vector:
-        """The mean normal of the surface around ``at``, as far as it goes on evenly: one face of a scan is noise."""
-        mean = normal * 1e-9  # a face that lies alone keeps its own
-        for _point, other, face, _distance in self._tree.find_nearest_range(at, LEVEL_RADIUS):
+    def _mean_normal(self, at: Vector, normal: Vector) -> Vector:
+        """The mean normal of the surface around ``at``: single faces of a scan are noisy."""
+        mean = normal * 1e-9  # an isolated face keeps its own normal
+        for _point, other, face, _distance in self._tree.find_nearest_range(at, NORMAL_RADIUS):
             a, b, c = (Vector(self.mesh.vertices[k]) for k in self.mesh.faces[face])
             other = -other if other.dot(normal) < 0 else other
-            if other.dot(normal) > SAME_SURFACE:
+            if other.dot(normal) > NORMAL_MIN_COSINE:
                 mean += other * (b - a).cross(c - a).length
         return mean.normalized()
 
@@ -62,10 +72,10 @@ class Room:
 def add_object(
     thing: Primitive | ObjectFile, name: str, room: Room, collection: bpy.types.Collection
 ) -> list[bpy.types.Object]:
-    """``thing`` in ``collection``, under one empty that places it; returns all of it.
+    """Add ``thing`` to ``collection`` under an empty that places it; returns all objects.
 
     Raises:
-        BadInput: the file cannot be used, or there is no surface where one is asked for.
+        BadInput: the file cannot be used, or there is no surface where one is required.
     """
     if isinstance(thing, Primitive):
         objects = [_add_primitive(thing, name, collection)]
@@ -86,10 +96,10 @@ def add_object(
 
 
 def placement_matrix(placed: Placement, room: Room, corners: NDArray[np.floating]) -> Matrix:
-    """The matrix that carries an object's axes (+Z up) to where it stands.
+    """The matrix from an object's axes (+Z up) to the room.
 
     Args:
-        corners: (n, 3) points of the object in its own axes; its lowest one touches the surface it is snapped to.
+        corners: (n, 3) points of the object in its own axes; the lowest one touches the surface it snaps to.
     """
     at, normal = _support(placed, room)
     upright = Vector((0.0, 0.0, 1.0)).rotation_difference(normal).to_matrix().to_4x4()
@@ -106,7 +116,7 @@ def placement_matrix(placed: Placement, room: Room, corners: NDArray[np.floating
 
 
 def _support(placed: Placement, room: Room) -> tuple[Vector, Vector]:
-    """Where the object stands and which way is up for it."""
+    """Where the object stands, and its up direction."""
     at, normal = Vector(placed.location), room.up
     if placed.ray is not None:
         hit = room.along(*map(Vector, placed.ray))
@@ -118,8 +128,8 @@ def _support(placed: Placement, room: Room) -> tuple[Vector, Vector]:
     if placed.snap != "down":
         return at, normal if placed.snap == "surface" else room.up
     if placed.ray is not None and normal.dot(room.up) > 0.5:
-        return at, room.up  # it was pointed at what it is to stand on
-    hit = room.along(at + REACH * (room.up + normal), -room.up)
+        return at, room.up  # the ray points at the surface it is to stand on
+    hit = room.along(at + DROP_LIFT * (room.up + normal), -room.up)
     if hit is None:
         raise BadInput(
             f"there is nothing below {[round(v, 3) for v in at]} to stand on", "move the object, or use snap 'surface'"
@@ -148,7 +158,7 @@ def _add_primitive(thing: Primitive, name: str, collection: bpy.types.Collection
         data.shade_smooth()
     elif thing.shape in ("cylinder", "cone"):
         for polygon in data.polygons:
-            polygon.use_smooth = len(polygon.vertices) < 5  # the mantle is round, its caps are flat
+            polygon.use_smooth = len(polygon.vertices) < 5  # the side is smooth, the caps are flat
         data.set_sharp_from_angle(angle=np.radians(40.0))
     data.materials.append(sphere_material(name, thing.material))
     shape = bpy.data.objects.new(f"{name} Mesh", data)
@@ -164,11 +174,11 @@ def _use_material(objects: Iterable[bpy.types.Object], material: bpy.types.Mater
 
 
 def corners_of(objects: Iterable[bpy.types.Object]) -> NDArray[np.float64]:
-    """(n, 3) in world space: vertices of the meshes, and corners of the boxes of anything else that has an extent."""
+    """Points (n, 3) in world space: vertices of meshes, and corners of the bounding boxes of other geometry."""
     found = [np.empty((0, 3))]
     for thing in objects:
         if thing.type == "MESH":
-            points = np.empty((len(thing.data.vertices), 3), np.float32)  # a type that foreach_get takes at once
+            points = np.empty((len(thing.data.vertices), 3), np.float32)  # the type that foreach_get copies fastest
             thing.data.vertices.foreach_get("co", points.ravel())
         elif thing.type in ("CURVE", "SURFACE", "FONT", "META"):
             points = np.array(thing.bound_box)
@@ -179,17 +189,16 @@ def corners_of(objects: Iterable[bpy.types.Object]) -> NDArray[np.float64]:
     return np.concatenate(found)
 
 
-# ---- Objects of .blend, .glb/.gltf, .obj and .usd files as Blender data ---------------------------------------------
+# ---- files ---------------------------------------------------------------------------------------------------------
 
-
-KINDS = ".blend, .glb, .gltf, .obj, .usd, .usda, .usdc or .usdz"
+OBJECT_FILES = ".blend, .glb, .gltf, .obj, .usd, .usda, .usdc or .usdz"
 
 
 def import_objects(source: ObjectFile, collection: bpy.types.Collection) -> list[bpy.types.Object]:
-    """Everything in the file as objects of ``collection`` alone, where the file has them.
+    """Import everything in the file as objects of ``collection`` only, at their positions in the file.
 
     Raises:
-        BadInput: the file is missing, unreadable, of a kind not known, or has no objects in it.
+        BadInput: the file is missing, unreadable, of an unknown kind, or has no objects in it.
     """
     if not source.file.is_file():
         raise BadInput("no such object file", "correct 'file' of the object", source.file)
@@ -224,4 +233,4 @@ def _import_file(source: ObjectFile) -> None:
         # The world of the file would replace that of the open scene.
         bpy.ops.wm.usd_import(filepath=path, create_world_material=False, import_cameras=False)
     else:
-        raise BadInput(f"'{kind}' is no kind of object file known here", f"use {KINDS}", source.file)
+        raise BadInput(f"'{kind}' is not a known kind of object file", f"use {OBJECT_FILES}", source.file)

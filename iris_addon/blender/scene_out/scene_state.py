@@ -1,5 +1,4 @@
-"""What applying a result changes about a scene itself, kept on the scene so that it can be given back; and whether
-its objects take changes now."""
+"""The state of a scene around a result: whether it can be changed, what applying changes, and how that is undone."""
 
 from __future__ import annotations
 
@@ -17,14 +16,14 @@ STATE, WORLD = "iris_original_scene", "iris_original_world"
 
 
 def require_object_mode(objects: Iterable[bpy.types.Object]) -> None:
-    """Raise :class:`BadInput` if one is being edited: Blender then leaves it its mesh, and says nothing."""
+    """Raise :class:`BadInput` if an object is in edit mode: Blender would silently keep its mesh."""
     for thing in objects:
         if thing.mode == "EDIT":
             raise BadInput(f"the object '{thing.name}' is being edited", "leave edit mode (Tab)")
 
 
 def keep_scene(scene: bpy.types.Scene) -> None:
-    """Write down on ``scene`` its world, render engine and view settings."""
+    """Store world, render engine and view settings of ``scene`` on it."""
     view = scene.view_settings
     scene[STATE] = json.dumps(
         {
@@ -39,7 +38,7 @@ def keep_scene(scene: bpy.types.Scene) -> None:
 
 
 def restore_scene(scene: bpy.types.Scene) -> None:
-    """Give ``scene`` back what :func:`keep_scene` wrote down."""
+    """Restore what :func:`keep_scene` stored."""
     kept = json.loads(scene[STATE])
     scene.world = scene.get(WORLD)
     set_engine(scene, kept["engine"])
@@ -49,21 +48,18 @@ def restore_scene(scene: bpy.types.Scene) -> None:
 
 
 def forget_scene(scene: bpy.types.Scene) -> None:
-    """Remove what :func:`keep_scene` wrote."""
+    """Remove what :func:`keep_scene` stored."""
     for name in (STATE, WORLD):
         if name in scene:
             del scene[name]
 
 
 def show_like_the_photos(result: Result, scene: bpy.types.Scene) -> None:
-    """Cycles and the exposure of the photos' median in the Standard view: mid-brightness is as in the photos."""
+    """Cycles, and the median exposure of the photos in the Standard view: mid-tones look as in the photos."""
     scene.render.engine = "CYCLES"
     scene.view_settings.view_transform, scene.view_settings.look = "Standard", "None"
     exposures = [float(np.mean(exposure)) for exposure in result.exposures.values()]
     scene.view_settings.exposure = float(np.clip(np.log2(np.median(exposures)), -32, 32)) if exposures else 0.0
-
-
-# ---- Nodes that were put into somebody's tree, and out again --------------------------------------------------------
 
 
 def remove_nodes(tree: bpy.types.NodeTree, names: Iterable[str]) -> None:

@@ -16,7 +16,10 @@ from ...model.sphere import equirect_directions, sh_radiance
 from ..images import LINEAR, image_from_array
 from ..version import node_tree
 
-WIDTH, HEIGHT = 512, 256  # far finer than order 2 needs: Cycles wraps rows too, so half a texel at each pole is wrong
+WIDTH, HEIGHT = (
+    512,
+    256,
+)  # far finer than order 2 needs, because Cycles wraps rows and so misreads half a texel at each pole
 
 
 def make_world(
@@ -26,7 +29,7 @@ def make_world(
     panoramas: Sequence[Panorama] = (),
     up: tuple[float, float, float] = (0.0, 0.0, 1.0),
 ) -> bpy.types.World:
-    """A world that shines ``scale`` times ``outside`` and ``panoramas`` on top; black without either.
+    """A world that emits ``scale`` times ``outside`` plus ``panoramas``; black without either.
 
     A constant becomes a plain background, higher orders an equirectangular float image. The image is laid out in
     Blender's own world axes: ``to_blender`` (3, 3) is the rotation from the capture's axes to them, so that turning
@@ -83,7 +86,7 @@ def _panorama_background(tree: bpy.types.NodeTree, panorama: Panorama, up: NDArr
     background = tree.nodes.new("ShaderNodeBackground")
     for column, node in enumerate((coordinates, mapping, texture, background)):
         node.location = (-900 + 220 * column, -300)
-    # The mapping takes a direction of the world to one of the picture: the inverse of how the picture is turned.
+    # The mapping takes directions of the world to those of the picture: the inverse of the picture's rotation.
     turned = Vector((0.0, 0.0, 1.0)).rotation_difference(Vector(up)).to_matrix()
     turned = turned @ Matrix.Rotation(np.radians(panorama.rotation), 3, "Z")
     mapping.vector_type = "POINT"

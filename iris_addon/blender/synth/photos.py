@@ -1,4 +1,4 @@
-"""From radiance to photos: exposure levels, the response curve, 8 bits. No bpy."""
+"""From radiance to photos: exposure levels, the response curve, quantisation to 8 bits. Does not use bpy."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ from ...model.response import LUMINANCE, N_SAMPLES, Response, gamma, identity
 
 FloatArray = NDArray[np.floating]
 
-GREY = 0.14  # exposure of the median pixel of the median view
+GREY = 0.14
+"""Radiance × exposure of the median pixel of the median view."""
 FILM_CONTRAST, FILM_SHOULDER = 1.05, 2.4
 
 
 def film() -> Response:
     """A film-like S-curve of our own, z = 1 − (1 − x^1.05)^2.4.
 
-    It starts linear with a hint of a toe (slope 0 at the origin), is steep in the shadows and rolls off into a soft
-    shoulder; middle grey 0.18 comes out at 0.35. No power of x is close to it.
+    It has a short toe (slope 0 at the origin), is steep in the shadows and rolls off into a soft shoulder; middle grey
+    0.18 maps to 0.35. No power of x is close to it.
     """
     x = np.linspace(0, 1, N_SAMPLES)
     z = 1 - (1 - x**FILM_CONTRAST) ** FILM_SHOULDER
@@ -73,9 +74,9 @@ def exposures(
 ) -> tuple[FloatArray, FloatArray, float]:
     """Exposure per training and per validation view, and the global scale they share.
 
-    The training views are cut into as many equal groups as there are ``levels`` (ascending): the brightest group gets
-    the lowest level. A validation view gets that of the training views as bright as it is. The scale puts the median
-    pixel of the median training view at :data:`GREY`.
+    The training views are divided into as many equal groups as there are ``levels`` (ascending): the brightest group
+    gets the lowest level. A validation view gets the level of the training views of its brightness. The scale maps the
+    median pixel of the median training view to :data:`GREY`.
 
     Args:
         train, val: brightness per view.

@@ -1,7 +1,7 @@
-"""What the relighting and insertion references show: where new lights, the lamp that stays on, and balls go.
+"""Relighting and insertion references: new lights, the one lamp that stays on, and inserted balls.
 
-Choices are made from the geometry alone: rays from the validation cameras give the points that are seen, and every
-candidate is scored by how many of them it lights without anything in between.
+They are chosen from the geometry alone: rays from the validation cameras give the visible points, and each candidate is
+scored by how many of these it lights without occlusion.
 """
 
 from __future__ import annotations
@@ -27,18 +27,21 @@ from .scene import SceneGeometry
 FloatArray = NDArray[np.floating]
 
 UP = np.array([0.0, 0.0, 1.0])
-CEILING_GAP, CEILING_HALF = 0.03, 0.3  # metres
+CEILING_GAP, CEILING_HALF = 0.03, 0.3
+"""Distance of the new ceiling light from the ceiling, and half its side, metres."""
 STANDING_HEIGHT, STANDING_HALF = 1.1, (0.25, 0.4)
+"""Height of the centre of the new standing light, and half its sides, metres."""
 CEILING_RADIANCE, STANDING_RADIANCE = (30.0, 25.8, 19.8), (15.0, 21.6, 30.0)
 CANDIDATES = 40
-IN_THE_WAY = 3.0  # how many lit points a light gives up to stay out of the pictures
+VISIBILITY_PENALTY = 3.0
+"""Share of lit points that a light may lose per share of the picture that it would cover."""
 SPHERE_RADIUS, SPHERE_GAP = 0.11, 0.0003
 OFFSET = 1e-3
 INSERT_VIEWS = 4
 
 
-class SeenPoints:
-    """A sample of what the validation views show.
+class VisiblePoints:
+    """A sample of the points that the validation views show.
 
     Attributes:
         points, normals: (n, 3) world space, normals towards the viewer.
@@ -70,7 +73,10 @@ class SeenPoints:
         return float(self.bvh.find_nearest(Vector(point))[3])
 
     def irradiance(self, at: FloatArray, normal: FloatArray | None, area: float) -> FloatArray:
-        """(n,) unoccluded form factor of a small light: per seen point, cosθ cosθ' A / d². None emits to both sides."""
+        """(n,) unoccluded form factor cosθ cosθ' A / d² of a small light, per visible point.
+
+        Without a normal it emits to both sides.
+        """
         towards = at - self.points
         distance = np.linalg.norm(towards, axis=1)
         towards /= distance[:, None]
@@ -86,8 +92,8 @@ class SeenPoints:
 # ---- lights ---------------------------------------------------------------------------------------------------------
 
 
-def choose_lights(seen: SeenPoints) -> list[tuple[str, Quad, float]]:
-    """(kind, light, share of seen points it lights): one quad under the ceiling, one standing panel."""
+def choose_lights(seen: VisiblePoints) -> list[tuple[str, Quad, float]]:
+    """(kind, light, share of visible points it lights): one quad under the ceiling, one standing panel."""
     floor = seen.points[seen.normals @ UP > 0.9]
     best: dict[str, tuple[float, Quad, float]] = {}
     for point in floor[seen.random.permutation(len(floor))[:CANDIDATES]]:
@@ -95,14 +101,14 @@ def choose_lights(seen: SeenPoints) -> list[tuple[str, Quad, float]]:
             if quad is None:
                 continue
             lit = float((seen.irradiance(quad.corners.mean(0), quad.normal, 1.0) > 0).mean())
-            score = lit - IN_THE_WAY * max(_covered(camera, quad) for camera in seen.cameras)
+            score = lit - VISIBILITY_PENALTY * max(_covered(camera, quad) for camera in seen.cameras)
             if kind not in best or score > best[kind][0]:
                 best[kind] = (score, quad, lit)
     return [(kind, quad, lit) for kind, (_score, quad, lit) in best.items()]
 
 
 def _covered(camera: Camera, quad: Quad) -> float:
-    """Share of the picture that ``quad`` covers, on a coarse grid of rays and as if nothing stood before it."""
+    """Share of the picture that ``quad`` covers if nothing occludes it, on a coarse grid of rays."""
     corner, across, along = quad.corners[0], quad.corners[1] - quad.corners[0], quad.corners[3] - quad.corners[0]
     origins, directions = (rays[::41] for rays in camera.rays())
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -112,21 +118,21 @@ def _covered(camera: Camera, quad: Quad) -> float:
     return float(((distance > 0) & (u > 0) & (u < 1) & (v > 0) & (v < 1)).mean())
 
 
-def _ceiling_quad(seen: SeenPoints, floor: FloatArray) -> Quad | None:
+def _ceiling_quad(seen: VisiblePoints, floor: FloatArray) -> Quad | None:
     above = seen.hit(floor + 0.3 * UP, UP)
     if above is None or above[1] @ UP > -0.95:
         return None
     z = above[0][2] - CEILING_GAP
     offsets = CEILING_HALF * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     corners = np.column_stack([floor[:2] + offsets, np.full(4, z)])
-    for corner in corners:  # nothing may hang down or stand up into the quad
+    for corner in corners:  # the quad must not intersect anything
         below = seen.hit(corner - 0.4 * UP, UP)
         if below is None or abs(below[0][2] - above[0][2]) > 0.01:
             return None
     return Quad(corners, -UP, np.array(CEILING_RADIANCE))
 
 
-def _standing_quad(seen: SeenPoints, floor: FloatArray) -> Quad | None:
+def _standing_quad(seen: VisiblePoints, floor: FloatArray) -> Quad | None:
     centre = floor + STANDING_HEIGHT * UP
     normal = (seen.points.mean(0) - centre) * (1, 1, 0)
     normal /= max(float(np.linalg.norm(normal)), 1e-9)
@@ -142,8 +148,8 @@ def _standing_quad(seen: SeenPoints, floor: FloatArray) -> Quad | None:
     return Quad(corners, normal, np.array(STANDING_RADIANCE))
 
 
-def choose_kept_emitter(seen: SeenPoints, geometry: SceneGeometry, samples: int = 12) -> tuple[int, float]:
-    """The emitter that sends most light to the points seen, and its share of that light."""
+def choose_kept_emitter(seen: VisiblePoints, geometry: SceneGeometry, samples: int = 12) -> tuple[int, float]:
+    """The emitter that sends most light to the visible points, and its share of that light."""
     area, light = geometry.areas(), []
     triangles = geometry.mesh.vertices[geometry.mesh.faces]
     for emitter in geometry.emitters:
@@ -156,7 +162,7 @@ def choose_kept_emitter(seen: SeenPoints, geometry: SceneGeometry, samples: int 
             normal = np.cross(b - a, c - a)
             normal /= np.linalg.norm(normal)
             at = a + u * (b - a) + v * (c - a)
-            # An emitter shines to both sides; whichever faces the point counts.
+            # An emitter emits from both sides; the side that faces the point counts.
             for side in (normal, -normal):
                 received += seen.irradiance(at, side, total / samples).sum()
         light.append(received * float(emitter.radiance @ LUMINANCE))
@@ -167,8 +173,8 @@ def choose_kept_emitter(seen: SeenPoints, geometry: SceneGeometry, samples: int 
 # ---- balls ----------------------------------------------------------------------------------------------------------
 
 
-def choose_spheres(seen: SeenPoints, camera: Camera, radius: float = SPHERE_RADIUS) -> tuple[Sphere, ...]:
-    """Two balls that rest on what ``camera`` sees, a grey one and a mirror; fewer where there is no room for them."""
+def choose_spheres(seen: VisiblePoints, camera: Camera, radius: float = SPHERE_RADIUS) -> tuple[Sphere, ...]:
+    """Two balls on surfaces that ``camera`` sees, a grey one and a mirror; fewer where there is no space."""
     origins, directions = camera.rays()
     centres: list[FloatArray] = []
     for k in seen.random.permutation(len(directions))[:3000]:
@@ -186,8 +192,8 @@ def choose_spheres(seen: SeenPoints, camera: Camera, radius: float = SPHERE_RADI
     return tuple(Sphere(c, radius, *look) for c, look in zip(centres, looks, strict=False))
 
 
-def _fits(seen: SeenPoints, camera: Camera, centre: FloatArray, radius: float) -> bool:
-    """Whether a ball touches nothing but its support and is seen whole, neither tiny nor filling the view."""
+def _fits(seen: VisiblePoints, camera: Camera, centre: FloatArray, radius: float) -> bool:
+    """Whether a ball touches nothing but its support and is completely visible, neither tiny nor filling the view."""
     local = camera.local(centre)
     if -local[2] < 2 * radius:
         return False
@@ -219,8 +225,8 @@ def write_references(
     lossy: bool,
     progress: Progress,
 ) -> None:
-    """Relighting and insertion jobs of the capture ``root``, and how its validation views look then."""
-    seen = SeenPoints(geometry, cameras, studio.seed)
+    """Write relighting and insertion jobs of the capture ``root``, and renders of its validation views under them."""
+    seen = VisiblePoints(geometry, cameras, studio.settings.seed)
     lights = choose_lights(seen)
     kept, share = choose_kept_emitter(seen, geometry)
     balls = {k: choose_spheres(seen, camera) for k, camera in enumerate(cameras)}

@@ -1,12 +1,13 @@
-"""Ground-truth maps: what the surface's parameters are at the centre of each pixel, exactly.
+"""Renders of the scene itself: ground-truth maps of its surfaces, and path-traced radiance under changed lamps.
 
-Every material gets AOV outputs that tap its base colour, roughness and metallic, and Cycles evaluates them with one
-sample per pixel through a filter so narrow that the sample lies in the pixel's centre. Textures and procedural nodes
-need no reimplementation, and the maps agree with rays through pixel centres traced against the exported mesh.
+The maps hold the surface parameters at the centre of each pixel. Every material gets AOV outputs for its base colour,
+roughness and metallic, and Cycles evaluates them with one sample per pixel through a filter so narrow that the sample
+lies at the pixel's centre. Textures and procedural nodes are evaluated by Cycles, and the maps agree with rays through
+pixel centres traced against the exported mesh.
 
 Cycles lays the dielectric of a Principled surface over its diffuse base, whereas the metrics' model adds the two lobes.
-The diffuse albedo of the maps is what is left of the base under that layer: with the base itself, the true maps would
-not make the true pictures.
+The diffuse albedo of the maps is what remains of the base under that layer: with the base itself, the true maps would
+not reproduce the true pictures.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from ...base.errors import BadInput, IrisError
 from ...brdf.ggx import directional_albedo
 from ...edits.scene_edit import Quad, Sphere
 from ...model.capture import Camera
+from ...model.render_settings import RenderSettings
 from ..camera import add_camera, look_through
 from ..render.cycles import render_linear, set_cycles
 from ..scene_out.build import add_sphere
@@ -54,14 +56,14 @@ class Maps:
         base_color: (H, W, 3) scene-linear Rec.709; 0 on emitters.
         roughness: (H, W) Principled roughness; 1 on emitters.
         metallic: (H, W).
-        layer: (H, W) share of what is not metal that has a dielectric over its diffuse base.
-        base_left: (H, W) share of the diffuse base's light that is left under it.
-        emission: (H, W, 3) radiance emitted by the surface seen.
+        layer: (H, W) share of the non-metallic surface that has a dielectric over its diffuse base.
+        base_left: (H, W) share of the diffuse base's light that this layer transmits.
+        emission: (H, W, 3) radiance that the visible surface emits.
         material: (H, W) index of the material, from 1; 0 is nothing.
         normal: (H, W, 3) unit shading normal, world space, towards the viewer.
         depth: (H, W) metres along the ray.
         cosine: (H, W) between normal and direction to the viewer.
-        object_index: (H, W) ``pass_index`` of the object seen.
+        object_index: (H, W) ``pass_index`` of the visible object.
     """
 
     base_color: FloatArray
@@ -78,7 +80,7 @@ class Maps:
 
     @property
     def diffuse_albedo(self) -> FloatArray:
-        """(H, W, 3) kd = a (1 − m), less what the layer takes."""
+        """(H, W, 3) kd = a (1 − m), attenuated by the layer."""
         return self.base_color * ((1 - self.metallic) * self.base_left)[..., None]
 
     @property
@@ -92,7 +94,7 @@ class Maps:
         return (self.diffuse_albedo + layer * dielectric + m * metal) * seen[..., None]
 
 
-# ---- tapping the materials ------------------------------------------------------------------------------------------
+# ---- outputs of the materials ---------------------------------------------------------------------------------------
 
 Source = bpy.types.NodeSocket | tuple[float, float, float] | float
 
@@ -119,7 +121,7 @@ def add_outputs(scene: bpy.types.Scene, materials: Sequence[bpy.types.Material])
 
 
 def _principled_inputs(material: bpy.types.Material, node: bpy.types.Node | None) -> tuple[Source, ...]:
-    """Base colour, roughness, metallic, layer and what it leaves, of the shader tree below ``node``."""
+    """Base colour, roughness, metallic, layer and its transmittance, of the shader tree below ``node``."""
     if node is None or node.bl_idname == "ShaderNodeEmission":
         return (0.0, 0.0, 0.0), 1.0, 0.0, 0.0, 1.0
     inputs = node.inputs
@@ -181,12 +183,12 @@ def _feed(tree: bpy.types.NodeTree, source: Source, target: bpy.types.NodeSocket
         target.default_value = source
 
 
-# ---- rendering ------------------------------------------------------------------------------------------------------
+# ---- maps -----------------------------------------------------------------------------------------------------------
 
 
 def render_maps(scene: bpy.types.Scene, camera: Camera, camera_object: bpy.types.Object) -> Maps:
     """Maps of ``scene``, whose materials went through :func:`add_outputs`, as ``camera`` sees it."""
-    set_cycles(scene, samples=1, denoise=False, seed=0, max_bounces=0)
+    set_cycles(scene, RenderSettings(samples=1, max_bounces=0, denoise=False))
     scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BLACKMAN_HARRIS", 0.01
     look_through(scene, camera, camera_object)
     passes = render_passes(scene)
@@ -239,21 +241,18 @@ def render_passes(scene: bpy.types.Scene) -> dict[str, NDArray[np.float32]]:
     }
 
 
-# ---- Path-traced images of the scene itself, as it is or with its lamps changed -------------------------------------
-
-
-MAX_BOUNCES = 16
+# ---- radiance -------------------------------------------------------------------------------------------------------
 
 
 class Studio:
-    """The scene with a camera that goes wherever a view is wanted."""
+    """The scene with a movable camera, changeable lamps and inserted balls."""
 
-    def __init__(self, scene: bpy.types.Scene, samples: int, seed: int) -> None:
-        self.scene, self.samples, self.seed = scene, samples, seed
+    def __init__(self, scene: bpy.types.Scene, settings: RenderSettings) -> None:
+        self.scene, self.settings = scene, settings
 
     def radiance(self, camera: Camera) -> NDArray[np.float32]:
         """(H, W, 3) denoised linear radiance, scene-linear Rec.709."""
-        set_cycles(self.scene, samples=self.samples, denoise=True, seed=self.seed, max_bounces=MAX_BOUNCES)
+        set_cycles(self.scene, self.settings)
         with self._camera(camera) as thing:
             look_through(self.scene, camera, thing)
             return render_linear(self.scene)
@@ -276,7 +275,7 @@ class Studio:
     def only_lit_by(
         self, kept: SceneEmitter | None, emitters: Sequence[SceneEmitter], lights: Sequence[Quad] = ()
     ) -> Iterator[None]:
-        """Inside, every lamp but ``kept`` is black and off, as are lamp objects and the world; ``lights`` are added."""
+        """Inside, emitters but ``kept`` are black, light objects and the world are off, and ``lights`` are added."""
         black = black_material("synth black")
         swapped = []
         for emitter in emitters:

@@ -6,14 +6,15 @@
                  ─► gt/                radiance, Principled maps, emitters, response: for scoring only
 
 Limits: perspective cameras of one focal length without lens shift; surfaces that are Principled, Diffuse, Glossy or
-mixes of these; lamps that are meshes of constant emission. Lamp objects and the world light the photos, but the ground
-truth of emitters cannot name them, and the relighting references switch them off.
+mixes of these; lamps that are meshes of constant emission. Light objects and the world contribute to the photos, but
+they are not in the ground truth of emitters, and the relighting references switch them off.
 """
 
 from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
@@ -21,6 +22,7 @@ import numpy as np
 
 from ...base.errors import BadInput
 from ...base.progress import Progress
+from ...model.render_settings import RenderSettings
 from ..camera import read_camera
 from . import photos
 from .references import write_references
@@ -29,45 +31,48 @@ from .scene import prepare, read_geometry, write_ply
 from .writer import CaptureWriter, Shot
 
 LEVELS = (0.25, 0.5, 1.0, 2.0, 4.0)
-"""Exposures; the brightest views get the lowest."""
+"""Exposure levels; the brightest views get the lowest."""
+TRUTH_RENDER = RenderSettings(samples=256, max_bounces=16)
 STAGE_WEIGHTS = {"maps": 0.03, "views": 0.7, "references": 0.27}
 
 
-def synth(
-    scene_blend: Path,
-    out: Path,
-    *,
-    cameras: Sequence[str] | None = None,
-    resolution: tuple[int, int] = (320, 240),
-    response: str | Path = "film",
-    samples: int = 256,
-    seed: int = 0,
-    compact: bool = False,
-    progress: Progress | None = None,
-) -> None:
-    """Render the capture folder ``out`` from ``scene_blend``.
+@dataclass(frozen=True)
+class SynthConfig:
+    """What a synthetic capture is made of.
 
-    The folder appears once it is complete; until then the work goes on in a hidden folder beside it.
-
-    Args:
+    Attributes:
         cameras: names of the camera objects to use, None for all, in the order of their names. Those whose name begins
             with "val" or whose custom property ``iris_split`` is "val" give the validation views.
         resolution: width and height in pixels.
-        response: 'film', 'gamma', 'linear' or a file (see :func:`~iris_addon.blender.synth.photos.read_response`).
-        samples: per pixel, before denoising.
+        response: 'film', 'gamma', 'linear' or the path of a file
+            (see :func:`~iris_addon.blender.synth.photos.read_response`).
         compact: leave out what no metric needs (constant exposure, radiance of training views, maps of validation
             views, BaseCol, Depth, Normal) and store pictures with lossy compression.
+        render: of the radiance, before it becomes photos.
+    """
+
+    cameras: Sequence[str] | None = None
+    resolution: tuple[int, int] = (320, 240)
+    response: str | Path = "film"
+    compact: bool = False
+    render: RenderSettings = TRUTH_RENDER
+
+
+def synth(scene_blend: Path, out: Path, config: SynthConfig | None = None, progress: Progress | None = None) -> None:
+    """Render the capture folder ``out`` from ``scene_blend``.
+
+    The folder appears once it is complete; until then work goes on in a hidden folder beside it.
 
     Raises:
         BadInput: ``out`` is not empty, or the scene is outside the limits above.
     """
-    progress = progress or Progress(weights=STAGE_WEIGHTS)
+    config, progress = config or SynthConfig(), progress or Progress(weights=STAGE_WEIGHTS)
     out = Path(out)
     if out.exists() and any(out.iterdir()):
         raise BadInput("is not empty", "choose another --out or remove the folder", out)
-    curve = photos.read_response(response)
-    scene = _open(Path(scene_blend), resolution)
-    train, val = _shots(scene, cameras)
+    curve = photos.read_response(config.response)
+    scene = _open(Path(scene_blend), config.resolution)
+    train, val = _shots(scene, config.cameras)
     prepare(scene)
     geometry = read_geometry(scene)
     if not geometry.emitters:
@@ -76,8 +81,8 @@ def synth(
 
     partial = out.with_name(f".{out.name}-partial")
     shutil.rmtree(partial, ignore_errors=True)
-    writer = CaptureWriter(partial, compact, curve)
-    studio = Studio(scene, samples, seed)
+    writer = CaptureWriter(partial, config.compact, curve)
+    studio = Studio(scene, config.render)
     with progress.stage("maps"):
         maps = []
         for k, shot in enumerate(train + val):
@@ -94,10 +99,11 @@ def synth(
     writer.split("val", val, radiance[len(train) :], maps[len(train) :])
     scale = writer.photos(radiance, maps, len(train), LEVELS)
     writer.scene(geometry)
-    writer.meta(Path(scene_blend).stem, train, val, scene, scale=scale, samples=samples, seed=seed)
+    writer.meta(Path(scene_blend).stem, train, val, scene, scale, config.render)
     if val:
         with progress.stage("references"):
-            write_references(partial, studio, geometry, [shot.camera for shot in val], lossy=compact, progress=progress)
+            cameras = [shot.camera for shot in val]
+            write_references(partial, studio, geometry, cameras, lossy=config.compact, progress=progress)
     if out.exists():
         out.rmdir()
     partial.rename(out)

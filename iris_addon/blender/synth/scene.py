@@ -1,4 +1,4 @@
-"""A Blender scene as a scanner and the ground truth see it: one triangle mesh, materials and emitters per face."""
+"""A Blender scene as one triangle mesh, like a scan, with material and emitter of each face as ground truth."""
 
 from __future__ import annotations
 
@@ -48,8 +48,7 @@ class SceneGeometry:
 
 
 def prepare(scene: bpy.types.Scene) -> None:
-    """Make the viewport's evaluation, which gives the mesh, equal to what Cycles renders, and fill empty material
-    slots."""
+    """Make the evaluated mesh equal to what Cycles renders, and fill empty material slots."""
     default = None
     for thing in scene.objects:
         thing.hide_viewport = thing.hide_render
@@ -69,7 +68,7 @@ def prepare(scene: bpy.types.Scene) -> None:
 
 
 @dataclass
-class _Piece:
+class _Region:
     """The triangles of one object instance that share a material."""
 
     name: str
@@ -80,34 +79,38 @@ class _Piece:
 
 
 def read_geometry(scene: bpy.types.Scene) -> SceneGeometry:
-    """Triangulate what ``scene`` renders, in an order that depends on names alone.
+    """Triangulate what ``scene`` renders, in an order that depends only on names.
 
     Raises:
         BadInput: there is nothing to render, or an emission is not constant.
     """
-    pieces = sorted(_pieces(scene), key=lambda piece: bool(piece.radiance.any()))  # stable: lamps go last
-    if not pieces:
+    regions = sorted(_regions(scene), key=lambda region: bool(region.radiance.any()))  # stable: lamps go last
+    if not regions:
         raise BadInput(
             "the scene has no visible mesh", "make its objects visible in renders", bpy.data.filepath or None
         )
-    materials = tuple({piece.material.name: piece.material for piece in pieces}.values())
+    materials = tuple({region.material.name: region.material for region in regions}.values())
     index = {material.name: k + 1 for k, material in enumerate(materials)}
     emitters: list[SceneEmitter] = []
     vertices, faces, material, emitter = [], [], [], []
     n_vertices = n_faces = 0
-    for piece in pieces:
-        n = len(piece.faces)
-        vertices.append(piece.corners)
-        faces.append(piece.faces + n_vertices)
-        material.append(np.full(n, index[piece.material.name], np.uint16))
-        emitter.append(np.full(n, len(emitters) if piece.radiance.any() else -1, np.int16))
-        if piece.radiance.any():
+    for region in regions:
+        n = len(region.faces)
+        vertices.append(region.corners)
+        faces.append(region.faces + n_vertices)
+        material.append(np.full(n, index[region.material.name], np.uint16))
+        emitter.append(np.full(n, len(emitters) if region.radiance.any() else -1, np.int16))
+        if region.radiance.any():
             emitters.append(
                 SceneEmitter(
-                    name=piece.name, material=piece.material, radiance=piece.radiance, first=n_faces, last=n_faces + n
+                    name=region.name,
+                    material=region.material,
+                    radiance=region.radiance,
+                    first=n_faces,
+                    last=n_faces + n,
                 )
             )
-        n_vertices, n_faces = n_vertices + len(piece.corners), n_faces + n
+        n_vertices, n_faces = n_vertices + len(region.corners), n_faces + n
     mesh = Mesh(np.concatenate(vertices).astype(np.float32).astype(np.float64), np.concatenate(faces))
     return SceneGeometry(
         mesh=mesh,
@@ -118,9 +121,9 @@ def read_geometry(scene: bpy.types.Scene) -> SceneGeometry:
     )
 
 
-def _pieces(scene: bpy.types.Scene) -> list[_Piece]:
+def _regions(scene: bpy.types.Scene) -> list[_Region]:
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    found: list[tuple[str, tuple[int, ...], list[_Piece]]] = []
+    found: list[tuple[str, tuple[int, ...], list[_Region]]] = []
     for instance in depsgraph.object_instances:
         thing = instance.object
         if not instance.show_self or thing.type not in ("MESH", "CURVE", "SURFACE", "META", "FONT"):
@@ -131,10 +134,10 @@ def _pieces(scene: bpy.types.Scene) -> list[_Piece]:
         key = tuple(instance.persistent_id) if instance.is_instance else ()
         found.append((thing.name, key, _split_by_material(thing, mesh, np.array(instance.matrix_world))))
         thing.to_mesh_clear()
-    return [piece for _name, _key, pieces in sorted(found, key=lambda f: f[:2]) for piece in pieces]
+    return [region for _name, _key, regions in sorted(found, key=lambda f: f[:2]) for region in regions]
 
 
-def _split_by_material(thing: bpy.types.Object, mesh: bpy.types.Mesh, to_world: NDArray[np.float64]) -> list[_Piece]:
+def _split_by_material(thing: bpy.types.Object, mesh: bpy.types.Mesh, to_world: NDArray[np.float64]) -> list[_Region]:
     mesh.calc_loop_triangles()
     n = len(mesh.loop_triangles)
     faces, slots = np.empty(3 * n, np.int32), np.empty(n, np.int32)
@@ -144,12 +147,12 @@ def _split_by_material(thing: bpy.types.Object, mesh: bpy.types.Mesh, to_world: 
     mesh.vertices.foreach_get("co", points)
     world = points.reshape(-1, 3) @ to_world[:3, :3].T + to_world[:3, 3]
     slots = np.minimum(slots, len(thing.material_slots) - 1)
-    pieces = []
+    regions = []
     for slot in np.unique(slots):
         used, renumbered = np.unique(faces.reshape(-1, 3)[slots == slot], return_inverse=True)
         material = thing.material_slots[slot].material.original
-        pieces.append(
-            _Piece(
+        regions.append(
+            _Region(
                 name=thing.name,
                 material=material,
                 radiance=emitted_radiance(material),
@@ -157,7 +160,7 @@ def _split_by_material(thing: bpy.types.Object, mesh: bpy.types.Mesh, to_world: 
                 faces=renumbered.reshape(-1, 3),
             )
         )
-    return pieces
+    return regions
 
 
 def surface_shader(material: bpy.types.Material) -> bpy.types.Node | None:

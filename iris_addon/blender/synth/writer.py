@@ -1,4 +1,4 @@
-"""Files of a synthetic capture: poses, photos, ground truth, descriptions."""
+"""Files of a synthetic capture: poses, photos, ground truth, metadata."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from ...base import images as imaging
 from ...base.files import atomic_write, write_arrays, write_json
 from ...brdf.ggx import DIELECTRIC_F0
 from ...model.capture import Camera
+from ...model.render_settings import RenderSettings
 from ...model.response import Response
 from ..version import can_denoise
 from . import photos
@@ -30,7 +31,7 @@ COMPACT_LEAVES_OUT = ("Image_const", "gt/train: Image, BaseCol, Depth, Normal", 
 
 @dataclass(frozen=True)
 class Shot:
-    """A camera object of the scene and the pinhole camera it is."""
+    """A camera object of the scene and its pinhole camera."""
 
     thing: bpy.types.Object
     camera: Camera
@@ -98,7 +99,7 @@ class CaptureWriter:
             write_npy(self.root / "cam" / f"{name}.npy", of_train)
             write_npy(self.root / "cam" / f"{name}_val.npy", of_val)
             for k, exposure in enumerate([*of_train, *of_val]):
-                # The photo is developed from the radiance that the ground truth stores, half floats.
+                # Photos are developed from the half floats that the ground truth stores.
                 photo = photos.develop(radiance[k].astype(np.float16).astype(np.float64), exposure, self.response)
                 base, number = (self.root / "train", k) if k < n_train else (self.root / "gt" / "val", k - n_train)
                 imaging.write_png(base / folder / f"{number:03d}_0001.png", photo)
@@ -127,7 +128,15 @@ class CaptureWriter:
         per_face = {"material": geometry.material, "emitter": geometry.emitter}
         write_arrays(self.root / "gt" / "faces.npz", per_face, compressed=True)
 
-    def meta(self, name: str, train: list[Shot], val: list[Shot], scene: bpy.types.Scene, **how: float) -> None:
+    def meta(
+        self,
+        name: str,
+        train: list[Shot],
+        val: list[Shot],
+        scene: bpy.types.Scene,
+        scale: float,
+        settings: RenderSettings,
+    ) -> None:
         """meta.json for whoever reads the capture, gt/meta_gt.json for whoever scores."""
         camera = train[0].camera
         left_out = [*COMPACT_LEAVES_OUT] if self.compact else []
@@ -150,10 +159,10 @@ class CaptureWriter:
         facts = {
             "renderer": f"Cycles, Blender {bpy.app.version_string}",
             "response": response,
-            "global_scale": how["scale"],
-            "samples": how["samples"],
+            "global_scale": scale,
+            "samples": settings.samples,
             "denoised": can_denoise(),
-            "seed": how["seed"],
+            "seed": settings.seed,
             "dielectric_f0": DIELECTRIC_F0,
             "maps": "one sample at the pixel centre; albedo by the formula of EVALUATION, emitters 0",
             "lights_without_mesh": others,
@@ -162,7 +171,7 @@ class CaptureWriter:
 
 
 def _describe(index: int, material: bpy.types.Material) -> dict[str, Any]:
-    """What a reader of IndexMA wants to know; None where a value varies over the surface."""
+    """The entry of a material in materials.json; values that vary over the surface are None."""
     shader = surface_shader(material)
 
     def constant(name: str) -> Any:

@@ -1,10 +1,10 @@
-"""Work that runs outside Blender, by the folder it writes into: what runs now, and what a folder says about the past.
+"""Jobs that run outside Blender, identified by the folder they write into: their state and their command lines.
 
-A job outlives undo, the scene and the file that is open, so it belongs to none of them. What a scene remembers is the
-folder; this module tells from it, and from the processes of this Blender, how things stand. Nothing here touches bpy.
+A job outlives undo, the scene and the open file, and so belongs to none of them. A scene remembers only the folder;
+from that and from the processes of this Blender follows the state of a job. Does not use bpy.
 
 ``job-NAME.json`` in the folder is written when a job starts and when it ends. A record that says "running" although
-nothing runs is that of a Blender which was killed.
+nothing runs comes from a Blender that was killed.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ State = Literal["missing", "running", "done", "failed", "cancelled", "interrupte
 
 @dataclass(frozen=True)
 class Record:
-    """How a job stands: ``what`` is wrong and its ``fix`` where it failed."""
+    """The state of a job; ``what`` is wrong and its ``fix`` where it failed."""
 
     state: State
     what: str = ""
@@ -41,8 +41,10 @@ CANCELLED = Record("cancelled")
 
 @dataclass
 class Job:
-    """A process that runs for ``folder``; ``on_end`` is told once, on the thread that polls. If that raises IrisError,
-    the job has failed."""
+    """A process that writes into ``folder``.
+
+    ``on_end`` is called once, on the thread that polls. If it raises IrisError, the job has failed.
+    """
 
     name: JobName
     folder: Path
@@ -52,14 +54,14 @@ class Job:
 
 _running: dict[tuple[JobName, Path], Job] = {}
 _ended: dict[tuple[JobName, Path], Record] = {}
-"""What ended here, for the case that its record could not be written: the disk is full."""
+"""Jobs that ended in this process, in case a full disk prevents writing their records."""
 
 
 def start(name: JobName, folder: Path, command: list[str], on_end: Callable[[Record], None]) -> Job:
     """Start ``command`` as the job ``name`` of ``folder``.
 
     Raises:
-        IrisError: it runs already, the folder cannot be written, or the program not started.
+        IrisError: it runs already, the folder cannot be written, or the program cannot be started.
     """
     key = (name, folder)
     if key in _running:
@@ -85,7 +87,7 @@ def all_running() -> Iterator[Job]:
 
 
 def record(name: JobName, folder: Path) -> Record:
-    """How the job ``name`` of ``folder`` stands."""
+    """The state of the job ``name`` of ``folder``."""
     if (name, folder) in _running:
         return Record("running")
     if (name, folder) in _ended and folder.is_dir():
@@ -93,51 +95,55 @@ def record(name: JobName, folder: Path) -> Record:
     try:
         content = json.loads(_path(name, folder).read_text(encoding="utf-8"))
         found = Record(content["state"], content["what"], content["fix"])
-    except (OSError, ValueError, KeyError, TypeError):  # nobody wrote one, or somebody else did
+    except (OSError, ValueError, KeyError, TypeError):  # missing, or not written by this module
         return MISSING
     return INTERRUPTED if found.state == "running" else found
 
 
 def poll() -> bool:
-    """Take news of every job and end those that are through; True if anything changed. Call it on the main thread."""
-    news = False
+    """Read the messages of all jobs and finish those that have ended; call it on the main thread.
+
+    Returns:
+        Whether anything changed.
+    """
+    changed = False
     for key, job in list(_running.items()):
-        news |= job.worker.poll()
+        changed |= job.worker.poll()
         if not job.worker.running:
             del _running[key]
             _finish(job)
-            news = True
-    return news
+            changed = True
+    return changed
 
 
 def wait(job: Job) -> None:
-    """Block until ``job`` has ended, and end it."""
+    """Block until ``job`` has ended, and finish it."""
     job.worker.wait()
     if _running.pop((job.name, job.folder), None) is not None:
         _finish(job)
 
 
 def stop_all() -> None:
-    """End everything within about a second; finished stages stay on disk. Nobody is left to take a result."""
+    """End all jobs within about a second; finished stages stay on disk."""
     for job in all_running():
         job.worker.interrupt()
     for key, job in list(_running.items()):
         del _running[key]
         _end(job)
-        _tell(job, CANCELLED)
+        _notify(job, CANCELLED)
 
 
 def _finish(job: Job) -> None:
-    _tell(job, _end(job))
+    _notify(job, _end(job))
 
 
-def _tell(job: Job, ended: Record) -> None:
+def _notify(job: Job, ended: Record) -> None:
     try:
         job.on_end(ended)
     except IrisError as error:
-        _note(job, Record("failed", error.what, error.fix))
-    except Exception as error:  # a timer that raises is gone, and with it the news of every other job
-        _note(job, Record("failed", f"{type(error).__name__}: {error}", "report this, with the log"))
+        _keep(job, Record("failed", error.what, error.fix))
+    except Exception as error:  # an exception would remove the timer that polls all jobs
+        _keep(job, Record("failed", f"{type(error).__name__}: {error}", "report this, with the log"))
 
 
 def _end(job: Job) -> Record:
@@ -149,11 +155,11 @@ def _end(job: Job) -> Record:
         ended = CANCELLED
     except IrisError as error:
         ended = Record("failed", error.what, error.fix)
-    _note(job, ended)
+    _keep(job, ended)
     return ended
 
 
-def _note(job: Job, ended: Record) -> None:
+def _keep(job: Job, ended: Record) -> None:
     try:
         _write(job.name, job.folder, ended)
     except IrisError as error:
@@ -173,20 +179,19 @@ def _write(name: JobName, folder: Path, content: Record) -> None:
         raise IrisError(error.what, "free some disk space, or choose another folder for the result") from error
 
 
-# ---- Command lines of the jobs that Blender starts. Nothing here touches bpy ----------------------------------------
-
+# ---- command lines -------------------------------------------------------------------------------------------------
 
 RUN = ADDON / "headless" / "run.py"
 JSON_LINES = ["--json", "--stop-with-stdin"]
 
 
 def inspect_command(python: str, capture: Path, out: Path) -> list[str]:
-    """A look at ``capture`` into ``out``."""
+    """Inspect ``capture`` into ``out``."""
     return [*_program(python), "inspect", *_absolute(capture, "--out", out), *JSON_LINES]
 
 
 def solve_command(python: str, capture: Path, out: Path, preset: str, device: str = "auto", seed: int = 0) -> list[str]:
-    """A solve of ``capture`` into ``out`` that goes on where an earlier one stopped."""
+    """Solve ``capture`` into ``out``, resuming an earlier solve."""
     options = ["--preset", preset, "--device", device, "--seed", str(seed), "--resume"]
     return [*_program(python), "solve", *_absolute(capture, "--out", out), *options, *JSON_LINES]
 
@@ -194,10 +199,10 @@ def solve_command(python: str, capture: Path, out: Path, preset: str, device: st
 def composite_command(
     blender: str, blend: Path, result: Path, photo: Path, view: str, out: Path, samples: int
 ) -> list[str]:
-    """What stands in the room of ``blend`` onto ``photo``, as the picture ``out``.
+    """Composite the additions to the room of ``blend`` onto ``photo``, as the picture ``out``.
 
     Args:
-        blender: the program; empty where Blender is a module of this Python.
+        blender: path of the program; empty where Blender is a module of this Python.
     """
     in_blender = [blender, "-b", "--factory-startup", "--python-exit-code", "1", "-P", str(RUN), "--"]
     program = in_blender if blender else _program(sys.executable)
@@ -206,7 +211,7 @@ def composite_command(
 
 
 def environment_command(folder: Path, test_only: Path | None = None) -> list[str]:
-    """Make the solver's environment in ``folder`` with Blender's own Python, or only test that of ``test_only``."""
+    """Create the solver's environment in ``folder`` with Blender's own Python, or only test ``test_only``."""
     script = [sys.executable, "-I", "-X", "utf8", "-B", str(ADDON / "headless" / "make_environment.py")]
     return [*script, "--test", str(test_only)] if test_only is not None else [*script, *_absolute(folder)]
 

@@ -1,10 +1,10 @@
-"""The solver as a process of its own, seen from Blender: start, messages, stop. Nothing here touches bpy.
+"""The solver as a process of its own, seen from Blender: start, messages, stop. Does not use bpy.
 
 The worker writes newline-delimited JSON on stdout (:func:`iris_addon.base.progress.json_lines`) and its errors on
 stderr; threads move both into queues, so that :meth:`Worker.poll` never blocks. Its stdin is a pipe that nobody writes
-to: it closes when this process ends, however it ends, and a worker started with ``--stop-with-stdin`` stops then. Its
-current folder is the add-on's: Blender's may be that of a file which came from somebody else, and Windows and some
-libraries look for programs and modules in the current folder.
+to: it closes when this process ends, for whatever reason, and a worker started with ``--stop-with-stdin`` stops then.
+Its current folder is the add-on's: Blender's may be the folder of a file from an untrusted source, and Windows and some
+libraries search the current folder for programs and modules.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from ...base.errors import Cancelled, IrisError
 
 ADDON = Path(__file__).resolve().parents[3]
 CANCEL_SECONDS = 0.8
-"""How long a worker may take to stop by itself. Checkpoints appear whole or not at all, so that killing harms none."""
+"""Maximum cancellation latency, seconds: then the worker is killed, which its atomic checkpoints survive."""
 CANCELLED_CODE = 130
 LOG_LINES = 500
 MESSAGES_PER_POLL = 200
@@ -38,14 +38,14 @@ class Worker:
     Attributes:
         stage, fraction, overall, seconds_left: the latest progress (see
             :class:`iris_addon.base.progress.ProgressEvent`).
-        log: the last lines of what it said, stages included.
+        log: the last lines of its output, stages included.
 
     Args:
         command: program and arguments, paths absolute.
-        log_file: where everything it says is kept as well; None for nowhere.
+        log_file: file that receives all of its output; None for none.
 
     Raises:
-        IrisError: the program cannot be started, or ``log_file`` not written.
+        IrisError: the program cannot be started, or ``log_file`` cannot be written.
     """
 
     def __init__(self, command: Sequence[str], log_file: Path | None = None) -> None:
@@ -83,12 +83,12 @@ class Worker:
 
     @property
     def pid(self) -> int:
-        """Number of the process."""
+        """Process id."""
         return self._process.pid
 
     @property
     def running(self) -> bool:
-        """Whether the process lives or has messages that were not polled."""
+        """Whether the process is alive or has messages that were not polled."""
         alive = self._process.poll() is None or any(thread.is_alive() for thread in self._threads)
         return alive or not self._messages.empty()
 
@@ -98,31 +98,31 @@ class Worker:
         return self._cancelled
 
     def poll(self) -> bool:
-        """Take messages that have come; True if there were any. Never blocks; kills what does not stop when asked."""
+        """Handle pending messages; returns whether there were any. Never blocks; kills a process that does not stop."""
         if time.monotonic() > self._kill_at and self._process.poll() is None:
             self._process.kill()
-        for taken in range(MESSAGES_PER_POLL):
+        for handled in range(MESSAGES_PER_POLL):
             try:
-                self._take(self._messages.get_nowait())
+                self._handle(self._messages.get_nowait())
             except queue.Empty:
-                return taken > 0
+                return handled > 0
         return True
 
     def wait(self) -> None:
-        """Block until the process has ended and everything it said was taken."""
+        """Block until the process has ended and all of its messages are handled."""
         while self.running:
             self.poll()
             time.sleep(0.02)
 
     def interrupt(self) -> None:
-        """Ask the process to stop at its next checkpoint, as Ctrl-C does; :meth:`poll` kills it if it takes long."""
+        """Ask the process to stop at its next checkpoint, like Ctrl-C; :meth:`poll` kills it after CANCEL_SECONDS."""
         if self._process.poll() is None and not self._cancelled:
             self._cancelled = True
             self._kill_at = time.monotonic() + CANCEL_SECONDS
             self._process.send_signal(signal.CTRL_BREAK_EVENT if sys.platform == "win32" else signal.SIGINT)
 
     def close(self) -> None:
-        """Make sure that the process is gone: interrupted, and killed if it does not listen."""
+        """Make sure that the process has ended: interrupt it, and kill it if it does not stop."""
         self.interrupt()
         try:
             self._process.wait(CANCEL_SECONDS)
@@ -142,7 +142,7 @@ class Worker:
 
         Raises:
             Cancelled: it was interrupted.
-            IrisError: anything else, in the process's own words where it said what was wrong.
+            IrisError: anything else, with the message of the process where it gave one.
         """
         code = self._process.returncode
         if code == 0:
@@ -155,13 +155,13 @@ class Worker:
         if said is not None:
             what, _, fix = said.removeprefix("error: ").partition(" — ")
             raise IrisError(what, fix or "see the log")
-        how = _how_it_ended(code)
+        how = _describe_exit(code)
         last = self.log[-1] if self.log else "no message"
         raise IrisError(f"the solver {how} ({last})", "solve again: it goes on from the last finished stage")
 
     # ---- messages --------------------------------------------------------------------------------------------------
 
-    def _take(self, message: dict[str, Any]) -> None:
+    def _handle(self, message: dict[str, Any]) -> None:
         kind = message.get("type")
         if kind == "progress":
             if message["stage"] != self.stage or message.get("message"):
@@ -193,7 +193,7 @@ class Worker:
             try:
                 self._log_file.write(line + "\n")
                 self._log_file.flush()
-            except OSError as error:  # the log on disk is a convenience: a full disk must not end the solve here
+            except OSError as error:  # a full disk must not end the solve for the sake of its log
                 self.log.append(f"the log file ends here ({error.strerror})")
                 self._log_file = None
 
@@ -205,10 +205,10 @@ class Worker:
 
 
 def worker_environment() -> dict[str, str]:
-    """The environment of this process without what belongs to Blender's Python.
+    """The environment of this process without the variables of Blender's Python.
 
-    Its PYTHONHOME and PYTHONPATH would make another Python load Blender's library; IRIS_PYTHON would hand the work over
-    to yet another program, which nobody could stop.
+    PYTHONHOME and PYTHONPATH would make another Python load Blender's library; IRIS_PYTHON would delegate the work to a
+    third program, which could not be stopped.
     """
     kept = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON") and k != "IRIS_PYTHON"}
     return {**kept, "PYTHONUTF8": "1"}
@@ -219,7 +219,7 @@ def _open_log(path: Path | None) -> IO[str] | None:
         return None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        if path.is_symlink():  # in a folder that came from somebody else it may lead to any file
+        if path.is_symlink():  # in a folder from an untrusted source it may lead to any file
             path.unlink()
         return path.open("w", encoding="utf-8")
     except OSError as error:
@@ -227,7 +227,7 @@ def _open_log(path: Path | None) -> IO[str] | None:
         raise IrisError(f"cannot be written ({error.strerror})", fix, path) from error
 
 
-def _how_it_ended(code: int) -> str:
+def _describe_exit(code: int) -> str:
     if code == -9:
         return "was killed (signal 9), often by the system because memory ran out"
     return f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"

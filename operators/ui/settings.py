@@ -1,4 +1,4 @@
-"""What a scene remembers: its capture, how to solve it, the photos and the recovered lamps."""
+"""Settings stored in a scene: its capture, how to solve it, the photos and the recovered lamps."""
 # Blender declares properties as annotations.
 # pyright: reportInvalidTypeForm=false
 
@@ -9,8 +9,9 @@ from typing import Any
 
 import bpy
 
-from ..iris_addon.blender.insert.carry import SHAPES
-from ..iris_addon.blender.scene_out import lights as lamps
+from ...iris_addon.blender.scene_out import lights as lamps
+from ..editors import look_at_photo
+from ..place import PLACEABLE
 
 # ---- callbacks -----------------------------------------------------------------------------------------------------
 
@@ -24,8 +25,6 @@ def _set(write: Callable[[bpy.types.Material | None, Any], None]) -> Callable[[b
 
 
 def _look(settings: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
-    from .check import look_at_photo
-
     look_at_photo(context, settings.view_index)
 
 
@@ -43,47 +42,42 @@ EXPOSURE = bpy.props.FloatProperty(
 )
 
 
-SELECTED = "SELECTED"
-PLACEABLE = (
-    *((key, name, "A new one, 30 cm wide") for key, (name, *_rest) in SHAPES.items()),
-    (SELECTED, "Selected Object", "The active object with its children"),
-)
-
-
 # ---- properties -----------------------------------------------------------------------------------------------------
 
 
 class IrisView(bpy.types.PropertyGroup):
-    """One photo as the check found it; ``name`` is that of the view."""
+    """The check of one photo; ``name`` is that of the view."""
 
     camera: bpy.props.PointerProperty(type=bpy.types.Object)
     aspect: bpy.props.FloatProperty(name="Pixel aspect", description="Focal length along x over along y", default=1)
     exposure: bpy.props.FloatProperty(name="Exposure", description="Relative exposure; 0 where it is unknown", min=0.0)
-    saturated: bpy.props.FloatProperty(name="Saturated", description="Share of pixels at the upper end", min=0, max=1)
-    histogram: bpy.props.StringProperty(name="Histogram", description="Display values from black to saturated")
+    saturated: bpy.props.FloatProperty(
+        name="Saturated", description="Share of clipped pixels, at the upper end of the display range", min=0, max=1
+    )
+    histogram: bpy.props.StringProperty(name="Histogram", description="Display values from black to clipped")
     seen: bpy.props.FloatProperty(name="Mesh in view", min=0, max=1)
     score: bpy.props.FloatProperty(name="Alignment", description="Correlation of the photo's edges with the mesh's")
-    shift: bpy.props.FloatProperty(name="Shift", description="Pixels by which the photo lies beside the mesh")
+    shift: bpy.props.FloatProperty(name="Shift", description="Offset of the photo from the mesh, pixels")
     verdict: bpy.props.EnumProperty(
         name="Verdict",
         items=(
-            ("aligned", "Aligned", "Edges of photo and mesh lie on each other"),
-            ("shifted", "Shifted", "Edges of photo and mesh lie beside each other"),
-            ("unclear", "Unclear", "Too few edges in common to tell: look at the overlay"),
+            ("aligned", "Aligned", "Edges of photo and mesh coincide"),
+            ("shifted", "Shifted", "Edges of photo and mesh are offset"),
+            ("unclear", "Unclear", "Too few common edges to decide: look at the overlay"),
         ),
         default="unclear",
     )
 
 
 class IrisLamp(bpy.types.PropertyGroup):
-    """A recovered lamp; its values are those of the material, wherever they are changed."""
+    """A recovered lamp; reads and writes the values of its material."""
 
     material: bpy.props.PointerProperty(type=bpy.types.Material)
     area: bpy.props.FloatProperty(name="Area", description="Square metres")
     confidence: bpy.props.FloatProperty(name="Confidence", min=0.0, max=1.0)
     on: bpy.props.BoolProperty(
         name="On",
-        description="Whether the lamp shines",
+        description="Whether the lamp is on",
         get=_get(lamps.is_on),
         set=_set(lamps.switch),
     )
@@ -107,7 +101,7 @@ class IrisLamp(bpy.types.PropertyGroup):
 
 
 class IrisSettings(bpy.types.PropertyGroup):
-    """Scene.iris: what is solved, how, into which folder."""
+    """Scene.iris: what is solved, how, and into which folder."""
 
     source: bpy.props.EnumProperty(
         name="Source",
@@ -143,24 +137,28 @@ class IrisSettings(bpy.types.PropertyGroup):
     )
     preview: bpy.props.EnumProperty(
         name="Preview",
-        description="What is shown of the room while it is solved",
+        description="Picture of the room shown during the solve",
         items=(
             ("albedo", "Albedo", "Colour of the surfaces; lamps are black"),
-            ("light", "Light", "Light that falls onto them; lamps are white"),
-            ("error", "Error", "Where other photos contradict this one, four times enlarged: response, exposure, pose"),
+            ("light", "Light", "Light that the surfaces receive; lamps are white"),
+            (
+                "error",
+                "Error",
+                "Four times the difference from what the other photos predict: errors of response, exposure or pose",
+            ),
         ),
     )
     seed: bpy.props.IntProperty(name="Seed", description="Same seed, same result", min=0)
     room: bpy.props.PointerProperty(type=bpy.types.Object, name="Room", description="The mesh of the capture")
-    warnings: bpy.props.StringProperty(description="What the check found, one per line")
+    warnings: bpy.props.StringProperty(description="Warnings of the check, one per line")
     views: bpy.props.CollectionProperty(type=IrisView)
     view_index: bpy.props.IntProperty(update=_look)
     lamps: bpy.props.CollectionProperty(type=IrisLamp)
     lamp_index: bpy.props.IntProperty()
-    placed: bpy.props.EnumProperty(name="Object", description="What Place sets into the room", items=PLACEABLE)
+    placed: bpy.props.EnumProperty(name="Object", description="The object that Place adds", items=PLACEABLE)
     overlay: bpy.props.FloatProperty(
         name="Photo",
-        description="How much of the photo is shown over the mesh",
+        description="Opacity of the photo over the mesh",
         min=0.0,
         max=1.0,
         default=0.5,

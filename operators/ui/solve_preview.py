@@ -1,4 +1,4 @@
-"""Pictures that a running solve leaves, as icons for the panel."""
+"""Preview pictures of a running solve, as icons for the panel."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from pathlib import Path
 
 import bpy.utils.previews
 
-from ..iris_addon.results.files import preview_path
+from ...iris_addon.results.files import preview_path
 
 _pictures: bpy.utils.previews.ImagePreviewCollection | None = None
 
 
 def picture(folder: Path, kind: str) -> bpy.types.ImagePreview | None:
-    """The preview ``kind`` of the solve into ``folder`` as it is now; None where there is none yet."""
+    """The current preview ``kind`` of the solve into ``folder``; None where there is none yet."""
     path = preview_path(folder, kind)
     try:
         key = f"{path}#{path.stat().st_mtime_ns}"
@@ -20,19 +20,19 @@ def picture(folder: Path, kind: str) -> bpy.types.ImagePreview | None:
         return None
     assert _pictures is not None
     if key not in _pictures:
-        _pictures.clear()  # one is looked at; it is read again when another was shown in between
+        _pictures.clear()  # only one is shown at a time
         _pictures.load(key, str(path), "IMAGE")
     return _pictures[key]
 
 
 def register() -> None:
-    """Make room for the pictures."""
+    """Create the collection of pictures."""
     global _pictures
     _pictures = bpy.utils.previews.new()
 
 
 def unregister() -> None:
-    """Let them go."""
+    """Remove the collection of pictures."""
     global _pictures
     if _pictures is not None:
         bpy.utils.previews.remove(_pictures)

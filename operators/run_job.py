@@ -1,4 +1,4 @@
-"""Jobs and the interface: a timer takes their news on the main thread, operators cancel them and show their log."""
+"""Run jobs from operators: a timer polls them on the main thread; operators cancel them and show their logs."""
 # Blender declares properties as annotations.
 # pyright: reportInvalidTypeForm=false
 
@@ -13,6 +13,8 @@ import bpy
 
 from ..iris_addon.base.errors import IrisError
 from ..iris_addon.blender.worker import jobs
+from .editors import show_in_editor
+from .folders import job_folder
 
 TICK_SECONDS = 0.1
 
@@ -24,9 +26,13 @@ def run(
     command: list[str],
     on_end: Callable[[jobs.Record], None] = lambda record: None,
 ) -> set[str]:
-    """Start a job for ``operator`` and return what the operator returns: at once with a window, after it without.
+    """Start a job for ``operator``; with a window return at once, in background wait for its end.
 
-    ``on_end`` is told once in any case, also of a job that cannot start.
+    Args:
+        on_end: called once in any case, also for a job that cannot start.
+
+    Returns:
+        The result of the operator.
     """
     try:
         job = jobs.start(name, folder, command, on_end)
@@ -54,7 +60,7 @@ def _tick() -> float | None:
 
 
 def redraw_sidebars() -> None:
-    """Draw the panels again, and nothing else: a 3D view takes long."""
+    """Redraw the panels only, because a 3D view takes long."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             for region in area.regions:
@@ -62,36 +68,24 @@ def redraw_sidebars() -> None:
                     region.tag_redraw()
 
 
-def folder_of(name: str, context: bpy.types.Context) -> Path:
-    """The folder of the job ``name`` that the scene, or the preferences, are about."""
-    from .preferences import environment_folder
-    from .project import folder, inspection_folder
-
-    if name in ("environment", "test"):
-        return environment_folder()
-    return inspection_folder(context.scene) if name == "inspect" else folder(context.scene)
-
-
 def register() -> None:
-    """Make sure that no process outlives Blender."""
+    """Make sure that no job outlives Blender."""
     atexit.register(jobs.stop_all)
 
 
 def unregister() -> None:
-    """Stop everything."""
+    """Stop all jobs."""
     if bpy.app.timers.is_registered(_tick):
         bpy.app.timers.unregister(_tick)
     jobs.stop_all()
     atexit.unregister(jobs.stop_all)
 
 
-KEPT_AREAS = ("VIEW_3D", "OUTLINER", "PREFERENCES")
-"""Editors that do not turn into another."""
 JOB_NAMES = tuple((name, name.title(), "") for name in get_args(jobs.JobName))
 
 
 class IRIS_OT_cancel(bpy.types.Operator):  # noqa: N801 - Blender's naming
-    """Stop; what is finished is kept and used the next time"""
+    """Stop; finished stages are kept and used the next time"""
 
     bl_idname = "iris.cancel"
     bl_label = "Cancel"
@@ -100,12 +94,12 @@ class IRIS_OT_cancel(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
-        """Something runs."""
+        """A job runs."""
         return any(True for _ in jobs.all_running())
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Ask the process to stop; the timer notices its end and kills it if it does not listen."""
-        job = jobs.running(self.job, folder_of(self.job, context))
+        """Ask the process to stop; the timer notices its end, and kills it if it does not stop."""
+        job = jobs.running(self.job, job_folder(self.job, context))
         if job is not None:
             job.worker.interrupt()
         return {"FINISHED"}
@@ -120,8 +114,8 @@ class IRIS_OT_copy_error(bpy.types.Operator):  # noqa: N801 - Blender's naming
     job: bpy.props.EnumProperty(items=JOB_NAMES, options={"HIDDEN"})
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Put it into the clipboard."""
-        folder = folder_of(self.job, context)
+        """Write to the clipboard."""
+        folder = job_folder(self.job, context)
         record = jobs.record(self.job, folder)
         log = _log(folder / f"{self.job}.log").splitlines()[-40:]
         context.window_manager.clipboard = "\n".join([f"error: {record.what} — {record.fix}", *log])
@@ -130,7 +124,7 @@ class IRIS_OT_copy_error(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
 
 class IRIS_OT_show_log(bpy.types.Operator):  # noqa: N801 - Blender's naming
-    """Open what the process said in a text editor"""
+    """Open the output of the process in a text editor"""
 
     bl_idname = "iris.show_log"
     bl_label = "Log"
@@ -139,31 +133,12 @@ class IRIS_OT_show_log(bpy.types.Operator):  # noqa: N801 - Blender's naming
     job: bpy.props.EnumProperty(items=JOB_NAMES, options={"HIDDEN"})
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Fill a text and show it."""
+        """Write the log to a text and show it."""
         name = f"IRIS {self.job} log"
         text = bpy.data.texts.get(name) or bpy.data.texts.new(name)
-        text.from_string(_log(folder_of(self.job, context) / f"{self.job}.log"))
+        text.from_string(_log(job_folder(self.job, context) / f"{self.job}.log"))
         show_in_editor(context, "TEXT_EDITOR", "text", text)
         return {"FINISHED"}
-
-
-def show_in_editor(
-    context: bpy.types.Context, area_type: str, attribute: str, shown: bpy.types.ID | str, *, only_open: bool = False
-) -> None:
-    """Give an editor of ``area_type`` what it shows: one that is open, else the roomiest beside the 3D view.
-
-    In background nothing is shown.
-    """
-    if context.screen is None:
-        return
-    areas = [area for area in context.screen.areas if area.type == area_type]
-    others = [] if only_open else [area for area in context.screen.areas if area.type not in KEPT_AREAS]
-    candidates = areas or others
-    if not candidates:
-        return
-    area = max(candidates, key=lambda area: min(area.width, area.height))  # a timeline is wide and too low
-    area.type = area_type
-    setattr(area.spaces.active, attribute, shown)
 
 
 def _log(path: Path) -> str:

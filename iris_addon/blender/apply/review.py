@@ -1,4 +1,4 @@
-"""Pictures of a result inside Blender: photo, re-render and error side by side, the response curve, the confidence."""
+"""Pictures of a result inside Blender: photo, re-render and error, the response curve, the confidence."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import BadInput
-from .images import image_from_array
-from .scene_out.materials import CONFIDENCE
+from ...base.errors import BadInput
+from ..images import image_from_array
+from ..scene_out.materials import CONFIDENCE
 
 KINDS = ("photo", "render", "error")
 CURVE_SIDE = 256
@@ -22,7 +22,7 @@ CHANNEL_COLORS = ((0.9, 0.25, 0.2), (0.2, 0.7, 0.25), (0.25, 0.45, 0.95))
 
 
 def reviewed_views(folder: Path) -> list[str]:
-    """Names of the photos that the report of the result in ``folder`` compares with their re-render."""
+    """Names of the photos that the report of the result in ``folder`` compares with their re-renders."""
     return sorted(path.name.removesuffix("-render.png") for path in (folder / "report").glob("*-render.png"))
 
 
@@ -42,7 +42,7 @@ def curve_image(samples: NDArray[np.floating], name: str = "IRIS Response") -> b
     if old is not None:
         bpy.data.images.remove(old)
     image = image_from_array(name, curve_plot(samples), colorspace="sRGB")
-    image.pack()  # else undo and redo bring it back black
+    image.pack()  # unpacked images are black after undo
     return image
 
 
@@ -60,16 +60,15 @@ def curve_plot(samples: NDArray[np.floating]) -> NDArray[np.float32]:
     for curve, color in lines:
         y = np.interp(x, np.linspace(0, 1, len(curve)), curve)
         row = side - 1 - np.clip((y * side).astype(int), 0, side - 1)
-        for thick in (0, 1):
-            picture[np.minimum(row + thick, side - 1), column] = color
+        for offset in (0, 1):
+            picture[np.minimum(row + offset, side - 1), column] = color
     return picture
 
 
 def sparkline(histogram: Sequence[float]) -> str:
-    """``histogram`` as at most 16 blocks, for places that show text alone; heights by square root, as most are
-    small."""
+    """``histogram`` as at most 16 block characters, for labels; heights are square roots because most are small."""
     counts = np.asarray(histogram, float)
-    if len(counts) > SPARKS:  # what is wider than the sidebar is cut in its middle
+    if len(counts) > SPARKS:  # the sidebar abbreviates longer text in its middle
         counts = np.add.reduceat(counts, np.arange(0, len(counts), -(-len(counts) // SPARKS)))
     heights = np.sqrt(counts)
     levels = np.ceil(heights / max(float(heights.max(initial=0.0)), 1e-9) * (len(BLOCKS) - 1)).astype(int)
@@ -77,7 +76,7 @@ def sparkline(histogram: Sequence[float]) -> str:
 
 
 def model_lines(report: dict[str, Any]) -> list[tuple[str, str]]:
-    """What the model switched on, as (label, value) for the panel."""
+    """The refinements of the model, as (label, value) for the panel."""
     model = report.get("model")
     lines = []
     for name, value in model.items() if isinstance(model, dict) else ():

@@ -1,4 +1,4 @@
-"""Pieces that several panels draw."""
+"""Interface elements that several panels draw."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from textwrap import wrap
 
 import bpy
 
-from ..iris_addon.blender.worker import jobs
-from . import preview, project
-from .watch import folder_of
+from ...iris_addon.blender.worker import jobs
+from ..folders import folder, job_folder
+from . import solve_preview
 
 
 def paragraph(layout: bpy.types.UILayout, text: str, context: bpy.types.Context, icon: str = "NONE") -> None:
-    """``text`` over as many lines as the width of the region needs."""
+    """Draw ``text``, wrapped to the width of the region."""
     pixels = 7 * context.preferences.system.ui_scale
     width = max(20, int((context.region.width if context.region else 300) / pixels) - 6)
     column = layout.column(align=True)
@@ -22,9 +22,9 @@ def paragraph(layout: bpy.types.UILayout, text: str, context: bpy.types.Context,
 
 
 def job_box(layout: bpy.types.UILayout, name: jobs.JobName, context: bpy.types.Context) -> None:
-    """Bars and Cancel while a job runs; reason, mend, Copy and Log when it failed; nothing when there was none."""
-    folder = folder_of(name, context)
-    job, record = jobs.running(name, folder), jobs.record(name, folder)
+    """Progress bars and Cancel while a job runs; reason, fix, Copy and Log if it failed; nothing without a job."""
+    where = job_folder(name, context)
+    job, record = jobs.running(name, where), jobs.record(name, where)
     if job is not None:
         worker = job.worker
         column = layout.column(align=True)
@@ -38,7 +38,7 @@ def job_box(layout: bpy.types.UILayout, name: jobs.JobName, context: bpy.types.C
     if record.state in ("failed", "interrupted"):
         box = layout.box()
         paragraph(box, record.what, context, "ERROR")
-        paragraph(box, f"Mend: {record.fix}", context, "INFO")
+        paragraph(box, f"Fix: {record.fix}", context, "INFO")
         row = box.row(align=True)
         row.operator("iris.copy_error", icon="COPYDOWN").job = name
         row.operator("iris.show_log", icon="TEXT").job = name
@@ -50,18 +50,18 @@ def job_box(layout: bpy.types.UILayout, name: jobs.JobName, context: bpy.types.C
 
 
 def preview_box(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """What the running solve knows of the room; nothing until it knows something."""
+    """The preview of the running solve; nothing before the first one."""
     settings = context.scene.iris
-    picture = preview.picture(project.folder(context.scene), settings.preview)
+    picture = solve_preview.picture(folder(context.scene), settings.preview)
     if picture is None:
         return
     layout.row(align=True).prop(settings, "preview", expand=True)
-    width = context.region.width / (20 * context.preferences.system.ui_scale)  # in units of the interface
+    width = context.region.width / (20 * context.preferences.system.ui_scale)  # in interface units
     layout.template_icon(picture.icon_id, scale=max(6.0, min(14.0, width - 4)))
 
 
 def time_left(seconds: float | None) -> str:
-    """The estimate in the words of people."""
+    """The estimated time left as text."""
     if seconds is None:
         return ""
     return f", {seconds:.0f} s left" if seconds < 90 else f", {seconds / 60:.0f} min left"

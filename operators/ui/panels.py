@@ -6,19 +6,19 @@ from collections.abc import Callable
 
 import bpy
 
-from ..iris_addon.base.errors import IrisError
-from ..iris_addon.base.files import read_json
-from ..iris_addon.blender.apply.camera_look import MATCHED
-from ..iris_addon.blender.apply.on_objects import APPLIED
-from ..iris_addon.blender.render import light_mixing
-from ..iris_addon.blender.review import model_lines
-from ..iris_addon.blender.scene_out import lights as lamps
-from ..iris_addon.blender.worker import jobs
-from ..iris_addon.results.files import REPORT, result_file
-from . import project
-from .pieces import job_box, paragraph, preview_box
-from .preferences import ROOT_PACKAGE, solver_python
-from .project import ICONS, Step
+from ...iris_addon.base.errors import IrisError
+from ...iris_addon.base.files import read_json
+from ...iris_addon.blender.apply.camera_look import MATCHED
+from ...iris_addon.blender.apply.on_objects import APPLIED
+from ...iris_addon.blender.apply.review import model_lines
+from ...iris_addon.blender.render import light_mixing
+from ...iris_addon.blender.scene_out import lights as lamps
+from ...iris_addon.blender.worker import jobs
+from ...iris_addon.results.files import REPORT, result_file
+from ..folders import ROOT_PACKAGE, folder, result_key, solver_python
+from . import steps
+from .steps import ICONS, Step
+from .widgets import job_box, paragraph, preview_box
 
 StepOf = Callable[[bpy.types.Scene], Step]
 
@@ -30,12 +30,12 @@ class _Sidebar:
 
 
 class IRIS_PT_iris(_Sidebar, bpy.types.Panel):  # noqa: N801 - Blender's naming
-    """Parent of the steps; says which one comes next."""
+    """The parent of the steps; shows which one is next."""
 
     bl_label = "IRIS"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The next thing to do."""
+        """Draw the next thing to do."""
         layout = self.layout
         if not solver_python(context):
             box = layout.box()
@@ -66,13 +66,13 @@ class _Step(_Sidebar):
 
 
 class IRIS_PT_data(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
-    """Where photos, poses and mesh come from."""
+    """Import of photos, poses and mesh."""
 
     bl_label = "Data"
-    step = staticmethod(project.data_step)
+    step = staticmethod(steps.data_step)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Import, or what was imported."""
+        """Draw import buttons, and a summary of what was imported."""
         layout, settings = self.layout, context.scene.iris
         column = layout.column(align=True)
         column.operator("iris.import_capture", icon="IMPORT")
@@ -92,13 +92,13 @@ class IRIS_PT_data(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
 
 
 class IRIS_PT_check(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
-    """Photo over mesh, and what was measured."""
+    """Photo over mesh, and measurements."""
 
     bl_label = "Check"
-    step = staticmethod(project.check_step)
+    step = staticmethod(steps.check_step)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The photo that is looked at, then the list of all, then warnings."""
+        """Draw the current photo, the list of all, and warnings."""
         layout, settings = self.layout, context.scene.iris
         job_box(layout, "inspect", context)
         if not settings.views:
@@ -112,10 +112,8 @@ class IRIS_PT_check(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         layout.template_list("IRIS_UL_views", "", settings, "views", settings, "view_index", rows=4)
         view = settings.views[index]
         column = layout.column(align=True)
-        fits = {"aligned": "lies on the mesh", "unclear": "too few common edges to tell"}
-        column.label(
-            text=f"Alignment {view.score:.2f}: " + fits.get(view.verdict, f"{view.shift:.0f} px beside the mesh")
-        )
+        fits = {"aligned": "coincides with the mesh", "unclear": "too few common edges to decide"}
+        column.label(text=f"Alignment {view.score:.2f}: " + fits.get(view.verdict, f"{view.shift:.0f} px off the mesh"))
         exposure = f"{view.exposure:.3g}" if view.exposure else "unknown"
         column.label(text=f"Saturated {view.saturated:.0%}, exposure {exposure}")
         column.label(text=view.histogram)
@@ -141,20 +139,20 @@ class IRIS_PT_solve(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
     """Preset, solve, progress."""
 
     bl_label = "Solve"
-    step = staticmethod(project.solve_step)
+    step = staticmethod(steps.solve_step)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Settings while nothing runs, bars while it does."""
+        """Draw the settings, and progress while a solve runs."""
         layout, settings = self.layout, context.scene.iris
-        running = jobs.running("solve", project.folder(context.scene)) is not None
+        running = jobs.running("solve", folder(context.scene)) is not None
         column = layout.column()
         column.use_property_split, column.use_property_decorate = True, False
         column.enabled = not running
         for name in ("preset", "device", "seed"):
             column.prop(settings, name)
         if not running:
-            state = project.solve_step(context.scene).state
-            record = jobs.record("solve", project.folder(context.scene))
+            state = steps.solve_step(context.scene).state
+            record = jobs.record("solve", folder(context.scene))
             again = {"done": "Solve Again", "stale": "Solve Again"}.get(state, "Solve")
             text = "Resume" if record.state in ("cancelled", "interrupted", "failed") else again
             column.operator("iris.solve", text=text, icon="PLAY")
@@ -164,22 +162,22 @@ class IRIS_PT_solve(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
 
 
 class IRIS_PT_review(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
-    """Judge the result, then put it onto the objects."""
+    """Review of the result, before it is applied to the objects."""
 
     bl_label = "Review"
-    step = staticmethod(project.review_step)
+    step = staticmethod(steps.review_step)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Pictures, figures, apply."""
+        """Draw buttons for pictures, the figures of the model, and Apply."""
         layout, scene = self.layout, context.scene
-        if not project.result_key(scene):
+        if not result_key(scene):
             layout.label(text="No result yet", icon="INFO")
             return
         grid = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
         for kind, text in (("photo", "Photo"), ("render", "Re-render"), ("error", "Error"), ("curve", "Response")):
             grid.operator("iris.review", text=text).kind = kind
         try:
-            report = read_json(result_file(project.folder(scene), REPORT))
+            report = read_json(result_file(folder(scene), REPORT))
         except IrisError as error:
             paragraph(layout, str(error), context, "ERROR")
             return
@@ -206,10 +204,10 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
     """The recovered lamps."""
 
     bl_label = "Relight / Insert"
-    step = staticmethod(project.relight_step)
+    step = staticmethod(steps.relight_step)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Each lamp with a switch, its colour and its strength; objects to put in."""
+        """Draw the lamps with switch, colour and strength, and buttons to insert objects."""
         layout, scene = self.layout, context.scene
         settings = scene.iris
         if APPLIED not in scene:
@@ -225,7 +223,7 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
             layout.prop(background.inputs["Strength"], "default_value", text="Light from Outside")
         lights = [thing.name for thing in scene.objects if thing.type == "LIGHT" and not thing.hide_render]
         if lights:
-            paragraph(layout, f"Shine as well: {', '.join(lights[:3])}", context, "INFO")
+            paragraph(layout, f"Other lights: {', '.join(lights[:3])}", context, "INFO")
         matched = MATCHED in scene
         text = "Renders Match the Photo" if matched else "Match Photo"
         layout.operator("iris.match_photo", text=text, icon="CAMERA_DATA", depress=matched).on = not matched
@@ -240,7 +238,7 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
 
 
 def _mixing(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
-    """Switch, and a slider and a colour per light of the finished render."""
+    """Draw the switch, and a slider and a colour per light of the finished render."""
     node = light_mixing.mixer(scene)
     text = "Mix Lights" if node is None else "Lights Are Mixed"
     layout.operator("iris.mix_lights", text=text, icon="NODE_COMPOSITING", depress=node is not None).on = node is None
@@ -278,10 +276,10 @@ class IRIS_PT_export(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
 
     bl_label = "Export"
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 - Blender's form
-    step = staticmethod(project.export_step)
+    step = staticmethod(steps.export_step)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """A button per format."""
+        """Draw a button per format."""
         layout = self.layout
         row = layout.row(align=True)
         row.operator("iris.export", text=".blend").format = "BLEND"

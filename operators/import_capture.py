@@ -1,4 +1,4 @@
-"""Captures into the scene: import through the solver's reader, from File > Import, the panel, or by dropping a file."""
+"""Import captures through the solver's reader: from File > Import, the panel, a dropped file, or the open scene."""
 # Blender declares properties as annotations.
 # pyright: reportInvalidTypeForm=false
 
@@ -11,8 +11,8 @@ import bpy
 from ..iris_addon.base.errors import IrisError
 from ..iris_addon.base.files import require_own_folder
 from ..iris_addon.blender.apply.on_objects import APPLIED
-from ..iris_addon.blender.apply.photo_cameras import forget_given
-from ..iris_addon.blender.review import sparkline
+from ..iris_addon.blender.apply.photo_cameras import forget_given_pose
+from ..iris_addon.blender.apply.review import sparkline
 from ..iris_addon.blender.scene_in.capture_objects import (
     COLLECTION,
     Inspected,
@@ -23,14 +23,13 @@ from ..iris_addon.blender.scene_in.capture_objects import (
 from ..iris_addon.blender.scene_in.scene_capture import read_view_cameras, write_scene_capture
 from ..iris_addon.blender.worker import jobs
 from ..iris_addon.blender.worker.jobs import ADDON, inspect_command
+from .folders import ROOT_PACKAGE, capture_path, folder, inspection_folder, own_folder, solver_python
 from .polls import NeedsReader
-from .preferences import ROOT_PACKAGE, solver_python
-from .project import capture_path, folder, inspection_folder, own_folder
-from .watch import run
+from .run_job import run
 
 CAPTURE = "iris_capture"
-"""Custom property of a room: the capture it is of."""
-COLMAP_FILES = [f"{part}.{kind}" for part in ("cameras", "images", "points3D") for kind in ("bin", "txt")]
+"""Custom property of a room: its capture."""
+COLMAP_FILES = [f"{name}.{kind}" for name in ("cameras", "images", "points3D") for kind in ("bin", "txt")]
 DEMO = ADDON / "assets" / "demo_room"
 
 
@@ -46,18 +45,18 @@ class IRIS_OT_import_capture(NeedsReader, bpy.types.Operator):  # noqa: N801 - B
     filter_glob: bpy.props.StringProperty(default="*.json;*.bin;*.txt", options={"HIDDEN"})
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
-        """Ask for the file or folder, unless one was dropped."""
+        """Open the file browser, unless a file was dropped."""
         if self.filepath:
             return self.execute(context)
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Start reading; what was read is added when it is there."""
+        """Start reading; the capture is added to the scene when that has ended."""
         path = Path(bpy.path.abspath(self.filepath or self.directory))
         if path.name == "" or (not path.exists() and path.parent.is_dir() and "." not in path.name):
-            path = path.parent  # the file browser in a folder with no file chosen
-        # A folder is known by its poses; a file elsewhere (dropped, or chosen by name) stands for itself.
+            path = path.parent  # the file browser, with a folder but no file chosen
+        # Files with poses stand for their capture folder; any other file is the capture itself.
         if path.name == "transforms.json":
             path = path.parent.parent if path.parent.name == "train" else path.parent
         elif path.name in COLMAP_FILES:
@@ -75,7 +74,7 @@ class IRIS_OT_import_demo(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blen
     bl_options = {"REGISTER"}  # noqa: RUF012 - Blender's form
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Import it; its results go to the user's folder, never into the extension's."""
+        """Import it; results go to the user's folder, never to the extension's."""
         settings = context.scene.iris
         choose_capture(settings, DEMO)
         settings.result = settings.result or bpy.utils.extension_path_user(ROOT_PACKAGE, path="demo_room-iris")
@@ -95,29 +94,29 @@ class IRIS_OT_use_scene(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blende
         if settings.source == "SCENE":
             return start_import(self, context)
         before = {name: getattr(settings, name) for name in ("source", "capture", "room", "result")}
-        if settings.views:  # the folder is that of the capture which was imported
+        if settings.views:  # that folder belongs to the imported capture
             settings.result = ""
         settings.source, settings.capture, settings.room = "SCENE", "", None
-        # Kept by name: saving the file elsewhere, or under another name, must not lose the result.
+        # Stored, so that saving the file under another name does not lose the result.
         settings.result = str(own_folder(context.scene))
         if not write_scene(self, context):
             for name, value in before.items():
                 setattr(settings, name, value)
             return {"CANCELLED"}
         for thing in context.scene.objects:  # cameras are solved where they stand now
-            forget_given(thing)
+            forget_given_pose(thing)
         return start_check(self, context)
 
 
 class IRIS_OT_add_capture(bpy.types.Operator):  # noqa: N801 - Blender's naming
-    """Add a capture that was read to the scene"""
+    """Add a capture that has been read to the scene"""
 
     bl_idname = "iris.add_capture"
     bl_label = "Add Capture"
     bl_options = {"UNDO", "INTERNAL"}  # noqa: RUF012 - Blender's form
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Read the folder of the check and make objects of it."""
+        """Read the folder of the check and create its objects."""
         scene = context.scene
         settings = scene.iris
         try:
@@ -131,64 +130,64 @@ class IRIS_OT_add_capture(bpy.types.Operator):  # noqa: N801 - Blender's naming
         return {"FINISHED"}
 
     def _cameras(self, scene: bpy.types.Scene, inspected: Inspected) -> list[bpy.types.Object | None]:
-        """The camera of each photo: the artist's own, those of the room that is there, or of one that is added."""
+        """The camera of each photo: the artist's own, that of the present room, or of a room that is added."""
         settings = scene.iris
         if settings.source == "SCENE":
             objects = read_view_cameras(folder(scene))
             return [scene.objects.get(objects.get(view.name, "")) for view in inspected.views]
-        if not _is_of(settings.room, settings.capture, scene):
+        if not _shows(settings.room, settings.capture, scene):
             if settings.room is not None:
-                _put_away(settings.room)
+                _hide_capture(settings.room)
             settings.room, cameras = add_capture(inspected, scene)
             settings.room[CAPTURE] = settings.capture
             return [*cameras]
         present = {view.name: view.camera for view in settings.views if view.camera is not None}
         present = {name: camera for name, camera in present.items() if camera.name in scene.objects}
         cameras = refresh_capture(inspected, scene, settings.room, present)
-        if APPLIED not in scene:  # a result of another mesh was taken off
+        if APPLIED not in scene:  # a result of another mesh was removed
             settings.lamps.clear()
         return [*cameras]
 
 
 def choose_capture(settings: bpy.types.PropertyGroup, path: Path) -> None:
-    """Make ``path`` the capture of the scene; a folder for results that belonged to another one is let go.
+    """Make ``path`` the capture of the scene, without the result folder of another capture.
 
-    Room and photos of that one stay until this one has been read: it may be no capture at all.
+    Room and photos of the other one stay until this one has been read, since ``path`` may be no capture.
     """
     if (settings.source, settings.capture) not in (("CAPTURE", str(path)), ("CAPTURE", "")):
         settings.result = ""
     settings.source, settings.capture = "CAPTURE", str(path)
 
 
-def _is_of(room: bpy.types.Object | None, capture: str, scene: bpy.types.Scene) -> bool:
+def _shows(room: bpy.types.Object | None, capture: str, scene: bpy.types.Scene) -> bool:
     return room is not None and room.get(CAPTURE) == capture and room.name in scene.objects
 
 
-def _put_away(room: bpy.types.Object) -> None:
-    """Hide the room of another capture with its photos: it would stand in this one."""
+def _hide_capture(room: bpy.types.Object) -> None:
+    """Hide the room of another capture and its photos: it would overlap this one."""
     for collection in room.users_collection:
         if collection.name.startswith(COLLECTION):
             collection.hide_viewport = collection.hide_render = True
 
 
 def start_import(operator: bpy.types.Operator, context: bpy.types.Context) -> set[str]:
-    """Write the scene as a capture if need be, then :func:`start_check`; returns what the operator returns."""
+    """Write the scene as a capture if need be, then :func:`start_check`; returns the result of the operator."""
     return start_check(operator, context) if write_scene(operator, context) else {"CANCELLED"}
 
 
 def start_check(operator: bpy.types.Operator, context: bpy.types.Context) -> set[str]:
-    """Let the worker read and check the capture of the scene, then add it; returns what the operator returns."""
+    """Let the worker read and check the capture of the scene, then add it; returns the result of the operator."""
     scene, name = context.scene, context.scene.name
     target = inspection_folder(scene)
 
     def ended(record: jobs.Record) -> None:
-        # The file that was open may be another one by now; it finds the check again by its folder.
+        # Another file may be open by now; it finds the check by its folder.
         scene = bpy.data.scenes.get(name) if record.state == "done" else None
         if scene is not None and inspection_folder(scene) == target:
             try:
                 with bpy.context.temp_override(**_window_of(scene)):
                     bpy.ops.iris.add_capture("EXEC_DEFAULT", True)
-            except RuntimeError as error:  # how Blender hands on what an operator reports
+            except RuntimeError as error:  # Blender raises what an operator reports
                 raise IrisError(str(error).strip().removeprefix("Error: "), "check the capture again") from error
 
     capture = capture_path(scene)
@@ -202,15 +201,15 @@ def start_check(operator: bpy.types.Operator, context: bpy.types.Context) -> set
 
 
 def write_scene(operator: bpy.types.Operator, context: bpy.types.Context) -> bool:
-    """Write the scene as a capture if that is what is solved; False, and reported, if it cannot be.
+    """Write the scene as a capture if that is the source; returns False, with a report, if it cannot be written.
 
-    With a result on its objects the scene is not what was photographed: what was written before is solved again.
+    A scene with an applied result is not what was photographed: then the capture written before is used again.
     """
     scene = context.scene
     if scene.iris.source != "SCENE":
         return True
     if APPLIED in scene and (folder(scene) / "capture" / "transforms.json").is_file():
-        operator.report({"INFO"}, "The scene as it was before Apply; Restore Originals to take in changes made since")
+        operator.report({"INFO"}, "Using the scene as it was before Apply; Restore Originals to include later changes")
         return True
     try:
         for warning in write_scene_capture(scene, context.evaluated_depsgraph_get(), folder(scene)):
@@ -222,7 +221,7 @@ def write_scene(operator: bpy.types.Operator, context: bpy.types.Context) -> boo
 
 
 def _window_of(scene: bpy.types.Scene) -> dict[str, object]:
-    # A timer has no window in its context, and an operator takes the scene of the window.
+    # A timer has no window in its context, and operators use the scene of the window.
     windows = bpy.context.window_manager.windows
     window = next((window for window in windows if window.scene == scene), None)
     return {"scene": scene} if window is None else {"window": window, "scene": scene}
@@ -250,12 +249,12 @@ class IRIS_FH_capture(bpy.types.FileHandler):  # noqa: N801 - Blender's naming
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
-        """Over a 3D view."""
+        """The mouse is over a 3D view."""
         return context.area is not None and context.area.type == "VIEW_3D"
 
 
 def menu(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
-    """Entry of File > Import."""
+    """The entry of File > Import."""
     self.layout.operator("iris.import_capture", text="IRIS Capture (transforms.json, COLMAP)")
 
 
@@ -265,5 +264,5 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Take the menu entry out."""
+    """Remove the menu entry."""
     bpy.types.TOPBAR_MT_file_import.remove(menu)

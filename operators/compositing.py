@@ -1,4 +1,4 @@
-"""What happens to renders of a solved room: they look like the photo, and their lights are mixed."""
+"""Compositing of a solved room: renders that look like the photo, and lights that are mixed afterwards."""
 # Blender declares properties as annotations.
 # pyright: reportInvalidTypeForm=false
 
@@ -13,13 +13,13 @@ from ..iris_addon.blender.apply.camera_look import MATCHED, match_photo, stop_ma
 from ..iris_addon.blender.render.light_mixing import start_mixing, stop_mixing
 from ..iris_addon.model.response import Response
 from ..iris_addon.results.records import read_response
+from .editors import show_in_editor
+from .folders import folder
 from .polls import NeedsApplied
-from .project import folder
-from .watch import show_in_editor
 
 
 class IRIS_OT_match_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
-    """Let renders pass through the recovered camera: response, exposure and white balance of the photo looked at"""
+    """Let renders pass through the recovered camera: response, exposure and white balance of the current photo"""
 
     bl_idname = "iris.match_photo"
     bl_label = "Match Photo"
@@ -28,12 +28,12 @@ class IRIS_OT_match_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Ble
     on: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Put the camera at the end of the compositing, or take it out."""
+        """Add the camera at the end of the compositing, or remove it."""
         if not self.on:
             stop_matching(context.scene)
             return {"FINISHED"}
         try:
-            match_photo(context.scene, *shown_look(context.scene))
+            match_photo(context.scene, *current_look(context.scene))
         except IrisError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -42,7 +42,7 @@ class IRIS_OT_match_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Ble
 
 class IRIS_OT_mix_lights(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
     """A slider per light that changes a finished render: each lamp becomes an object with a light group, mixed in
-    compositing. Off again, everything is as it was"""
+    compositing. Switching this off restores everything"""
 
     bl_idname = "iris.mix_lights"
     bl_label = "Mix Lights"
@@ -51,19 +51,19 @@ class IRIS_OT_mix_lights(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
     on: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Take the lamps apart, or put them back; the recovered camera stays last."""
+        """Separate the lamps, or restore them; the recovered camera stays last."""
         try:
-            names = self._mixed(context.scene)
+            names = self._switch(context.scene)
         except IrisError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        if self.on:  # Blender composites again by itself only where that can be seen
+        if self.on:  # Blender updates the compositing only while an editor shows it
             self.report({"INFO"}, f"{len(names)} lights: render (F12), then turn them")
             show_in_editor(context, "NODE_EDITOR", "tree_type", "CompositorNodeTree")
         return {"FINISHED"}
 
-    def _mixed(self, scene: bpy.types.Scene) -> list[str]:
-        look = shown_look(scene) if MATCHED in scene else None  # read before anything changes: it may be missing
+    def _switch(self, scene: bpy.types.Scene) -> list[str]:
+        look = current_look(scene) if MATCHED in scene else None  # read first, because it may be missing
         stop_matching(scene)
         try:
             if self.on:
@@ -75,8 +75,8 @@ class IRIS_OT_mix_lights(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
                 match_photo(scene, *look)
 
 
-def shown_look(scene: bpy.types.Scene) -> tuple[Response, dict[str, NDArray[np.float64]], str]:
-    """What makes renders of ``scene`` look like the photo that is looked at; raises BadInput without a response."""
+def current_look(scene: bpy.types.Scene) -> tuple[Response, dict[str, NDArray[np.float64]], str]:
+    """Response, exposures and name of the current photo of ``scene``; raises BadInput without a response."""
     response, exposures, _local = read_response(folder(scene))
     views = scene.iris.views
     return response, exposures, views[scene.iris.view_index].name if views else ""

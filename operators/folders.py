@@ -1,0 +1,96 @@
+"""Where the work of a scene lies on disk: capture, check, result; and the solver's Python environment."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import bpy
+
+from ..iris_addon.blender.worker import jobs
+from ..iris_addon.results.files import REPORT, result_file
+
+ROOT_PACKAGE = str(__package__).rpartition(".")[0]
+"""The extension as Blender names it, ``bl_ext.<repository>.iris``."""
+
+
+def capture_path(scene: bpy.types.Scene) -> Path | None:
+    """The capture to solve: the chosen one, or the one written from the scene; None where there is none."""
+    if scene.iris.source == "SCENE":
+        return folder(scene) / "capture"
+    return Path(bpy.path.abspath(scene.iris.capture)).resolve() if scene.iris.capture else None
+
+
+def folder(scene: bpy.types.Scene) -> Path:
+    """The folder for checks and results: the chosen one, else beside the capture or the .blend, else the user's."""
+    settings = scene.iris
+    if settings.result:
+        return Path(bpy.path.abspath(settings.result)).resolve()
+    if settings.source == "CAPTURE" and settings.capture:
+        capture = capture_path(scene)
+        assert capture is not None
+        capture = capture if capture.is_dir() else capture.parent
+        return capture.with_name(f"{capture.name}-iris")
+    name = bpy.path.clean_name(scene.name)  # "Day/Night" names a scene, but cannot name a folder
+    if bpy.data.filepath:
+        return Path(f"{Path(bpy.data.filepath).with_suffix('')}.{name}-iris")
+    return Path(bpy.utils.extension_path_user(ROOT_PACKAGE, path=f"unsaved/{name}"))
+
+
+def own_folder(scene: bpy.types.Scene) -> Path:
+    """:func:`folder`, made unique where the file is not saved, so that no other unsaved file uses it."""
+    where = folder(scene)
+    unsaved = not scene.iris.result and not bpy.data.filepath
+    return where.with_name(f"{where.name}-{time.time_ns():x}") if unsaved else where
+
+
+def inspection_folder(scene: bpy.types.Scene) -> Path:
+    """The folder of the check of the capture."""
+    return folder(scene) / "inspection"
+
+
+def result_key(scene: bpy.types.Scene) -> str:
+    """Identifies the result on disk; empty where there is none."""
+    try:
+        return f"{folder(scene)}#{result_file(folder(scene), REPORT).stat().st_mtime_ns}"
+    except OSError:
+        return ""
+
+
+def capture_changed(capture: Path, result: Path) -> bool:
+    """Whether the poses of ``capture`` were written after the file ``result``."""
+    # The modification time of the folder changes with every file in it, so that of the poses decides.
+    poses = ("transforms.json", "train/transforms.json", "sparse/0/images.bin", "sparse/0/images.txt")
+    candidates = (capture, *(capture / name for name in poses))
+    times = [path.stat().st_mtime for path in candidates if path.is_file()]
+    return bool(times) and max(times) > result.stat().st_mtime
+
+
+# ---- the solver's Python -------------------------------------------------------------------------------------------
+
+
+def environment_folder() -> Path:
+    """The folder for an environment created here; this does not create it."""
+    return Path(bpy.utils.extension_path_user(ROOT_PACKAGE, path="environment"))
+
+
+def environment_python(folder: Path) -> Path:
+    """The Python of a virtual environment."""
+    windows = folder / "venv" / "Scripts" / "python.exe"
+    return windows if windows.is_file() else folder / "venv" / "bin" / "python"
+
+
+def solver_python(context: bpy.types.Context) -> str:
+    """Path of the solver's Python: the chosen one, or the one created here; empty where there is neither."""
+    chosen = bpy.path.abspath(context.preferences.addons[ROOT_PACKAGE].preferences.python)
+    if chosen:  # called at every redraw, so the disk is read only if nothing is chosen
+        return chosen
+    made = environment_python(environment_folder())
+    return str(made) if made.is_file() and jobs.record("environment", environment_folder()).state == "done" else ""
+
+
+def job_folder(name: str, context: bpy.types.Context) -> Path:
+    """The folder of the job ``name`` for the current scene or, for jobs on the environment, for the preferences."""
+    if name in ("environment", "test"):
+        return environment_folder()
+    return inspection_folder(context.scene) if name == "inspect" else folder(context.scene)

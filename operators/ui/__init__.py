@@ -1,0 +1,1 @@
+"""What the operators look like in Blender: panels, preferences, scene settings."""
