@@ -1,4 +1,4 @@
-"""How even the albedo of one surface came out: what can be asked of a real room, of which nobody knows the truth.
+"""How even the albedo of one surface came out: a score for real rooms, of which nobody knows the truth.
 
     python -m benchmarks.albedo_spread RESULT CAPTURE --at VIEW X Y [--at VIEW X Y ...] [--reach 1]
 

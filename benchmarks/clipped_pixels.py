@@ -22,7 +22,7 @@ CLIPPED = 255
 FloatArray = NDArray[np.float64]
 
 
-def radiance_beyond_clipping(root: Path, views: Sequence[View], response: Response) -> dict[str, FloatArray]:
+def radiance_behind_clipping(root: Path, views: Sequence[View], response: Response) -> dict[str, FloatArray]:
     """(H, W, 3) radiance of the clipped pixels of each view of the capture in ``root``; NaN elsewhere.
 
     It is the median over the photos that show a place unclipped, which is what a matte surface sends to all of them;

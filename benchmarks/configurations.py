@@ -1,7 +1,7 @@
 """What is compared: our presets, and our engine set up to make the assumptions of other methods.
 
 A peer of this family runs on our transport and our solvers, so a difference to ``ours`` is the price of an assumption
-and not of an implementation. What a peer must be told (the lamps' faces, exposures, a curve) it is told truthfully.
+and not of an implementation. What a peer has to be given (the lamps' faces, exposures, a curve) is the truth.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class Configuration:
 
 
 def true_emitters(capture: Path) -> list[list[int]]:
-    """[first, last + 1] faces of each true lamp; raises BadInput where the capture does not say."""
+    """[first, last + 1] faces of each true lamp; raises BadInput where the capture does not record them."""
     path = capture / "gt" / "emitters.json"
     if not path.is_file():
         raise BadInput("the true lamps are not recorded", "use a capture with gt/emitters.json", capture)

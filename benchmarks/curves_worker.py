@@ -20,7 +20,7 @@ from iris_addon.evaluate.evaluation import evaluate
 from . import machine
 from .perturb_cameras import misreport_exposures
 from .perturb_photos import copy_capture, curves_by_distance, take_with_curve
-from .runs import write_record
+from .records import write_record
 
 SCORES = ("kd_psnr", "kd_psnr_all", "crf_l2", "exposure_log2_rmse")
 

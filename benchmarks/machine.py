@@ -1,4 +1,4 @@
-"""What a measurement was taken on: machine, versions, commit. Part of every record."""
+"""What a measurement was taken on: machine, versions, commit. Every record has it."""
 
 from __future__ import annotations
 
@@ -29,14 +29,6 @@ def describe() -> dict[str, object]:
     }
 
 
-def name() -> str:
-    """One line for captions: processor, cores, memory."""
-    facts = describe()
-    memory = facts["memory_bytes"]
-    gib = "" if not isinstance(memory, int) else f", {memory / 2**30:.0f} GiB"
-    return f"{facts['processor']}, {facts['cores']} cores{gib}"
-
-
 def _processor() -> str:
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.is_file():
@@ -50,7 +42,7 @@ def _processor() -> str:
 def _memory() -> int | None:
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):  # not a system that says so
+    except (AttributeError, ValueError, OSError):  # the system does not report it
         return None
 
 

@@ -58,10 +58,10 @@ class Problem:
 
     @staticmethod
     def read(folder: Path) -> Problem:
-        """The capture with the truths this peer is told; raises BadInput where they are not recorded."""
+        """The capture with the truths that this peer is given; raises BadInput where they are not recorded."""
         capture, truth = read_capture(folder), read_ground_truth(folder)
         if truth is None or truth.response is None or not capture.exposures_known:
-            raise BadInput("records no response or no exposures", "this peer has to be told them", folder)
+            raise BadInput("records no response or no exposures", "this peer has to be given them", folder)
         tracer = Tracer(capture.mesh)
         samples = trace_pixels(tracer, [view.camera for view in capture.views], 1, Progress())
         density = texel_density_from_footprint(samples.face, samples.footprint, len(capture.mesh.faces))
@@ -109,7 +109,7 @@ def load_mitsuba() -> Any:
         mi.set_variant(*VARIANTS)
     except (ImportError, AttributeError) as error:
         raise SolverEnvironmentMissing(
-            f"Mitsuba 3 does not run here ({error})", "install mitsuba and libllvm19 as docs/benchmarks.md says"
+            f"Mitsuba 3 does not run here ({error})", "install mitsuba and libllvm19 as docs/benchmarks.md describes"
         ) from error
     return mi
 

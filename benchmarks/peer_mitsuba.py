@@ -35,7 +35,8 @@ from iris_addon.surface.topology import initial_regions
 
 from . import machine
 from .mitsuba_scene import ATLAS_SIZE, BASE_COLOR, CLIPPED, ROUGHNESS, SIDES, Problem, load_mitsuba, make_scene
-from .runs import Record, Run, relative, run_isolated, standing_record
+from .records import Record
+from .runs import Run, relative, run_isolated, standing_record
 
 NAME = "mitsuba-prb"
 SNAPSHOTS = (30, 60, 120, 300, 600, 1200)
@@ -96,7 +97,7 @@ def optimise(problem: Problem, stops: Sequence[float], rates: Rates, seed: int, 
 
     scene, sensors = make_scene(mi, problem)
     parameters = mi.traverse(scene)
-    # Texels that the photo of this step says nothing about stay where they are.
+    # Texels that the photo of this step does not show stay as they are.
     optimiser = mi.ad.Adam(lr=rates.texture, epsilon=EPSILON, mask_updates=True)
     optimiser[BASE_COLOR], optimiser[ROUGHNESS] = parameters[BASE_COLOR], parameters[ROUGHNESS]
     names = [f"log_lamp{k}" for k in range(len(problem.lamps))]
@@ -160,7 +161,7 @@ def _apply(dr: Any, parameters: Any, optimiser: Any, names: Sequence[str]) -> No
 
 @dataclass(frozen=True)
 class Target:
-    """What a photo asks of a rendering, (H, W, 3) each.
+    """The photo that a rendering is compared with, (H, W, 3) each.
 
     The photo is taken back to exposed radiance, because the response of a noisy rendering is darker than that of a
     clean one: compared as photos, few samples drive the lamps up without end. Weighted by the slope of the response an

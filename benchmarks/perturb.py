@@ -156,7 +156,7 @@ AXES: Mapping[str, Axis] = {
         ),
         Axis(
             name="parts",
-            title="parts merged",
+            title="regions merged",
             unit="share",
             levels=(0, 0.25, 0.5, 0.75, 1),
             apply=_g.merge_regions,
@@ -231,7 +231,7 @@ AXES: Mapping[str, Axis] = {
 
 
 def perturb(source: Path, axis: str, level: int, seed: int, out: Path) -> Perturbed:
-    """Copy the capture ``source`` under ``out`` and make it as hard as ``level`` of ``axis`` says.
+    """Copy the capture ``source`` under ``out`` and make it as hard as ``level`` of ``axis``.
 
     Args:
         axis: name in :data:`AXES`, or "" for the capture as it is.

@@ -61,7 +61,7 @@ def keep_photos(root: Path, _truth: Path, count: float, rng: np.random.Generator
 def drop_lamp_photos(root: Path, _truth: Path, share: float, _rng: np.random.Generator) -> str:
     """The photos that show most of a lamp left out, until ``share`` of those that show any are gone.
 
-    Four photos always remain, even if they show a lamp; the note says how many do.
+    Four photos always remain, even if they show a lamp; the note counts them.
     """
     views = read_fipt_views(root, "train")
     lit = np.array([_lamp_pixels(root, view.name) for view in views])

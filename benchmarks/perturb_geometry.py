@@ -22,8 +22,8 @@ from iris_addon.model.capture import Mesh, View
 from iris_addon.rays.tracer import Hits, Tracer, points_on_faces
 from iris_addon.surface.topology import initial_regions, weld
 
-from .meshes import FaceMap, cluster, select, subdivide_edges
 from .perturb_masks import true_lamp_faces
+from .remeshing import FaceMap, cluster, select, subdivide_edges
 from .runs import SWEPT_VIEWS
 
 HOLE_EDGE = 0.15
@@ -141,10 +141,10 @@ def merge_regions(root: Path, _truth: Path, share: float, rng: np.random.Generat
     merged = ids[: int(np.ceil(share * len(ids)))]
     regions = np.where(np.isin(regions, merged), merged[0], regions)
     if len(np.unique(regions)) == 1:
-        # A file with one region counts as a file without; a single face elsewhere makes it one that says so.
+        # A file with one region counts as a file without; a single face elsewhere makes it one with regions.
         regions[0] = regions.max() + 1
     _replace(root, Mesh(mesh.vertices, mesh.faces, None, regions), np.arange(len(mesh.faces)))
-    return f"{len(merged)} of {len(ids)} parts are one"
+    return f"{len(merged)} of {len(ids)} regions are one"
 
 
 # ---- files ---------------------------------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 All start from radiance. A capture that keeps its training radiance (``gt/train/Image/*.exr``) is developed anew, which
 is exact. Of others the 8-bit photo is inverted: a value uniform within its quantisation step; where it is clipped, the
 true emission of lamps, what darker photos show of other surfaces, and the clipping level of what none shows. The note
-in the record says which of the two it was.
+in the record names which of the two it was.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from iris_addon.model.capture import View
 from iris_addon.model.response import LUMINANCE, N_SAMPLES, Response
 from iris_addon.response import family
 
-from .clipped_pixels import radiance_beyond_clipping
+from .clipped_pixels import radiance_behind_clipping
 from .machine import ROOT
 
 DORF = ROOT.parent / "shared" / "crf" / "dorf_dev.npz"
@@ -41,14 +41,14 @@ class Film:
     Attributes:
         response: the true one.
         exact: whether radiance comes from EXR files.
-        beyond: where it does not: radiance of clipped pixels by view, NaN where it is not known.
+        behind_clipping: where it does not, radiance of the clipped pixels of each view, NaN where it is unknown.
     """
 
     root: Path
     views: tuple[View, ...]
     response: Response
     exact: bool
-    beyond: Mapping[str, FloatArray]
+    behind_clipping: Mapping[str, FloatArray]
 
     @staticmethod
     def of(root: Path) -> Film:
@@ -66,7 +66,7 @@ class Film:
             views=views,
             response=response,
             exact=exact,
-            beyond={} if exact else radiance_beyond_clipping(root, views, response),
+            behind_clipping={} if exact else radiance_behind_clipping(root, views, response),
         )
 
     @property
@@ -83,7 +83,7 @@ class Film:
         x = self.response.invert((byte + rng.random(byte.shape)) / 255.0)
         clipped = byte == 255
         radiance = np.where(clipped, 1.0, x) / view.exposure
-        radiance = np.fmax(radiance, self.beyond[view.name])
+        radiance = np.fmax(radiance, self.behind_clipping[view.name])
         emit = self.root / "gt" / "train" / "Emit" / f"{view.name}.exr"
         if emit.is_file():
             radiance = np.where(clipped, np.maximum(radiance, read_rgb(emit)), radiance)

@@ -18,9 +18,9 @@ import numpy as np
 from iris_addon.base.errors import BadInput, IrisError
 from iris_addon.capture.fipt import read_fipt_views
 
+from .halved_capture import KEPT
 from .machine import ROOT
 from .runs import SWEPT_VIEWS
-from .small import KEPT
 
 SAMPLES = 16
 WALLS = ("plaster", "sage paint", "ceiling paint")
@@ -72,8 +72,8 @@ def rendered(change: str, level: float, like: Path) -> Path:
         command += [str(camera.width), str(camera.height)]
         process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
         if process.returncode:
-            said = process.stderr.strip().splitlines() or ["no message"]
-            raise IrisError(f"the changed room was not rendered: {said[-1]}", "run make stability again", kept)
+            lines = process.stderr.strip().splitlines() or ["no message"]
+            raise IrisError(f"the changed room was not rendered: {lines[-1]}", "run make stability again", kept)
     return kept
 
 

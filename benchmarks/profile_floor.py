@@ -15,10 +15,9 @@ import os
 import sys
 import tempfile
 import time
-from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -35,36 +34,14 @@ from iris_addon.rays.tracer import Tracer, points_on_faces
 from iris_addon.transport.aimed_rays import SparseRays
 from iris_addon.transport.transport import Transport
 
-from . import machine, tables
-from .measured import machine_of, pack
-from .runs import BUNDLED, Record, capture_folder
+from . import machine
+from .profile_section import Counts, Floors, describe
+from .records import Record
+from .runs import BUNDLED, capture_folder
 
 SOLVES = 3
 TRIAL_RAYS = 1 << 20
 TRIAL_BYTES = 1 << 28
-
-
-@dataclass(frozen=True)
-class Floors:
-    """Measured limits of the machine on one room: rays and bytes per second."""
-
-    closest: float
-    occluded: float
-    bandwidth: float
-
-
-@dataclass
-class Counts:
-    """Work per stage."""
-
-    closest: dict[str, int] = field(default_factory=lambda: defaultdict(int))
-    occluded: dict[str, int] = field(default_factory=lambda: defaultdict(int))
-    moved: dict[str, int] = field(default_factory=lambda: defaultdict(int))
-
-    def floor(self, stage: str, floors: Floors) -> float:
-        """Seconds that the counted work of ``stage`` needs at least."""
-        rays = self.closest.get(stage, 0) / floors.closest + self.occluded.get(stage, 0) / floors.occluded
-        return rays + self.moved.get(stage, 0) / floors.bandwidth
 
 
 def measure_floors(mesh: Mesh, seed: int = 0) -> Floors:
@@ -147,7 +124,7 @@ def counted(progress: Progress) -> Iterator[Counts]:
 
 
 class StageProgress(Progress):
-    """Progress that can be asked which stage it is in."""
+    """Progress that knows which stage it is in."""
 
     current = ""
 
@@ -186,45 +163,6 @@ def profile(folder: Path, preset_name: str) -> Record:
     }
 
 
-def describe_records(records: Sequence[Record], _images: Path) -> str:
-    """Tables of :func:`profile`, one per record."""
-    return "\n".join(
-        [machine_of(records) + "\n"]
-        + [
-            describe(
-                record["seconds"],
-                Counts(**record["counts"]),
-                Floors(**record["floors"]),
-                f"`{record['run']['preset']}` on {record['run']['capture']}",
-            )
-            for record in records
-        ]
-    )
-
-
-def describe(seconds: dict[str, float], counts: Counts, floors: Floors, what: str) -> str:
-    """Every stage against its floor, in the order of the solve, as Markdown."""
-    from iris_addon.pipeline import WEIGHTS
-
-    body, total, total_floor = [], 0.0, 0.0
-    for stage in sorted(seconds, key=list(WEIGHTS).index):
-        spent = seconds[stage]
-        floor = counts.floor(stage, floors)
-        total, total_floor = total + spent, total_floor + floor
-        rays = (counts.closest.get(stage, 0) + counts.occluded.get(stage, 0)) / 1e6
-        moved = counts.moved.get(stage, 0) / 1e9
-        ratio = f"{spent / floor:.1f}" if floor > 1e-3 else "–"
-        body.append([stage, f"{spent:.1f}", f"{rays:.2f}", f"{moved:.2f}", f"{floor:.2f}", ratio])
-    ratio = f"{total / total_floor:.1f}" if total_floor > 0 else "–"
-    body.append(["**all**", f"{total:.1f}", "", "", f"{total_floor:.2f}", ratio])
-    header = ["stage", "seconds", "million rays", "GB moved", "floor, seconds", "ratio"]
-    limits = (
-        f"{floors.closest / 1e6:.2f} million closest hits, {floors.occluded / 1e6:.2f} million visibility tests and "
-        f"{floors.bandwidth / 1e9:.1f} GB per second"
-    )
-    return f"{what}: {limits}.\n\n{tables.markdown(header, body)}"
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -233,12 +171,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--no-report", action="store_true", help="print alone, leave docs as they are")
     args = parser.parse_args(arguments)
     record = profile(args.capture, args.preset)
-    print(describe_records([record], args.capture))
+    print(describe([record]))
     if not args.no_report:
-        from .report import write
+        from .report import publish
 
-        pack("profile", [record])
-        write(["profile"])
+        publish("profile", [record])
     return 0
 
 

@@ -9,25 +9,24 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from iris_addon.base.files import atomic_write
 
-from . import bench, bench_tables, curves, profile_floor, scaling, stability
+from . import curves_section, profile_section, scaling_section, speed_section, stability_section
 from .machine import ROOT
-from .measured import COMMITTED, IMAGES, unpack
-from .runs import Record
+from .records import COMMITTED, IMAGES, Record, pack, unpack
 
 PAGE, README = ROOT / "docs" / "benchmarks.md", ROOT / "README.md"
 Section = Callable[[Sequence[Record], Path], str]
 """(records, folder for charts) to Markdown."""
 SECTIONS: Mapping[str, Section] = {
-    "bench": bench.describe,
-    "stability": stability.describe,
-    "curves": curves.describe,
-    "scaling": scaling.describe,
-    "profile": profile_floor.describe_records,
+    "bench": speed_section.describe,
+    "stability": stability_section.describe,
+    "curves": curves_section.describe,
+    "scaling": scaling_section.describe,
+    "profile": profile_section.describe,
 }
 NOT_MEASURED = "Not measured yet."
 
@@ -52,7 +51,13 @@ def write(
         texts[name] = SECTIONS[name](records, images) if records else NOT_MEASURED
     _fill_file(page, texts)
     if "bench" in names and (records := unpack("bench", committed)):
-        _fill_file(readme, {"balanced": bench_tables.balanced(records)})
+        _fill_file(readme, {"balanced": speed_section.balanced_table(records)})
+
+
+def publish(name: str, records: Iterable[Record]) -> None:
+    """Commit what was measured for the section ``name``, and make its charts and tables anew."""
+    pack(name, records)
+    write([name])
 
 
 def _fill_file(path: Path, texts: Mapping[str, str]) -> None:

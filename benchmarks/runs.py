@@ -1,4 +1,4 @@
-"""Runs and their records: a run is a capture, a configuration, a perturbation, a seed; its record is one JSON file.
+"""Runs: a capture, a configuration, a perturbation, a seed; the record of each is one JSON file.
 
 Every run has a process of its own, so that its peak memory is its own and a crash costs one point. A run whose record
 stands is not repeated: stop at any time and start again.
@@ -7,31 +7,29 @@ stands is not repeated: stop at any time and start again.
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import fmean
-from typing import Any, Literal
+from typing import Literal
 
-from iris_addon.base.errors import IrisError
-from iris_addon.base.files import read_json, write_json
+from iris_addon.base.files import read_json
 from iris_addon.base.parallel import cores
 from iris_addon.base.progress import Progress
 
 from .machine import ROOT
+from .records import Record
 
 Scored = Literal["maps", "relight", "all"]
 BUNDLED = ROOT / "assets" / "demo_room"
 SHARED_CAPTURES = ROOT.parent / "shared" / "captures"
 SWEPT_VIEWS = 2
 """Held-out views that the sweeps relight."""
-Record = dict[str, Any]
 
 
 def capture_folder(text: str) -> Path:
@@ -120,7 +118,7 @@ def run_all(runs: Sequence[Run], folder: Path, progress: Progress, jobs: int = 1
 
 
 def _estimate(spent: Sequence[float], left: int, jobs: int) -> str:
-    """What the runs before say about those to come, as text."""
+    """How long the runs to come will take by those before, as text."""
     if not spent or not left:
         return ""
     return f"; about {fmean(spent) * left / jobs / 60:.0f} minutes at {fmean(spent):.0f} s each, {jobs} at a time"
@@ -152,7 +150,7 @@ def run_isolated(module: str, path: Path, arguments: Sequence[str], jobs: int = 
         jobs: processes at a time; each gets its share of the cores, or their threads would wait for each other.
 
     Returns:
-        None, or the last line the process said when it failed.
+        None, or the last line that the process wrote to stderr when it failed.
     """
     if path.is_file():
         return None
@@ -162,8 +160,8 @@ def run_isolated(module: str, path: Path, arguments: Sequence[str], jobs: int = 
     process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env=environment)
     if process.returncode == 0 and path.is_file():
         return None
-    said = [line for line in process.stderr.splitlines() if line.strip()]
-    return said[-1].removeprefix("error: ") if said else f"ended with code {process.returncode}"
+    lines = [line for line in process.stderr.splitlines() if line.strip()]
+    return lines[-1].removeprefix("error: ") if lines else f"ended with code {process.returncode}"
 
 
 def run_each(module: str, todo: Mapping[str, Sequence[str]], folder: Path, progress: Progress) -> None:
@@ -174,48 +172,3 @@ def run_each(module: str, todo: Mapping[str, Sequence[str]], folder: Path, progr
             error = run_isolated(module, folder / f"{name}.json", arguments)
             if error is not None:
                 progress.update(index / len(todo), f"{name}: {error}")
-
-
-def write_record(path: Path, measure: Callable[[], Record]) -> int:
-    """What a worker does: the record of ``measure`` at ``path``, or what is wrong on stderr; the exit code."""
-    try:
-        write_json(path, measure())
-    except IrisError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
-    return 0
-
-
-def read_records(folder: Path) -> list[Record]:
-    """All records of a folder, by name."""
-    return [read_json(path) for path in sorted(folder.glob("*.json"))]
-
-
-# ---- tables --------------------------------------------------------------------------------------------------------
-
-METRICS = (
-    "kd_psnr", "kd_psnr_all", "a_psnr", "roughness_psnr", "metallic_l2", "emission_iou", "emission_log_l2", "crf_l2",
-    "exposure_log2_rmse", "nvs_psnr", "nvs_ssim", "relight_psnr", "relight_ssim", "insert_psnr", "insert_psnr_around",
-)  # fmt: skip
-
-
-def flat(record: Record) -> dict[str, Any]:
-    """A record as one row of a table."""
-    row = {**record["run"], "capture": Path(record["run"]["capture"]).name}
-    costs = ("seconds_total", "seconds_run", "peak_memory_bytes", "rays_traced", "n_patches")
-    row |= {name: record.get(name) for name in costs}
-    row |= {f"seconds_{stage}": value for stage, value in record.get("seconds", {}).items()}
-    row |= {name: value for name, value in record.get("metrics", {}).items() if isinstance(value, int | float)}
-    machine = record.get("machine", {})
-    return row | {"processor": machine.get("processor"), "commit": machine.get("commit"), "error": record.get("error")}
-
-
-def write_csv(path: Path, records: Iterable[Record]) -> None:
-    """All records as one CSV table, a column for everything that any of them has."""
-    rows = [flat(record) for record in records]
-    columns = list(dict.fromkeys(name for row in rows for name in row))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, columns)
-        writer.writeheader()
-        writer.writerows(rows)

@@ -29,10 +29,10 @@ from iris_addon.capture.reader import read_capture
 from iris_addon.config import PresetName, preset
 
 from . import machine
-from .meshes import cluster, subdivide_edges
 from .perturb_geometry import write_obj
 from .perturb_photos import copy_capture, save_array
-from .runs import write_record
+from .records import write_record
+from .remeshing import cluster, subdivide_edges
 
 JITTER = 0.05
 """Metres around its original that a repeated photo is moved."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .runs import Record, flat
+from .records import Record, flat
 
 FAILURE_DB = 3.0
 """A method has failed at the first level where it is this far below the capture as it is."""
@@ -25,7 +25,7 @@ def group(records: Iterable[Record], key: Callable[[dict[str, Any]], Any]) -> di
 
 
 def values(rows: Sequence[Mapping[str, Any]], metric: str) -> NDArray[np.float64]:
-    """(n,) what the rows say of ``metric``, without those that say nothing."""
+    """(n,) ``metric`` of the rows that have it."""
     return np.array([row[metric] for row in rows if isinstance(row.get(metric), int | float)], np.float64)
 
 

@@ -18,7 +18,8 @@ from iris_addon.results.result import Result
 from . import machine
 from .configurations import CONFIGURATIONS
 from .perturb import Perturbed, perturb
-from .runs import Run, write_record
+from .records import write_record
+from .runs import Run
 
 
 def measure(run: Run, cache: Path) -> dict[str, Any]:
@@ -66,7 +67,7 @@ def solve(run: Run, perturbed: Perturbed, scratch: Path) -> tuple[Result, float]
 
 
 def score(result: Result, run: Run, truth: Path) -> dict[str, Any]:
-    """Metrics of ``result`` as far as ``run.scored`` asks for them."""
+    """Metrics of ``result`` that ``run.scored`` names."""
     from iris_addon.evaluate.evaluation import evaluate
 
     if run.scored == "all":
@@ -88,7 +89,7 @@ def relight_scores(
     Args:
         developed_as: capture through whose response pictures and references are compared. Where a sweep gives the
             photos another one, that of the capture as it is: a curve that is flat in the shadows hides errors there,
-            and decibels through one curve say nothing beside those through another.
+            and decibels through one curve cannot be compared with those through another.
         views: how many of the held-out views, 0 for all.
 
     Raises:

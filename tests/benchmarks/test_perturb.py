@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import meshes, perturb_geometry, perturb_photos, perturb_scene
-from benchmarks.clipped_pixels import radiance_beyond_clipping
+from benchmarks import perturb_geometry, perturb_photos, perturb_scene, remeshing
+from benchmarks.clipped_pixels import radiance_behind_clipping
 from benchmarks.perturb import AXES, perturb
 from benchmarks.perturb_masks import true_lamp_faces
 from iris_addon.base.images import read_image, write_exr, write_png
@@ -130,7 +130,7 @@ def test_what_a_photo_clips_is_taken_from_a_darker_one(room, tmp_path):
     for view in views:
         shown = camera.apply(np.full((24, 32, 3), np.clip(bright * view.exposure, 0, 1)))
         write_png(view.photo, np.floor(255 * shown).astype(np.uint8))
-    found = radiance_beyond_clipping(room, views, camera)
+    found = radiance_behind_clipping(room, views, camera)
     assert found["0"] == pytest.approx(np.full((24, 32, 3), bright), rel=0.02)
     assert np.isnan(found["1"]).all(), "nothing of it is clipped"
     assert np.isnan(found["2"]).any(), "no darker photo shows all that it shows"
@@ -210,7 +210,7 @@ def test_relighting_follows_the_faces_of_a_perturbed_mesh(room, tmp_path):
 
 
 def test_subdivision_keeps_area_and_joins_and_knows_its_parents():
-    fine, old = meshes.subdivide_edges(box_mesh(), 0.5)
+    fine, old = remeshing.subdivide_edges(box_mesh(), 0.5)
     ends = fine.vertices[fine.faces]
     assert np.linalg.norm(np.roll(ends, -1, axis=1) - ends, axis=2).max() <= 0.5
     area = 0.5 * np.linalg.norm(np.cross(ends[:, 1] - ends[:, 0], ends[:, 2] - ends[:, 0]), axis=1)
@@ -221,10 +221,10 @@ def test_subdivision_keeps_area_and_joins_and_knows_its_parents():
 
 
 def test_clustering_leaves_the_kept_faces_as_they_are():
-    fine, _ = meshes.subdivide_edges(box_mesh(), 0.3)
+    fine, _ = remeshing.subdivide_edges(box_mesh(), 0.3)
     keep = np.zeros(len(fine.faces), bool)
     keep[:40] = True
-    coarse, old = meshes.cluster(fine, 0.8, keep)
+    coarse, old = remeshing.cluster(fine, 0.8, keep)
     assert len(coarse.faces) < 0.5 * len(fine.faces)
     assert np.array_equal(coarse.vertices[coarse.faces[:40]], fine.vertices[fine.faces[:40]])
     assert np.array_equal(old[:40], np.arange(40))

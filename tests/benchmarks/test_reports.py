@@ -13,7 +13,8 @@ from benchmarks import runs, tables
 from benchmarks.configurations import CONFIGURATIONS, Configuration
 from benchmarks.mitsuba_scene import share_into_room
 from benchmarks.perturb import AXES
-from benchmarks.profile_floor import Counts, Floors, StageProgress, counted, describe
+from benchmarks.profile_floor import StageProgress, counted
+from benchmarks.profile_section import Counts, Floors, floor_table
 from benchmarks.runs import Run, run_all
 from iris_addon.base.errors import BadInput
 from iris_addon.base.progress import Progress
@@ -119,15 +120,6 @@ def test_rows_of_failed_runs_are_left_out_of_means():
     assert tables.cell(groups["ours"], "nvs_psnr") == "–"
 
 
-def test_csv_has_a_row_per_run_and_a_column_for_everything(tmp_path):
-    import csv
-
-    runs.write_csv(tmp_path / "r.csv", [record(Run("room"), kd_psnr=20.0), record(Run("room", seed=1), crf_l2=1.0)])
-    with (tmp_path / "r.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert rows[0]["kd_psnr"] == "20.0" and rows[0]["crf_l2"] == "" and rows[1]["crf_l2"] == "1.0"
-
-
 # ---- profile -------------------------------------------------------------------------------------------------------
 
 
@@ -161,7 +153,7 @@ def test_the_floor_is_rays_over_throughput_plus_bytes_over_bandwidth():
     counts.closest["transport"], counts.occluded["transport"], counts.moved["transport"] = 4_000_000, 1_000_000, 10**10
     floors = Floors(2e6, 1e6, 1e10)
     assert counts.floor("transport", floors) == pytest.approx(2 + 1 + 1)
-    text = describe({"photos": 2.0, "transport": 10.0}, counts, floors, "test")
+    text = floor_table({"photos": 2.0, "transport": 10.0}, counts, floors, "test")
     assert (
         "| transport | 10.0 | 5.00 | 10.00 | 4.00 | 2.5 |" in text and "| **all** | 12.0 |  |  | 4.00 | 3.0 |" in text
     )
@@ -178,6 +170,8 @@ def test_the_pareto_front_rises():
 
 def test_a_sweep_is_collected_drawn_and_summed_up(tmp_path):
     stability = pytest.importorskip("benchmarks.stability", reason="matplotlib is not installed")
+    from benchmarks import stability_section as section
+
     axes = ["pose", "mask_missed"]
     measured = []
     for run in stability.planned(Path("room"), axes, 2):
@@ -185,10 +179,10 @@ def test_a_sweep_is_collected_drawn_and_summed_up(tmp_path):
         measured.append(record(run, kd_psnr_all_valid=25 - drop, relight_psnr=22 - drop, emission_log_l2=0.1))
     # Ours searches for lamps: a wrong mask is nothing to it, and no run is spent on that.
     assert not any(r["run"]["axis"] == "mask_missed" and r["run"]["configuration"] == "ours" for r in measured)
-    values = stability.collect(measured, axes, 2)
+    values = section.collect(measured, axes, 2)
     assert values["mask_missed", "ours", "kd_psnr_all_valid"].std(0).max() == 0
-    assert stability.failure(values, "pose", "ours") == 4 and stability.failure(values, "pose", "iris-like") == 1
-    summary = stability.describe([stability.slim(entry) for entry in measured], tmp_path)
+    assert section.failure(values, "pose", "ours") == 4 and section.failure(values, "pose", "iris-like") == 1
+    summary = section.describe([stability.slim(entry) for entry in measured], tmp_path)
     pose = "[error of the poses](images/benchmarks/stability-pose.png)"
     assert f"| {pose} | 2 cm and half degrees | 4.0 | 4.0 | 0.25 cm and half degrees | 24.0 | 24.0 |" in summary
     missed = "[given mask: lamps missed](images/benchmarks/stability-mask_missed.png)"
@@ -213,18 +207,18 @@ def bench_records(planned: list[Run]) -> list[dict]:
 
 
 def test_a_benchmark_is_charted_and_tabled(tmp_path):
-    bench = pytest.importorskip("benchmarks.bench", reason="matplotlib is not installed")
-    from benchmarks import bench_charts
+    section = pytest.importorskip("benchmarks.speed_section", reason="matplotlib is not installed")
+    from benchmarks import bench
 
-    planned = bench.planned([bench_room(tmp_path, "room"), tmp_path / "scan"], bench.REGIONS, 3, 8)
+    planned = bench.planned([bench_room(tmp_path, "room"), tmp_path / "scan"], bench.STUDIES, 3, 8)
     assert {run.configuration for run in planned} == set(CONFIGURATIONS)
     assert {run.configuration for run in planned if run.capture.endswith("scan")} == {"ours"}
     assert all(run.scored == "maps" for run in planned if run.seed), "further seeds render nothing"
     measured = bench_records(planned)
-    (ours,) = [p for p in bench_charts.speed_points(measured[:7], "kd_psnr") if p.name == "ours"]
+    (ours,) = [p for p in section.speed_points(measured[:7], "kd_psnr") if p.name == "ours"]
     assert len(ours.seconds) == 3 and ours.spread[0] == (20.0, 22.0) and ours.line
     measured += [record(Run("room", "mitsuba-prb", "60 s"), kd_psnr=15.0, relight_psnr=21.0)]
-    text = bench.describe(measured, tmp_path / "images")
+    text = section.describe(measured, tmp_path / "images")
     assert (tmp_path / "images" / "room.png").is_file() and (tmp_path / "images" / "summary.svg").is_file()
     assert "| ours balanced | 10 ± 0 | 21.00 ± 1.00 |" in text
     assert "![Speed against accuracy, summary](images/benchmarks/summary.png)" in text
@@ -232,10 +226,10 @@ def test_a_benchmark_is_charted_and_tabled(tmp_path):
 
 @pytest.mark.parametrize(("reached", "said"), [(21.0, "the speed-up is over 120"), (23.0, "120.0 times as long")])
 def test_the_speed_up_over_mitsuba_is_at_equal_relighting(reached, said):
-    from benchmarks import bench_tables
+    section = pytest.importorskip("benchmarks.speed_section", reason="matplotlib is not installed")
 
     peer = record(Run("room", "mitsuba-prb", "1200 s"), relight_psnr=reached) | {"seconds_total": 1200.0}
-    text = bench_tables.markdown([record(Run("room"), relight_psnr=22.0), peer])
+    text = section.all_tables([record(Run("room"), relight_psnr=22.0), peer])
     assert said in text and "relight 22.00 dB after 10 s" in text
 
 
@@ -247,7 +241,7 @@ def test_captures_count_the_same_whatever_their_seeds():
 
 def test_the_page_is_filled_from_the_committed_records_alone(tmp_path):
     report = pytest.importorskip("benchmarks.report", reason="matplotlib is not installed")
-    from benchmarks.measured import pack
+    from benchmarks.records import pack
 
     page, readme = tmp_path / "page.md", tmp_path / "readme.md"
     page.write_text("before\n<!-- measured: bench -->\nold\n<!-- end -->\nafter\n")
@@ -274,7 +268,7 @@ def test_the_page_of_the_repository_has_a_place_for_every_section():
 
 
 def test_scaling_prints_slopes_and_the_limiting_stage(tmp_path):
-    scaling = pytest.importorskip("benchmarks.scaling", reason="matplotlib is not installed")
+    scaling = pytest.importorskip("benchmarks.scaling_section", reason="matplotlib is not installed")
     measured = [
         {
             "run": {"sweep": "triangles", "preset": "balanced"}, "actual_size": n,
@@ -289,6 +283,8 @@ def test_scaling_prints_slopes_and_the_limiting_stage(tmp_path):
 
 def test_curves_are_spread_to_both_ends_and_summed_up_by_percentile(tmp_path):
     curves = pytest.importorskip("benchmarks.curves", reason="matplotlib is not installed")
+    from benchmarks.curves_section import describe
+
     ranks = curves.spread(94, 5)
     assert ranks[0] == 0 and ranks[-1] == 93 and np.ptp(np.diff(ranks)) <= 1
     assert curves.spread(3, 24) == [0, 1, 2]
@@ -299,7 +295,7 @@ def test_curves_are_spread_to_both_ends_and_summed_up_by_percentile(tmp_path):
         }
         for number, rank in enumerate(ranks)
     ]  # fmt: skip
-    text = curves.describe(measured[::-1], tmp_path)
+    text = describe(measured[::-1], tmp_path)
     assert "| known | 5 | 0.20 | 0.36 | 0.40 | 32.0 | 30.4 | 30.0 |" in text and "withheld" not in text
     assert (tmp_path / "curves.png").stat().st_size > 10_000
 

@@ -38,13 +38,13 @@ def subdivide_edges(mesh: Mesh, longest: float) -> tuple[Mesh, FaceMap]:
         middle = np.full(faces.shape, -1, np.int64)
         middle[long] = len(vertices) + which.ravel()
         vertices = np.concatenate([vertices, vertices[unique].mean(1)])
-        pieces, parents = _refine(faces, middle)
+        refined, parents = _refine(faces, middle)
         order = np.argsort(parents, kind="stable")
-        faces, old = pieces[order], old[parents[order]]
+        faces, old = refined[order], old[parents[order]]
 
 
 def _refine(faces: NDArray[np.int64], middle: NDArray[np.int64]) -> tuple[NDArray[np.int64], FaceMap]:
-    """Faces cut at ``middle`` (n, 3), the vertex inside edge k, k + 1 or -1; and the parent of each piece."""
+    """Faces cut at ``middle`` (n, 3), the vertex inside edge k, k + 1 or -1; and the parent of each triangle."""
     cuts = (middle >= 0).sum(1)
     # Turn each face so that its cut edges come first.
     first = np.where(cuts == 1, (middle >= 0).argmax(1), np.where(cuts == 2, ((middle < 0).argmax(1) + 1) % 3, 0))
@@ -57,13 +57,13 @@ def _refine(faces: NDArray[np.int64], middle: NDArray[np.int64]) -> tuple[NDArra
         2: [(ab, b, bc), (a, ab, bc), (a, bc, c)],
         3: [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)],
     }
-    pieces, parents = [], []
+    refined, parents = [], []
     for count, triangles in templates.items():
         rows = np.flatnonzero(cuts == count)
         for triangle in triangles:
-            pieces.append(np.stack([corner[rows] for corner in triangle], 1))
+            refined.append(np.stack([corner[rows] for corner in triangle], 1))
             parents.append(rows)
-    return np.concatenate(pieces), np.concatenate(parents)
+    return np.concatenate(refined), np.concatenate(parents)
 
 
 def cluster(mesh: Mesh, cell: float, keep: NDArray[np.bool_]) -> tuple[Mesh, FaceMap]:

@@ -28,7 +28,7 @@ PIXEL_LENGTHS = ("w", "h", "fl_x", "fl_y", "cx", "cy")
 """Entries of transforms.json that are counted in pixels."""
 
 
-def small_capture(source: Path) -> Path:
+def halved_capture(source: Path) -> Path:
     """``source`` at half size, made once and kept; raises BadInput where response or exposures are not recorded."""
     kept = KEPT / f"{source.name}-half"
     if not (kept / "train").is_dir():

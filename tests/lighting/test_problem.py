@@ -1,0 +1,40 @@
+"""What is known of the light of a room, and what a user is told of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from iris_addon.lighting.candidates import MAX_LAMPS
+from iris_addon.lighting.problem import Lights
+
+
+def lights(n_lamps: int, outside: float = 0.0) -> Lights:
+    """Lamps of one face each, and constant light from outside."""
+    return Lights(
+        emitters=[np.array([k]) for k in range(n_lamps)],
+        radiance=np.ones((n_lamps, 3)),
+        hidden_radiance=np.full((1, 3), outside),
+        log_std=np.zeros(n_lamps),
+        form_factors=np.zeros((4, n_lamps, 2), np.float32),
+        mask=np.arange(100) < n_lamps,
+        irradiance=np.ones((4, 3)),
+        patch_radiance=np.ones((4, 3)),
+    )
+
+
+def test_a_room_without_light_is_reported() -> None:
+    assert "no light" in lights(0).warnings[0]
+    assert lights(0, outside=1.0).warnings == () and lights(1).warnings == ()
+
+
+def test_more_lamps_than_are_told_apart_are_reported() -> None:
+    assert str(MAX_LAMPS) in lights(MAX_LAMPS).warnings[0]
+    assert lights(MAX_LAMPS - 1).warnings == ()
+
+
+def test_lights_come_back_from_a_checkpoint() -> None:
+    before = lights(3, outside=2.0)
+    after = Lights.from_arrays(before.arrays())
+    assert [faces.tolist() for faces in after.emitters] == [[0], [1], [2]]
+    for name, value in before.arrays().items():
+        np.testing.assert_array_equal(after.arrays()[name], value)
