@@ -138,7 +138,8 @@ def inspect(capture: Capture, out: Path | str | None = None, *, progress: Progre
 
     Example:
         >>> import iris_addon as iris
-        >>> iris.inspect(iris.read_capture("assets/demo_room"))["warnings"]
+        >>> report = iris.inspect(iris.read_capture("assets/demo_room"))
+        >>> report["warnings"]
         []
     """
     from .capture.inspection import inspect as run
