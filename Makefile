@@ -1,6 +1,6 @@
 # Everything runs from the repository root through .venv; nothing is installed into the system.
 
-.PHONY: help setup demo gallery test test-all lint format clean bench stability curves scaling profile figures
+.PHONY: help setup demo gallery test test-all lint format docs clean bench stability curves scaling profile figures
 .DEFAULT_GOAL := help
 
 VENV := .venv
@@ -20,7 +20,8 @@ help:
 	@echo "make stability  every perturbation, 1½ hours;  make scaling  cost against size, 20 minutes"
 	@echo "make curves     measured responses, exposures known and withheld, half an hour"
 	@echo "make figures    charts and tables out of what was measured; nothing is measured"
-	@echo "make lint       ruff and pyright;  make format  let ruff format"
+	@echo "make lint       ruff, pyright, what may import what;  make format  let ruff format"
+	@echo "make docs       the documentation as a site, into out/site"
 
 setup: $(STAMP)
 
@@ -35,7 +36,7 @@ $(STAMP): pyproject.toml
 		echo "error: $(VENV) has another Python than 3.11 or 3.13 — remove $(VENV) and run make setup again" >&2; exit 4; }
 	@echo "Installing Blender, torch and the rest into $(VENV); the first time takes some minutes."
 	@$(VENV)/bin/python -c 'import tomllib; p = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
-		print(*p["dependencies"], *p["optional-dependencies"]["dev"], sep="\n")' > $(VENV)/requirements.txt
+		o = p["optional-dependencies"]; print(*p["dependencies"], *o["blender"], *o["dev"], sep="\n")' > $(VENV)/requirements.txt
 	@$(VENV)/bin/python -m pip install -qq --disable-pip-version-check -r $(VENV)/requirements.txt
 	@touch $@
 
@@ -64,18 +65,23 @@ lint: $(STAMP)
 	@$(VENV)/bin/ruff check --quiet
 	@$(VENV)/bin/ruff format --check --quiet
 	@$(VENV)/bin/pyright --warnings
+	@$(VENV)/bin/lint-imports --no-logo --no-cache > $(VENV)/contracts.txt || { cat $(VENV)/contracts.txt; exit 1; }
 
 format: $(STAMP)
 	@$(VENV)/bin/ruff check --fix --quiet
 	@$(VENV)/bin/ruff format --quiet
 
-# Benchmarks need two packages more. Each target goes on where it was stopped.
-$(VENV)/.bench: $(STAMP)
+# Documentation and benchmarks need packages of their own, the extras "docs" and "bench".
+$(VENV)/.docs $(VENV)/.bench: $(VENV)/.%: $(STAMP)
 	@$(VENV)/bin/python -c 'import tomllib; p = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
-		print(*p["optional-dependencies"]["bench"], sep="\n")' > $(VENV)/requirements-bench.txt
-	@$(VENV)/bin/python -m pip install -qq --disable-pip-version-check -r $(VENV)/requirements-bench.txt
+		print(*p["optional-dependencies"]["$*"], sep="\n")' > $(VENV)/requirements-$*.txt
+	@$(VENV)/bin/python -m pip install -qq --disable-pip-version-check -r $(VENV)/requirements-$*.txt
 	@touch $@
 
+docs: $(VENV)/.docs
+	@NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --quiet --strict
+
+# Each benchmark goes on where it was stopped.
 bench stability curves scaling: $(VENV)/.bench
 	@$(VENV)/bin/python -m benchmarks.$@
 
@@ -86,4 +92,4 @@ figures: $(VENV)/.bench
 	@$(VENV)/bin/python -m benchmarks.report
 
 clean:
-	rm -rf out dist .pytest_cache .ruff_cache
+	rm -rf out dist build *.egg-info .cache .import_linter_cache .pytest_cache .ruff_cache

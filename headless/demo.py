@@ -37,7 +37,8 @@ def run_demo(out: Path, progress: Progress) -> Outcome:
     from iris_addon.results.report import write_report
 
     if not CAPTURE.is_dir():
-        raise BadInput("the bundled capture is missing", "make it with assets/make_demo_room.py", CAPTURE)
+        fix = "run it in a clone of the repository, which has the room in assets/ (the package leaves it out)"
+        raise BadInput("the bundled capture is missing", fix, CAPTURE)
     capture = read_capture(CAPTURE)
     result = solve(capture, preset("balanced"), out, progress)
     with progress.stage("scene"):

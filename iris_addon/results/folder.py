@@ -15,133 +15,31 @@ is handed a reader of images, because Blender's Python has no more.
 
 from __future__ import annotations
 
-import errno
-import os
-import shutil
 import struct
-import tempfile
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import BadInput, IrisError
-from ..base.files import MEND, dump_json, read_json
-from ..base.parallel import cores
+from ..base.errors import BadInput
+from ..base.files import MEND, read_json
 from ..model.recovered import Backdrop, Textures
-from .files import (
-    BACKDROP,
-    BACKDROP_ALBEDO,
-    BASE_COLOR,
-    EMISSION,
-    EMITTERS,
-    FILES,
-    MAPS,
-    MATERIALS,
-    MESH,
-    REPORT,
-    RESPONSE,
-    WHOLE,
-    complete_save,
-    require_no_links,
-    result_file,
-)
-from .glb import encode_glb, read_glb
-from .records import StoredShell, emitters_json, read_emitters, read_response, response_json
+from .files import BACKDROP, BACKDROP_ALBEDO, BASE_COLOR, FILES, MAPS, MESH, REPORT, result_file
+from .glb import read_glb
+from .records import StoredShell, read_emitters, read_response
 from .result import Result
+from .saving import SCHEMA_VERSION, save_result
 
-SCHEMA_VERSION = 2
+__all__ = ["SCHEMA_VERSION", "ReadImage", "load_result", "save_result"]
+
 MAX_TEXTURE_SIDE = 16384
 MAX_BACKDROP_HEIGHT = 4096
 READS = 10
 """How often loading starts again because the result was replaced under its hands."""
-EMISSION_SIDE = 1024
-"""Side of the emission picture in texels; what emits is said exactly by emitters.json."""
 
 ReadImage = Callable[[Path], NDArray[np.floating]]
 """(H, W) or (H, W, C) of an image file: floats of an EXR, PNG code values divided by their maximum; row 0 on top."""
-
-
-# ---- saving --------------------------------------------------------------------------------------------------------
-
-
-def save_result(result: Result, folder: Path) -> None:
-    """Write ``result`` as the result folder ``folder``.
-
-    Base colour keeps half precision, the other textures 16 bit; everything else is exact.
-
-    Raises:
-        BadInput: where a folder of the result belongs, there is a link or a file.
-        IrisError: the disk is full or the folder not writable. What was in the folder before is untouched.
-    """
-    folder = Path(folder)
-    require_no_links(folder)
-    staging: Path | None = None
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        complete_save(folder)
-        for abandoned in folder.glob(".tmp-*"):  # by a process that was killed
-            shutil.rmtree(abandoned, ignore_errors=True)
-        staging = Path(tempfile.mkdtemp(prefix=".tmp-", dir=folder))
-        _write_all(result, staging)
-        os.replace(staging, folder / WHOLE)
-        complete_save(folder)
-    except OSError as error:
-        fix = "free some space and run again" if error.errno == errno.ENOSPC else "check the folder and its permissions"
-        raise IrisError(f"the result cannot be written ({error.strerror or error})", fix, folder) from error
-    finally:
-        if staging is not None:
-            shutil.rmtree(staging, ignore_errors=True)
-
-
-def _write_all(result: Result, folder: Path) -> None:
-    from ..base.images import write_exr, write_png  # not needed to load, and not there in Blender
-
-    (folder / MATERIALS).mkdir()
-
-    def write_map(name: str) -> None:
-        values = np.clip(getattr(result.textures, name), 0.0, 1.0)
-        write_png(folder / MAPS[name], np.round(values * 65535.0).astype(np.uint16))
-
-    with ThreadPoolExecutor(cores()) as threads:
-        jobs = [
-            threads.submit(write_exr, folder / BASE_COLOR, result.textures.base_color, half=True),
-            threads.submit(write_exr, folder / EMISSION, emission_texture(result), half=True),
-            *(threads.submit(write_map, name) for name in MAPS),
-        ]
-    for job in jobs:
-        job.result()
-    (folder / MESH).write_bytes(encode_glb(result.mesh, result.regions, result.up))
-    dump_json(folder / RESPONSE, response_json(result))
-    if result.backdrop is not None:
-        write_exr(folder / BACKDROP, result.backdrop.picture, half=True)
-        if result.backdrop.albedo is not None:
-            write_exr(folder / BACKDROP_ALBEDO, result.backdrop.albedo, half=True)
-    dump_json(folder / EMITTERS, emitters_json(result))
-    dump_json(folder / REPORT, {"schema_version": SCHEMA_VERSION, **result.report})
-
-
-def emission_texture(result: Result) -> NDArray[np.float32]:
-    """(N, N, 3) radiance on the atlas, N at most 1024: a picture of the lights for people and other programs."""
-    from PIL import Image, ImageDraw
-
-    side = min(EMISSION_SIDE, len(result.textures.base_color))
-    emission = np.zeros((side, side, 3), np.float32)
-    uv = result.mesh.uv
-    assert uv is not None
-    for emitter in result.emitters:
-        mask = Image.new("1", (side, side))
-        draw = ImageDraw.Draw(mask)
-        for corners in uv[emitter.faces]:
-            # Pixel centres stand at whole numbers for ImageDraw.
-            draw.polygon([(u * side - 0.5, (1 - v) * side - 0.5) for u, v in corners.tolist()], fill=1, outline=1)
-        emission[np.asarray(mask)] = emitter.radiance
-    return emission
-
-
-# ---- loading -------------------------------------------------------------------------------------------------------
 
 
 def load_result(folder: Path, read_image: ReadImage | None = None) -> Result:

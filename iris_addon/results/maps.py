@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,9 @@ from ..model.capture import Camera
 from ..model.recovered import DiffuseLobe
 from ..rays.tracer import Tracer
 from ..textures.atlas import interpolate_uv
-from .result import Result
+
+if TYPE_CHECKING:
+    from .result import Result  # which imports this file, for Result.render_maps
 
 FloatArray = NDArray[np.floating]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,9 @@ from ..model.local_exposure import ALIKE, LocalSettings
 from ..model.recovered import Backdrop, Emitter, OutsideLight
 from ..model.response import N_SAMPLES, Response
 from .files import EMITTERS, RESPONSE, result_file
-from .result import Result
+
+if TYPE_CHECKING:
+    from .result import Result
 
 SH_SIZES = (1, 4, 9)
 MAX_SHELL = 100_000

@@ -1,28 +1,40 @@
-"""What a solve gives."""
+"""What a solve gives, and what can be asked of it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import Any, get_args
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from ..model.capture import Mesh, View
+from ..model.capture import Camera, Mesh, View
 from ..model.corrections import CameraCorrection, PoseCorrections
 from ..model.local_exposure import ALIKE, LocalSettings
 from ..model.recovered import Backdrop, DiffuseLobe, Emitter, OutsideLight, Textures
 from ..model.response import Response
+
+if TYPE_CHECKING:
+    from .maps import MapRenderer, ViewMaps
 
 
 @dataclass(frozen=True)
 class Result:
     """A solved room.
 
+    Lengths are metres, colours and radiance scene-linear Rec.709. A result is not changed in place: methods named
+    ``with_…`` return another one that shares the arrays.
+
     Attributes:
         mesh: as read; ``mesh.uv`` is set and addresses ``textures``.
         regions: (F,) int32 region label per face.
+        textures: base colour, roughness, metallic and confidence on one square atlas.
+        emitters: the lamps; ``emitter.faces`` refers to ``mesh.faces``.
+        outside: light from beyond the mesh, None where there is none.
+        response: the camera's curve from exposure (radiance · exposure) to display values in [0, 1].
         exposures: per training photo, keyed by view name, (3,) factor with white balance.
         report: the content of report.json.
         local: what the camera did to exposure from place to place; exposures are those of the middle.
@@ -41,6 +53,78 @@ class Result:
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     local: LocalSettings = ALIKE
     backdrop: Backdrop | None = None
+
+    def __repr__(self) -> str:
+        size = len(self.textures.base_color)
+        lamps = f"{len(self.emitters)} emitter{'' if len(self.emitters) == 1 else 's'}"
+        return f"Result({len(self.mesh.faces)} faces, {size}×{size} textures, {lamps}, {len(self.exposures)} photos)"
+
+    def render_maps(self, camera: Camera) -> ViewMaps:
+        """Material and emission as ``camera`` sees them: what the first hit of the ray through each pixel centre has.
+
+        No light is simulated. The first call builds a ray tracer, later ones on the same result use it again.
+
+        Returns:
+            :class:`~iris_addon.results.maps.ViewMaps` of (H, W, …) float32 arrays, H and W those of the camera; zero
+            where a ray leaves the room.
+
+        Example:
+            >>> import iris_addon as iris
+            >>> result = iris.load_result("out/demo")
+            >>> camera = iris.read_capture("assets/demo_room").views[0].camera
+            >>> maps = result.render_maps(camera)
+            >>> maps.base_color.shape, maps.roughness.shape, maps.emission.shape
+            ((120, 160, 3), (120, 160), (120, 160, 3))
+        """
+        return self._map_renderer.maps(camera)
+
+    @cached_property
+    def _map_renderer(self) -> MapRenderer:
+        from .maps import MapRenderer
+
+        return MapRenderer(self)
+
+    def save(self, folder: Path | str) -> None:
+        """Write this result as the result folder ``folder``, where ``apply``, ``render`` and Blender's panel find it.
+
+        The folder is made where it is missing. A result that is there is replaced, whole or not at all.
+
+        Raises:
+            BadInput: where a folder of the result belongs, there is a link or a file.
+            IrisError: the disk is full or the folder not writable. What was in the folder before is untouched.
+        """
+        from .saving import save_result
+
+        save_result(self, Path(folder))
+
+    def with_emitter(self, number: int, radiance: ArrayLike) -> Result:
+        """The same room with another radiance of one lamp.
+
+        Materials, exposures and the light from outside stay. Light that the lamp sends to other surfaces is simulated
+        by what renders the result; :meth:`render_maps` shows the lamp itself.
+
+        Args:
+            number: ``id`` of the emitter.
+            radiance: scene-linear Rec.709, (3,), or one number for all channels; 0 switches the lamp off.
+
+        Raises:
+            ValueError: there is no such emitter, or the radiance is negative or not finite.
+
+        Example:
+            >>> import iris_addon as iris
+            >>> result = iris.load_result("out/demo")
+            >>> evening = result.with_emitter(0, radiance=0.0).with_emitter(1, radiance=(9.0, 6.0, 3.0))
+            >>> evening.emitters[1].radiance
+            array([9., 6., 3.])
+        """
+        if number not in [emitter.id for emitter in self.emitters]:
+            known = ", ".join(str(emitter.id) for emitter in self.emitters) or "none"
+            raise ValueError(f"there is no emitter {number}; known ids: {known}")
+        rgb = np.broadcast_to(np.asarray(radiance, dtype=np.float64), 3).copy()
+        if not (np.isfinite(rgb).all() and (rgb >= 0).all()):
+            raise ValueError(f"a radiance is finite and not negative, got {rgb}")
+        changed = (replace(emitter, radiance=rgb) if emitter.id == number else emitter for emitter in self.emitters)
+        return replace(self, emitters=tuple(changed))
 
     @property
     def diffuse_lobe(self) -> DiffuseLobe:
