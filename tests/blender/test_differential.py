@@ -174,7 +174,8 @@ def test_what_is_inserted_has_less_noise_than_the_room_and_the_scene_stays_as_it
         room = (built.room, *built.lamps)
         black = (np.zeros((72, 96, 3)),) * 2
         seen = [
-            render_differential(built.scene, room, black, samples=16, seed=seed, max_bounces=2) for seed in range(8)
+            render_differential(built.scene, room, black, RenderSettings(samples=16, seed=seed, max_bounces=2))
+            for seed in range(8)
         ]
         assert not built.scene.render.film_transparent and not built.scene.render.use_border
         assert not any(thing.is_holdout for thing in room)

@@ -129,6 +129,6 @@ def test_a_dark_scene_is_refused_and_left_alone(scene):
     bpy.data.objects.remove(bpy.data.objects["bulb"])
     scene.world = None
     before = snapshot(scene)
-    with pytest.raises(BadInput, match="nothing in the scene gives light"):
+    with pytest.raises(BadInput, match="nothing in the scene emits light"):
         start_mixing(scene)
     assert snapshot(scene) == before

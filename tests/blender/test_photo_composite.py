@@ -94,11 +94,11 @@ def test_dimming_the_lamp_darkens_the_photo_by_the_same_factor():
 
 def test_a_scene_without_a_result_or_camera_is_refused():
     with pytest.raises(BadInput, match="no result is applied"):
-        composite(bpy.context.scene, np.zeros((3, 4, 3)), gamma(), EXPOSURE)
+        composite(bpy.context.scene, np.zeros((3, 4, 3)), gamma(), EXPOSURE, RenderSettings())
     scene = applied(lit_room())
     scene.camera = None
     with pytest.raises(BadInput, match="no active camera"):
-        composite(scene, np.zeros((3, 4, 3)), gamma(), EXPOSURE)
+        composite(scene, np.zeros((3, 4, 3)), gamma(), EXPOSURE, RenderSettings())
 
 
 def test_the_command_opens_the_copy_and_leaves_a_picture(tmp_path: Path):
