@@ -277,7 +277,7 @@ def test_a_lamp_far_from_its_start_does_not_overflow(shading: Shading) -> None:
     assert stronger.solve().radiance == pytest.approx(shading.truth * [[1], [1000]], rel=0.1)
 
 
-def test_patches_of_no_weight_have_no_say(shading: Shading) -> None:
+def test_patches_of_no_weight_do_not_matter(shading: Shading) -> None:
     rng = np.random.default_rng(4)
     spoiled = rng.random(len(shading.region)) < 0.3
     radiance = np.where(spoiled[:, None], rng.random((len(spoiled), 3)) * 5, shading.radiance)
@@ -285,7 +285,7 @@ def test_patches_of_no_weight_have_no_say(shading: Shading) -> None:
     assert balance.radiance == pytest.approx(shading.truth, rel=0.02)
 
 
-def test_patches_whose_light_is_badly_known_make_lamps_dim_unless_they_say_less(shading: Shading) -> None:
+def test_patches_whose_light_is_badly_known_make_lamps_dim_unless_they_weigh_less(shading: Shading) -> None:
     """Errors of the regressors, as where the normals of a mesh are noise."""
     rng = np.random.default_rng(6)
     shaken = rng.random(len(shading.region)) < 0.6

@@ -142,7 +142,7 @@ def test_a_pane_goes_on_in_its_plane_and_not_around_its_edge() -> None:
 
 
 @pytest.mark.parametrize("emits_beside", [True, False])
-def test_triangles_smaller_than_pixels_are_region_of_the_lamp_around_them(emits_beside: bool) -> None:
+def test_triangles_smaller_than_pixels_belong_to_the_lamp_around_them(emits_beside: bool) -> None:
     """Every other triangle of a pane is hit by a pixel; gaps that border a wall, or lie around a corner, stay dark."""
     mesh = assemble([quad([0, 0, 0], [1, 0, 0], [0, 1, 0], 0.1), quad([1, 0, 0], [0, 0, 1], [0, 1, 0], 0.1)], [0, 0])
     tracer, adjacency = Tracer(mesh), edge_adjacency(mesh)

@@ -105,7 +105,7 @@ def test_dark_places_of_a_picture_belong_to_the_screen() -> None:
         ([CYAN] + [RED] * (VIEWS - 1), "a reflection that one view in eight has"),
     ],
 )
-def test_what_is_no_screen(of_view: list[np.ndarray], what: str) -> None:
+def test_steady_light_pages_highlights_and_rare_reflections_are_no_screen(of_view: list[np.ndarray], what: str) -> None:
     assert find_screens(problem(), lit(), shown(with_pictures(of_view))) == [], what
 
 
@@ -158,7 +158,7 @@ def test_a_screen_stays_unless_the_light_of_the_room_speaks_against_it(
         assert np.array_equal(say, np.where(ON_SCREEN, 0.0, 1.0))
 
 
-def test_how_bright_a_screen_must_be_at_times() -> None:
+def test_a_screen_is_brighter_than_paint_in_a_quarter_of_the_views() -> None:
     """A reflectance of BRIGHT in the brightest channel of a quarter of the views."""
     picture = CYAN * BRIGHT / CYAN.max()
     for factor, found in ((1.15, 1), (0.85, 0)):

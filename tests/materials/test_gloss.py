@@ -416,7 +416,7 @@ def test_a_pixels_albedo_inverts_the_model() -> None:
     assert pixel_albedo(radiance * 100, specular, s0, irradiance, m).max() <= MAX_ALBEDO
 
 
-def test_near_head_on_well_lit_pixels_have_the_most_to_say() -> None:
+def test_near_head_on_well_lit_pixels_weigh_most() -> None:
     """Pixels as one of the first, each worse in one thing: angle, distance, light, a highlight, an edge."""
     cosine, footprint = np.array([1, 1, 1, 0.5, 1, 1, 1, 1]), np.array([1, 1, 1, 1, 2, 1, 1, 1]) * 0.01
     irradiance, specular = np.ones((8, 3)), np.full((8, 3), 1e-6)
@@ -429,7 +429,7 @@ def test_near_head_on_well_lit_pixels_have_the_most_to_say() -> None:
     assert weight[6] < 0.01 * weight[0] and weight[7] < 0.01 * weight[0]
 
 
-def test_fusing_is_robust_and_says_which_channel_was_always_clipped() -> None:
+def test_fusing_is_robust_and_marks_channels_that_were_always_clipped() -> None:
     texel = np.repeat([0, 1, 3], 12)
     value = np.tile([0.4, 0.3, 0.2], (36, 1))
     value[[3, 7]] = 0.95  # a highlight in two of twelve photos
