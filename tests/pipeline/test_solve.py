@@ -18,7 +18,7 @@ from iris_addon.model.capture import Camera, Capture
 from iris_addon.model.response import gamma, srgb
 from iris_addon.pipeline import solve
 from iris_addon.rays.tracer import Tracer
-from iris_addon.results.files import KINDS, preview_path
+from iris_addon.results.files import PREVIEWS, preview_path
 from iris_addon.results.folder import load_result
 from iris_addon.results.result import Result
 from iris_addon.textures.atlas import rasterise_atlas
@@ -116,7 +116,7 @@ def test_the_response_and_the_predicted_photos(found: Result) -> None:
 def test_the_previews_show_the_room_as_far_as_it_is_known(shoot: Shoot) -> None:
     out = shoot.folder / "previewed"
     stopped(shoot.capture(), FAST, out, "textures")
-    albedo, light, error = (read_image(preview_path(out, kind)) / 255.0 for kind in KINDS)
+    albedo, light, error = (read_image(preview_path(out, kind)) / 255.0 for kind in PREVIEWS)
     tracer, room = Tracer(shoot.room.mesh), shoot.room
     regions = [room.regions[tracer.closest(*camera.rays()).face].reshape(36, 48) for camera in shoot.views]
     truths = [srgb(np.where(np.isin(region, LAMP_REGIONS)[..., None], 0, room.albedo[region])) for region in regions]

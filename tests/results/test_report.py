@@ -67,7 +67,7 @@ def test_large_pictures_are_shrunk(solved, tmp_path, monkeypatch):
     result, capture = solved
     view = capture.views[0]
     photo = load_photo(view).values
-    monkeypatch.setattr(report_html, "WIDEST", photo.shape[1] // 2)
+    monkeypatch.setattr(report_html, "MAX_WIDTH", photo.shape[1] // 2)
     write_report(result, capture, tmp_path, {view.name: photo[::2, ::2]})
     pictures = {path.name: read_image(path) for path in (tmp_path / "report").glob("*.png")}
     assert len(pictures) == 8 and {p.shape for p in pictures.values()} == {
