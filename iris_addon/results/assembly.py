@@ -133,7 +133,7 @@ class _PixelLight(NamedTuple):
     Attributes:
         irradiance: (n, 3) irradiance / pi.
         diffuse: (n, 3) radiance that a white diffuse surface sends to the camera.
-        ls0, ls1: (n, 3) specular lobes of (3).
+        ls0, ls1: (n, 3) specular lobes of equation (3).
     """
 
     irradiance: NDArray[np.floating]

@@ -99,7 +99,7 @@ class Checkpoints:
 
 @contextmanager
 def sole_writer(folder: Path) -> Iterator[None]:
-    """Lock ``folder`` for this process, so that another Blender or shell cannot solve into it; make it if it is missing.
+    """Lock ``folder``, made if it is missing, for this process, so that no other Blender or shell can solve into it.
 
     The system releases the lock when the process ends, however it ends. The empty lock file stays: removing it would
     let two waiting processes in.

@@ -124,7 +124,7 @@ def _write_all(result: Result, folder: Path) -> None:
 
 
 def emission_texture(result: Result) -> NDArray[np.float32]:
-    """(N, N, 3) radiance on the atlas, N at most EMISSION_SIDE: a picture of the lights for people and other programs."""
+    """(N, N, 3) radiance on the atlas, N at most EMISSION_SIDE: a picture of the lights for other programs."""
     from PIL import Image, ImageDraw
 
     side = min(EMISSION_SIDE, len(result.textures.base_color))

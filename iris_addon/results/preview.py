@@ -40,9 +40,9 @@ def write_previews(
 ) -> None:
     """Write albedo, light and error of the photo that shows most of the room.
 
-    Albedo is the photo's radiance over irradiance, with lamps black. Light is the irradiance and the lamps. The error is
-    the difference between this photo and the mean of all photos on the same patches, developed like this photo: large
-    where response, exposures or poses are wrong, and on gloss.
+    Albedo is the photo's radiance over irradiance, with lamps black. Light is the irradiance and the lamps. The error
+    is the difference between this photo and the mean of all photos on the same patches, developed like this photo:
+    large where response, exposures or poses are wrong, and on gloss.
 
     Args:
         folder: of the result.

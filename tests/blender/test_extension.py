@@ -261,7 +261,7 @@ def test_the_panel_has_a_picture_of_what_the_solve_knows_so_far(package, tmp_pat
     body = """
     from importlib import import_module
     preview = import_module(KEY + ".operators.preview")
-    files = import_module(KEY + ".iris_addon.preview_files")
+    files = import_module(KEY + ".iris_addon.results.files")
     assert preview.picture(home, "albedo") is None
     def write(kind, ns, side):
         image = bpy.data.images.new("x", side, side)
