@@ -25,6 +25,7 @@ from .result import Result
 
 FloatArray = NDArray[np.floating]
 MAX_VIEWS = 6
+"""Photos shown at most."""
 CHANNEL_COLOURS = ("#d33", "#2a2", "#36d")
 MAX_WIDTH = 1280
 """Pixels in a row of a picture of the report; larger pictures are shrunk."""

@@ -16,6 +16,7 @@ from .patches import Surface
 from .primary_rays import PixelSamples
 
 NEIGHBOURS = 10
+"""Nearest patches of each that are averaged over, itself included."""
 NORMAL_WEIGHT = 4.0
 """Patch sizes per unit of normal: a patch that faces 15 degrees away counts as one patch size away."""
 PLANE_WEIGHT = 5.0

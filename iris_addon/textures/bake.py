@@ -44,6 +44,7 @@ SIMILAR_FLOOR = 1e-3
 ALL_CHANNELS = 7
 """Bits of the three channels."""
 KNOWN_CHANNELS: tuple[Sequence[int], ...] = (*combinations(range(3), 1), *combinations(range(3), 2))
+"""Sets of channels from which the others can be completed."""
 TINY = np.float32(1e-12)
 
 

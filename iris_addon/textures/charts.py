@@ -35,7 +35,8 @@ EXPECTED_FILL = 0.6
 """Share of the atlas that charts cover, before it is known."""
 MOST_CHARTS = 1 / 8
 """Charts per texel of the atlas from which the smallest share their texels."""
-MERGE_ROUNDS = 60
+MERGE_ROUNDS, SPLIT_ROUNDS = 60, 2
+"""Most rounds in which charts merge, and in which those that overlap themselves are split."""
 STEEPEST_COSINE = 0.75
 """Smallest cosine of a face with the normal of its chart: it is stretched 1.33 times, and walls never share a chart."""
 STEEP_TEXELS = 0.5
@@ -48,7 +49,6 @@ GUTTER = 2
 """Texels between charts."""
 GRAIN_TEXELS = 16
 """Texels below which charts are pooled when there are too many."""
-SPLIT_ROUNDS = 2
 OVERLAP_TEXELS = 2
 """Overlaid texels from which a chart is split."""
 FINEST_CHECK = 2048
