@@ -52,10 +52,10 @@ def describe(records: Sequence[Record], _images: Path | None = None) -> str:
 
 def floor_table(seconds: dict[str, float], counts: Counts, floors: Floors, what: str) -> str:
     """Every stage against its floor, in the order of the solve, as Markdown."""
-    from iris_addon.pipeline import WEIGHTS
+    from iris_addon.pipeline import STAGE_SECONDS
 
     body, total, total_floor = [], 0.0, 0.0
-    for stage in sorted(seconds, key=list(WEIGHTS).index):
+    for stage in sorted(seconds, key=list(STAGE_SECONDS).index):
         spent = seconds[stage]
         floor = counts.floor(stage, floors)
         total, total_floor = total + spent, total_floor + floor

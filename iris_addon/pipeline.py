@@ -1,4 +1,4 @@
-"""The whole solve: a capture in, a result folder out. Each stage is a pure function of the ones before.
+"""The stages of a solve in order: from a capture to a result folder. Each is a pure function of those before it.
 
 ::
 
@@ -44,7 +44,15 @@ from .textures.charts import atlas_for_photos
 from .transport.cache import cached_transport
 
 Made = TypeVar("Made")
-WEIGHTS = {"photos": 3, "surface": 3, "transport": 8, "response": 6, "lights": 15, "materials": 20, "textures": 20}
+STAGE_SECONDS = {
+    "photos": 3,
+    "surface": 3,
+    "transport": 8,
+    "response": 6,
+    "lights": 15,
+    "materials": 20,
+    "textures": 20,
+}
 """Expected seconds per stage, for the overall progress bar."""
 
 
@@ -54,21 +62,21 @@ def solve(
     """Recover response, exposures, lights and materials; write the result folder ``out``.
 
     Raises:
-        BadInput: a photo cannot be read, the photos say nothing, another process is solving into ``out``, or a link
+        BadInput: a photo cannot be read, all photos are clipped, another process is solving into ``out``, or a link
             there leads elsewhere.
         Cancelled: finished stages stay in ``out`` for ``resume``.
         IrisError: the disk is full.
     """
-    # Matrices here are narrow; a linear algebra library that waits for work on threads of its own takes them from ours.
+    # Matrices are narrow: threads of the linear algebra library would only take cores from those of the solve.
     with sole_writer(out), threadpool_limits(1, "blas"):
-        require_no_links(out)  # saving asks again, hours later
+        require_no_links(out)  # before hours of work; saving checks again
         for name in ("checkpoints", "report"):
             require_own_folder(out / name)
         return _solve(capture, config, out, progress or Progress(), resume)
 
 
 def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress, resume: bool) -> Result:
-    progress.expect(WEIGHTS)
+    progress.expect(STAGE_SECONDS)
     decisions = Decisions(asdict(config.refinements))
     checkpoints = Checkpoints(out / "checkpoints", fingerprint(capture, config), resume)
     unit = 1.0

@@ -11,13 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from iris_addon.base.progress import Progress
+from iris_addon.decide import Decisions
 from iris_addon.lighting.candidates import Brightness
 from iris_addon.lighting.hidden import HiddenSources, find_hidden
 from iris_addon.lighting.lamp_radiance import form_factors_of, solve_lights
 from iris_addon.lighting.problem import LightProblem, Lights
 from iris_addon.response.radiance import GroupRadiance
 from iris_addon.surface.irradiance import IrradianceField
-from iris_addon.surface.topology import edge_adjacency, pieces_between_edges
+from iris_addon.surface.topology import edge_adjacency, smooth_components
 from iris_addon.transport.form_factors import emitter_form_factors
 from tests.engine_room import ALBEDO, SIZE, Patched, Room, assemble, box, cameras, patched, quad
 
@@ -77,9 +78,9 @@ class LitRoom:
         """The same, but a share of the pixels of a region lie beside ones of ``lender`` that are as bright."""
         label = self.room.regions[self.problem.samples.face]
         own, beside = np.flatnonzero(label == region), np.flatnonzero(label == lender)[0]
-        by = self.problem.outshone_by.copy()
+        by = self.problem.brighter_neighbour.copy()
         by[own[: round(share * len(own))]] = beside
-        return replace(self, problem=replace(self.problem, outshone_by=by))
+        return replace(self, problem=replace(self.problem, brighter_neighbour=by))
 
     def lamps(self, lights: Lights) -> set[int]:
         """Regions that have a face of any lamp."""
@@ -123,7 +124,7 @@ def light_room(
     p = patched(room, cameras(10, 48, 36), max_patches=450, n_rays=32)
     t, n = p.transport, p.transport.n_seen
     adjacency, seen_faces = edge_adjacency(room.mesh), p.samples.seen_faces(len(room.regions))
-    smooth = pieces_between_edges(p.tracer.normals, adjacency, room.regions)
+    smooth = smooth_components(p.tracer.normals, adjacency, room.regions)
     hidden = find_hidden(t, room.regions, smooth, seen_faces)
     radiance = _radiosity(room, p, hidden, np.asarray(sky))
     photographed = radiance[:n] * np.exp(noise * np.random.default_rng(1).standard_normal((n, 1)))
@@ -142,11 +143,12 @@ def light_room(
         material=np.arange(len(albedo), dtype=np.int32),
         adjacency=adjacency,
         brightness=Brightness(bounded, np.where(clipped, np.nan, photographed), bound),
-        outshone_by=np.full(len(p.samples.face), -1, np.int32),
+        brighter_neighbour=np.full(len(p.samples.face), -1, np.int32),
         hidden=hidden,
         field=IrradianceField.build(p.surface),
         shadow_rays=64,
         seed=0,
+        decisions=Decisions(),
     )
     return LitRoom(room, problem, GroupRadiance(bounded, ~clipped, bound, np.full(n, 50.0)), radiance)
 

@@ -1,4 +1,4 @@
-"""What the stages found, put together: albedo per pixel, textures, lamps, the figures of the report."""
+"""The result of a solve, assembled from its stages: base colour at pixels, textures, lamps, figures of the report."""
 
 from __future__ import annotations
 
@@ -32,16 +32,17 @@ from ..textures.atlas import Atlas
 from ..textures.bake import PixelAlbedo, pixel_albedo, pixel_weight
 from ..textures.paint import light_error, residual_light
 from ..textures.principled import make_textures
-from .report import WIDEST
+from .report import MAX_WIDTH
 from .result import Result
 
-SHOWN_PHOTOS = 4
-UNSEEN = 0.2
+RERENDERED_PHOTOS = 4
+"""Photos shown in the report beside their re-rendering."""
+UNSEEN_LAMP_CONFIDENCE = 0.2
 """Confidence in a lamp that no photo shows."""
-HELD_OUT = 0.02
-"""Share of pixels kept from the textures, to measure what they predict."""
+HELD_OUT_SHARE = 0.02
+"""Share of pixels held out from the textures, on which these are tested."""
 Rows = slice | NDArray[np.bool_]
-"""Some of the pixels."""
+"""Indexes some of the pixels."""
 
 
 def make_result(
@@ -84,28 +85,28 @@ def make_result(
         room, photometry, expected, _PixelLight(irradiance, diffuse_light, ls0, ls1), metallic
     )
     of_patch = residual_light(light.field, light.surface.region, gloss.metallic < 0.5, patch, albedo, weight)
-    # Interpolation reaches over from regions beside a metal, whose base colour is no quotient of irradiance.
+    # Of metals base colour is no quotient of irradiance; interpolation would bring in the factor of neighbours.
     brighter = np.where(metallic[:, None] > 0.5, np.float32(1), light.field.at_samples(samples, patch, of_patch))
     albedo, diffuse_light = np.minimum(albedo / brighter, MAX_ALBEDO), diffuse_light * brighter
     # The base colour of a metal is no quotient of irradiance, and a region of a scan need not be one object.
     painted = gloss.metallic < 0.5
     painted[region[room.scanned_pixels]] = False
-    held_out = config.rng(7).random(len(region)) < HELD_OUT
+    held_out = config.rng(7).random(len(region)) < HELD_OUT_SHARE
     error = light_error(light.field.spread(shading.irradiance))[patch]
     pixels = PixelAlbedo(albedo, weight * ~held_out[:, None], error)
     textures, base_color, paint = make_textures(atlas, light.regions, lights.mask, gloss, samples, pixels, painted)
     emission = lights.face_emission(len(light.regions))[samples.face]
 
     def explained(rows: Rows) -> NDArray[np.float64]:
-        """Display values of some pixels under the solved model."""
+        """(k, 3) display values of some pixels under the solved model; radiance for HDR input."""
         seen = (column[rows] for column in (base_color, metallic, diffuse_light, ls0, ls1, emission))
         return photometry.develop(_predict(*seen), samples.view[rows], samples.pixel[rows])
 
     shown = photos.z[held_out]
     error = explained(held_out) - (shown if photos.hdr else np.clip(shown + 0.5 / 255, 0, 1))
-    psnr, taken_off = -10 * np.log10(np.mean(error**2)), np.log(of_patch).std()
+    psnr, residual = -10 * np.log10(np.mean(error**2)), np.log(of_patch).std()
     paints = {"paints": paint.paints, "parts_of_one_colour": paint.plain_regions}
-    report = {"holdout_psnr": float(psnr), "model": {"residual_light": round(float(taken_off), 4), **paints}}
+    report = {"holdout_psnr": float(psnr), "model": {"residual_light": round(float(residual), 4), **paints}}
     mesh = capture.mesh.with_uv(atlas.uv)
     exposures = {view.name: photometry.exposures[k] for k, view in enumerate(capture.views)}
     result = Result(
@@ -132,7 +133,7 @@ class _PixelLight(NamedTuple):
     Attributes:
         irradiance: (n, 3) irradiance / pi.
         diffuse: (n, 3) radiance that a white diffuse surface sends to the camera.
-        ls0, ls1: (n, 3) specular lobes of (3).
+        ls0, ls1: (n, 3) specular lobes of equation (3).
     """
 
     irradiance: NDArray[np.floating]
@@ -176,7 +177,7 @@ def _pixel_albedo(
 def _view_factor(
     shading: Shading, patch: NDArray[np.integer], roughness: NDArray[np.floating], samples: PixelSamples
 ) -> NDArray[np.float32]:
-    """(n,) factor of the diffuse lobe of ``roughness`` (n,) towards the camera of each pixel."""
+    """(n,) factor of the diffuse lobe towards the camera of each pixel, on ``patch`` (n,) of ``roughness`` (n,)."""
 
     def factor(rows: slice) -> NDArray[np.floating]:
         angle, toward = schlick(samples.cosine[rows]), samples.direction[rows]
@@ -188,12 +189,12 @@ def _view_factor(
 def _rerenders(
     capture: Capture, samples: PixelSamples, explained: Callable[[Rows], NDArray[np.float64]]
 ) -> dict[str, NDArray[np.float32]]:
-    """A few photos by name as ``explained``, (H, W, 3), large ones at one of so many rows and columns."""
+    """A few photos by name as the model explains them, (H, W, 3); large ones without some rows and columns."""
     pictures = {}
-    for index in np.unique(np.linspace(0, len(capture.views) - 1, SHOWN_PHOTOS).astype(int)):
+    for index in np.unique(np.linspace(0, len(capture.views) - 1, RERENDERED_PHOTOS).astype(int)):
         view = capture.views[index]
         rows = slice(*np.searchsorted(samples.view, [index, index + 1]))
-        step = max(1, view.camera.width // WIDEST)
+        step = max(1, view.camera.width // MAX_WIDTH)
         pictures[view.name] = as_picture(explained(rows), samples.pixel[rows], view.camera, step)
     return pictures
 
@@ -206,7 +207,15 @@ def _predict(
     ls1: NDArray[np.floating],
     emission: NDArray[np.floating],
 ) -> NDArray[np.float64]:
-    """(n, 3) radiance of pixels under the solved model, ``kd Ld + ks Ls0 + Ls1`` plus emission."""
+    """(n, 3) radiance of pixels under the solved model: equation (2) plus emission.
+
+    Args:
+        base_color: (n, 3) linear Rec.709.
+        metallic: (n,) 0 or 1.
+        irradiance: (n, 3) irradiance / pi times the view factor of the diffuse lobe.
+        ls0, ls1: (n, 3) specular lobes of equation (3).
+        emission: (n, 3) radiance.
+    """
     m = metallic[:, None]
     ks = base_color * m + DIELECTRIC_F0 * (1 - m)
     return base_color * (1 - m) * irradiance + ks * ls0 + ls1 + emission
@@ -214,7 +223,7 @@ def _predict(
 
 def _emitters(problem: LightProblem, lights: Lights) -> list[Emitter]:
     areas = problem.tracer.areas
-    confidence = np.where(_unseen(problem, lights), UNSEEN, 1.0 / (1.0 + lights.log_std))
+    confidence = np.where(_unseen(problem, lights), UNSEEN_LAMP_CONFIDENCE, 1.0 / (1.0 + lights.log_std))
     return [
         Emitter(id=k, faces=faces, radiance=radiance, area=float(areas[faces].sum()), confidence=float(confidence[k]))
         for k, (faces, radiance) in enumerate(zip(lights.emitters, lights.radiance, strict=True))

@@ -1,4 +1,4 @@
-"""The camera as look-up tables for other programs: .cube files and an OpenColorIO configuration.
+"""The camera as look-up tables: .cube files and an OpenColorIO configuration, for other programs.
 
 ``camera.cube``      1D, 1024 entries over the relative exposure x = radiance · exposure in 0 … 1: exactly the table of
                      response.json. Programs clamp beyond 1, as the camera did.
@@ -21,19 +21,21 @@ from numpy.typing import NDArray
 from ..base.files import atomic_write
 from ..model.response import N_SAMPLES, Response
 
-STOPS_BELOW, STOPS = 14.0, 16.0
-LOG_ENTRIES, GRID = 4096, 65
+SHAPER_STOPS_BELOW, SHAPER_STOPS = 14.0, 16.0
+"""Range of the shaper in stops: below saturation, and in all."""
+LOG_ENTRIES, GRID_SIDE = 4096, 65
+"""Entries of camera_log.cube, and nodes per axis of camera_3d.cube."""
 
 
 def shaper(x: NDArray[np.floating]) -> NDArray[np.float64]:
     """s in [0, 1] of the relative exposure ``x`` (any shape): 16 stops, 14 of them below saturation."""
-    return np.clip((np.log2(np.maximum(x, 2.0**-STOPS_BELOW)) + STOPS_BELOW) / STOPS, 0.0, 1.0)
+    return np.clip((np.log2(np.maximum(x, 2.0**-SHAPER_STOPS_BELOW)) + SHAPER_STOPS_BELOW) / SHAPER_STOPS, 0.0, 1.0)
 
 
 def unshaper(s: NDArray[np.floating]) -> NDArray[np.float64]:
     """The relative exposure of ``s``; the first node stands for black."""
     s = np.asarray(s, np.float64)
-    return np.where(s > 0.0, 2.0 ** (s * STOPS - STOPS_BELOW), 0.0)
+    return np.where(s > 0.0, 2.0 ** (s * SHAPER_STOPS - SHAPER_STOPS_BELOW), 0.0)
 
 
 def write_luts(folder: Path, response: Response, exposures: Mapping[str, NDArray[np.floating]]) -> list[Path]:
@@ -46,15 +48,15 @@ def write_luts(folder: Path, response: Response, exposures: Mapping[str, NDArray
         IrisError: a file cannot be written.
     """
     log_curve = _shaped(response, LOG_ENTRIES)
-    grid = _shaped(response, GRID)
+    grid = _shaped(response, GRID_SIDE)
     # The red index runs fastest in a .cube file.
-    blue, green, red = np.meshgrid(*[np.arange(GRID)] * 3, indexing="ij")
+    blue, green, red = np.meshgrid(*[np.arange(GRID_SIDE)] * 3, indexing="ij")
     cube = np.stack([grid[red.ravel(), 0], grid[green.ravel(), 1], grid[blue.ravel(), 2]], -1)
     over_log = "input: (log2(radiance * exposure) + 14) / 16"
     files = {
         "camera.cube": _cube("LUT_1D_SIZE", N_SAMPLES, response.samples.T, "input: radiance * exposure, 0 to 1"),
         "camera_log.cube": _cube("LUT_1D_SIZE", LOG_ENTRIES, log_curve, over_log),
-        "camera_3d.cube": _cube("LUT_3D_SIZE", GRID, cube, over_log),
+        "camera_3d.cube": _cube("LUT_3D_SIZE", GRID_SIDE, cube, over_log),
         "config.ocio": ocio_config(exposures),
     }
     for name, text in files.items():

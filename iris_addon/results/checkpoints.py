@@ -1,7 +1,8 @@
-"""Finished stages on disk, so that a solve that was stopped goes on where it was.
+"""Checkpoints of a solve in its result folder, which one process at a time writes.
 
-A stage's file holds plain arrays and is only believed if it was written by the same solve: same photos, poses, mesh,
-settings and version of the format. Files appear whole or not at all.
+A solve that was stopped resumes after its last finished stage. The file of a stage holds plain arrays and is used only
+if the same solve wrote it: same photos, poses, mesh, settings and version of the format. Files appear whole or not at
+all.
 """
 
 from __future__ import annotations
@@ -21,15 +22,18 @@ from ..base.errors import BadInput, IrisError
 from ..base.files import abandoned, is_own_folder, read_arrays, write_arrays
 from ..config import SolveConfig
 from ..model.capture import Capture
-from .files import KINDS, preview_path
+from .files import PREVIEWS, preview_path
 
 FORMAT = 4
+"""Version of the format of checkpoints."""
+LOCK = ".lock"
+"""Name of the lock file in a result folder."""
 Stage = Literal["response", "lights", "materials"]
 Arrays = Mapping[str, NDArray]
 
 
 def fingerprint(capture: Capture, config: SolveConfig) -> str:
-    """Hash of everything a solve depends on; files by name, size and time of change."""
+    """Hash of everything a solve depends on; files by name, size and modification time."""
     digest = hashlib.sha256(repr((FORMAT, config)).encode())
     mesh = capture.mesh
     for array in (mesh.vertices, mesh.faces, mesh.uv, mesh.regions):
@@ -69,15 +73,15 @@ class Checkpoints:
                 return known
         arrays = dict(compute())
         write_arrays(path, {"key": np.array(self.key), **arrays})
-        # What the next stage sees must not depend on whether this run was resumed.
+        # The arrays are returned, not what they were made from: later stages must not depend on a resumed run.
         return arrays
 
     def clear(self) -> None:
-        """Remove the stage files and the previews beside them: the result stands."""
-        if not is_own_folder(self.folder):  # a link that came with the result of somebody else
+        """Remove the stage files and the previews beside them, once the result is saved."""
+        if not is_own_folder(self.folder):  # a link in a result from elsewhere
             return
         stages = [self.folder / f"{name}.npz" for name in get_args(Stage)]
-        for path in (*stages, *(preview_path(self.folder.parent, kind) for kind in KINDS)):
+        for path in (*stages, *(preview_path(self.folder.parent, kind) for kind in PREVIEWS)):
             for mine in (path, *abandoned(path)):
                 mine.unlink(missing_ok=True)
         if not any(self.folder.iterdir()):
@@ -90,18 +94,15 @@ class Checkpoints:
         return arrays
 
 
-# ---- One solve per folder: a second one, of another Blender or another shell, is told so and mixes no files in ------
-
-
-LOCK = ".lock"
+# ---- one solve per folder ------------------------------------------------------------------------------------------
 
 
 @contextmanager
 def sole_writer(folder: Path) -> Iterator[None]:
-    """Hold ``folder`` for this process, which makes it where it is missing.
+    """Lock ``folder``, made if it is missing, for this process, so that no other Blender or shell can solve into it.
 
-    The system lets go of the lock when the process ends, however it ends. The empty file stays: to remove it would let
-    in two who wait for it.
+    The system releases the lock when the process ends, however it ends. The empty lock file stays: removing it would
+    let two waiting processes in.
 
     Raises:
         BadInput: another process holds it.

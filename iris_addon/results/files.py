@@ -1,8 +1,8 @@
-"""The files of a result folder: their names, where each lies, and how a save takes their place.
+"""The files of a result folder: their names, where each lies, and how a save replaces them. Imports nothing heavy.
 
-A save is written into a folder of its own that gets the name WHOLE in one step. From then on the result is the new one:
-:func:`result_file` finds its files there, and :func:`complete_save` moves them to their places, report.json last. Who
-reads moves nothing: the folder may be that of a stranger, and a solve may be moving the same files.
+A save is written into a temporary folder that is renamed to WHOLE in one step. From then on the result is the new one:
+:func:`result_file` finds its files there, and :func:`complete_save` moves them to their places, report.json last.
+Readers move nothing: the folder may be read-only or foreign, and a solve may be moving the same files.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 from ..base.files import is_own_file, is_own_folder, require_own_folder
 
 WHOLE = ".whole"
-"""Folder of a result that is written and not yet moved in place."""
+"""Folder of a result that is completely written and not yet moved in place."""
 MATERIALS = "materials"
 REPORT, RESPONSE, EMITTERS = "report.json", "response.json", "emitters.json"
 BACKDROP, BACKDROP_ALBEDO = "backdrop.exr", "backdrop_albedo.exr"
@@ -22,11 +22,13 @@ BASE_COLOR, EMISSION, MESH = (f"{MATERIALS}/{name}" for name in ("base_color.exr
 MAPS = {name: f"{MATERIALS}/{name}.png" for name in ("roughness", "metallic", "confidence")}
 MATERIAL_FILES = (BASE_COLOR, EMISSION, MESH, *MAPS.values())
 FILES = (EMITTERS, RESPONSE, BACKDROP, BACKDROP_ALBEDO, *MATERIAL_FILES, REPORT)
-"""Everything a result consists of, in the order in which it is moved."""
+"""All files of a result, in the order in which they are moved."""
+PREVIEWS = ("albedo", "light", "error")
+"""Kinds of previews of a solve in progress."""
 
 
 def result_file(folder: Path, name: str) -> Path:
-    """Where the file ``name`` of the result in ``folder`` lies, be it there or missing.
+    """Path of the file ``name`` of the result in ``folder``, whether it exists or not.
 
     Args:
         name: one of FILES.
@@ -35,7 +37,7 @@ def result_file(folder: Path, name: str) -> Path:
 
 
 def complete_save(folder: Path) -> None:
-    """Move what a save has written whole to its place, also for one that was killed while it did this itself.
+    """Move the files of a completed save to their places; also completes a save that was killed while moving.
 
     Only for the process that writes ``folder``. Nothing but FILES is moved, and nothing through a link.
 
@@ -50,14 +52,14 @@ def complete_save(folder: Path) -> None:
     waiting = [name for name in FILES if _waits(folder, name)]
     for name in (BACKDROP, BACKDROP_ALBEDO):
         if EMITTERS in waiting and name not in waiting:
-            (folder / name).unlink(missing_ok=True)  # of the result before
+            (folder / name).unlink(missing_ok=True)  # of the previous result
     for name in waiting:
         os.replace(folder / WHOLE / name, folder / name)
     shutil.rmtree(folder / WHOLE)
 
 
 def require_no_links(folder: Path) -> None:
-    """Make sure that a save into ``folder`` stays in it.
+    """Check that a save into ``folder`` writes nowhere else.
 
     Raises:
         BadInput: where a folder of the result belongs, there is a link or a file.
@@ -71,12 +73,6 @@ def _waits(folder: Path, name: str) -> bool:
     return is_own_folder(folder / WHOLE) and is_own_folder(waiting.parent) and is_own_file(waiting)
 
 
-# ---- Names of the previews of a solve, for those who write them and those who show them. Imports nothing heavy ------
-
-
-KINDS = ("albedo", "light", "error")
-
-
 def preview_path(folder: Path, kind: str) -> Path:
-    """Where the preview ``kind`` of the solve into the result folder ``folder`` lies while it goes on."""
+    """Path of the preview ``kind``, one of PREVIEWS, of a solve in progress into the result folder ``folder``."""
     return folder / "checkpoints" / f"preview-{kind}.png"

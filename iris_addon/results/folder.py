@@ -1,4 +1,4 @@
-"""A result on disk: the folder every later command starts from.
+"""The result folder: saved by a solve, loaded by every later command.
 
 ::
 
@@ -8,9 +8,9 @@
     backdrop.exr     what cameras see through holes of the mesh, if it has any; backdrop_albedo.exr, if that reflects
     materials/       base_color.exr, roughness.png, metallic.png, confidence.png, emission.exr, mesh.glb
 
-A process that saves may be killed at any point, and another may read meanwhile: what is found is the old result or the
-new one, never a mixture (:mod:`.folder`). Loading writes nothing, trusts nothing it reads, and needs numpy alone if it
-is handed a reader of images, because Blender's Python has no more.
+A saving process may be killed at any point and another may read meanwhile: the folder then holds the old result or the
+new one, never a mixture (:mod:`.files`). Loading writes nothing and checks all it reads. Given a reader of images it
+needs numpy alone, since Blender's Python has no more.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ __all__ = ["SCHEMA_VERSION", "ReadImage", "load_result", "save_result"]
 
 MAX_TEXTURE_SIDE = 16384
 MAX_BACKDROP_HEIGHT = 4096
-READS = 10
-"""How often loading starts again because the result was replaced under its hands."""
+LOAD_ATTEMPTS = 10
+"""Times that loading is attempted while the result is being replaced."""
 
 ReadImage = Callable[[Path], NDArray[np.floating]]
 """(H, W) or (H, W, C) of an image file: floats of an EXR, PNG code values divided by their maximum; row 0 on top."""
@@ -52,21 +52,21 @@ def load_result(folder: Path, read_image: ReadImage | None = None) -> Result:
         BadInput: no result there, made by another version, or a file of it is missing, damaged or contradicts itself.
     """
     folder = Path(folder)
-    for _ in range(READS):
+    for _ in range(LOAD_ATTEMPTS):
         version, places = _version(folder), _places(folder)
         try:
             result = _load(folder, read_image or _read_image)
         except BadInput:
             if _places(folder) == places and _version(folder) == version:
                 raise
-            continue  # a file was moved in place before it was opened
+            continue  # a file was moved before it was opened
         if _version(folder) == version:
             return result
     raise BadInput("is being replaced all the time", "wait until nothing writes it any more", folder)
 
 
 def _version(folder: Path) -> tuple[int, ...]:
-    """Stands for the result that :func:`result_file` finds now; the same before and after it is moved in place."""
+    """Identifies the result that :func:`result_file` finds now; the same before and after its files are moved."""
     try:
         report = result_file(folder, REPORT).stat()
     except OSError:
@@ -108,7 +108,7 @@ def _load(folder: Path, read: ReadImage) -> Result:
         backdrop=backdrop,
     )
     try:
-        result.as_taken([])  # so that a damaged report is told here
+        result.as_taken([])  # so that a damaged report is reported here
     except (KeyError, TypeError, ValueError) as error:
         raise BadInput("'model.camera' holds no corrections of cameras", MEND, path) from error
     return result
@@ -164,7 +164,7 @@ def _read_finite(path: Path, size: tuple[int, int], read_image: ReadImage) -> ND
 
 
 def _image_size(path: Path) -> tuple[int, int]:
-    """(width, height) from the header of a PNG or EXR file, before anybody allocates its pixels."""
+    """(width, height) from the header of a PNG or EXR file, before its pixels are allocated."""
     try:
         with path.open("rb") as file:
             head = file.read(1 << 16)

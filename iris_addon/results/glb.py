@@ -1,9 +1,9 @@
 """The mesh of a result as binary glTF 2.0, readable with numpy alone and by any program that opens .glb.
 
 Other programs see an unindexed primitive: corner k of face f is vertex 3 f + k, so that face order and UV seams survive
-every importer; a node matrix turns the capture's up axis to glTF's +Y. What glTF has no place for stands in buffer
-views named by ``extras.iris`` of the mesh: the shared vertices in float64, the faces, the region labels. Reading takes
-topology from there, and UVs from TEXCOORD_0.
+every importer; a node matrix rotates the capture's up axis to glTF's +Y. Buffer views named by ``extras.iris`` of the
+mesh hold what glTF cannot express: the shared vertices in float64, the faces, the region labels. Reading takes topology
+from there, and UVs from TEXCOORD_0.
 
 https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 """
@@ -30,7 +30,7 @@ Up = tuple[float, float, float]
 
 
 def encode_glb(mesh: Mesh, regions: NDArray[np.int32], up: Up) -> bytes:
-    """The bytes of mesh.glb; ``mesh.uv`` must be set."""
+    """The bytes of mesh.glb for ``mesh``, whose ``uv`` must be set, ``regions`` (F,) and the unit vector ``up``."""
     if mesh.uv is None:
         raise ValueError("the mesh of a result must have UVs")
     corners = mesh.vertices[mesh.faces].reshape(-1, 3).astype("<f4")
@@ -92,10 +92,10 @@ def encode_glb(mesh: Mesh, regions: NDArray[np.int32], up: Up) -> bytes:
 
 
 def read_glb(path: Path) -> tuple[Mesh, NDArray[np.int32], Up]:
-    """Mesh with UVs, part labels (F,) and up vector of a mesh.glb that :func:`encode_glb` made.
+    """Mesh with UVs, region labels (F,) and up vector of a mesh.glb that :func:`encode_glb` made.
 
     Raises:
-        BadInput: missing, damaged, made by another program, or with indices or numbers that make no sense.
+        BadInput: missing, damaged, made by another program, or with invalid indices or numbers.
     """
     document, blob = _chunks(path)
     try:
@@ -122,7 +122,7 @@ def read_glb(path: Path) -> tuple[Mesh, NDArray[np.int32], Up]:
     n = len(faces)
     labels = [regions] if file_parts is None else [regions, file_parts]
     if len(uv) != 3 * n or any(len(label) != n for label in labels) or len(up) != 3:
-        raise _damaged(path, "faces, UVs and parts differ in number")
+        raise _damaged(path, "faces, UVs and regions differ in number")
     if n and faces.max() >= len(vertices):
         raise _damaged(path, "a face refers to a vertex that does not exist")
     if not (np.isfinite(vertices).all() and np.isfinite(uv).all() and np.isfinite(up).all()):

@@ -23,7 +23,7 @@ FloatArray = NDArray[np.floating]
 
 @dataclass(frozen=True)
 class ViewMaps:
-    """What lies behind each pixel centre; zero where the ray escapes. Colours scene-linear Rec.709.
+    """Maps at the pixel centres of one camera; zero where the ray escapes. Colours scene-linear Rec.709.
 
     Attributes:
         hit: (H, W) bool.
@@ -46,7 +46,7 @@ class ViewMaps:
 
 
 class MapRenderer:
-    """Looks maps of one result up; builds its ray tracer once."""
+    """Renders the maps of one result; builds its ray tracer once."""
 
     def __init__(self, result: Result, tracer: Tracer | None = None) -> None:
         if result.mesh.uv is None:
@@ -94,7 +94,8 @@ class MapRenderer:
 
 
 def bilinear(texture: FloatArray, uv: FloatArray) -> FloatArray:
-    """(n, C) of ``texture`` (N, M, C), row 0 at v = 1, at ``uv`` (n, 2), as Blender's linear filter; edges repeat."""
+    """(n, C) values of ``texture`` (N, M, C), row 0 at v = 1, at ``uv`` (n, 2), by Blender's linear filter; edges
+    repeat."""
     height, width = texture.shape[:2]
     x = np.clip(uv[:, 0] * width - 0.5, 0, width - 1)
     y = np.clip((1 - uv[:, 1]) * height - 0.5, 0, height - 1)

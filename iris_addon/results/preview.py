@@ -1,6 +1,6 @@
-"""What a solve knows so far, as three small pictures of one photo, for whoever waits.
+"""Previews of a solve in progress: albedo, light and error of one photo, as three small pictures.
 
-They lie beside the checkpoints and go with them: a finished result has better ones.
+They lie beside the checkpoints and are removed with them.
 """
 
 from __future__ import annotations
@@ -19,13 +19,15 @@ from ..model.capture import Capture
 from ..model.response import srgb
 from ..response.photometry import Photometry
 from ..surface.primary_rays import as_picture
-from .files import KINDS, preview_path
+from .files import PREVIEWS, preview_path
 from .report import ERROR_GAIN, heat
 
-SIDE = 256
+PREVIEW_SIDE = 256
 """Longest side, pixels; Blender's icons have no more."""
-BRIGHT, DARK = 90.0, 1e-3
-"""Percentile of the light that is shown as white, and the share of white below which albedo is not told."""
+WHITE_PERCENTILE = 90.0
+"""Percentile of irradiance that is shown as white."""
+DARK_SHARE = 1e-3
+"""Irradiance, as a share of white, below which albedo is shown as darker than it is."""
 
 
 def write_previews(
@@ -38,13 +40,13 @@ def write_previews(
 ) -> None:
     """Write albedo, light and error of the photo that shows most of the room.
 
-    Albedo is the photo's radiance over the irradiance found there, lamps black. Light is that irradiance and the lamps.
-    The error is what other photos say of the same patches, developed as this photo, against this photo: large where
-    response, exposures or poses are wrong, and on gloss.
+    Albedo is the photo's radiance over irradiance, with lamps black. Light is the irradiance and the lamps. The error
+    is the difference between this photo and the mean of all photos on the same patches, developed like this photo:
+    large where response, exposures or poses are wrong, and on gloss.
 
     Args:
         folder: of the result.
-        z: (n, 3) display values of all pixels on the mesh.
+        z: (n, 3) display values of all pixels on the mesh; radiance for HDR input.
 
     Raises:
         IrisError: the disk is full.
@@ -59,15 +61,15 @@ def write_previews(
     radiance = photometry.linearise_pixels(z[rows], view, pixel).radiance
     irradiance = smooth_irradiance(problem.light, lights)[patch]
     on_lamp = lights.mask[samples.face[rows]][:, None]
-    white = max(float(np.percentile(irradiance, BRIGHT)), 1e-9)
+    white = max(float(np.percentile(irradiance, WHITE_PERCENTILE)), 1e-9)
     difference = photometry.develop(problem.observed.radiance[patch], view, pixel) - z[rows]
     columns = {
-        "albedo": srgb(np.where(on_lamp, 0.0, radiance / np.maximum(irradiance, DARK * white))),
+        "albedo": srgb(np.where(on_lamp, 0.0, radiance / np.maximum(irradiance, DARK_SHARE * white))),
         "light": srgb(np.where(on_lamp, 1.0, irradiance / white)),
         "error": heat(np.abs(np.where(on_lamp, 0.0, difference)).mean(-1) * ERROR_GAIN),
     }
     camera = capture.views[view[0]].camera
-    step = -(-max(camera.width, camera.height) // SIDE)
-    for kind in KINDS:
+    step = -(-max(camera.width, camera.height) // PREVIEW_SIDE)
+    for kind in PREVIEWS:
         picture = as_picture(columns[kind], pixel, camera, step)
         write_png(preview_path(folder, kind), to_codes(picture))

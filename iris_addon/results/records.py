@@ -1,4 +1,8 @@
-"""emitters.json: the lamps of a result, light from outside its mesh, and the shell that its backdrop is painted on."""
+"""JSON records of a result folder.
+
+emitters.json holds the lamps, light from outside the mesh, and the shell that the backdrop is painted on; response.json
+the recovered camera.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +26,11 @@ if TYPE_CHECKING:
     from .result import Result
 
 SH_SIZES = (1, 4, 9)
+"""Numbers of spherical harmonics of the bands 0 to 2."""
 MAX_SHELL = 100_000
+"""Vertices or faces that a backdrop's shell may have."""
+LOCAL_BOUNDS = {"strength": (0.0, 0.99), "scale": (1e-3, 10.0), "headroom": (1.0, 1e6), "falloff": (0.0, 20.0)}
+"""Range of each setting of local exposure."""
 
 
 class StoredShell(NamedTuple):
@@ -108,10 +116,7 @@ def _read_shell(content: dict[str, Any], path: Path) -> StoredShell:
     return StoredShell(vertices, faces.astype(np.int64), content.get("reflects") is True)
 
 
-# ---- response.json: the recovered camera of a result ----------------------------------------------------------------
-
-
-LOCAL_BOUNDS = {"strength": (0.0, 0.99), "scale": (1e-3, 10.0), "headroom": (1.0, 1e6), "falloff": (0.0, 20.0)}
+# ---- response.json -------------------------------------------------------------------------------------------------
 
 
 def response_json(result: Result) -> dict[str, Any]:
@@ -131,8 +136,8 @@ def response_json(result: Result) -> dict[str, Any]:
 
 
 def read_response(folder: Path) -> tuple[Response, dict[str, NDArray[np.float64]], LocalSettings]:
-    """The recovered camera of the result in ``folder``: its response, (3,) exposure × white balance by photo, and what
-    it did to exposure from place to place.
+    """The recovered camera of the result in ``folder``: its response, (3,) exposure × white balance by photo, and local
+    exposure.
 
     Raises:
         BadInput: it is missing or damaged.
@@ -160,12 +165,12 @@ def exposure_of(photo: str, exposures: Mapping[str, NDArray[np.floating]]) -> ND
 
 
 def median_exposure(exposures: Mapping[str, NDArray[np.floating]]) -> NDArray[np.float64]:
-    """(3,) exposure × white balance that is typical of the photos; 1 where none is known."""
+    """(3,) median exposure × white balance of the photos; 1 where none is known."""
     return np.median(np.stack(list(exposures.values())), axis=0) if exposures else np.ones(3)
 
 
 def _read_local(content: Mapping[str, Any], path: Path) -> LocalSettings:
-    """Settings of local exposure; those that are missing are none."""
+    """Settings of local exposure; missing ones have no effect."""
     settings = {**asdict(ALIKE), **content}
     for name, (low, high) in LOCAL_BOUNDS.items():
         value = settings[name]

@@ -1,6 +1,6 @@
-"""report.html: what a person looks at after a solve. One page without scripts; its pictures lie in report/.
+"""report.html, which shows a result in a browser: one page without scripts, its pictures in report/.
 
-Everything from files or captures is escaped on its way into the page.
+All text from files or captures is escaped.
 """
 
 from __future__ import annotations
@@ -23,8 +23,14 @@ from ..model.response import grey_exposure, srgb
 from .maps import MapRenderer, ViewMaps
 from .result import Result
 
+FloatArray = NDArray[np.floating]
 MAX_VIEWS = 6
-CHANNELS = ("#d33", "#2a2", "#36d")
+"""Photos shown at most."""
+CHANNEL_COLOURS = ("#d33", "#2a2", "#36d")
+MAX_WIDTH = 1280
+"""Pixels in a row of a picture of the report; larger pictures are shrunk."""
+ERROR_GAIN = 4.0
+"""Factor on differences of display values, for the picture of them."""
 
 
 def write_report(
@@ -55,7 +61,7 @@ def write_report(
     shown = shown[:MAX_VIEWS]
     saver = Pictures(folder / "report")
     renderer = MapRenderer(result)
-    maps = {view.name: renderer.maps(small_camera(view.camera, WIDEST)) for view in shown}
+    maps = {view.name: renderer.maps(small_camera(view.camera, MAX_WIDTH)) for view in shown}
     sections = [
         _summary(result, capture),
         _gallery(saver, gallery or {}),
@@ -120,7 +126,7 @@ def _photos(saver: Pictures, shown: Sequence[View], pictures: Mapping[str, Float
 
 def _shown(image: FloatArray, camera: Camera) -> FloatArray:
     """``image`` (H, W, 3) of the view of ``camera`` at the size it has on the page."""
-    small = small_camera(camera, WIDEST)
+    small = small_camera(camera, MAX_WIDTH)
     same = image.shape[:2] == (small.height, small.width)
     return image if same else shrink(image, small.height, small.width)
 
@@ -208,7 +214,7 @@ def _response(result: Result) -> str:
         f'<polyline fill="none" stroke="{color}" stroke-width="2" points="'
         + " ".join(f"{200 * a:.1f},{200 * (1 - b):.1f}" for a, b in zip(x, row[::8], strict=True))
         + '"/>'
-        for color, row in zip(CHANNELS, result.response.samples, strict=True)
+        for color, row in zip(CHANNEL_COLOURS, result.response.samples, strict=True)
     )
     grid = "".join(f'<path d="M{50 * i} 0V200M0 {50 * i}H200" stroke="currentColor" opacity=".15"/>' for i in range(5))
     coefficients = ", ".join(f"{value:.4g}" for value in result.response.coefficients)
@@ -283,7 +289,7 @@ def _exposures(result: Result) -> str:
     return f"<section><details><summary>{title}</summary>{table}</details></section>"
 
 
-# ---- The style sheet of report.html ---------------------------------------------------------------------------------
+# ---- style sheet ---------------------------------------------------------------------------------------------------
 
 
 CSS = """
@@ -319,25 +325,18 @@ summary{cursor:pointer}
 """
 
 
-# ---- Pictures of report.html: arrays as PNG files with their caption, and the two ways of colouring them ------------
-
-
-FloatArray = NDArray[np.floating]
-WIDEST = 1280
-"""Pixels in a row of a picture of the report; larger ones are shrunk."""
-ERROR_GAIN = 4.0
-"""By which differences of display values are shown."""
+# ---- picture files -------------------------------------------------------------------------------------------------
 
 
 class Pictures:
-    """Gives the HTML that shows arrays, which :meth:`save` writes as PNG."""
+    """Pictures of the page: :meth:`figure` gives the HTML for an array, :meth:`save` writes all as PNG files."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._codes: dict[str, NDArray[np.uint8]] = {}
 
     def figure(self, name: str, image: FloatArray, caption: str) -> str:
-        """``image`` (H, W, 3) or (H, W), display values."""
+        """HTML of ``image``, (H, W, 3) or (H, W) display values, with its caption; ``name`` is that of its file."""
         stem = "".join(c if c.isalnum() or c in "-_" else "-" for c in name)[:80]
         while stem in self._codes:
             stem += "_"
@@ -354,7 +353,7 @@ class Pictures:
 
 
 def heat(values: FloatArray) -> FloatArray:
-    """(..., 3) black, blue, magenta, orange, white for values 0 to 1; increases in lightness throughout."""
+    """(..., 3) display values from black over blue, magenta and orange to white, for values 0 to 1; lightness rises."""
     stops = np.array([[0.0, 0.0, 0.02], [0.2, 0.1, 0.5], [0.75, 0.2, 0.45], [1.0, 0.6, 0.2], [1.0, 1.0, 0.9]])
     position = np.linspace(0, 1, len(stops))
     return np.stack([np.interp(values, position, stops[:, c]) for c in range(3)], -1)

@@ -16,6 +16,7 @@ from .patches import Surface
 from .primary_rays import PixelSamples
 
 NEIGHBOURS = 10
+"""Nearest patches of each that are averaged over, itself included."""
 NORMAL_WEIGHT = 4.0
 """Patch sizes per unit of normal: a patch that faces 15 degrees away counts as one patch size away."""
 PLANE_WEIGHT = 5.0
@@ -172,18 +173,18 @@ def _weigh(
         own, least = patch[i], np.inf
         reach = (size[own] * width) ** 2
         for k in range(neighbours.shape[1]):
-            near = neighbours[own, k]
-            distance = height = turn = 0.0
+            neighbour = neighbours[own, k]
+            distance = height = tilt = 0.0
             for c in range(3):
-                offset, turned = centre[near, c] - position[i, c], facing[near, c] - normal[i, c]
+                offset, bend = centre[neighbour, c] - position[i, c], facing[neighbour, c] - normal[i, c]
                 distance += offset * offset
-                turn += turned * turned
+                tilt += bend * bend
                 height += offset * normal[i, c]
             height *= PLANE_WEIGHT
-            square = (distance + height * height) / reach + turn * (NORMAL_WEIGHT / width) ** 2
+            square = (distance + height * height) / reach + tilt * (NORMAL_WEIGHT / width) ** 2
             if len(lit):
-                square += ((lit[near] - lit[own]) / edge) ** 2
-            if len(label) and label[near] != label[own]:
+                square += ((lit[neighbour] - lit[own]) / edge) ** 2
+            if len(label) and label[neighbour] != label[own]:
                 square = np.inf
             weight[i, k] = square
             least = min(least, square)
@@ -208,9 +209,9 @@ def _average(
         for c in range(values.shape[1]):
             mean[i, c] = 0.0
         for k in range(weight.shape[1]):
-            near, w = neighbours[patch[i], k], weight[i, k]
+            neighbour, w = neighbours[patch[i], k], weight[i, k]
             for c in range(values.shape[1]):
-                mean[i, c] += w * values[near, c]
+                mean[i, c] += w * values[neighbour, c]
 
 
 def _log_level(irradiance: NDArray[np.floating]) -> NDArray[np.float32]:

@@ -154,11 +154,11 @@ def _mark_mixed(
         own, found = first + k, False
         for down in range(-1, 2):
             for across in range(-1, 2):
-                near = occupant[slot[k] + down * pitch[k] + across]
-                if near == NO_PIXEL:
+                neighbour = occupant[slot[k] + down * pitch[k] + across]
+                if neighbour == NO_PIXEL:
                     found = True
-                elif near >= 0 and near != own and not found:
-                    found = _crease(surface, own, near) or _apart(surface, own, near)
+                elif neighbour >= 0 and neighbour != own and not found:
+                    found = _crease(surface, own, neighbour) or _apart(surface, own, neighbour)
         mixed[k] = found
 
 
@@ -207,10 +207,12 @@ def _find_brightest(
         least = NEIGHBOUR_BRIGHTNESS * level[own]
         for down in range(-1, 2):
             for across in range(-1, 2):
-                near = occupant[slot[own] + down * pitch[own] + across]
-                if near < 0 or near == own:
+                neighbour = occupant[slot[own] + down * pitch[own] + across]
+                if neighbour < 0 or neighbour == own:
                     continue
-                # Two parts of one object may overlap in the photo: of equally bright neighbours, another region wins.
-                other = surface.region[near] != surface.region[own]
-                if (level[near] > least or (other and level[near] >= least)) and _apart(surface, own, near):
-                    brightest[own], least = near, level[near]
+                # One region may overlap itself in the photo: of equally bright neighbours, another region wins.
+                other = surface.region[neighbour] != surface.region[own]
+                if (level[neighbour] > least or (other and level[neighbour] >= least)) and _apart(
+                    surface, own, neighbour
+                ):
+                    brightest[own], least = neighbour, level[neighbour]

@@ -27,6 +27,7 @@ from ..rays.sampling import Origins
 from .primary_rays import PixelSamples
 
 N_LEVELS = 6
+"""Levels of cells; the coarsest cell, a block, is 32 times the finest."""
 FINEST_CELL = 0.01
 """Side of the finest cell, metres; a cell of a level measures ``FINEST_CELL * 2**level``."""
 SLOTS_PER_KEY = 4
@@ -40,6 +41,7 @@ NORMAL_SPREAD_CELL = 0.1
 LARGEST_ROOM = 300.0
 """Extent of what photos show, metres, above which the capture is taken to be in another unit, and the grid scaled."""
 ABSENT = np.uint64(0xFFFFFFFFFFFFFFFF)
+"""In place of key and number in an empty slot of a hash table."""
 
 
 @inlined

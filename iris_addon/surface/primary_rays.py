@@ -133,6 +133,7 @@ NO_PIXEL = -1
 OUTSIDE_PHOTO = -2
 """In place of a pixel: a place beyond the edge of the photo."""
 NEIGHBOURS = [(down, across) for down in (-1, 0, 1) for across in (-1, 0, 1) if down or across]
+"""Rows down and columns across from a pixel to the eight around it."""
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,7 @@ SIMILAR_FLOOR = 1e-3
 ALL_CHANNELS = 7
 """Bits of the three channels."""
 KNOWN_CHANNELS: tuple[Sequence[int], ...] = (*combinations(range(3), 1), *combinations(range(3), 2))
+"""Sets of channels from which the others can be completed."""
 TINY = np.float32(1e-12)
 
 
@@ -120,11 +121,11 @@ def pixel_weight(
         scanned: (n,) bool, pixels on a scan, whose edges are edges of colour between surfaces in the same light.
         usual_footprint, usual_irradiance: medians over all pixels.
     """
-    near = usual_footprint / np.maximum(footprint, 1e-6)
+    resolution = usual_footprint / np.maximum(footprint, 1e-6)
     lit = irradiance / (irradiance + DIM_IRRADIANCE * usual_irradiance)
     highlight = HIGHLIGHT_PRECISION * specular.mean(1) / np.maximum(irradiance.mean(1), 1e-6)
     edge = np.where(mixed, np.where(scanned, np.float32(MIXED_SAY), np.float32(MODELLED_EDGE_WEIGHT)), np.float32(1))
-    sharp = cosine**2 * np.clip(near, 0.05, 20.0) ** 2 * edge
+    sharp = cosine**2 * np.clip(resolution, 0.05, 20.0) ** 2 * edge
     return ((sharp / (1 + highlight**2))[:, None] * lit**2).astype(np.float32)
 
 

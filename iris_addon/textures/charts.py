@@ -35,7 +35,8 @@ EXPECTED_FILL = 0.6
 """Share of the atlas that charts cover, before it is known."""
 MOST_CHARTS = 1 / 8
 """Charts per texel of the atlas from which the smallest share their texels."""
-MERGE_ROUNDS = 60
+MERGE_ROUNDS, SPLIT_ROUNDS = 60, 2
+"""Most rounds in which charts merge, and in which those that overlap themselves are split."""
 STEEPEST_COSINE = 0.75
 """Smallest cosine of a face with the normal of its chart: it is stretched 1.33 times, and walls never share a chart."""
 STEEP_TEXELS = 0.5
@@ -48,7 +49,6 @@ GUTTER = 2
 """Texels between charts."""
 GRAIN_TEXELS = 16
 """Texels below which charts are pooled when there are too many."""
-SPLIT_ROUNDS = 2
 OVERLAP_TEXELS = 2
 """Overlaid texels from which a chart is split."""
 FINEST_CHECK = 2048
@@ -100,7 +100,7 @@ def build_atlas(mesh: Mesh, texel_density: NDArray[np.floating], size: int) -> N
     texels as its faces ask for in total; one longer than the atlas is shrunk to fit. Faces tilted against their chart
     are stretched up to 1 / :data:`STEEPEST_COSINE`; slivers and grains that make up less than half a texel of a
     chart may fold. Charts keep a gutter of two texels, one where charts of a few texels crowd the atlas; where there
-    are more loose pieces than texels, neighbouring ones share theirs.
+    are more loose components than texels, neighbouring ones share theirs.
 
     Args:
         texel_density: (F,) wanted texels per metre, 0 for unseen faces.
@@ -205,11 +205,11 @@ def _flatten(faces: _Faces, chart: IntArray) -> _Flat:
     points = flat[order].reshape(-1, 2)
     angle = _tightest_angle(points, starts)
     cos, sin = np.cos(angle)[chart, None], np.sin(angle)[chart, None]
-    turned = np.stack([flat[..., 0] * cos - flat[..., 1] * sin, flat[..., 0] * sin + flat[..., 1] * cos], -1)
-    turned *= density[chart, None, None]
-    points = turned[order].reshape(-1, 2)
+    rotated = np.stack([flat[..., 0] * cos - flat[..., 1] * sin, flat[..., 0] * sin + flat[..., 1] * cos], -1)
+    rotated *= density[chart, None, None]
+    points = rotated[order].reshape(-1, 2)
     low = np.minimum.reduceat(points, starts)
-    return _Flat(turned - low[chart, None], depth, np.maximum.reduceat(points, starts) - low)
+    return _Flat(rotated - low[chart, None], depth, np.maximum.reduceat(points, starts) - low)
 
 
 def _frames(facing: FloatArray) -> FloatArray:
@@ -260,8 +260,8 @@ def _place(flat: _Flat, chart: IntArray, size: int) -> NDArray[np.float32]:
 def _overlaid(uv: NDArray[np.float32], depth: FloatArray, chart: IntArray, size: int) -> NDArray[np.bool_]:
     """(F,) faces that lie under another one of their chart.
 
-    Faces keep their depth, so that the lower turn of a spiral comes off in one piece; coplanar ones are told apart by a
-    small height in order of index.
+    Faces keep their depth, so that the lower turn of a spiral is taken off as one component; coplanar ones are ordered
+    by a small height that grows with their index.
     """
     covered = covered_texels(uv, size)
     overlaid = np.bincount(covered.texel, minlength=1)[covered.texel] > 1
@@ -277,14 +277,14 @@ def _overlaid(uv: NDArray[np.float32], depth: FloatArray, chart: IntArray, size:
 
 
 def _split(chart: IntArray, lower: NDArray[np.bool_], pairs: tuple[IntArray, IntArray]) -> IntArray:
-    """Charts with their ``lower`` faces taken off, each connected piece a chart."""
+    """Charts with their ``lower`` faces taken off, each connected component a chart."""
     layer = 2 * chart + lower
     split = np.zeros(int(chart.max()) + 1, bool)
     split[chart[lower]] = True
     a, b = pairs
     joined = layer[a] == layer[b]
-    piece = component_labels(len(chart), a[joined], b[joined]).astype(np.int64)
-    return np.unique(np.where(split[chart], len(split) + piece, chart), return_inverse=True)[1]
+    component = component_labels(len(chart), a[joined], b[joined]).astype(np.int64)
+    return np.unique(np.where(split[chart], len(split) + component, chart), return_inverse=True)[1]
 
 
 # ---- merging faces to charts ---------------------------------------------------------------------------------------
@@ -333,7 +333,7 @@ def merge_faces(
 
 
 def pool_grains(chart: IntArray, corners: FloatArray, texels: FloatArray, size: int) -> IntArray:
-    """Charts with neighbouring small ones of one facing joined, for a soup of more pieces than the atlas has room for.
+    """Charts with neighbouring small ones of one facing joined, for a mesh of more components than the atlas can hold.
 
     Args:
         chart: (F,) chart per face.

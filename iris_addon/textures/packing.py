@@ -16,6 +16,7 @@ GRAIN = 12
 STRIP = 256
 """Longest strip, texels."""
 TRIALS = 12
+"""Scales tried in the search for the largest, at most."""
 CLOSE_ENOUGH = 0.99
 """Filled share of the height at which the search for the largest scale ends."""
 

@@ -32,7 +32,7 @@ GAMMA = gamma()
 
 @pytest.fixture(scope="module")
 def solved(tmp_path_factory: pytest.TempPathFactory):
-    """Solve the furnished room, its mesh without one region if asked, which photos show all the same or ``black``, with
+    """Solve the furnished room, its mesh perhaps without a region, which photos show all the same or ``black``, with
     some fields of the configuration replaced."""
     folder = tmp_path_factory.mktemp("switches")
     fine, views = furnished_room(), cameras(N_VIEWS, 48, 36)
@@ -86,7 +86,7 @@ def test_given_lamps_are_the_lamps_and_nothing_else_is(solved, tmp_path):
     assert one.emitters[0].radiance.mean() != pytest.approx(told.emitters[0].radiance.mean(), rel=1e-3)
 
 
-def test_no_given_lamp_is_an_answer_too(solved, tmp_path):
+def test_an_empty_list_of_lamps_gives_a_dark_room(solved, tmp_path):
     _, result = solved("dark", emitters=write_mask(tmp_path / "none.json", []), refinements=MINIMAL)
     assert result.emitters == () and np.isfinite(result.textures.base_color).all()
 
@@ -101,14 +101,14 @@ def test_no_given_lamp_is_an_answer_too(solved, tmp_path):
         ('{"emitters": [{"faces": []}]}', "has an area"),
     ],
 )
-def test_a_mask_that_cannot_be_used_is_named(tmp_path, content, said):
+def test_an_invalid_file_of_lamps_is_bad_input_that_names_the_fault(tmp_path, content, said):
     path = tmp_path / "mask.json"
     path.write_text(content)
     with pytest.raises(BadInput, match=said):
         read_given_emitters(path, np.where(np.arange(12) == 3, 0.0, 1.0))
 
 
-def test_a_face_of_two_given_lamps_is_the_first_ones_and_one_without_area_nobodys(tmp_path):
+def test_given_lamps_are_disjoint_and_without_degenerate_faces(tmp_path):
     path = tmp_path / "mask.json"
     path.write_text('{"emitters": [{"faces": [[2, 5]]}, {"faces": [[4, 7]]}, {"faces": [[2, 4]]}]}')
     first, second = read_given_emitters(path, np.where(np.arange(12) == 3, 0.0, 1.0))
@@ -132,8 +132,8 @@ def test_light_transport_finds_the_exponent_that_unknown_exposures_leave_open(so
     """Photos through a power law, of which overlap alone cannot tell which."""
     curve, wrong = gamma(power), []
     for allowed in (False, None):
-        asked = Refinements(exponent=allowed)
-        _, result = solved(f"{power}-{allowed}", known=False, curve=curve, response="auto", refinements=asked)
+        refinements = Refinements(exponent=allowed)
+        _, result = solved(f"{power}-{allowed}", known=False, curve=curve, response="auto", refinements=refinements)
         middle = result.response.samples[1, 256]  # of a power law: 4 ** -power
         wrong.append(abs(np.log(-np.log(middle) / np.log(4) / power)))
     # On eight photos of 48 x 36 pixels 0.34 to 0.62 of the error is left, by how cells fall into patches.
@@ -153,7 +153,7 @@ CEILING, WALL = 5, 3
 
 
 @pytest.mark.parametrize("missing", [CEILING, WALL])
-def test_what_photos_show_through_a_hole_is_the_wall_that_the_mesh_lacks(solved, missing):
+def test_a_wall_that_the_mesh_lacks_is_recovered_from_what_photos_show_through_the_hole(solved, missing):
     """It lights the room as it did, whose lamps stay what they are, and has its albedo."""
     room, result = solved(f"lacks-{missing}", without=missing)
     assert result.report["model"]["light_through_holes"] and result.outside is None
@@ -175,7 +175,7 @@ def test_light_that_photos_do_not_show_is_fitted_instead(solved):
     assert result.backdrop is not None and result.backdrop.albedo is None
 
 
-def test_a_forced_gloss_takes_what_caution_refuses():
+def test_forced_gloss_is_fitted_below_the_acceptance_gain():
     """Radiance that the widest glossy lobe explains a little better than none: not enough unless forced."""
     rng = np.random.default_rng(0)
     n = 200

@@ -18,7 +18,7 @@ from iris_addon.model.capture import Camera, Capture
 from iris_addon.model.response import gamma, srgb
 from iris_addon.pipeline import solve
 from iris_addon.rays.tracer import Tracer
-from iris_addon.results.files import KINDS, preview_path
+from iris_addon.results.files import PREVIEWS, preview_path
 from iris_addon.results.folder import load_result
 from iris_addon.results.result import Result
 from iris_addon.textures.atlas import rasterise_atlas
@@ -88,7 +88,7 @@ def seen_texels(room: Room, result: Result) -> tuple[np.ndarray, np.ndarray]:
     return room.regions[face[seen]], result.textures.base_color[seen]
 
 
-def test_the_lamps_are_found_and_as_bright_as_they_are(shoot: Shoot, found: Result) -> None:
+def test_lamps_are_found_with_their_radiance(shoot: Shoot, found: Result) -> None:
     assert lamp_regions(shoot.room, found) == list(LAMP_REGIONS)
     for emitter in found.emitters:
         region = shoot.room.regions[emitter.faces[0]]
@@ -96,7 +96,7 @@ def test_the_lamps_are_found_and_as_bright_as_they_are(shoot: Shoot, found: Resu
         assert emitter.radiance == pytest.approx(shoot.room.emission[region], rel=0.15)
 
 
-def test_the_albedo_is_that_of_the_room(shoot: Shoot, found: Result) -> None:
+def test_albedo_is_recovered(shoot: Shoot, found: Result) -> None:
     region, color = seen_texels(shoot.room, found)
     means = np.array([color[region == label].mean(0) for label in range(8)])
     error = np.abs(means - shoot.room.albedo[:8])
@@ -104,7 +104,7 @@ def test_the_albedo_is_that_of_the_room(shoot: Shoot, found: Result) -> None:
     assert error.max() < 0.10
 
 
-def test_the_response_and_the_predicted_photos(found: Result) -> None:
+def test_response_and_held_out_pixels_are_recovered(found: Result) -> None:
     assert np.linalg.norm(found.response.samples - gamma().samples) < 1.4
     assert found.report["holdout_psnr"] > 30
     assert 0 < found.report["model"]["residual_light"] < 0.1
@@ -113,10 +113,10 @@ def test_the_response_and_the_predicted_photos(found: Result) -> None:
     assert found.report["n_patches"] <= 1.5 * TINY.max_patches
 
 
-def test_the_previews_show_the_room_as_far_as_it_is_known(shoot: Shoot) -> None:
+def test_previews_show_albedo_light_and_error_of_one_photo(shoot: Shoot) -> None:
     out = shoot.folder / "previewed"
     stopped(shoot.capture(), FAST, out, "textures")
-    albedo, light, error = (read_image(preview_path(out, kind)) / 255.0 for kind in KINDS)
+    albedo, light, error = (read_image(preview_path(out, kind)) / 255.0 for kind in PREVIEWS)
     tracer, room = Tracer(shoot.room.mesh), shoot.room
     regions = [room.regions[tracer.closest(*camera.rays()).face].reshape(36, 48) for camera in shoot.views]
     truths = [srgb(np.where(np.isin(region, LAMP_REGIONS)[..., None], 0, room.albedo[region])) for region in regions]
@@ -133,7 +133,7 @@ def test_a_matte_room_has_no_metal(found: Result) -> None:
     assert found.textures.metallic.max() == 0
 
 
-def test_the_unit_of_the_exposures_is_that_of_the_light(shoot: Shoot, reference: Path) -> None:
+def test_radiance_scales_inversely_with_the_unit_of_exposures(shoot: Shoot, reference: Path) -> None:
     """Seconds or hundredths of microseconds: materials are the same, radiance is less by what exposures are more."""
     unit, capture, plain = 1e8, shoot.capture(), load_result(reference)
     views = tuple(replace(view, exposure=unit * (view.exposure or np.nan)) for view in capture.views)
@@ -146,7 +146,7 @@ def test_the_unit_of_the_exposures_is_that_of_the_light(shoot: Shoot, reference:
         assert result.exposures[name] == pytest.approx(unit * exposure, rel=1e-6)
 
 
-def test_the_unit_of_radiance_is_anybodys(shoot: Shoot) -> None:
+def test_the_solution_is_invariant_to_the_unit_of_radiance(shoot: Shoot) -> None:
     """Photos of radiance 2²⁰ times less: the same materials to the bit, the same lamps 2²⁰ times dimmer."""
     capture, unit = shoot.capture(), 2.0**-20
     pixels = shoot.radiance.reshape(len(capture.views), 36, 48, 3).astype(np.float32)
@@ -167,7 +167,7 @@ def test_the_unit_of_radiance_is_anybodys(shoot: Shoot) -> None:
 
 
 @pytest.mark.parametrize("value", [0, 255])
-def test_photos_that_say_nothing_are_refused_or_end_in_a_result(shoot: Shoot, value: int) -> None:
+def test_white_photos_are_refused_and_black_photos_give_a_dark_room(shoot: Shoot, value: int) -> None:
     """A lens cap, and a window that outshines all: white photos have no radiance; black ones are of a dark room."""
     capture = shoot.capture()
     folder = shoot.folder / f"all-{value}"
@@ -275,7 +275,7 @@ def test_a_killed_solve_resumes_to_the_same_result(shoot: Shoot, reference: Path
     assert not (out / "checkpoints").exists()
 
 
-def test_resume_does_not_believe_another_configuration(shoot: Shoot, reference: Path) -> None:
+def test_resume_ignores_checkpoints_of_another_configuration(shoot: Shoot, reference: Path) -> None:
     out = shoot.folder / "other configuration"
     stopped(shoot.capture(), replace(FAST, seed=5), out, "textures")
     solve(shoot.capture(), FAST, out, resume=True)

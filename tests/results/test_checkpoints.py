@@ -40,7 +40,7 @@ def test_a_finished_stage_is_read_back_bit_by_bit(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("resume", [False, True])
-def test_another_solves_stage_is_not_believed(tmp_path: Path, resume: bool) -> None:
+def test_a_checkpoint_of_another_solve_is_ignored(tmp_path: Path, resume: bool) -> None:
     Checkpoints(tmp_path, "key", False).stage("lights", numbers)
     other = Checkpoints(tmp_path, "another key" if resume else "key", resume)
     assert other.stage("lights", lambda: {"values": np.ones(1)})["values"].shape == (1,)
@@ -74,7 +74,7 @@ def test_flipped_bytes_are_noticed(tmp_path: Path) -> None:
     assert np.array_equal(Checkpoints(tmp_path, "key", True).stage("lights", numbers)["values"], numbers()["values"])
 
 
-def test_clearing_removes_the_folder_but_no_strangers(tmp_path: Path) -> None:
+def test_clearing_removes_its_own_files_alone(tmp_path: Path) -> None:
     folder = tmp_path / "checkpoints"
     checkpoints = Checkpoints(folder, "key", False)
     checkpoints.clear()
@@ -88,7 +88,7 @@ def test_clearing_removes_the_folder_but_no_strangers(tmp_path: Path) -> None:
     assert [path.name for path in folder.iterdir()] == ["notes.txt"]
 
 
-def test_the_fingerprint_tells_whatever_a_solve_depends_on(capture: Capture) -> None:
+def test_the_fingerprint_depends_on_all_inputs_of_a_solve(capture: Capture) -> None:
     config = preset("draft")
     view = capture.views[0]
     camera = view.camera

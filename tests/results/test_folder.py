@@ -113,7 +113,7 @@ def test_channels_of_the_response_and_regions_of_the_file_survive(tmp_path):
     assert np.array_equal(loaded.mesh.regions, result.mesh.regions)
 
 
-def test_other_programs_read_the_glb_with_faces_in_order_and_up_turned(saved):
+def test_other_programs_read_the_glb_with_faces_in_order_and_y_up(saved):
     mesh = trimesh.load(saved / "materials" / "mesh.glb", process=False).to_geometry()
     result = room()
     corners = result.mesh.vertices[result.mesh.faces]
@@ -287,7 +287,7 @@ def test_ranges_are_compact_and_exact():
     assert from_ranges([], 11, "faces", Path("x")).shape == (0,)
 
 
-def test_plain_leaves_nothing_json_cannot_say():
+def test_plain_gives_json_types_alone():
     value = {1: np.float32(0.5), "a": (np.nan, np.arange(2)), "p": Path("x") / "y", "i": np.int64(3), "b": np.True_}
     assert json.loads(json.dumps(plain(value), allow_nan=False)) == {
         "1": 0.5, "a": [None, [0, 1]], "p": "x/y", "i": 3, "b": True,

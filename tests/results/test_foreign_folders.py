@@ -174,7 +174,7 @@ def test_a_log_that_is_a_link_is_replaced(tmp_path: Path, victim: Path) -> None:
     assert (victim / "solve.log").read_text() == "precious solve.log"
 
 
-def test_what_is_an_own_folder(tmp_path: Path) -> None:
+def test_links_and_files_are_no_own_folders(tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "folder")
     (tmp_path / "dangling").symlink_to(tmp_path / "nothing")

@@ -67,7 +67,7 @@ def test_large_pictures_are_shrunk(solved, tmp_path, monkeypatch):
     result, capture = solved
     view = capture.views[0]
     photo = load_photo(view).values
-    monkeypatch.setattr(report_html, "WIDEST", photo.shape[1] // 2)
+    monkeypatch.setattr(report_html, "MAX_WIDTH", photo.shape[1] // 2)
     write_report(result, capture, tmp_path, {view.name: photo[::2, ::2]})
     pictures = {path.name: read_image(path) for path in (tmp_path / "report").glob("*.png")}
     assert len(pictures) == 8 and {p.shape for p in pictures.values()} == {
@@ -101,7 +101,7 @@ def test_radiance_photos_are_shown_with_their_median_at_middle_grey(solved, tmp_
     assert np.median(shown["photo"]) == pytest.approx(255 * srgb(np.array(0.18)), abs=1)
 
 
-def test_names_from_files_cannot_write_the_page(solved, tmp_path):
+def test_names_from_files_are_escaped(solved, tmp_path):
     result, capture = solved
     evil = '<script>alert("x")</script>'
     result = replace(result, report={"warnings": [evil], "model": {evil: evil}}, exposures={evil: np.ones(3)})
@@ -115,6 +115,6 @@ def test_a_room_without_lights_or_report_still_has_a_page(solved, tmp_path):
     assert "No light was found" in write_report(result, capture, tmp_path, {}).read_text(encoding="utf-8")
 
 
-def test_colour_maps():
+def test_heat_rises_in_lightness():
     assert np.allclose(srgb(np.array([0.0, 0.0031308, 0.214041, 1.0])), [0, 0.04045, 0.5, 1], atol=1e-4)
     assert (np.diff(heat(np.linspace(0, 1, 50)) @ [0.2126, 0.7152, 0.0722]) > 0).all()

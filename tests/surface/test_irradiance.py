@@ -30,7 +30,7 @@ def scene() -> Scene:
     return Scene(samples, build_surface(room.mesh, samples, room.regions, 4000, np.random.default_rng(0)))
 
 
-def test_smoothing_keeps_a_constant_and_takes_noise_off(scene: Scene) -> None:
+def test_smoothing_keeps_a_constant_and_reduces_noise(scene: Scene) -> None:
     field = IrradianceField.build(scene.surface)
     constant = np.tile([1.0, 2.0, 3.0], (len(scene.surface.region), 1))
     assert field.kernel(1.0) @ constant == pytest.approx(constant, rel=1e-5)

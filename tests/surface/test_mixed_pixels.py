@@ -85,7 +85,7 @@ def test_a_single_pixel_in_the_corner_of_a_photo_is_mixed(stride: int) -> None:
     assert (region == WALL).sum() == 1 and mixed[region == WALL].all()
 
 
-def test_a_coarse_lattice_asks_the_true_neighbours() -> None:
+def test_on_a_coarse_lattice_mixed_pixels_are_those_of_the_full_photo() -> None:
     quads = [WIDE_WALL, quad([-0.5, -0.4, 0.5], [1, 0, 0], [0, 0.8, 0])]
     fine, _ = mixed_picture(quads, [WALL, TABLE], 1, width=120)
     coarse, _ = mixed_picture(quads, [WALL, TABLE], 3, width=120)
@@ -119,7 +119,7 @@ def test_a_bar_before_a_window_has_a_brighter_neighbour_and_nothing_has_a_darker
     assert bar[by[~bar & (by >= 0)]].all() and not (by[~bar & upper & apart] >= 0).any()
 
 
-def test_what_a_view_shows_of_a_patch_is_what_its_pixels_off_the_edge_show() -> None:
+def test_observations_are_means_over_unmixed_pixels() -> None:
     """Two patches of four pixels each, half of the first and all of the second on an edge."""
     patch, view = np.repeat([0, 1], 4).astype(np.int32), np.zeros(8, np.int16)
     z = np.repeat(np.array([0.2, 0.2, 1.0, 1.0, 0.4, 0.6, 0.4, 0.6], np.float32)[:, None], 3, 1)
@@ -176,9 +176,9 @@ def test_an_edge_without_good_neighbours_takes_the_colour_of_its_region() -> Non
     assert found == pytest.approx(np.tile(mean, (16, 1)), abs=0.01)
 
 
-def test_a_rim_that_only_edges_show_stays_in_doubt_however_many_photos_do() -> None:
+def test_a_texel_that_only_mixed_pixels_show_stays_uncertain_however_many() -> None:
     """Head-on, at the usual distance: on an edge of a model, of a scan, and on none."""
     one, n = np.ones(3), 500
     mixed, scanned = np.array([True, True, False]), np.array([False, True, False])
-    say = pixel_weight(one, 0.01 * one, np.ones((3, 3)), np.zeros((3, 3)), mixed, scanned, 0.01, 1.0).max(1)
-    assert 0 < n * say[0] < EXPECTED_WEIGHT < n * say[1] and say[2] > 10 * EXPECTED_WEIGHT
+    weight = pixel_weight(one, 0.01 * one, np.ones((3, 3)), np.zeros((3, 3)), mixed, scanned, 0.01, 1.0).max(1)
+    assert 0 < n * weight[0] < EXPECTED_WEIGHT < n * weight[1] and weight[2] > 10 * EXPECTED_WEIGHT

@@ -65,7 +65,7 @@ def test_normals_spread_as_they_do_in_closed_form() -> None:
     assert spread == pytest.approx([np.sqrt(2 / 3), 0.0, np.sqrt(1 / 2)], abs=0.01)
 
 
-def test_walls_are_flat_until_their_vertices_are_shaken(patched: tuple[PixelSamples, Surface]) -> None:
+def test_normal_spread_is_zero_on_flat_walls_and_positive_on_noisy_ones(patched: tuple[PixelSamples, Surface]) -> None:
     _, surface = patched
     wall = surface.region < 6
     assert surface.spread[wall].max() < 1e-3
@@ -140,7 +140,7 @@ def test_a_far_backdrop_leaves_the_room_its_patches(room: Room, patched: tuple[P
 # Regions and pixels --------------------------------------------------------------------------------------------------
 
 
-def test_connected_components_are_the_regions_of_a_mesh_without_any() -> None:
+def test_regions_of_a_mesh_that_names_none_are_its_connected_components() -> None:
     mesh = assemble([*box([0, 0, 0], [1, 1, 1], 0.5), *box([2, 0, 0], [3, 1, 1], 0.5)], [0] * 12)
     regions = initial_regions(replace(mesh, regions=None))  # the sides of a box share no vertex, only places
     half = len(mesh.faces) // 2

@@ -81,7 +81,7 @@ def test_a_scan_is_split_within_the_pages_of_its_texture():
     assert _purity(regions, upright) > 0.97, "one of the pages is folded"
 
 
-def test_what_was_joined_into_one_object_is_taken_apart():
+def test_regions_of_the_file_are_split_into_components():
     """Two sheets a metre apart that the capture calls one region, and one that it calls two."""
     sheet = _sheet(0.0)
     n, faces = len(sheet.vertices), len(sheet.faces)
@@ -103,7 +103,7 @@ def test_what_was_joined_into_one_object_is_taken_apart():
 
 
 def _purity(regions: NDArray[np.integer], side: NDArray[np.bool_]) -> float:
-    """Share of the faces that lie on the side on which most of their part does."""
+    """Share of the faces that lie on the side on which most of their region does."""
     return float(np.maximum(np.bincount(regions, side), np.bincount(regions, ~side)).sum() / len(regions))
 
 
@@ -111,7 +111,7 @@ def _purity(regions: NDArray[np.integer], side: NDArray[np.bool_]) -> float:
     ("gap", "step_back", "brighter", "one"),
     [(0.3, 0.0, 1.05, True), (0.3, 0.0, 1.5, False), (0.3, 0.005, 1.0, False), (0.7, 0.0, 1.0, False)],
 )
-def test_pieces_of_one_plane_that_look_alike_across_a_gap_are_one(
+def test_coplanar_regions_that_look_alike_across_a_gap_are_joined(
     gap: float, step_back: float, brighter: float, one: bool
 ) -> None:
     """A wall of a metre and a piece of it beyond a strip that the mesh lacks."""

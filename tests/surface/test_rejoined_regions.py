@@ -61,7 +61,7 @@ def test_small_steps_do_not_add_up_to_another_paint() -> None:
     assert all(len(strips) <= 3 for strips in found)
 
 
-def test_what_was_modelled_stays_as_its_maker_divided_it() -> None:
+def test_modelled_regions_stay_apart() -> None:
     found = joined(np.zeros(len(REGIONS)), scanned=REGIONS >= 3)
     assert found == [[0], [1], [2], [3, 4, 5]]
 
@@ -71,7 +71,7 @@ def test_a_border_that_no_photo_shows_joins_nothing() -> None:
     assert joined(np.zeros(len(REGIONS)), pixels=pixels) == [[0, 1, 2], [3, 4, 5]]
 
 
-def test_walls_that_a_scan_split_in_halves_are_whole_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_solve_joins_the_halves_of_a_scanned_wall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A solve of a room of even walls: no paint steps where a region ends within a wall, all of it where walls meet."""
     room, views = furnished_room(), cameras(12, 48, 36)
     radiance = render(room, Tracer(room.mesh), views, 64)

@@ -1,4 +1,4 @@
-"""The atlas: own texels for every face, density as asked for, lookups that agree, holes that fill."""
+"""The atlas: own texels for every face, the wanted density, lookups that agree, holes that fill."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_charts_do_not_bleed_through_linear_filtering() -> None:
         assert ((shown < 0) | (shown // 2 == np.arange(12)[:, None] // 2)).all()
 
 
-def test_density_is_as_asked_for_up_to_one_factor() -> None:
+def test_density_is_the_wanted_one_up_to_one_factor() -> None:
     mesh = joined(*(trimesh.creation.box([1, 1, 1]).apply_translation([2 * k, 0, 0]) for k in range(4)))
     wanted = np.repeat([50.0, 100.0, 200.0, 0.0], 12)
     ratio = density_of(build_atlas(mesh, wanted, SIZE), mesh) / np.repeat([50, 100, 200, UNSEEN_SHARE * 100], 12)
@@ -132,7 +132,7 @@ def test_doubled_faces_get_a_place_each() -> None:
 
 
 @pytest.mark.parametrize("count", [300, 20_000])
-def test_a_soup_of_loose_triangles_fits(count: int) -> None:
+def test_a_mesh_of_loose_triangles_fits(count: int) -> None:
     mesh = triangle_soup(count)
     uv = build_atlas(mesh, np.ones(count), 128)
     assert uv.min() >= 0

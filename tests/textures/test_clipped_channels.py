@@ -11,7 +11,7 @@ CREAM, RED = np.array([0.80, 0.74, 0.60]), np.array([0.60, 0.20, 0.15])
 NAN = np.nan
 
 
-def test_without_texels_like_it_a_clipped_channel_takes_the_colour_of_its_region() -> None:
+def test_without_similar_texels_a_clipped_channel_has_the_colour_of_its_region() -> None:
     completed = complete_channels(np.array([[NAN, 0.3, 0.05]]), np.zeros(1, int), np.array([[0.8, 0.6, 0.1]]))
     assert completed[0] == pytest.approx([0.4, 0.3, 0.05], rel=1e-5)  # half as bright, as yellow
 
@@ -31,7 +31,7 @@ def test_a_white_rug_with_a_red_pattern_is_white_in_the_sun(clipped: tuple[int, 
     np.testing.assert_array_equal(completed[~sunny], truth[~sunny].astype(np.float32))
 
 
-def test_regions_do_not_lend_each_other_their_colours() -> None:
+def test_clipped_channels_are_completed_within_their_region() -> None:
     """Two regions as blue as each other; a few texels of a third are not enough to tell."""
     yellow, pink = np.array([0.8, 0.7, 0.2]), np.array([0.8, 0.3, 0.2])
     value = np.concatenate([np.tile(yellow, (50, 1)), np.tile(pink, (50, 1)), np.tile(pink, (5, 1))])

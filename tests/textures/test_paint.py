@@ -23,7 +23,7 @@ def one_region(albedo: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, float
     return paint.evened(albedo, error, region), float(paint.detail[0])
 
 
-def test_a_wall_gets_one_colour_though_its_light_is_off_by_tens_of_percent_in_corners() -> None:
+def test_a_wall_has_one_colour_although_its_light_is_wrong_in_corners() -> None:
     rng = np.random.default_rng(0)
     error = np.where(np.arange(N) < N // 5, 0.2, LIGHT_ERROR)
     off = error * np.abs(rng.standard_normal(N)) * np.where(error > 0.1, 1, rng.choice([-1, 1], N))
@@ -87,7 +87,7 @@ def test_metals_and_regions_of_few_texels_stay_as_they_are() -> None:
     assert paint.colour(mean)[2] == pytest.approx(WALL, rel=0.01)
 
 
-def test_light_is_in_doubt_where_it_changes_from_patch_to_patch() -> None:
+def test_the_error_of_light_grows_with_its_spread_over_patches() -> None:
     """A floor lit twice as much beyond a line: beside the line the spread is that of half of each."""
     x, y = np.meshgrid(np.arange(30), np.arange(30))
     position = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1).astype(np.float32)

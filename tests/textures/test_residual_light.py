@@ -45,7 +45,7 @@ def test_planks_keep_their_difference_beside_an_even_wall() -> None:
     assert spread(corrected(planks * BLOTCHES, region=HALVES)[floor]) > 0.9 * spread(planks[floor])
 
 
-def test_a_gradient_that_no_surface_is_without_is_light() -> None:
+def test_a_gradient_on_all_surfaces_is_light() -> None:
     two = WALL * np.where(HALVES == 0, 1.0, 0.3)[:, None]
     found = corrected(two * GRADIENT, region=HALVES)
     for half in (HALVES == 0, HALVES == 1):

@@ -46,7 +46,7 @@ def test_slats_beside_a_window_have_the_paint_of_its_frame() -> None:
 
 
 @pytest.mark.parametrize(("error", "same"), [(0.015, False), (0.3, True)])
-def test_whether_a_darker_region_is_another_paint_is_a_matter_of_its_light(error: float, same: bool) -> None:
+def test_a_darker_region_is_another_paint_only_where_its_light_is_certain(error: float, same: bool) -> None:
     label = joined(*window(np.full(5, -0.2), error))
     assert (label[1:] == 0).all() if same else (label[1:] == 1).all(), "and the five are one paint in any case"
 
@@ -58,7 +58,7 @@ def test_light_is_off_in_brightness_rather_than_in_colour() -> None:
     assert (joined(*window(np.zeros(4), 0.1, tint))[1:] == 1).all()
 
 
-def test_what_is_no_paint_or_hardly_seen_stays_by_itself() -> None:
+def test_metals_and_regions_of_few_texels_share_no_paint() -> None:
     albedo, error, region = window(np.zeros(4), 0.1)
     few = (region != 2) | (np.cumsum(region == 2) < 4)
     clipped = np.where((region == 3)[:, None], [np.nan, 1, 1], albedo)

@@ -59,14 +59,14 @@ def test_lobes_at_both_ends_are_those_of_gather_rays(traced: tuple[Room, Tracer,
     assert rough[1].mean() == pytest.approx(rough[0].mean(), rel=0.02)
 
 
-def test_a_lamp_is_not_aimed_at_twice(traced: tuple[Room, Tracer, Transport]) -> None:
+def test_no_ray_is_aimed_at_lamps(traced: tuple[Room, Tracer, Transport]) -> None:
     room, tracer, transport = traced
     cast = np.where((transport.region == PLATE)[:, None], BRIGHT, np.ones((1, 3)))
     lamp, rng = room.regions == PLATE, np.random.default_rng(3)
     assert aim_at_bright(tracer, transport, room.regions, cast, np.ones_like(cast), lamp, rng) is None
 
 
-def test_rooms_without_bright_patches_need_no_rays(traced: tuple[Room, Tracer, Transport]) -> None:
+def test_no_ray_is_aimed_without_bright_patches(traced: tuple[Room, Tracer, Transport]) -> None:
     room, tracer, transport = traced
     cast, none = np.random.default_rng(4).uniform(0.2, 2, (transport.n_patches, 3)), np.zeros(len(tracer.areas), bool)
     before = tracer.rays_traced

@@ -58,7 +58,7 @@ def same(a: object, b: object) -> bool:
     return np.array_equal(a, b) and getattr(a, "dtype", None) == getattr(b, "dtype", None)  # type: ignore[arg-type]
 
 
-def test_the_second_time_no_ray_is_traced(scene: Scene) -> None:
+def test_a_cached_transport_is_read_back_without_tracing(scene: Scene) -> None:
     first = scene.transport()
     traced = scene.tracer.rays_traced
     assert same(first, scene.transport())

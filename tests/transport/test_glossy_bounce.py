@@ -35,7 +35,7 @@ def bounce(rows: np.ndarray, n_rows: int = N) -> GlossyBounce:
     return GlossyBounce(paths, floor().kernel(SPREAD_WIDTH))
 
 
-def test_what_every_patch_gets_alike_stays_as_it_is():
+def test_spreading_keeps_uniform_light():
     factors = bounce(np.arange(N)).form_factors([np.array([LAMP])], FACES)
     np.testing.assert_allclose(factors, 1 / 64, rtol=1e-4)
 

@@ -268,7 +268,7 @@ def test_light_from_outside_is_the_same_in_the_balance_and_in_cycles() -> None:
     assert lobes(direction, dodecahedron()).sum(1) == pytest.approx(np.ones(500), rel=1e-12)
 
 
-def test_patches_that_no_photo_shows_gather_from_all_over_what_rays_met_of_them() -> None:
+def test_unseen_patches_gather_from_points_that_rays_met() -> None:
     """One point of a cell of 32 cm says little: half of it may lie in the shade."""
     transport = patched(furnished_room(), cameras(3), 800, 64, stride=2).transport
     met = np.bincount(transport.target[transport.target >= transport.n_seen] - transport.n_seen)
