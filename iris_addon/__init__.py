@@ -7,10 +7,11 @@ Example:
     >>> import iris_addon as iris
     >>> capture = iris.read_capture("assets/demo_room")
     >>> result = iris.solve(capture, iris.preset("draft"))
-    >>> [emitter.area for emitter in result.emitters]  # square metres
+    >>> len(result.emitters), result.emitters[0].radiance.shape
+    (4, (3,))
     >>> maps = result.render_maps(capture.views[0].camera)
     >>> maps.base_color.shape
-    (120, 160, 3)
+    (240, 320, 3)
     >>> result.with_emitter(0, radiance=0.0).save("out/lamp_0_off")
 
 Importing this package imports nothing else: Blender's Python, which has neither torch nor scipy, uses parts of it. What

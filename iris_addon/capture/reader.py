@@ -24,7 +24,7 @@ Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 def read_capture(
-    path: Path, *, exposures: str | Path = "auto", hdr: Path | None = None, photos: PhotoSet = "Image"
+    path: Path | str, *, exposures: str | Path = "auto", hdr: Path | None = None, photos: PhotoSet = "Image"
 ) -> Capture:
     """Read and check a capture.
 

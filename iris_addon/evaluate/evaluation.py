@@ -28,7 +28,7 @@ LIGHT_AND_CAMERA = ("crf_l2", "exposure_log2_rmse")
 
 def evaluate(
     result: Result,
-    gt_root: Path,
+    gt_root: Path | str,
     *,
     render: RenderViews | None = None,
     samples: int = 64,

@@ -42,7 +42,7 @@ ReadImage = Callable[[Path], NDArray[np.floating]]
 """(H, W) or (H, W, C) of an image file: floats of an EXR, PNG code values divided by their maximum; row 0 on top."""
 
 
-def load_result(folder: Path, read_image: ReadImage | None = None) -> Result:
+def load_result(folder: Path | str, read_image: ReadImage | None = None) -> Result:
     """Read a result folder.
 
     Args:

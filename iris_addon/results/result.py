@@ -74,7 +74,7 @@ class Result:
             >>> camera = iris.read_capture("assets/demo_room").views[0].camera
             >>> maps = result.render_maps(camera)
             >>> maps.base_color.shape, maps.roughness.shape, maps.emission.shape
-            ((120, 160, 3), (120, 160), (120, 160, 3))
+            ((240, 320, 3), (240, 320), (240, 320, 3))
         """
         return self._map_renderer.maps(camera)
 

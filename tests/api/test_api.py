@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import doctest
+import shutil
 import signal
 import subprocess
 import sys
 import tomllib
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +97,18 @@ def test_inspecting_leaves_nothing_behind_without_a_folder(nerfstudio_room, tmp_
     (tmp_path / "temporary").mkdir()
     report = iris.inspect(iris.read_capture(nerfstudio_room.root))
     assert len(report["views"]) > 0 and not list((tmp_path / "temporary").iterdir())
+
+
+@pytest.mark.slow
+def test_the_examples_of_the_docstrings_run_as_they_stand(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "assets").symlink_to(ROOT / "assets", target_is_directory=True)
+    for name in ("solve", "inspect", "Result.render_maps", "Result.with_emitter"):
+        documented = attrgetter(name)(iris)
+        (test,) = doctest.DocTestFinder(recurse=False).find(documented, name, module=False)
+        assert test.examples and doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE).run(test).failed == 0
+        if name == "solve":
+            shutil.copytree(tmp_path / "out" / "room", tmp_path / "out" / "demo")
 
 
 def test_ctrl_c_cancels_and_is_put_back(nerfstudio_room) -> None:

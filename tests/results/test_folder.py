@@ -154,7 +154,7 @@ def test_a_full_disk_leaves_the_earlier_result_untouched(saved, monkeypatch):
     def full(*_args, **_kwargs):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("iris_addon.results.folder.encode_glb", full)
+    monkeypatch.setattr("iris_addon.results.saving.encode_glb", full)
     with pytest.raises(IrisError, match=r"No space left.*free some space") as caught:
         save_result(room(seed=1), saved)
     assert caught.value.exit_code == 1
