@@ -196,7 +196,7 @@ def _problem(
 ) -> MaterialProblem:
     exposure = photometry.exposure_at(observations.view, observations.pixel)
     linear = linearise(observations, photometry.response, exposure)
-    if not linear.open.all(1).any():
+    if not linear.unclipped.all(1).any():
         raise BadInput("every pixel of the photos is clipped in one channel or another", "add darker photos")
     n, regions, forced = len(surface.region), split.regions, config.refinements
     angle = schlick(photos.samples.cosine[observations.sample].astype(np.float64))
@@ -257,7 +257,7 @@ def _lights(
     if (material != problem.light.material).any():
         problem = problem.with_materials(material)
         light, lights = choose_outside(problem.light, problem.observed, progress, all_directions, lights)
-    if photometry.exponent_open and forced.exponent is not False:
+    if photometry.exponent_unconstrained and forced.exponent is not False:
         exponent = choose_exponent(light, problem.observed, lights, photometry.exponent_error, progress)
     if exponent != 1.0:
         problem = pose(photometry.raised(exponent)).with_materials(material)

@@ -1,4 +1,4 @@
-"""What a capture is once it has been read and checked: cameras, photos by reference, a mesh.
+"""A capture that has been read and checked: cameras, photos by reference, a mesh.
 
 Conventions of the whole engine: metres, scene-linear Rec.709, camera-to-world matrices as Blender and nerfstudio have
 them (columns x right, y up, z backward). Pixel (i, j) of a camera has its centre at (i + 0.5, j + 0.5) and its ray
@@ -18,7 +18,7 @@ FloatArray = NDArray[np.floating]
 
 Split = Literal["train", "val"]
 DEGENERATE_AREA = 1e-12
-"""Square metres up to which a face counts as none."""
+"""Square metres up to which a face counts as degenerate."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Distortion:
 
 @dataclass(frozen=True)
 class View:
-    """One photo: where it lies, how it was taken.
+    """One photo: its file, camera and exposure.
 
     Attributes:
         name: unique within the capture and its split, safe as a file name.
@@ -143,7 +143,7 @@ class Capture:
     Attributes:
         views: the photos the solver may look at (split ``train``).
         val_views: held-out photos; the solver never opens them.
-        up: unit vector that points away from the floor, as far as the capture says it ((0, 0, 1) otherwise).
+        up: unit vector that points away from the floor; (0, 0, 1) where the capture does not give it.
         warnings: what a user should know before waiting for a solve.
     """
 

@@ -22,7 +22,7 @@ from ..materials.rounds import MaterialProblem
 from ..materials.shading import Shading
 from ..materials.specular import pixel_lobes, subtract_specular
 from ..model.capture import Capture
-from ..model.local_exposure import ALIKE
+from ..model.local_exposure import UNIFORM
 from ..model.recovered import Emitter, OutsideLight
 from ..rays.tracer import Tracer
 from ..response.photometry import Photometry
@@ -122,7 +122,7 @@ def make_result(
         exposures=exposures,
         report=report,
         up=capture.up,
-        local=ALIKE if photometry.local is None else photometry.local.settings,
+        local=UNIFORM if photometry.local is None else photometry.local.settings,
         backdrop=problem.beyond.backdrop
         if light.hidden.holes is None
         else as_surface(problem.beyond, light, lights, progress),
@@ -159,7 +159,7 @@ def _pixel_albedo(
         albedo[rows] = pixel_albedo(linear.radiance, specular, ls0[rows], diffuse_light[rows], metallic[rows])
         seen = samples.cosine[rows], samples.footprint[rows]
         say = pixel_weight(*seen, irradiance[rows], specular, photos.mixed[rows], photos.scanned[rows], *usual)
-        weight[rows] = say * linear.open * linear.precision
+        weight[rows] = say * linear.unclipped * linear.precision
 
     over_blocks(len(metallic), BLOCK, work)
     weight /= np.median(weight[weight > 0])

@@ -18,7 +18,7 @@ from ..base.compiled import Integer, kernel
 from ..base.group_by import group_equal, group_medians
 from ..base.parallel import over_shares
 from ..lighting.balance import MAX_ALBEDO
-from ..response.observations import MIXED_SAY
+from ..response.observations import MIXED_WEIGHT
 
 DIM = 0.05
 """Share of the median irradiance below which a quotient of radiance and irradiance is not worth much."""
@@ -86,7 +86,7 @@ def pixel_weight(
     near = usual_footprint / np.maximum(footprint, 1e-6)
     lit = irradiance / (irradiance + DIM * usual_irradiance)
     highlight = HIGHLIGHT * specular.mean(1) / np.maximum(irradiance.mean(1), 1e-6)
-    edge = np.where(mixed, np.where(scanned, np.float32(MIXED_SAY), np.float32(RIM_SAY)), np.float32(1))
+    edge = np.where(mixed, np.where(scanned, np.float32(MIXED_WEIGHT), np.float32(RIM_SAY)), np.float32(1))
     sharp = cosine**2 * np.clip(near, 0.05, 20.0) ** 2 * edge
     return ((sharp / (1 + highlight**2))[:, None] * lit**2).astype(np.float32)
 

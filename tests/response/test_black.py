@@ -8,7 +8,7 @@ import pytest
 from iris_addon.model import response as curve
 from iris_addon.model.response import N_SAMPLES, Response
 from iris_addon.response.overlap_problem import OverlapProblem
-from iris_addon.response.radiance import Linearised, exposed, group_radiance, linearise
+from iris_addon.response.radiance import Linearised, group_radiance, linearise, relative_exposure
 from iris_addon.textures.bake import fuse_texels
 from tests.engine_room import observe_off_edges
 
@@ -32,7 +32,7 @@ def photographed(radiance: np.ndarray, exposures: np.ndarray) -> tuple[Linearise
 @pytest.mark.parametrize("response", [crushing(), curve.gamma(1.0)], ids=["crushing", "linear"])
 def test_a_black_pixel_says_what_a_uniform_exposure_below_the_next_byte_says(response: Response) -> None:
     below = response.invert(np.full((1, 3), 1 / 255))[0, 0]
-    mean, noise = exposed(response, np.zeros((1, 3)), np.ones((1, 3)))
+    mean, noise = relative_exposure(response, np.zeros((1, 3)), np.ones((1, 3)))
     assert mean == pytest.approx(np.full((1, 3), below / 2))
     assert noise == pytest.approx(np.full((1, 3), 1 / np.sqrt(3)), rel=1e-6)  # (b / sqrt 12) / (b / 2)
 
@@ -42,7 +42,7 @@ def test_a_mean_over_black_pixels_is_that_of_their_exposures() -> None:
     x = (np.arange(4000) + 0.5) / 4000 * 2 * TOE
     z = np.floor(255 * crushing().apply(np.repeat(x[:, None], 3, 1))) / 255
     shown, black = z.mean(0, keepdims=True), (z == 0).mean(0, keepdims=True)
-    assert exposed(crushing(), shown, black)[0] == pytest.approx(np.full((1, 3), TOE), rel=0.01)
+    assert relative_exposure(crushing(), shown, black)[0] == pytest.approx(np.full((1, 3), TOE), rel=0.01)
     assert crushing().invert(shown + 0.5 / 255)[0, 0] == pytest.approx(0.3125, abs=0.001)
 
 
@@ -107,4 +107,4 @@ def test_what_is_black_does_not_tell() -> None:
     rng = np.random.default_rng(2)
     radiance = np.repeat(rng.uniform(0.1, 0.2, (200, 1)), 8, 1)
     linear, _, _ = photographed(radiance, np.tile([0.25, 4.0], 4))
-    assert linear.told.reshape(200, 8)[:, 1::2].all() and not linear.told.reshape(200, 8)[:, ::2].any()
+    assert linear.well_exposed.reshape(200, 8)[:, 1::2].all() and not linear.well_exposed.reshape(200, 8)[:, ::2].any()

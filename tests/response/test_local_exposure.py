@@ -12,9 +12,9 @@ from scipy.ndimage import gaussian_filter
 from iris_addon.config import Refinements
 from iris_addon.model import response as curve
 from iris_addon.model.local_exposure import (
-    ALIKE,
     COLUMNS,
     ROWS,
+    UNIFORM,
     LocalExposure,
     LocalSettings,
     SmallPhotos,
@@ -24,9 +24,8 @@ from iris_addon.model.local_exposure import (
 )
 from iris_addon.model.response import LUMINANCE
 from iris_addon.response import family
-from iris_addon.response.local_exposure import find_local_exposure
 from iris_addon.response.observations import Observations
-from iris_addon.response.overlap import OverlapFit, fit_overlap
+from iris_addon.response.overlap import OverlapFit, find_local_exposure, fit_overlap
 from iris_addon.response.overlap_problem import OverlapProblem
 from tests.engine_room import observe_off_edges
 
@@ -142,7 +141,7 @@ def test_both_are_found_together() -> None:
 
 
 def test_places_exposed_alike_stay_alike() -> None:
-    assert fitted(ALIKE).local is None
+    assert fitted(UNIFORM).local is None
 
 
 def test_without_held_out_patches_nothing_is_switched_on() -> None:
@@ -163,7 +162,7 @@ def test_undoing_a_tone_mapping_gives_the_curve_back() -> None:
 
 def test_a_model_may_be_forbidden_it_or_made_to_have_it() -> None:
     assert fitted(LocalSettings(strength=0.5), choice=False).local is None
-    forced = fitted(ALIKE, choice=True).local
+    forced = fitted(UNIFORM, choice=True).local
     assert forced is not None and forced.settings.strength < 0.05 and forced.settings.falloff < 0.05
 
 

@@ -199,10 +199,10 @@ def test_wrong_records_leave_the_exponent_open_by_as_much_as_their_slope_is_off(
     assert measured.exponent_error == 0, "a curve that is given has its exponent"
     fitted = replace(measured, response=replace(measured.response, family=family.FITTED))
     assert fitted.exponent_error == pytest.approx(slope.std(), rel=0.05)
-    assert fitted.exponent_open and not replace(fitted, exposure_error=0.0).exponent_open
+    assert fitted.exponent_unconstrained and not replace(fitted, exposure_error=0.0).exponent_unconstrained
     assert replace(fitted, known_exposures=False).exponent_error == np.inf
     alike = replace(fitted, exposures=np.ones_like(taken))
-    assert alike.exponent_open and not replace(alike, exposure_error=0.0).exponent_open
+    assert alike.exponent_unconstrained and not replace(alike, exposure_error=0.0).exponent_unconstrained
 
 
 @pytest.mark.parametrize("name", ["gamma 2.2", "film"])
@@ -377,7 +377,7 @@ def test_photos_cannot_tell_a_power_of_radiance_under_the_raised_response(expone
     z = found.develop(radiance, view, pixel)
     assert raised.develop(radiance**exponent, view, pixel) == pytest.approx(z, abs=2e-3)
     both = [p.linearise_pixels(z.astype(np.float32), view, pixel) for p in (found, raised)]
-    open_ = both[0].open & (z > 0.2)
+    open_ = both[0].unclipped & (z > 0.2)
     assert both[1].radiance[open_] == pytest.approx(both[0].radiance[open_] ** exponent, rel=0.02)
     assert both[1].bound == pytest.approx(both[0].bound ** exponent)
 
