@@ -77,6 +77,6 @@ class PhotoInsertion:
 
     def _fitted_exposure(self, without: FloatArray) -> FloatArray:
         """(H, W, 3), or what broadcasts to it: the exposure that makes the render look like the photo."""
-        from iris_addon.evaluate.held_out import fit_gains
+        from iris_addon.evaluate.pictures import fit_gains
 
         return self.places * fit_gains(without * self.places, self.photo, self.result.response)

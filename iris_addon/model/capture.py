@@ -55,6 +55,13 @@ class Camera:
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         return np.broadcast_to(self.position, directions.shape), directions
 
+    def shrunk(self, width: int) -> Camera:
+        """The camera with at most ``width`` pixels in a row and the same field of view."""
+        scale = min(1.0, width / self.width)
+        w, h = max(2, round(self.width * scale)), max(2, round(self.height * scale))
+        x, y = w / self.width, h / self.height
+        return replace(self, width=w, height=h, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y)
+
     def local(self, points: NDArray[np.floating]) -> FloatArray:
         """(..., 3) world-space points in the frame of the camera: x right, y up, z backward."""
         return (points - self.position) @ self.c2w[:3, :3]

@@ -99,7 +99,7 @@ def test_the_family_contains_gamma() -> None:
     assert family.downhill(knots).max() == 0
 
 
-def test_a_falling_curve_is_noticed() -> None:
+def test_downhill_is_positive_for_a_falling_curve() -> None:
     rising = np.linspace(np.log(0.1), np.log(4.0), len(family.PRIOR_MEAN))  # x^0.1 at the left, x^4 at the right
     assert family.downhill(rising).max() > 1e-3
 
@@ -138,7 +138,7 @@ def test_a_tenth_of_outliers_does_little(name: str, limit: float) -> None:
     assert crf_l2(fit.response, truth.samples) < limit
 
 
-def test_three_curves_earn_their_place_where_there_are_three() -> None:
+def test_three_curves_are_accepted_where_there_are_three() -> None:
     rng = np.random.default_rng(3)
     truth = Response(np.stack([X ** (1 / 1.6), X ** (1 / 2.2), X ** (1 / 2.8)]), "file")
     observations, _ = observations_of(truth, EXPOSURES, rng)
@@ -164,7 +164,7 @@ def test_highlights_do_not_move_the_radiance_that_clips(name: str) -> None:
 
 
 @pytest.mark.parametrize("drift", ["exposure", "white balance"])
-def test_wrongly_recorded_exposures_are_put_right(drift: str) -> None:
+def test_wrongly_recorded_exposures_are_corrected(drift: str) -> None:
     """Two thirds of a stop of error; a third in each channel of its own where white balance drifts."""
     rng = np.random.default_rng(6)
     truth = response_of(CURVES["sRGB"])
@@ -182,7 +182,7 @@ def test_wrongly_recorded_exposures_are_put_right(drift: str) -> None:
         assert exponent == pytest.approx(1.0, abs=0.3)
 
 
-def test_wrong_records_leave_the_exponent_open_by_as_much_as_their_slope_is_off() -> None:
+def test_exponent_error_is_that_of_the_regression_on_wrong_records() -> None:
     rng = np.random.default_rng(6)
     stops, records_off, draws = np.log2(EXPOSURES), 0.6, 4000
     records = stops + rng.normal(0, records_off, (draws, len(stops)))
@@ -292,7 +292,7 @@ def test_exposures_of_a_walk_are_chained_from_photo_to_photo() -> None:
     assert np.abs(off - off.mean()).max() < 0.02
 
 
-def test_photos_that_are_known_to_be_of_one_exposure_keep_the_common_curve() -> None:
+def test_photos_of_one_known_exposure_keep_the_median_curve() -> None:
     """They cannot tell a curve; without that a power of it fitted as well as the curve itself."""
     rng = np.random.default_rng(13)
     common = family.to_response([family.PRIOR_MEAN])
@@ -325,7 +325,7 @@ def test_one_view_with_a_highlight_does_not_move_a_patch() -> None:
     assert np.median(off) < 0.12
 
 
-def test_what_every_photo_clips_is_a_lower_bound() -> None:
+def test_radiance_clipped_in_every_photo_is_a_lower_bound() -> None:
     patch, view = np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], np.int16)
     z = np.array([[1.0] * 3, [1.0] * 3, [0.5] * 3, [1.0] * 3], np.float32)
     observations = observe_off_edges(patch, view, z, np.random.default_rng(8))
@@ -357,7 +357,7 @@ def test_pixels_that_clip_in_the_shortest_exposure_raise_their_patch() -> None:
 
 
 @pytest.mark.parametrize("exponent", [0.6, 1.0, 1.7])
-def test_photos_cannot_tell_a_power_of_radiance_under_the_raised_response(exponent: float) -> None:
+def test_photos_are_invariant_to_raising_radiance_exposures_and_response(exponent: float) -> None:
     rng = np.random.default_rng(0)
     radiance, view, pixel = rng.uniform(0.05, 1.2, (200, 3)), rng.integers(0, 4, 200), rng.integers(0, 40 * 30, 200)
     local = LocalExposure(
@@ -382,7 +382,7 @@ def test_photos_cannot_tell_a_power_of_radiance_under_the_raised_response(expone
     assert both[1].bound == pytest.approx(both[0].bound ** exponent)
 
 
-def test_outside_its_table_a_response_holds_its_ends() -> None:
+def test_a_response_is_constant_outside_its_table() -> None:
     exposure = np.array([[-1.0, 0.0, 0.3], [1.0, 7.0, np.nan]])
     expected = np.interp(exposure, np.linspace(0, 1, 1024), X ** (1 / 2.2))
     assert np.allclose(curve.gamma().apply(exposure), expected, atol=1e-12, equal_nan=True)

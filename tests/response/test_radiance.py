@@ -30,7 +30,7 @@ def photographed(radiance: np.ndarray, exposures: np.ndarray) -> tuple[Linearise
 
 
 @pytest.mark.parametrize("response", [crushing(), curve.gamma(1.0)], ids=["crushing", "linear"])
-def test_a_black_pixel_says_what_a_uniform_exposure_below_the_next_byte_says(response: Response) -> None:
+def test_a_black_pixel_is_a_uniform_exposure_below_the_next_byte(response: Response) -> None:
     below = response.invert(np.full((1, 3), 1 / 255))[0, 0]
     mean, noise = relative_exposure(response, np.zeros((1, 3)), np.ones((1, 3)))
     assert mean == pytest.approx(np.full((1, 3), below / 2))
@@ -64,7 +64,7 @@ def test_black_photos_outweigh_the_highlight_that_one_shows() -> None:
     assert (found.radiance < 1.1 * TOE / 4).all()
 
 
-def test_what_is_always_black_is_below_its_lowest_ceiling_and_says_little() -> None:
+def test_a_patch_black_in_all_photos_lies_below_its_lowest_ceiling_with_little_weight() -> None:
     radiance = np.array([[0.01] * 4, [0.3] * 4])
     linear, patch, count = photographed(radiance, np.array([0.5, 1.0, 2.0, 4.0]) * 0.9)
     found = group_radiance(linear, patch, count, 2)
@@ -73,7 +73,7 @@ def test_what_is_always_black_is_below_its_lowest_ceiling_and_says_little() -> N
     assert found.radiance[1] == pytest.approx(np.full(3, 0.3), rel=0.01)
 
 
-def test_black_pixels_agree_with_what_is_expected_as_far_as_they_can() -> None:
+def test_black_pixels_agree_with_expected_radiance_up_to_their_ceiling() -> None:
     linear, _, _ = photographed(np.array([[0.1, 0.1, 0.1]]), np.array([1.0, 2.0, 4.0]))
     agreeing = linear.agreeing_with(np.full((3, 3), 0.2))
     # Below 0.25, below 0.125, and seen.
@@ -102,7 +102,7 @@ def test_a_channel_that_is_black_in_every_photo_is_unknown() -> None:
     assert np.isnan(fused.value).tolist() == [[False, False, True], [False] * 3]
 
 
-def test_what_is_black_does_not_tell() -> None:
+def test_black_observations_are_not_well_exposed() -> None:
     """A dark floor: its short exposures are black and do not tell of it, the long ones do."""
     rng = np.random.default_rng(2)
     radiance = np.repeat(rng.uniform(0.1, 0.2, (200, 1)), 8, 1)
