@@ -5,7 +5,7 @@ and r the distance from the middle of the photo over that of its corners,
 
     log g(p) = -strength (B(p) - median B) - falloff r(p)^2
 
-The first term compresses contrast between regions and keeps it within them, as the base layer of Durand & Dorsey 2002
+The first term compresses contrast between areas and keeps it within them, as the base layer of Durand & Dorsey 2002
 does; phones and cameras' "shadow boost" do the same. The second is cos^4 and mechanical vignetting to first order. Both
 are smooth, so a small picture of each photo is enough to find and to undo them.
 """
@@ -36,7 +36,7 @@ class LocalSettings:
     """Parameters of the model, common to all photos.
 
     Attributes:
-        strength: share by which contrast between regions is compressed, 0 to 1.
+        strength: share by which contrast between large areas is compressed, 0 to 1.
         scale: standard deviation of the Gaussian mean, in widths of the photo.
         headroom: relative exposure that clipped pixels are taken to have had in that mean.
         falloff: natural logarithm by which corners are darker than the middle.

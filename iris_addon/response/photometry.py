@@ -69,7 +69,7 @@ class Photometry:
             return ()
         found = []
         if self.local is not None and self.local.settings.strength:
-            lost = f"{self.local.settings.strength:.0%} of the contrast between regions"
+            lost = f"{self.local.settings.strength:.0%} of the contrast between large areas"
             found.append(f"the photos are locally tone mapped ({lost}); it was undone")
         if not self.known_exposures:
             found.append("exposures are unknown: the overall brightness of lights is relative")

@@ -216,8 +216,8 @@ def test_glb_nodes_are_placed_and_become_regions(nerfstudio_room: RoomCapture) -
     scene = trimesh.Scene()
     for wall in range(6):
         faces = nerfstudio_room.mesh.faces[2 * wall : 2 * wall + 2]
-        region = trimesh.Trimesh(nerfstudio_room.mesh.vertices - [1, 2, 3], faces, process=False)
-        scene.add_geometry(region, transform=trimesh.transformations.translation_matrix([1, 2, 3]))
+        node = trimesh.Trimesh(nerfstudio_room.mesh.vertices - [1, 2, 3], faces, process=False)
+        scene.add_geometry(node, transform=trimesh.transformations.translation_matrix([1, 2, 3]))
     (nerfstudio_room.root / "mesh.ply").unlink()
     scene.export(nerfstudio_room.root / "mesh.glb")
     mesh = read_capture(nerfstudio_room.root).mesh

@@ -89,7 +89,7 @@ class Wall:
 
 def small(photos: np.ndarray) -> SmallPhotos:
     valid = np.ones((HEIGHT, WIDTH), bool)
-    z, clipped = (np.stack(region) for region in zip(*(small_photo(photo, valid) for photo in photos), strict=True))
+    z, clipped = (np.stack(column) for column in zip(*(small_photo(photo, valid) for photo in photos), strict=True))
     return SmallPhotos(z, clipped, SIZES)
 
 
