@@ -38,13 +38,13 @@ HISTOGRAM_BINS = 32
 MAX_SATURATED_SHARE = 0.25
 """Of pixels; a photo with more is warned about."""
 ALIGN_WIDTH = 160
-"""Width in pixels at which edges are compared."""
+"""Pixels in a row of the photo and the geometry that are compared."""
 ALIGN_REACH = 12
 """Largest shift that is tried, in pixels of that width."""
 ALIGN_TOLERANCE = 1.5
 """A peak within this many of those pixels counts as no shift."""
 ALIGN_PEAK_STD = 3.5
-"""Standard deviations by which a peak must stand out of all shifts to mean anything."""
+"""Standard deviations of all correlations by which a peak must exceed their mean to be clear."""
 NORMAL_EDGE = 0.5
 """Change of the normal between neighbours, as a distance of unit vectors, that counts as a full edge."""
 DEPTH_EDGE = 0.05

@@ -28,7 +28,6 @@ MIN_UP_LENGTH = 0.1
 """Length of the mean of unit up vectors below which the mean has no direction."""
 
 MAX_FIELD_OF_VIEW = math.radians(170.0)
-"""Radians."""
 RIGID_TOLERANCE = 1e-3
 """Deviation from a rotation matrix; files keep three decimals at least."""
 
@@ -44,7 +43,11 @@ class Listing:
     """Cameras, paths and recorded exposures of a capture folder.
 
     Attributes:
+        root: folder that all paths lie in.
+        source: the file that lists the photos; named by errors.
+        views, val_views: training and held-out photos.
         mesh_file: the mesh to read.
+        up: unit vector that points away from the floor.
     """
 
     name: str
@@ -61,7 +64,7 @@ class Listing:
 
 
 def read_json_object(path: Path) -> dict[str, Any]:
-    """The JSON object in ``path``; raises BadInput when missing, too large or anything else than an object."""
+    """The JSON object in ``path``; raises BadInput when missing, too large or not an object."""
     if not path.is_file():
         raise BadInput("no such file", "check the path of the capture", path)
     return read_json(path, MAX_JSON_BYTES, "export it again, a very large capture in parts")

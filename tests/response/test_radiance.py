@@ -1,4 +1,4 @@
-"""Black bytes: what was too dark for the response is known to be dark, and no more."""
+"""Radiance of observations and patches: means, and the bounds that clipped and black observations give."""
 
 from __future__ import annotations
 
@@ -8,9 +8,65 @@ import pytest
 from iris_addon.model import response as curve
 from iris_addon.model.response import N_SAMPLES, Response
 from iris_addon.response.overlap_problem import OverlapProblem
-from iris_addon.response.radiance import Linearised, group_radiance, linearise, relative_exposure
+from iris_addon.response.radiance import Linearised, group_radiance, linearise, raised_by_clipped, relative_exposure
 from iris_addon.textures.bake import fuse_texels
 from tests.engine_room import observe_off_edges
+from tests.response.photographed_patches import EXPOSURES, observations_of
+
+
+def test_radiance_comes_back_through_the_curve() -> None:
+    rng = np.random.default_rng(6)
+    truth = curve.gamma()
+    observations, radiance = observations_of(truth, EXPOSURES, rng)
+    linear = linearise(observations, truth, np.repeat(EXPOSURES[observations.view, None], 3, 1))
+    found = group_radiance(linear, observations.patch, observations.count, len(radiance))
+    assert found.known.all()
+    assert found.radiance == pytest.approx(radiance, rel=0.03)
+
+
+def test_one_view_with_a_highlight_does_not_move_a_patch() -> None:
+    rng = np.random.default_rng(7)
+    observations, radiance = observations_of(curve.gamma(), EXPOSURES, rng)
+    linear = linearise(observations, curve.gamma(), np.repeat(EXPOSURES[observations.view, None], 3, 1))
+    linear.radiance[observations.view == 4] *= 8
+    found = group_radiance(linear, observations.patch, observations.count, len(radiance))
+    off = np.abs(np.log(found.radiance / radiance))
+    assert np.median(off) < 0.12
+
+
+def test_radiance_clipped_in_every_photo_is_a_lower_bound() -> None:
+    patch, view = np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], np.int16)
+    z = np.array([[1.0] * 3, [1.0] * 3, [0.5] * 3, [1.0] * 3], np.float32)
+    observations = observe_off_edges(patch, view, z, np.random.default_rng(8))
+    linear = linearise(observations, curve.gamma(), np.array([[2.0] * 3, [0.25] * 3])[observations.view])
+    found = group_radiance(linear, observations.patch, observations.count, 2)
+    assert (found.known == [[False] * 3, [True] * 3]).all()
+    assert found.bound == pytest.approx(np.full((2, 3), 4.0))
+    assert found.radiance[0] == pytest.approx(4.0)
+    assert found.radiance[1] == pytest.approx(((0.5 + 0.5 / 255) ** 2.2) / 2, rel=1e-3)
+
+
+def test_pixels_that_clip_in_the_shortest_exposure_raise_their_patch() -> None:
+    """Half of the pixels of a patch shine twice as much as the others and clip in both exposures; a patch all of
+    whose pixels the short exposure shows is left as it is, however many of the long one clipped."""
+    exposures, truth = np.array([1.0, 8.0]), curve.gamma()
+    radiance = np.array([[0.6, 1.2], [0.4, 0.4]])  # (patches, halves)
+    patch, half, view = (axis.ravel() for axis in np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"))
+    z = truth.apply(np.repeat(np.clip(radiance[patch, half] * exposures[view], 0, 1)[:, None], 3, 1))
+    shown = np.where(z >= 1, 1.0, np.floor(z * 255) / 255).astype(np.float32)
+    # Observations are means of one photo on one patch; halves seen by photos of their own.
+    view = (2 * half + view).astype(np.int16)
+    observations = observe_off_edges(patch, view, shown, np.random.default_rng(0))
+    linear = linearise(observations, truth, np.repeat(np.tile(exposures, 2)[observations.view, None], 3, 1))
+    o, plain = observations, np.ones(len(observations.patch))
+    found = group_radiance(linear, o.patch, o.count, 2)
+    raised = raised_by_clipped(found, linear, o.patch, o.count, plain)
+    assert found.radiance[:, 0] == pytest.approx([0.6, 0.4], rel=0.01)
+    assert raised[:, 0] == pytest.approx([0.8, 0.4], rel=0.01)  # (0.6 + bound 1) / 2 and as it was
+
+
+# ---- Black observations ---------------------------------------------------------------------------------------------
+
 
 TOE = 0.25
 """Relative exposure up to which the curve below is black."""
