@@ -20,7 +20,7 @@ from ..capture.photos import load_photo
 from ..edits.jobs import insertion_edits, new_lights_edit, one_emitter_edit
 from ..edits.scene_edit import SceneEdit
 from ..model.capture import Camera, Photo, View
-from ..model.response import Response, gamma
+from ..model.response import Response, gamma, grey_exposure
 from ..results.result import Result
 from . import metrics
 from .ground_truth import GroundTruth, read_lights, read_mask, read_objects, read_rgb
@@ -172,7 +172,7 @@ def _beside(
 ) -> Picture:
     """Rendering and reference through the true response, exposed for the reference's median."""
     response = truth.response or gamma()
-    exposure = metrics.grey_exposure(reference)
+    exposure = grey_exposure(reference)
     return Picture(
         metric=metric,
         view=view,

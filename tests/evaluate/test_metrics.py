@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from iris_addon.evaluate import metrics
-from iris_addon.model.response import LUMINANCE, gamma, identity
+from iris_addon.model.response import LUMINANCE, gamma, grey_exposure, identity
 
 
 def test_psnr_is_minus_ten_log_of_the_mean_square():
@@ -41,7 +41,7 @@ def test_to_ldr_is_what_a_camera_stores():
 
 def test_grey_exposure_brings_the_median_to_middle_grey():
     radiance = np.random.default_rng(0).random((9, 9, 3)) * 30
-    luminance = radiance * metrics.grey_exposure(radiance) @ LUMINANCE
+    luminance = radiance * grey_exposure(radiance) @ LUMINANCE
     assert np.median(luminance) == pytest.approx(0.18)
 
 
