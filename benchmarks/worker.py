@@ -98,7 +98,7 @@ def relight_scores(
     from iris_addon.blender.render.cycles import render_views
     from iris_addon.evaluate.ground_truth import read_ground_truth
     from iris_addon.evaluate.metrics import combine
-    from iris_addon.evaluate.relighting import relit_views, score_pictures
+    from iris_addon.evaluate.pictures import relit_views, score_pictures
 
     ground, as_captured = read_ground_truth(truth), read_ground_truth(developed_as)
     if ground is None or as_captured is None:

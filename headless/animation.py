@@ -23,8 +23,8 @@ from iris_addon.base.errors import BadInput, IrisError
 from iris_addon.base.files import plain, read_json, write_json
 from iris_addon.base.progress import Progress
 from iris_addon.edits.motion import at_time, camera_at
+from iris_addon.edits.parsing import json_map, whole
 from iris_addon.edits.scene_edit import SceneEdit
-from iris_addon.edits.values import json_map, whole
 from iris_addon.model.capture import Camera, View
 from iris_addon.model.render_settings import RenderSettings
 from iris_addon.results.files import EMITTERS, REPORT, RESPONSE, result_file

@@ -77,6 +77,6 @@ class PhotoInsertion:
 
     def _fitted_exposure(self, without: FloatArray) -> FloatArray:
         """The exposure that makes the render look like the photo, (H, W, 3) or broadcastable to it."""
-        from iris_addon.evaluate.held_out import fit_gains
+        from iris_addon.evaluate.pictures import fit_gains
 
         return self._gain * fit_gains(without * self._gain, self.photo, self.result.response)

@@ -14,17 +14,17 @@ PresetName = Literal["draft", "balanced", "final"]
 
 @dataclass(frozen=True)
 class Refinements:
-    """Parts of the model that a scene may do without. None lets held-out data decide; True and False force it.
+    """Optional parts of the model. None lets held-out data decide; True and False force the choice.
 
     Attributes:
         channel_curves: a response curve per colour channel.
         white_balance: an exposure factor per channel, where exposures are unknown or corrected.
-        corrected_exposures: exposures that the overlap asks for in place of recorded ones.
-        exponent: that of response and radiance as light transport asks for it, where exposures are unknown.
-        hidden_light: light from where no photo looks: from beyond the mesh, by direction, and lamps that none shows.
-        gloss: roughness and metallic of a part; without it all is rough.
+        corrected_exposures: exposures fitted to the overlap in place of recorded ones.
+        exponent: of response and radiance, fitted to light transport where exposures are unknown.
+        hidden_light: light whose source no photo shows: from outside the mesh by direction, and hidden lamps.
+        gloss: roughness and metallic of a region; without, every surface is fully rough.
         local_exposure: local tone mapping and vignetting.
-        poses: poses of single photos as those agree on the mesh, in place of the given ones.
+        poses: poses of single photos fitted to each other on the mesh, in place of the given ones.
     """
 
     channel_curves: bool | None = None
@@ -43,24 +43,23 @@ FULL, MINIMAL = (Refinements(*[forced] * len(fields(Refinements))) for forced in
 
 @dataclass(frozen=True)
 class SolveConfig:
-    """Everything a person may turn about a solve.
+    """Every setting of a solve.
 
     Attributes:
         preset: name of the preset the values come from.
         response: "auto" estimates the curve, "gamma" is z = x^(1/2.2), a path names a file with a curve.
         exposures: "auto" takes what the capture knows, "none" withholds it, a path names a file.
         hdr: folder with one EXR of linear radiance per photo, in place of the photos.
-        emitters: "search" finds the lamps; a path names a file with the faces of each (an emitters.json): these and no
-            others.
-        refinements: what the model is made to do, or to do without, for comparisons.
+        emitters: "search" finds the lamps; a path names an emitters.json with the faces of the only lamps.
+        refinements: optional parts of the model that are forced or forbidden, for comparisons.
         device: where torch runs.
-        seed: of all randomness.
+        seed: of all random streams.
         max_patches: upper bound on surface patches; the patch size adapts to it.
         gather_rays: cosine-distributed rays per patch for light that arrives from other patches.
         shadow_rays: rays per patch over all emitters.
         specular_rays: rays per glossy observation; half as many per glossy pixel, whose neighbours serve it too.
         atlas_size: side of the texture atlas in texels.
-        rounds: passes of emission and reflectance, each with the materials of the one before.
+        rounds: alternations of lights and materials.
     """
 
     preset: PresetName = "balanced"

@@ -1,4 +1,4 @@
-"""Compiled loops: what arrays would do in a dozen passes over memory, one ray or patch after the other.
+"""Compiled loops over rays, patches, pixels or texels: one pass where array operations would take a dozen.
 
 A :func:`kernel` is Python that Numba compiles when it is first called, a second or so each, and keeps in the user's
 cache folder for every later process. It releases the interpreter lock, so that blocks of rays run on all cores
@@ -24,9 +24,9 @@ from .files import user_cache
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Real = Any
-"""A number that kernels calculate with, of Python's or of an array of any precision."""
+"""A real number in a kernel: Python's, or that of an array of any precision."""
 Integer = Any
-"""The same, whole."""
+"""A whole number in a kernel."""
 
 Columns = TypeVar("Columns", bound=tuple)
 
@@ -42,8 +42,8 @@ def inlined(function: Function) -> Function:
 
 
 def _compiled(function: Function, **options: bool) -> Function:
-    # Without _nrt=False arrays are counted in and out of every call by atomic operations, which takes as long as the
-    # work itself: 135 instead of 61 ns for the patch of a ray.
+    # Unless _nrt=False, every call counts references to its arrays by atomic operations, which takes as long as the
+    # work itself: 135 instead of 61 ns to look up the patch of a ray.
     return numba.njit(function, nogil=True, cache=_kept(), error_model="numpy", _nrt=False, **options)  # type: ignore
 
 
@@ -54,7 +54,7 @@ def rows_of(columns: Columns, rows: slice | NDArray[np.bool_]) -> Columns:
 
 @lru_cache(maxsize=1)
 def _kept() -> bool:
-    """Whether compiled kernels can be kept on disk; a folder that cannot be written costs seconds and no more.
+    """Whether compiled kernels can be kept on disk; without, each process compiles them again, in seconds.
 
     Numba does not see that a kernel called from another file has changed, so the folder is named after all sources.
     """
@@ -72,7 +72,7 @@ def _kept() -> bool:
 
 
 def _digest() -> str:
-    """Of all files with kernels in them."""
+    """Hash of the sources of all kernels."""
     root, digest = Path(__file__).parents[1], hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
         source = path.read_bytes()

@@ -1,7 +1,7 @@
 """Errors a user can act on, and the exit code each one maps to.
 
-Every message has the form ``what is wrong — how to fix it`` and names the file it is about, because it is shown as it
-stands: one line on stderr, one line in the panel.
+Every message has the form ``what is wrong — how to fix it`` and names the file it is about. It is shown unchanged, as
+one line on stderr or in the panel.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 class IrisError(Exception):
-    """Base of every error meant for the user's eyes. Exit code 1."""
+    """Base of every error that is shown to the user. Exit code 1."""
 
     exit_code = 1
 
@@ -33,7 +33,7 @@ class SolverEnvironmentMissing(IrisError):
 
 
 class Cancelled(IrisError):
-    """The user asked to stop; finished stages stay on disk. Exit code 130."""
+    """The user cancelled the work; finished stages stay on disk. Exit code 130."""
 
     exit_code = 130
 

@@ -1,7 +1,10 @@
-"""Files that appear whole or not at all.
+"""Files written atomically: arrays, JSON, the user's cache folder, and protection from links.
 
 Everything the project writes goes through here, so that an interrupted or failed write never harms the file that was
 there before. Imports nothing that Blender lacks.
+
+A result may come from a stranger, as an archive or a repository that holds links. Whatever is written, moved or deleted
+below a link would be written, moved or deleted where it leads, so folders are checked by :func:`require_own_folder`.
 """
 
 from __future__ import annotations
@@ -54,13 +57,14 @@ def abandoned(path: Path) -> Iterator[Path]:
     yield from path.parent.glob(f".{glob.escape(path.stem)}-{'[0-9a-f]' * 8}{glob.escape(path.suffix)}")
 
 
-# ---- Files of plain arrays by name, .npz ----------------------------------------------------------------------------
+# ---- Arrays by name (.npz) ------------------------------------------------------------------------------------------
 
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray], *, compressed: bool = False) -> None:
-    """Write ``arrays``; raises IrisError where they cannot be written, and ``path`` is then what it was before.
+    """Write ``arrays`` as one archive, built in memory: zipfile reports a full disk only when it is closed.
 
-    The archive is made in memory: one that cannot be closed, because the disk is full, complains long after.
+    Raises:
+        IrisError: the file cannot be written; ``path`` is what it was before.
     """
     archive = BytesIO()
     (np.savez_compressed if compressed else np.savez)(archive, **arrays)
@@ -68,18 +72,18 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray], *, compressed: bool 
 
 
 def read_arrays(path: Path) -> dict[str, NDArray] | None:
-    """The arrays of a file that only saves time; None where it is missing, damaged or holds more than plain arrays."""
+    """The arrays of a cache file; None where it is missing, damaged or holds more than plain arrays."""
     if not path.is_file():
         return None
     try:
         with np.load(path, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
     except (ValueError, TypeError, OSError, EOFError, zipfile.BadZipFile):
-        # TypeError: an .npy under this name is no archive to open.
+        # TypeError: the file is an .npy under this name and no archive.
         return None
 
 
-# ---- JSON as this project writes and checks it: numpy values out, validated arrays in -------------------------------
+# ---- JSON: numpy values out, validated arrays in --------------------------------------------------------------------
 
 
 MAX_JSON_BYTES = 256 << 20
@@ -87,7 +91,7 @@ MEND = "restore the file or solve again"
 
 
 def write_json(path: Path, content: object) -> None:
-    """Write ``content`` as JSON in one step; numpy values are welcome, what is not finite becomes null.
+    """Write ``content`` as JSON in one step; numpy values are converted, numbers that are not finite become null.
 
     Raises:
         IrisError: the file cannot be written.
@@ -96,7 +100,7 @@ def write_json(path: Path, content: object) -> None:
 
 
 def dump_json(path: Path, content: object) -> None:
-    """Write ``content`` to ``path`` as it is, for folders that are moved in place as a whole; raises OSError."""
+    """Write ``content`` to ``path`` directly, for folders that are moved in place as a whole; raises OSError."""
     path.write_text(json.dumps(plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
@@ -167,11 +171,11 @@ def from_ranges(value: object, n_faces: int, what: str, path: Path) -> NDArray[n
     return np.concatenate([np.arange(a, b) for a, b in ranges] or [np.empty(0, np.int64)]).astype(np.int64)
 
 
-# ---- The user's cache folder, by the convention of each system ------------------------------------------------------
+# ---- Cache folder ---------------------------------------------------------------------------------------------------
 
 
 def user_cache() -> Path:
-    """Where files are kept that save time and that nobody misses."""
+    """Folder for files that can be made again, by the convention of each system."""
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "iris" / "cache"
     if sys.platform == "darwin":
@@ -179,10 +183,7 @@ def user_cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "iris"
 
 
-# ---- Folders that this project made itself, told from links that lead to somebody else's ----------------------------
-#
-# A result may come from a stranger, as an archive or a repository that holds links. What is written, moved or deleted
-# in a folder below it would be written, moved or deleted wherever such a link leads.
+# ---- Protection from links ------------------------------------------------------------------------------------------
 
 
 WINDOWS_JUNCTION = 0xA0000003
@@ -202,7 +203,7 @@ def is_own_file(path: Path) -> bool:
 
 
 def require_own_folder(path: Path) -> None:
-    """Make sure that ``path`` is free for a folder of ours, or is one.
+    """Require that ``path`` does not exist or is a folder and no link.
 
     Raises:
         BadInput: a link or a file has its name.

@@ -1,6 +1,6 @@
-"""Rows that belong together: equal keys brought side by side, and sums, means and medians over them.
+"""Group-by for arrays: rows of equal keys, and sums, means, medians and quantiles over them.
 
-torch sorts integers by their digits, on all cores, in a fifth of the time numpy's comparisons take.
+Sorting is torch's radix sort of integers, which uses all cores and takes a fifth of the time of numpy's comparisons.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from .compiled import Integer, kernel
 from .parallel import BLOCK, blocks, over_each
 
 MAD = 1.4826
-"""Standard deviations of a normal distribution in its median absolute deviation."""
+"""Standard deviation of a normal distribution over its median absolute deviation."""
 Key = TypeVar("Key", bound=np.integer)
 
 
@@ -27,7 +27,7 @@ class Groups(Generic[Key]):
     Attributes:
         keys: (m,) the distinct keys, ascending.
         group: (n,) int32 group of each row.
-        order: (n,) int64 rows by group, and in a group as they came.
+        order: (n,) int64 rows by group, in a group in their original order.
         start: (m,) int64 where each group begins in ``order``.
         count: (m,) int64 rows of each group.
     """
@@ -53,8 +53,8 @@ def group_equal(keys: NDArray[Key]) -> Groups[Key]:
 
 
 def stable_order(keys: NDArray[np.integer]) -> NDArray[np.int64]:
-    """(n,) indices that sort integers of 64 bits; equal ones stay as they came."""
-    # torch has no order for unsigned ones; with the top bit flipped signed ones have theirs.
+    """(n,) indices that sort integers of 64 bits; equal ones keep their order."""
+    # torch does not sort unsigned integers; with the top bit flipped, signed ones have the same order.
     signed = (keys ^ np.uint64(1 << 63)).view(np.int64) if keys.dtype == np.uint64 else keys
     return torch.argsort(torch.from_numpy(np.ascontiguousarray(signed)), stable=True).numpy()
 
@@ -62,8 +62,8 @@ def stable_order(keys: NDArray[np.integer]) -> NDArray[np.int64]:
 def order_in_groups(values: NDArray[np.floating], group: NDArray[np.integer]) -> NDArray[np.int64]:
     """(n,) indices that sort by ``group`` (not negative) and in a group by ``values``, to the precision of float32.
 
-    One sort of 64-bit keys, in a third of the time of two: the bits of floats are in the order of the floats once the
-    sign bit of the positive ones and all bits of the negative ones are flipped.
+    One sort of 64-bit keys takes a third of the time of two sorts. The bits of floats, as integers, are in the order of
+    the floats once the sign bit of positive ones and all bits of negative ones are flipped.
     """
     bits = values.astype(np.float32).view(np.int32)
     ordered = bits.view(np.uint32) ^ ((bits >> 31).view(np.uint32) | np.uint32(1 << 31))
@@ -113,7 +113,7 @@ def group_quantiles(
 
 
 def _spans(group: NDArray[np.integer], n_groups: int) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]]:
-    """(n_groups,) groups that are not empty; of those, where each begins among sorted rows, and its rows."""
+    """(n_groups,) groups that are not empty; of those, their first sorted row and their number of rows."""
     count = np.bincount(group, minlength=n_groups)
     some = count > 0
     return some, (np.cumsum(count) - count)[some], count[some]
@@ -163,7 +163,7 @@ def _list(
 
 
 def counts(values: NDArray[np.integer], n: int) -> NDArray[np.int64]:
-    """(n,) how often each of 0 … n - 1 is among ``values``; negative ones are passed over."""
+    """(n,) how often each of 0 … n - 1 occurs in ``values``; negative values are ignored."""
     count = np.zeros(n, np.int64)
     _add_counts(values.ravel(), count)
     return count

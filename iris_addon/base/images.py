@@ -1,7 +1,7 @@
-"""Image files in, image files out: EXR, PNG and JPEG, with limits before anything is allocated.
+"""Image files: EXR, PNG and JPEG, with size limits checked before anything is allocated.
 
 Row 0 of every array is the top of the image. EXR carries linear values unchanged; PNG and JPEG carry display values,
-no colour management is applied on either side. What is written goes through
+no colour management is applied on either side. Files are written by
 :func:`~iris_addon.base.files.atomic_write`.
 """
 
@@ -23,7 +23,9 @@ from .files import atomic_write
 
 MAX_PIXELS = 200_000_000
 HALF_MAX = 65504.0
+"""Largest finite float16."""
 DWA_LEVEL = 120.0
+"""Compression level of lossy EXR; OpenEXR's default is 45."""
 
 LDR_SUFFIXES = (".png", ".jpg", ".jpeg")
 HDR_SUFFIXES = (".exr",)
@@ -33,7 +35,7 @@ IMAGE_SUFFIXES = LDR_SUFFIXES + HDR_SUFFIXES
 _DECODE_ERRORS = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error, Image.DecompressionBombError)
 
 
-# ---- writing -------------------------------------------------------------------------------------------------------
+# ---- Writing --------------------------------------------------------------------------------------------------------
 
 
 def write_exr(path: Path, values: NDArray[np.floating], *, half: bool = False, lossy: bool = False) -> None:
@@ -55,25 +57,28 @@ def write_exr(path: Path, values: NDArray[np.floating], *, half: bool = False, l
 
 
 def to_codes(image: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """The nearest 8-bit codes of display values; what is not a number is black."""
+    """The nearest 8-bit codes of display values of any shape; NaN is black."""
     return np.round(np.clip(np.nan_to_num(image), 0.0, 1.0) * 255).astype(np.uint8)
 
 
 def write_png(path: Path, values: NDArray[np.unsignedinteger]) -> None:
-    """Write uint8 (H, W, 3) or (H, W), or uint16 (H, W), as PNG; 16 bits in a third of the time and a tenth larger."""
+    """Write uint8 (H, W, 3) or (H, W), or uint16 (H, W), as PNG.
+
+    16 bits are compressed at level 1: a third of the time, files a tenth larger.
+    """
     if values.dtype not in (np.uint8, np.uint16) or values.ndim not in (2, 3):
         raise ValueError(f"PNG values are {values.dtype} {values.shape}, expected uint8 (H, W[, 3]) or uint16 (H, W)")
     image, level = Image.fromarray(np.ascontiguousarray(values)), 1 if values.dtype == np.uint16 else 6
     atomic_write(path, lambda temporary: image.save(temporary, format="PNG", compress_level=level))
 
 
-# ---- reading -------------------------------------------------------------------------------------------------------
+# ---- Reading --------------------------------------------------------------------------------------------------------
 
 
 def read_exr(path: Path) -> NDArray[np.float32]:
     """(H, W, C) float32 of an EXR file: RGB(A) where it has colour, otherwise its one channel (Y, V, Z ...).
 
-    Of a multi-part file, as Blender writes them, the first part with colour counts, otherwise the first part.
+    Of a multi-part file, as Blender writes them, the first part with colour is read, otherwise the first part.
 
     Raises:
         BadInput: missing, damaged, too large, or neither colour nor a single channel.
@@ -96,7 +101,7 @@ def read_exr(path: Path) -> NDArray[np.float32]:
 
 
 def _select_channels(channels: dict) -> list[NDArray]:
-    """The R, G, B(, A) channels of a part, whatever layer they are in; else its only channel; else nothing."""
+    """The R, G, B(, A) channels of a part, in any layer; else its only channel; else nothing."""
     by_suffix: dict[str, NDArray] = {}
     for name, channel in channels.items():
         by_suffix.setdefault(name.rpartition(".")[2].upper(), channel.pixels)
@@ -152,9 +157,9 @@ def read_map(path: Path) -> NDArray[np.unsignedinteger]:
 
 
 def check_image(path: Path) -> tuple[int, int]:
-    """(width, height) of an image file after a cheap look for damage; raises BadInput.
+    """(width, height) of an image file after a cheap check for damage; raises BadInput.
 
-    PNG chunks are checked by their sums; a JPEG that does not end with its end marker is decoded to be sure.
+    PNG chunks are verified by their checksums; a JPEG without an end marker is decoded.
     """
     if path.suffix.lower() in HDR_SUFFIXES:
         return exr_size(path)

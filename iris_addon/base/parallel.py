@@ -1,4 +1,8 @@
-"""Work on many rays, block by block on all cores: numpy and Embree release the interpreter lock, so threads serve."""
+"""Work on many rays, block by block on all cores, with the process memory that it needs.
+
+Threads are enough, because numpy, Embree and compiled kernels release the interpreter lock. Results do not depend on
+the number of cores: random numbers are drawn from a generator per block.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +23,11 @@ Made = TypeVar("Made")
 Number = TypeVar("Number", bound=np.generic)
 
 BLOCK = 1 << 17
-"""Rays, or whatever else is counted, of one block: smaller and the threads wait for the interpreter, larger and the
-temporaries leave the cache."""
+"""Rays, patches or pixels of one block: with fewer, threads wait for the interpreter; with more, temporaries leave the
+processor's cache."""
 
-SECONDS_UNCHECKED = 0.1
-"""For so long a wish to stop may go unheard while other threads work."""
+CANCEL_LATENCY = 0.1
+"""Maximum cancellation latency while another thread works, seconds."""
 
 
 def cores() -> int:
@@ -61,12 +65,15 @@ def over_blocks(
 ) -> None:
     """Call ``work`` on every block of ``range(n)``, on this thread and as many more as there are cores.
 
-    A block may call this again: its thread then takes what no other is free for, so that none waits for itself.
+    Calls nest: a thread works on blocks itself and never waits for one that has not begun.
 
     Args:
-        done: told the share that is done, on the calling thread. What it raises (a cancel) is raised here at once, what
-            a block raises as soon as the caller is through with its own; blocks not begun are dropped.
-        at_once: fewer blocks than there are cores, where each takes much memory.
+        done: called with the finished share, 0 to 1, on the calling thread.
+        at_once: most blocks in work at a time, by default one per core; for blocks that take much memory.
+
+    Raises:
+        Exception: what ``done`` raises (a cancel), at once; what a block raises, when the calling thread has finished
+            its own block. Blocks that have not begun are dropped.
     """
     parts = blocks(n, size)
     left, finished = iter(parts), 0
@@ -101,7 +108,7 @@ def over_blocks(
 
 
 def filled(values: NDArray[Number], work: Callable[[slice], NDArray]) -> NDArray[Number]:
-    """``values`` (n, ...), written over with what ``work`` gives for every :data:`BLOCK` of rows."""
+    """``values`` (n, ...), overwritten by what ``work`` returns for every :data:`BLOCK` of rows."""
 
     def fill(rows: slice) -> None:
         values[rows] = work(rows)
@@ -111,7 +118,7 @@ def filled(values: NDArray[Number], work: Callable[[slice], NDArray]) -> NDArray
 
 
 def over_shares(n: int, work: Callable[[slice], None]) -> None:
-    """:func:`over_blocks` with one block for each core: for work that goes through all its input for each of them."""
+    """:func:`over_blocks` with one block per core: for work that reads all of its input for every block."""
     over_blocks(n, -(-n // cores()), work)
 
 
@@ -121,7 +128,10 @@ def over_each(
     done: Callable[[float], None] = lambda share: None,
     at_once: int | None = None,
 ) -> list[Made]:
-    """``work`` of every item, in their order, on all cores; ``done`` and ``at_once`` as for :func:`over_blocks`."""
+    """What ``work`` returns for every item, in order, on all cores.
+
+    ``done`` and ``at_once`` are those of :func:`over_blocks`.
+    """
     made: dict[int, Made] = {}
 
     def one(part: slice) -> None:
@@ -132,7 +142,7 @@ def over_each(
 
 
 def aside(work: Callable[[], Made]) -> Future[Made]:
-    """``work`` begun on a thread of its own; whoever asks for what it returns uses :func:`waited_for`."""
+    """Start ``work`` on a thread of its own; :func:`waited_for` returns its result."""
     thread = _threads(1, "iris aside")
     begun = thread.submit(work)
     thread.shutdown(wait=False)
@@ -140,12 +150,12 @@ def aside(work: Callable[[], Made]) -> Future[Made]:
 
 
 def waited_for(begun: Future[Made], check: Callable[[], None]) -> Made:
-    """What work that was begun returns, or raises.
+    """The result of work that :func:`aside` began; raises what the work raises.
 
-    ``check`` is called ten times a second meanwhile; what it raises (a cancel) is raised here at once, and the work
-    then comes to its end unheeded.
+    ``check`` is called ten times a second meanwhile; what it raises (a cancel) is raised here at once, and the
+    result of the work is dropped.
     """
-    while not wait([begun], SECONDS_UNCHECKED).done:
+    while not wait([begun], CANCEL_LATENCY).done:
         check()
     return begun.result()
 
@@ -157,7 +167,7 @@ def over_random_blocks(
     rng: np.random.Generator,
     done: Callable[[float], None] = lambda share: None,
 ) -> None:
-    """:func:`over_blocks` with a generator per block, so that the numbers drawn do not depend on who runs first."""
+    """:func:`over_blocks` with a generator per block, so that random numbers do not depend on the order of blocks."""
     generators = {part.start: generator for part, generator in random_blocks(n, size, rng)}
     over_blocks(n, size, lambda part: work(part, generators[part.start]), done)
 
@@ -168,32 +178,32 @@ def random_blocks(n: int, size: int, rng: np.random.Generator) -> list[tuple[sli
     return list(zip(parts, rng.spawn(len(parts)), strict=True))
 
 
-# ---- Memory of this process: what it keeps, and how much it has taken -----------------------------------------------
+# ---- Memory of this process -----------------------------------------------------------------------------------------
 
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8
-"""Of malloc.h: free memory at the end of a heap above which, and arrays as of which, all is given back; heaps."""
+"""Options of mallopt (malloc.h): M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX."""
 
 
 @cache
 def keep_freed_memory() -> None:
-    """Let this process keep the memory of arrays that are gone for the next ones, where the C library is GNU's.
+    """Keep the memory of freed arrays for later ones, where the C library is GNU's.
 
-    Given back it would come again page by page, each cleared by the system: a twentieth of a solve. One heap serves all
-    threads that begin after this: those of single threads have 64 MB at most, and are given back whole once empty.
+    Memory returned to the system comes back page by page, each cleared first, which takes a twentieth of a solve. All
+    threads started after this share one heap: a thread's own heap is 64 MB at most and returned whole once empty.
     """
     if sys.platform != "linux":
         return
-    # Where the C library is another one (musl), it has no such switch.
+    # Other C libraries (musl) have no mallopt.
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
-        mallopt(_MMAP_THRESHOLD, 1 << 25)  # the most it takes
+        mallopt(_MMAP_THRESHOLD, 1 << 25)  # its maximum
         mallopt(_TRIM_THRESHOLD, (1 << 31) - 1)
         mallopt(_ARENA_MAX, 1)
 
 
 def peak_memory_bytes() -> int | None:
-    """Largest resident size of this process so far; None where the system does not tell (Windows)."""
+    """Largest resident size of this process so far; None on Windows, which does not report it."""
     if sys.platform == "win32":
         return None
     import resource

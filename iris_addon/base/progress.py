@@ -1,6 +1,6 @@
-"""Progress of long work: one object that every stage reports to and that carries the wish to stop.
+"""Progress of long work and its cancellation: one object that every stage reports to.
 
-A stage calls ``progress.update(fraction)`` often; the call is cheap, passes the news to the sink at most ten times a
+A stage calls ``progress.update(fraction)`` often; the call is cheap, passes an event to the sink at most ten times a
 second and raises :class:`~iris_addon.base.errors.Cancelled` once somebody has called :meth:`Progress.cancel`.
 """
 
@@ -20,7 +20,7 @@ from .errors import Cancelled
 
 @dataclass(frozen=True)
 class ProgressEvent:
-    """One message to whoever watches.
+    """One progress report.
 
     ``fraction`` is that of the stage, ``overall`` that of the whole job (both in [0, 1]), ``seconds_left`` an estimate
     for the whole job or None while there is nothing to extrapolate from.
@@ -36,8 +36,8 @@ class ProgressEvent:
 Sink = Callable[[ProgressEvent], None]
 
 
-def silent(_event: ProgressEvent) -> None:
-    """Sink for tests and nested calls."""
+def discard(_event: ProgressEvent) -> None:
+    """Sink that ignores every event, for tests and nested calls."""
 
 
 class Progress:
@@ -50,7 +50,7 @@ class Progress:
 
     INTERVAL_SECONDS = 0.1
 
-    def __init__(self, sink: Sink = silent, weights: Mapping[str, float] | None = None) -> None:
+    def __init__(self, sink: Sink = discard, weights: Mapping[str, float] | None = None) -> None:
         self._sink = sink
         self._weights = dict(weights or {})
         self._done_weight = 0.0

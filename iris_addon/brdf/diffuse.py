@@ -1,19 +1,19 @@
-"""How a diffuse surface spreads light over angles: evenly (Lambert), or with more at grazing ones (Burley), or less.
+"""Diffuse lobes: even over angles (Lambert), brighter at grazing angles (Burley), or darker there (under varnish).
 
-Burley's lobe ("Physically Based Shading at Disney", 2012, section 5.3) is that of many renderers, and rough paint or
-plaster comes nearer to it than to Lambert:
+Burley's lobe ("Physically Based Shading at Disney", 2012, section 5.3) is used by many renderers, and rough paint or
+plaster is closer to it than to Lambert's:
 
     f = a / π · (1 + k S(cos θi)) (1 + k S(cos θo)),    S(c) = (1 − c)^5,    k = 2 σ cos²θd − 1/2
 
-with θd the angle between light and half vector. Here cos²θd is replaced by its mean, so that f is a product of a factor
-of the light and one of the view; against the exact lobe in uniform light that is off by less than 2 %. A surface whose
+with θd the angle between light and half vector. Here cos²θd is replaced by its mean, so that f is the product of a
+factor of the light and one of the view, within 2 % of the exact lobe under uniform light. A surface whose
 albedo is divided by the wrong lobe comes out up to 25 % too bright where it was seen at a grazing angle, and a closed
 room of such surfaces has the wrong balance of direct and indirect light.
 
-Under varnish it sends less there: what the dielectric layer reflects towards a viewer it takes off the light from
-below (:func:`iris_addon.brdf.ggx.layered_factor`). Real varnish does, and so does Blender's Principled BSDF;
-models that add their lobes do not. Only cameras see it: over all directions the factor has the mean 1, and between
-patches it is left out.
+Under varnish a surface is darker at grazing angles, because the dielectric layer takes the light that it reflects
+towards a viewer off the light from below (:func:`iris_addon.brdf.ggx.layered_factor`). This holds for real varnish and
+for Blender's Principled BSDF, but not for models that add their lobes. The factor has a mean of 1 over all directions;
+it applies to cameras, and is left out between patches.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ def grazing_gain(lobe: DiffuseLobe, roughness: NDArray[np.floating]) -> NDArray[
 
 
 def burley_roughness(kappa: NDArray[np.floating]) -> NDArray[np.floating]:
-    """The roughness of which ``kappa`` is Burley's grazing gain."""
+    """The roughness whose grazing gain is ``kappa`` under Burley's lobe."""
     return (kappa + 0.5) / (2.0 * MEAN_COS2)
 
 
 def under_lobe(factors: NDArray[np.floating], kappa: NDArray[np.floating]) -> NDArray[np.float32]:
-    """(N, E) form factors as surfaces with κ (N,) weight them, from (N, E, 2): plain shares, and shares times S."""
+    """(N, E) form factors onto surfaces with κ (N,), from ``factors`` (N, E, 2): plain, and weighted by S."""
     return (factors[..., 0] + kappa[:, None] * factors[..., 1]).astype(np.float32)
 
 

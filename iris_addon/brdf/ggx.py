@@ -1,4 +1,4 @@
-"""Directional albedo of the reflectance model: how much light a surface sends towards the viewer under uniform light.
+"""GGX reflectance: Fresnel and masking terms, visible normals, and directional albedo under uniform light.
 
 The model is that of FIPT (Wu et al. 2023, eq. 5) and IRIS: base colour a, roughness σ (GGX α = σ²), metallic m,
 
@@ -27,8 +27,10 @@ FloatArray = NDArray[np.floating]
 IOR = 1.5
 DIELECTRIC_F0 = ((IOR - 1) / (IOR + 1)) ** 2
 MIN_ROUGHNESS = 0.03  # below, α² underflows towards a perfect mirror, whose integrals no longer change
-SHARPEST = 0.05
+MIN_TRACED_ROUGHNESS = 0.05
+"""Lobes of smaller roughness are traced with this one."""
 N_ROUGHNESS, N_COSINE, N_SAMPLES = 48, 64, 1024
+"""Size of the table of integrals, and samples of each."""
 
 
 def grazing_fresnel(cosine: FloatArray) -> FloatArray:
@@ -47,8 +49,8 @@ def grazing_fresnel(cosine: FloatArray) -> FloatArray:
 
 
 def ray_alpha(roughness: FloatArray) -> NDArray[np.float32]:
-    """GGX width of the lobes that are traced, σ²; mirrors sharper than SHARPEST are traced as that."""
-    return (np.maximum(roughness, SHARPEST) ** 2).astype(np.float32)
+    """GGX width of the lobes that are traced, σ²; MIN_TRACED_ROUGHNESS at least."""
+    return (np.maximum(roughness, MIN_TRACED_ROUGHNESS) ** 2).astype(np.float32)
 
 
 def smith_g1(cosine: FloatArray, alpha: FloatArray | float) -> FloatArray:
@@ -142,7 +144,7 @@ def _look_up(table: FloatArray, roughness: FloatArray, cosine: FloatArray, integ
 
 @lru_cache(maxsize=1)
 def _mean_left() -> FloatArray:
-    """(N_ROUGHNESS,) of diffuse light that a dielectric layer lets out, mean over the cosine-weighted hemisphere."""
+    """(N_ROUGHNESS,) share of diffuse light that a dielectric layer lets out, mean over cosine-weighted directions."""
     cosine = (np.arange(256) + 0.5) / 256
     roughness = np.linspace(MIN_ROUGHNESS, 1, N_ROUGHNESS)
     f0, f1 = specular_integrals(*np.broadcast_arrays(roughness[:, None], cosine))
@@ -150,10 +152,10 @@ def _mean_left() -> FloatArray:
 
 
 def layered_factor(roughness: FloatArray, cos_theta: FloatArray) -> FloatArray:
-    """What a dielectric layer lets out of the diffuse light below it towards a viewer, over its mean.
+    """Share of the diffuse light that a dielectric layer lets out towards a viewer, over its mean.
 
-    The layer takes off what it reflects itself, 0.04 ∫ F0 D G + ∫ F1 D G, as Blender's Principled BSDF has it. Albedo
-    is that of what gets out on average.
+    The layer takes off the light that it reflects itself, 0.04 ∫ F0 D G + ∫ F1 D G, as Blender's Principled BSDF
+    does. The albedo below it is that of the light let out on average.
 
     Args:
         roughness, cos_theta: as in :func:`specular_integrals`; of shapes that broadcast.

@@ -9,7 +9,7 @@ from ..rays.sampling import Vector
 from .ggx import DIELECTRIC_F0, IOR
 
 HORIZON = 1e-3
-"""Cosine to the normal below which a direction does not leave the surface."""
+"""Cosine to the normal below which a direction counts as below the surface."""
 
 
 @inlined
@@ -53,7 +53,7 @@ def visible_normal_density(n: Vector, o: Vector, i: Vector, alpha: Real) -> Real
     cosine = hx * n[0] + hy * n[1] + hz * n[2]
     if cosine <= 0:
         return 0.0
-    # Of sharp lobes 1 − cos² is all that matters, and lost where cos is rounded.
+    # In sharp lobes only 1 − cos² matters, and rounding of cos would lose it.
     cx, cy, cz = hy * n[2] - hz * n[1], hz * n[0] - hx * n[2], hx * n[1] - hy * n[0]
     square = alpha * alpha
     spread = square * cosine * cosine + cx * cx + cy * cy + cz * cz

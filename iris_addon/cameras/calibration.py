@@ -1,8 +1,8 @@
-"""All cameras together: whether one correction of them makes the photos agree better on the surface.
+"""One correction of all cameras, under which the photos agree better on the surface.
 
-Each photo is painted onto the mesh; where cameras are wrong, photos of the same place disagree. The disagreement is
-measured on small cells of the surface, after a gain per photo, and lowered over five numbers that all photos share. On
-sound cameras the minimum lies at no correction, which the gain needed makes sure is kept.
+Each photo is projected onto the mesh; where cameras are wrong, photos of the same place disagree. The disagreement is
+measured on small cells of the surface, after a gain per photo, and minimised over five numbers that all photos share.
+On correct cameras the minimum lies near no correction, and the acceptance gain keeps them as they are.
 """
 
 from __future__ import annotations
@@ -24,27 +24,30 @@ from ..model.capture import Camera, Capture, View
 from ..model.corrections import CameraCorrection
 from ..rays.tracer import Tracer
 
-RAYS = 120_000
-"""Pixels over all photos that one trial traces."""
+TRIAL_RAYS = 120_000
+"""Rays over all photos that one trial traces."""
 FOCAL_TRIALS = (0.8, 0.87, 0.94, 0.97, 1.0, 1.03, 1.06, 1.15, 1.25)
-PROMISING = 0.97
-"""Disagreement, relative to the given cameras', below which a focal length is worth a closer look."""
-GAIN_NEEDED = 0.05
-"""Relative fall of the disagreement on pixels that were not fitted."""
-CELL = 0.04
+"""Factors of the given focal length that are tried first."""
+TRIAL_RATIO = 0.97
+"""Disagreement, relative to the given cameras', below which the search goes on from the best trial."""
+ACCEPTANCE_GAIN = 0.05
+"""Relative decrease of the disagreement on held-out pixels that the correction must bring."""
+CELL_SIZE = 0.04
 """Metres; about the footprint of the filtered pixels."""
 MIN_SHARED = 1000
-"""Sightings of cells that two photos show; fewer say nothing of five numbers."""
-ROBUST_LOG = 0.2
-FLOOR = 0.05
-"""Display value added before the logarithm: shadows are noise."""
-STEP = np.array([0.03, 0.01, 0.01, 0.02, 0.02])
-EVALUATIONS = 120
+"""Sightings of cells that two photos show; fewer do not determine five numbers."""
+OUTLIER_LOG = 0.2
+"""Log brightness by which a photo differs from the others where it starts to count as an outlier."""
+BRIGHTNESS_FLOOR = 0.05
+"""Display value added before the logarithm, because shadows are noise."""
+SIMPLEX_STEP = np.array([0.03, 0.01, 0.01, 0.02, 0.02])
+"""Log focal length, principal point in image widths, offset in metres: first steps of Nelder and Mead's simplex."""
+MAX_EVALUATIONS = 120
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """The correction that was found, None where the given cameras stay, and what it gained on held-out pixels."""
+    """The accepted correction, None where the given cameras stay, and its gain on held-out pixels."""
 
     correction: CameraCorrection | None
     gain: float
@@ -67,9 +70,9 @@ class Calibration:
 
 
 def calibrate(capture: Capture, tracer: Tracer, progress: Progress) -> tuple[Capture, Calibration]:
-    """The capture with its training cameras corrected if that earns its place.
+    """The capture with its training cameras corrected, if held-out pixels bear the correction out.
 
-    Only captures of one camera are looked at: photos of several lenses were calibrated by whoever posed them.
+    Only captures of one undistorted camera are corrected: other cameras were calibrated with their poses.
 
     Raises:
         BadInput: a photo cannot be read.
@@ -95,23 +98,23 @@ def calibrate(capture: Capture, tracer: Tracer, progress: Progress) -> tuple[Cap
     found = over_each(FOCAL_TRIALS, lambda focal: disagreement(np.array([np.log(focal), 0, 0, 0, 0])), progress.update)
     trials = dict(zip(FOCAL_TRIALS, found, strict=True))
     best = min(trials, key=lambda focal: trials[focal])
-    if not np.isfinite(trials[1.0]) or trials[best] > PROMISING * trials[1.0]:
+    if not np.isfinite(trials[1.0]) or trials[best] > TRIAL_RATIO * trials[1.0]:
         return capture, Calibration(None, 0.0)
     start[0] = np.log(best)
-    simplex = start + np.concatenate([np.zeros((1, 5)), np.diag(STEP)])
-    options = {"initial_simplex": simplex, "maxfev": EVALUATIONS, "xatol": 1e-3, "fatol": 1e-5}
+    simplex = start + np.concatenate([np.zeros((1, 5)), np.diag(SIMPLEX_STEP)])
+    options = {"initial_simplex": simplex, "maxfev": MAX_EVALUATIONS, "xatol": 1e-3, "fatol": 1e-5}
     found = correction(minimize(watched, start, method="Nelder-Mead", options=options).x)
     tested = _Lattice.of(capture.views, 0.75, progress)
     before, after = (tested.disagreement(capture.views, c, tracer) for c in (CameraCorrection(float(field[0])), found))
     gain = 1 - after / max(before, 1e-9) if np.isfinite([before, after]).all() else 0.0
-    if gain < GAIN_NEEDED:
+    if gain < ACCEPTANCE_GAIN:
         return capture, Calibration(None, gain)
     return replace(capture, views=tuple(found.view(view) for view in capture.views)), Calibration(found, gain)
 
 
 @dataclass(frozen=True)
 class _Lattice:
-    """Filtered pixels of every photo on a sparse lattice.
+    """Low-pass filtered pixels of every photo on a sparse lattice.
 
     Attributes:
         i, j: (n,) pixel coordinates, the same in every photo, fractions of the width and of the height.
@@ -124,7 +127,7 @@ class _Lattice:
 
     @staticmethod
     def of(views: Sequence[View], offset: float, progress: Progress) -> _Lattice:
-        side = max(4, int(np.sqrt(RAYS / len(views))))
+        side = max(4, int(np.sqrt(TRIAL_RAYS / len(views))))
         j, i = ((axis.ravel() + offset) / side for axis in np.meshgrid(np.arange(side), np.arange(side), indexing="ij"))
         brightness = np.empty((len(views), len(i)))
 
@@ -132,14 +135,14 @@ class _Lattice:
             values = load_photo(views[index]).values.mean(-1)
             height, width = values.shape
             smooth = uniform_filter(values, max(1, height // side))
-            brightness[index] = np.log(smooth[(j * height).astype(int), (i * width).astype(int)] + FLOOR)
+            brightness[index] = np.log(smooth[(j * height).astype(int), (i * width).astype(int)] + BRIGHTNESS_FLOOR)
 
         at_once = photos_at_once(views)
         over_each(range(len(views)), read, lambda share: progress.update(0.5 * share), at_once)
         return _Lattice(i, j, brightness)
 
     def disagreement(self, views: Sequence[View], correction: CameraCorrection, tracer: Tracer) -> float:
-        """Robust mean difference between photos of the same cell of the surface."""
+        """Robust mean difference between photos of the same cell, with all cameras under ``correction``."""
         cameras = [correction.camera(view.camera) for view in views]
         direction = np.concatenate([self._directions(camera) for camera in cameras])
         origin = np.repeat(np.array([camera.position for camera in cameras], np.float32), len(self.i), axis=0)
@@ -160,18 +163,23 @@ class _Lattice:
 def _cells(
     point: NDArray[np.floating], normal: NDArray[np.floating], direction: NDArray[np.floating]
 ) -> NDArray[np.int64]:
-    """(n,) cell of the surface of each hit: a cube and the axis that its normal is nearest to."""
+    """(n,) cell of the surface of each hit: a cube of space and the axis nearest to the normal."""
     facing = np.where((normal * direction).sum(1, keepdims=True) > 0, -normal, normal)
     axis = np.abs(facing).argmax(1)
     side = 2 * axis + (np.take_along_axis(facing, axis[:, None], 1)[:, 0] > 0)
-    cube = np.floor(point / CELL).astype(np.int64) % (1 << 15)
+    cube = np.floor(point / CELL_SIZE).astype(np.int64) % (1 << 15)
     return ((cube[:, 0] << 33) ^ (cube[:, 1] << 18) ^ (cube[:, 2] << 3)) + side
 
 
 def _spread(cell: NDArray[np.int64], photo: NDArray[np.int64], value: NDArray[np.floating], n_photos: int) -> float:
-    """Cauchy loss of what photos show of the same cell around one mean per cell, with one gain per photo; relative to
-    the loss around one mean of all, or else cameras that see less of the room would seem to agree better.
-    Infinite where photos share too little."""
+    """Cauchy loss of log brightness around one mean per cell, with one gain per photo.
+
+    It is relative to the loss around one mean of all cells; otherwise cameras that see less of the room would seem to
+    agree better. Infinite where photos share fewer than MIN_SHARED sightings.
+
+    Args:
+        cell, photo, value: (n,) cell, photo and log brightness of each sighting.
+    """
     seen = group_equal(cell * n_photos + photo)
     value = group_means(value[:, None], seen.group, len(seen.keys))[:, 0]
     photo, cells = seen.keys % n_photos, group_equal(seen.keys // n_photos)
@@ -180,14 +188,14 @@ def _spread(cell: NDArray[np.int64], photo: NDArray[np.int64], value: NDArray[np
         return np.inf
     value, photo = value[shared], photo[shared]
     cell = np.cumsum(cells.count >= 2)[cells.group[shared]] - 1
-    gain, say, off = np.zeros(n_photos), np.ones(len(value)), np.zeros(len(value))
+    gain, weight, off = np.zeros(n_photos), np.ones(len(value)), np.zeros(len(value))
     level = value
     for _ in range(6):
         level = value - gain[photo]
-        mean = np.bincount(cell, say * level) / np.bincount(cell, say)
-        off = (level - mean[cell]) / ROBUST_LOG
-        say = 1 / (1 + off**2)
-        shift = np.bincount(photo, say * off, n_photos) / np.maximum(np.bincount(photo, say, n_photos), 1e-9)
-        gain += ROBUST_LOG * shift
-    apart = (level - np.median(level)) / ROBUST_LOG
+        mean = np.bincount(cell, weight * level) / np.bincount(cell, weight)
+        off = (level - mean[cell]) / OUTLIER_LOG
+        weight = 1 / (1 + off**2)
+        shift = np.bincount(photo, weight * off, n_photos) / np.maximum(np.bincount(photo, weight, n_photos), 1e-9)
+        gain += OUTLIER_LOG * shift
+    apart = (level - np.median(level)) / OUTLIER_LOG
     return float(np.log1p(off**2).mean() / max(np.log1p(apart**2).mean(), 1e-9))

@@ -1,4 +1,4 @@
-"""Cameras meet mesh: corrected all together, then one by one, as far as photos agree better for it."""
+"""Cameras that fit the mesh: first corrected all together, then one by one."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .registration import Registration, register
 
 @dataclass(frozen=True)
 class CameraFit:
-    """What was found wrong with the cameras."""
+    """The corrections of the cameras, as far as they were accepted."""
 
     calibration: Calibration
     registration: Registration
@@ -37,7 +37,8 @@ def fit_cameras(
     """The capture with cameras that fit its mesh.
 
     Args:
-        poses: whether single poses are corrected; None lets photos decide.
+        poses: whether single poses are corrected; None lets held-out points decide.
+        rng: picks the points on which photos are compared.
 
     Raises:
         BadInput: a photo cannot be read.

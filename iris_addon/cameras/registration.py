@@ -1,10 +1,10 @@
-"""Cameras one by one: whether correcting each pose makes photos agree better on the surface.
+"""A correction of each camera's pose, under which the photos agree better on the surface.
 
-Poses of a scan drift by pixels, and what a photo shows is then painted beside where it is. After Zhou & Koltun 2014
-(Color Map Optimization for 3D Reconstruction with Consumer Depth Cameras): points of the surface take the mean of what
-photos show there, each photo is moved (Gauss-Newton, six numbers) to where it shows that, in turns and from coarse to
-fine. What is compared is local contrast, which exposure and smooth shading leave alone. On sound poses there is nothing
-to gain on points that were not fitted, which the gain needed makes sure is kept.
+Poses of a scan drift by pixels, and the content of a photo is then projected beside its place. After Zhou & Koltun 2014
+(Color Map Optimization for 3D Reconstruction with Consumer Depth Cameras): each point of the surface takes the mean of
+the photos, each photo is moved towards these means (Gauss-Newton over six numbers), in turns and from coarse to fine.
+The photos are compared by local contrast, which does not depend on exposure or smooth shading. On correct poses there
+is nothing to gain on held-out points, and the acceptance gain keeps them as they are.
 """
 
 from __future__ import annotations
@@ -20,44 +20,56 @@ from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 from ..base.parallel import over_blocks, over_each
 from ..base.progress import Progress
-from ..capture.alignment import shrink, small_camera
-from ..capture.photos import load_photo, photos_at_once
+from ..capture.photos import load_photo, photos_at_once, shrink
 from ..model.capture import Camera, Capture, View
 from ..model.corrections import PoseCorrections, rigid, twist
 from ..rays.tracer import Tracer, points_on_faces
 
-POINTS = 24_000
-"""Points of the surface that are looked for in all photos; every second one is held out."""
+N_POINTS = 24_000
+"""Points of the surface that are projected into all photos; every second one is held out."""
 MAX_SIGHTINGS = 300_000
-"""Of either half; with more, points are left out, so that hundreds of photos take seconds and not minutes."""
+"""Of either half; beyond, points are left out, so that hundreds of photos take seconds and not minutes."""
 WIDTHS = (100, 250, 500)
 """Pixels in a row of the photos on each level."""
 ROUNDS = (8, 5, 5)
 """Turns of means and poses on each level."""
 TRIAL_ROUNDS = 3
-PROMISING = 0.96
-"""Disagreement, relative to the given poses', that so many turns have to reach for the rest to be worth its time."""
-GAIN_NEEDED = 0.2
-"""Relative fall of the disagreement on points that were not fitted."""
-BLUR, SURROUNDINGS = 1.0, 5.0
+"""Turns on the first level after which the search goes on or ends."""
+TRIAL_RATIO = 0.96
+"""Disagreement, relative to the given poses', below which the search goes on after TRIAL_ROUNDS."""
+ACCEPTANCE_GAIN = 0.2
+"""Relative decrease of the disagreement on held-out points that the corrections must bring."""
+BLUR, SURROUND_BLUR = 1.0, 5.0
 """Pixels of a level: local contrast is the difference of two blurs."""
-FLOOR = 0.05
-"""Display value added before the logarithm: shadows are noise."""
-CLIPPED = 0.98
-"""Display value from which a photo is blown."""
-USABLE = 0.9
-"""Share of a pixel's surroundings that must not be."""
-ROBUST = 0.1
-"""Difference of contrast, natural log of brightness, from which a photo is taken to show something else."""
-EXPECTED = np.array([0.01, 0.01, 0.01, 0.02, 0.02, 0.02])
-"""Radians and metres by which poses may well be off."""
-PRIOR = 5.0
-"""Observations, off by ROBUST, that a pose off by as much counts as."""
+BRIGHTNESS_FLOOR = 0.05
+"""Display value added before the logarithm, because shadows are noise."""
+CLIPPED_VALUE = 0.98
+"""Display value from which a pixel counts as clipped."""
+MIN_USABLE = 0.9
+"""Share of the pixels around one that must be valid and unclipped."""
+OUTLIER_LOG = 0.1
+"""Difference of local contrast, natural log of brightness, from which a sighting counts as an outlier."""
+POSE_STD = np.array([0.01, 0.01, 0.01, 0.02, 0.02, 0.02])
+"""Radians and metres, standard deviation of the error of given poses."""
+POSE_PRIOR = 5.0
+"""Weight of a pose that is off by POSE_STD, in sightings that are off by OUTLIER_LOG."""
+MIN_COSINE = 0.25
+"""Smallest cosine to the normal at which a surface is compared."""
+DEPTH_TOLERANCE = 0.01
+"""Metres, and per metre of distance, between a point and the hit of its ray up to which the point is visible."""
+DEPTH_WIDTH = 80
+"""Pixels in a row of the depth maps in which edges are looked for."""
+DEPTH_EDGE = 0.08
+"""Relative step of depth that is an edge; beside one, a pose that is off shows the wrong side of it."""
+MARGIN = 0.01
+"""Border of a photo that is left out, in image widths: under another pose it may lie outside."""
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Registration:
-    """Corrections that were found, None where the given poses stay, and what they gained on points not fitted."""
+    """The accepted corrections, None where the given poses stay, and their gain on held-out points."""
 
     corrections: PoseCorrections | None
     gain: float
@@ -82,48 +94,48 @@ class Registration:
 def register(
     capture: Capture, tracer: Tracer, rng: np.random.Generator, progress: Progress, *, forced: bool = False
 ) -> tuple[Capture, Registration]:
-    """The capture with its training cameras corrected one by one if that earns its place.
+    """The capture with its training cameras corrected one by one, if held-out points bear the corrections out.
 
     Args:
-        forced: correct them whatever is gained.
+        forced: correct them whatever the gain.
 
     Raises:
         BadInput: a photo cannot be read.
     """
     given = [view.camera for view in capture.views]
     photos = _brightness(capture.views, progress)
-    fitted, held_out = SurfacePoints.of(given, tracer, POINTS, rng).halves()
+    fitted, held_out = SurfacePoints.of(given, tracer, N_POINTS, rng).halves()
     seen, test = (_Sightings.of(points, given, tracer, rng) for points in (fitted, held_out))
     found, before = given, 0.0
     for level, (width, rounds) in enumerate(zip(WIDTHS, ROUNDS, strict=True)):
         pictures = _pictures(photos, width)
         if level:
             seen = _Sightings.of(fitted, found, tracer, rng)
-        if level in (0, len(WIDTHS) - 1):  # where it is asked whether corrections are promising, and whether they gain
+        if level in (0, len(WIDTHS) - 1):  # the levels that end in a comparison
             before = test.disagreement(pictures, given)
         for turn in range(rounds):
             progress.update((level + turn / rounds) / len(WIDTHS))
             found = seen.turn(pictures, given, found)
             tried = level == 0 and turn + 1 == TRIAL_ROUNDS and not forced
-            if tried and not test.disagreement(pictures, found) < PROMISING * before:
+            if tried and not test.disagreement(pictures, found) < TRIAL_RATIO * before:
                 return capture, Registration(None, 0.0)
     gain = 1 - test.disagreement(pictures, found) / before if before > 0 else 0.0
-    if gain < GAIN_NEEDED and not forced:
+    if gain < ACCEPTANCE_GAIN and not forced:
         return capture, Registration(None, gain)
     views = tuple(replace(view, camera=camera) for view, camera in zip(capture.views, found, strict=True))
     return replace(capture, views=views), Registration(PoseCorrections.between(given, found), gain)
 
 
 def _brightness(views: Sequence[View], progress: Progress) -> list[NDArray[np.floating]]:
-    """Per photo (h, w, 2) log brightness and the share of each pixel that can be compared, at the finest width."""
+    """Per photo (h, w, 2) log brightness and the usable share of each pixel, at the finest width."""
 
     def read(view: View) -> NDArray[np.floating]:
         photo = load_photo(view)
         brightness = np.maximum(photo.values.mean(-1), 0)
         if photo.hdr:
             brightness = brightness / max(3 * float(np.median(brightness)), 1e-9)
-        usable = photo.valid & (photo.hdr | (photo.values.max(-1) < CLIPPED))
-        return _shrunk(np.stack([np.log(brightness + FLOOR), usable], -1), WIDTHS[-1])
+        usable = photo.valid & (photo.hdr | (photo.values.max(-1) < CLIPPED_VALUE))
+        return _shrunk(np.stack([np.log(brightness + BRIGHTNESS_FLOOR), usable], -1), WIDTHS[-1])
 
     return over_each(views, read, lambda _share: progress.update(0.0), photos_at_once(views))
 
@@ -136,14 +148,14 @@ def _shrunk(image: NDArray[np.floating], width: int) -> NDArray[np.floating]:
 
 
 def _pictures(photos: Sequence[NDArray[np.floating]], width: int) -> list[NDArray[np.float32]]:
-    """Per photo (h, w, 3) local contrast and its derivatives by image coordinates in widths; NaN where it is blown."""
+    """Per photo (h, w, 3) local contrast and its derivatives by image coordinates in widths; NaN where not usable."""
 
     def draw(photo: NDArray[np.floating]) -> NDArray[np.float32]:
         log, usable = np.moveaxis(_shrunk(photo, width), -1, 0)
-        contrast = gaussian_filter(log, BLUR) - gaussian_filter(log, SURROUNDINGS)
+        contrast = gaussian_filter(log, BLUR) - gaussian_filter(log, SURROUND_BLUR)
         down, right = np.gradient(contrast)
         picture = np.stack([contrast, right * log.shape[1], down * log.shape[1]], -1)
-        picture[gaussian_filter(usable, BLUR) < USABLE] = np.nan
+        picture[gaussian_filter(usable, BLUR) < MIN_USABLE] = np.nan
         return picture.astype(np.float32)
 
     return over_each(photos, draw)
@@ -165,7 +177,7 @@ class _Sightings:
 
     @staticmethod
     def of(points: SurfacePoints, cameras: Sequence[Camera], tracer: Tracer, rng: np.random.Generator) -> _Sightings:
-        """What ``cameras`` see of ``points`` that three of them see at least; no more of it than need be."""
+        """Sightings by ``cameras`` of those ``points`` that at least three of them see, MAX_SIGHTINGS at most."""
         seen = [seen_points(points, camera, tracer) for camera in cameras]
         often = np.bincount(np.concatenate(seen), minlength=len(points.position)) >= 3
         total = sum(int(often[index].sum()) for index in seen)
@@ -177,7 +189,7 @@ class _Sightings:
         return _Sightings(points.position[used], point, rows)
 
     def disagreement(self, pictures: Sequence[NDArray[np.float32]], cameras: Sequence[Camera]) -> float:
-        """Cauchy loss of what photos show of a point around what they show in the mean; 0 where they show nothing."""
+        """Mean Cauchy loss of the contrast that photos show at a point around their mean; 0 without sightings."""
         _, off = self._against_means(self._look(pictures, cameras)[0])
         off = off[np.isfinite(off)]
         return float(np.mean(np.log1p(off**2))) if len(off) else 0.0
@@ -185,27 +197,27 @@ class _Sightings:
     def turn(
         self, pictures: Sequence[NDArray[np.float32]], given: Sequence[Camera], cameras: Sequence[Camera]
     ) -> list[Camera]:
-        """``cameras`` after a step of Gauss-Newton towards each other's means, held by those ``given``.
+        """``cameras`` after one Gauss-Newton step towards the means, with a prior on the poses ``given``.
 
-        All are moved at once and the means with them: moved one by one, photos that agree with each other would hold
-        each other where they are.
+        All photos and means move at once: moved one by one, photos that agree with each other would hold each other in
+        place.
         """
         value, slope = self._look(pictures, cameras)
-        say, off = np.nan_to_num(self._against_means(value))
-        jacobian = np.where(say[:, None] > 0, slope * (EXPECTED / ROBUST), 0.0)
-        weighted = say[:, None] * jacobian
+        weight, off = np.nan_to_num(self._against_means(value))
+        jacobian = np.where(weight[:, None] > 0, slope * (POSE_STD / OUTLIER_LOG), 0.0)
+        weighted = weight[:, None] * jacobian
         n, size = len(self.position), 6 * len(cameras)
         of_points = np.zeros((n, len(cameras), 6), np.float32)
-        hessian, gradient = PRIOR * np.eye(size), np.zeros(size)
+        hessian, gradient = POSE_PRIOR * np.eye(size), np.zeros(size)
         for k, (camera, expected, rows) in enumerate(zip(cameras, given, self.rows, strict=True)):
             own = slice(6 * k, 6 * k + 6)
             of_points[self.point[rows], k] = weighted[rows]
             hessian[own, own] += weighted[rows].T @ jacobian[rows]
-            so_far = twist(np.linalg.inv(expected.c2w) @ camera.c2w) / EXPECTED
-            gradient[own] = off[rows] @ weighted[rows] + PRIOR * so_far
-        total = np.maximum(np.bincount(self.point, say, n), 1e-9).astype(np.float32)
+            so_far = twist(np.linalg.inv(expected.c2w) @ camera.c2w) / POSE_STD
+            gradient[own] = off[rows] @ weighted[rows] + POSE_PRIOR * so_far
+        total = np.maximum(np.bincount(self.point, weight, n), 1e-9).astype(np.float32)
         by_mean = of_points.reshape(n, size) / np.sqrt(total)[:, None]
-        steps = np.linalg.solve(hessian - by_mean.T @ by_mean, -gradient).reshape(-1, 6) * EXPECTED
+        steps = np.linalg.solve(hessian - by_mean.T @ by_mean, -gradient).reshape(-1, 6) * POSE_STD
         return [replace(camera, c2w=camera.c2w @ rigid(step)) for camera, step in zip(cameras, steps, strict=True)]
 
     def _look(
@@ -218,8 +230,8 @@ class _Sightings:
             camera, rows = cameras[index], self.rows[index]
             local = camera.local(self.position[self.point[rows]])
             seen = _interpolated(pictures[index], camera.project(local) / camera.width)
-            # u = f x / depth, v = -f y / depth; a camera that moves by t and turns by r carries the point q of its
-            # frame to q - t - r x q.
+            # u = f x / depth, v = -f y / depth; if the camera moves by t and turns by r, the point q of its frame goes
+            # to q - t - r x q.
             depth = -local[:, 2]
             du, dv = seen[:, 1] * camera.fx / camera.width, seen[:, 2] * camera.fy / camera.width
             by_depth = (du * local[:, 0] - dv * local[:, 1]) / depth
@@ -230,16 +242,16 @@ class _Sightings:
         return value, slope
 
     def _against_means(self, value: Floats) -> tuple[Floats, Floats]:
-        """Weight (m,) of each sighting and its difference from the robust mean of its point, in units of ROBUST."""
+        """Weight (m,) of each sighting and its difference from the robust mean of its point, in OUTLIER_LOG."""
         known = np.isfinite(value)
         n, point, shown = len(self.position), self.point[known], value[known]
-        say, off = np.ones(len(shown)), np.zeros(len(shown))
+        weight, off = np.ones(len(shown)), np.zeros(len(shown))
         for _ in range(3):
-            mean = np.bincount(point, say * shown, n) / np.maximum(np.bincount(point, say, n), 1e-9)
-            off = (shown - mean[point]) / ROBUST
-            say = 1 / (1 + off**2)
+            mean = np.bincount(point, weight * shown, n) / np.maximum(np.bincount(point, weight, n), 1e-9)
+            off = (shown - mean[point]) / OUTLIER_LOG
+            weight = 1 / (1 + off**2)
         both = np.full((2, len(value)), np.nan)
-        both[:, known] = say, off
+        both[:, known] = weight, off
         return both[0], both[1]
 
 
@@ -258,25 +270,12 @@ def _interpolated(picture: NDArray[np.float32], at: Floats) -> NDArray[np.float3
     return values
 
 
-# ---- Which photos see which points of the surface, and where in them ------------------------------------------------
-
-
-Floats = NDArray[np.float64]
-
-GRAZING = 0.25
-"""Smallest cosine at which a surface is looked at."""
-NEAR = 0.01
-"""Metres, and per metre of distance, between a point and what its ray hits that still are the same place."""
-DEPTH_WIDTH = 80
-EDGE = 0.08
-"""Relative step of depth that is an edge; near one, a pose that is off shows the wrong side of it."""
-MARGIN = 0.01
-"""Of the image width: what is closer to its border may lie outside."""
+# ---- Points of the surface ------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """Points that pixels show.
+    """Points of the surface that photos show.
 
     Attributes:
         position: (n, 3) metres.
@@ -288,7 +287,7 @@ class SurfacePoints:
 
     @staticmethod
     def of(cameras: Sequence[Camera], tracer: Tracer, n: int, rng: np.random.Generator) -> SurfacePoints:
-        """About ``n`` points behind random pixels of all photos alike."""
+        """About ``n`` points, behind as many random pixels of every photo."""
         positions, normals = [], []
         for camera in cameras:
             rays = camera.rays(rng.integers(camera.width * camera.height, size=-(-n // len(cameras))))
@@ -305,7 +304,7 @@ class SurfacePoints:
 
 
 def seen_points(points: SurfacePoints, camera: Camera, tracer: Tracer) -> NDArray[np.int64]:
-    """Indices of the points that a photo shows well: not aslant, not at the border, and not near an edge of depth."""
+    """Indices of the points that a photo shows well: not at grazing angles, its border or edges of depth."""
     local = camera.local(points.position)
     ahead = np.flatnonzero(local[:, 2] < -1e-3)
     at = camera.project(local[ahead])
@@ -316,16 +315,16 @@ def seen_points(points: SurfacePoints, camera: Camera, tracer: Tracer) -> NDArra
     sight = points.position[index] - camera.position
     distance = np.linalg.norm(sight, axis=1)
     direction = sight / distance[:, None]
-    facing = np.abs((direction * points.normal[index]).sum(1)) > GRAZING
+    facing = np.abs((direction * points.normal[index]).sum(1)) > MIN_COSINE
     index, at, distance, direction = index[facing], at[facing], distance[facing], direction[facing]
     hit = tracer.closest(np.broadcast_to(camera.position, direction.shape), direction).distance
-    small = small_camera(camera, DEPTH_WIDTH)
+    small = camera.shrunk(DEPTH_WIDTH)
     column, row = (np.minimum(at * (small.width / camera.width), (small.width - 1, small.height - 1))).astype(int).T
-    clear = (np.abs(hit - distance) < NEAR * (1 + distance)) & ~_beside_edges(small, tracer)[row, column]
+    clear = (np.abs(hit - distance) < DEPTH_TOLERANCE * (1 + distance)) & ~_beside_edges(small, tracer)[row, column]
     return index[clear]
 
 
 def _beside_edges(camera: Camera, tracer: Tracer) -> NDArray[np.bool_]:
-    """(H, W) whether depth makes a step next to a pixel; the borders of the mesh are steps too."""
+    """(H, W) whether depth has an edge beside a pixel; borders of the mesh are edges too."""
     distance = tracer.closest(*camera.rays()).distance.reshape(camera.height, camera.width)
-    return ~(maximum_filter(distance, 3) < (1 + EDGE) * minimum_filter(distance, 3))
+    return ~(maximum_filter(distance, 3) < (1 + DEPTH_EDGE) * minimum_filter(distance, 3))

@@ -1,4 +1,4 @@
-"""Captures as COLMAP leaves them: a sparse model of cameras and images, text or binary, beside a folder of photos.
+"""Captures in COLMAP's format: a sparse model of cameras and images, text or binary, beside a folder of photos.
 
 Format: https://colmap.github.io/format.html. Poses there are world to camera with x right, y down, z forward; pixel
 centres lie at half integers, as here. Points are not read: the room is the mesh.
@@ -16,11 +16,21 @@ import numpy as np
 
 from ..base.errors import BadInput
 from ..model.capture import View
-from .intrinsics import read_camera, read_distortion
-from .listing import Listing, check_unique, find_image, mean_up, only_mesh, up_axis, view_names
+from .listing import (
+    Listing,
+    check_unique,
+    find_image,
+    mean_up,
+    only_mesh,
+    read_camera,
+    read_distortion,
+    up_axis,
+    view_names,
+)
 from .mesh_files import MESH_SUFFIXES
 
 MODEL_FOLDERS = (".", "sparse/0", "sparse", "colmap/sparse/0")
+"""Where a sparse model may lie below a capture."""
 MAX_ENTRIES = 100_000
 MAX_NAME = 4096
 MAX_TEXT_BYTES = 1 << 30
@@ -35,8 +45,9 @@ PARAMETERS = {
 }
 """Parameters of each camera model in COLMAP's order, by the names of a transforms file."""
 MODEL_NAMES = tuple(PARAMETERS)
-"""By the number that a binary file has; numbers beyond are models without a counterpart here."""
+"""By the number in a binary file; higher numbers are models that are not supported."""
 DOWN_FORWARD = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Turns a pose of COLMAP's axes, x right, y down, z forward, into one of ours."""
 
 Cameras = dict[int, dict[str, Any]]
 """Keys of a transforms file by camera id."""
@@ -141,11 +152,11 @@ def _camera(model: str, width: int, height: int, parameters: Sequence[float], pa
     return {"camera_model": model, "w": width, "h": height, **dict(zip(names, parameters, strict=True))}
 
 
-# ---- text ----------------------------------------------------------------------------------------------------------
+# ---- Text -----------------------------------------------------------------------------------------------------------
 
 
 def _lines(path: Path) -> Iterator[str]:
-    """Lines that are no comments."""
+    """Lines that are not comments."""
     if path.stat().st_size > MAX_TEXT_BYTES:
         raise BadInput(f"is larger than {MAX_TEXT_BYTES >> 30} GiB", "export the model as binary", path)
     with path.open(encoding="utf-8", errors="replace") as file:
@@ -153,7 +164,8 @@ def _lines(path: Path) -> Iterator[str]:
 
 
 @contextmanager
-def _told_if_damaged(path: Path) -> Iterator[None]:
+def _damage_reported(path: Path) -> Iterator[None]:
+    """Raise BadInput for the errors of parsing a damaged file."""
     try:
         yield
     except (ValueError, IndexError, struct.error, EOFError) as error:
@@ -162,7 +174,7 @@ def _told_if_damaged(path: Path) -> Iterator[None]:
 
 def _text_cameras(path: Path) -> Cameras:
     cameras: Cameras = {}
-    with _told_if_damaged(path):
+    with _damage_reported(path):
         for line in _lines(path):
             if word := line.split():
                 parameters = [float(x) for x in word[4:]]
@@ -174,7 +186,7 @@ def _text_images(path: Path) -> list[Posed]:
     """Two lines per image; the second, its points, may be empty."""
     images: list[Posed] = []
     lines = _lines(path)
-    with _told_if_damaged(path):
+    with _damage_reported(path):
         for line in lines:
             if line.strip():
                 word = line.split(maxsplit=9)
@@ -183,7 +195,7 @@ def _text_images(path: Path) -> list[Posed]:
     return images
 
 
-# ---- binary --------------------------------------------------------------------------------------------------------
+# ---- Binary ---------------------------------------------------------------------------------------------------------
 
 
 def _unpack(file: BinaryIO, form: str) -> tuple[Any, ...]:
@@ -200,7 +212,7 @@ def _count(file: BinaryIO) -> int:
 
 def _binary_cameras(path: Path) -> Cameras:
     cameras: Cameras = {}
-    with _told_if_damaged(path), path.open("rb") as file:
+    with _damage_reported(path), path.open("rb") as file:
         for _ in range(_count(file)):
             id_, model, width, height = _unpack(file, "<IiQQ")
             name = MODEL_NAMES[model] if 0 <= model < len(MODEL_NAMES) else f"number {model}"
@@ -212,7 +224,7 @@ def _binary_cameras(path: Path) -> Cameras:
 def _binary_images(path: Path) -> list[Posed]:
     images: list[Posed] = []
     size = path.stat().st_size
-    with _told_if_damaged(path), path.open("rb") as file:
+    with _damage_reported(path), path.open("rb") as file:
         for _ in range(_count(file)):
             _, *pose, camera_id = _unpack(file, "<I7dI")
             name = _name(file)

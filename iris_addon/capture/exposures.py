@@ -47,10 +47,10 @@ def from_frame(frame: Mapping[str, Any], label: str, path: Path) -> float | None
 
 
 def with_unit_mean(views: Sequence[View]) -> tuple[tuple[View, ...], float]:
-    """Views whose exposures have a geometric mean of 1, and the factor by which they are less than those given.
+    """Views whose exposures have a geometric mean of 1, and the factor that they were divided by.
 
-    Microseconds are as good a unit as seconds, and what is small against radiance must not depend on it. Views that do
-    not all have exposures stay as they are.
+    Exposure times may be in any unit, and constants that are small against radiance must not depend on it. Unless all
+    views have exposures, they are returned unchanged, with a factor of 1.
     """
     given = [view.exposure for view in views if view.exposure is not None]
     if not views or len(given) < len(views):
@@ -59,7 +59,7 @@ def with_unit_mean(views: Sequence[View]) -> tuple[tuple[View, ...], float]:
     return tuple(replace(view, exposure=value / unit) for view, value in zip(views, given, strict=True)), unit
 
 
-# ---- EXIF ----------------------------------------------------------------------------------------------------------
+# ---- EXIF -----------------------------------------------------------------------------------------------------------
 
 _TAGS = {"seconds": ExifTags.Base.ExposureTime, "f_number": ExifTags.Base.FNumber, "iso": ExifTags.Base.ISOSpeedRatings}
 
@@ -70,7 +70,7 @@ def exif_settings(photo: Path) -> dict[str, float]:
     try:
         with Image.open(photo, formats=("PNG", "JPEG")) as image:
             block = image.getexif().get_ifd(ExifTags.IFD.Exif)
-    except (OSError, SyntaxError, ValueError):  # a damaged EXIF block says nothing; the pixels are checked elsewhere
+    except (OSError, SyntaxError, ValueError):  # a damaged EXIF block counts as none; pixels are checked elsewhere
         return {}
     for name, tag in _TAGS.items():
         value = block.get(tag)
@@ -98,7 +98,7 @@ def from_exif(photos: Mapping[str, Path]) -> dict[str, float]:
     return {name: factor(**found) for name, found in settings.items() if used <= found.keys()}
 
 
-# ---- a file given by the user --------------------------------------------------------------------------------------
+# ---- A file given by the user ---------------------------------------------------------------------------------------
 
 
 def apply_file(path: Path, views: Sequence[View], val_views: Sequence[View]) -> tuple[list[View], list[View]]:

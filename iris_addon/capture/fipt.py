@@ -16,8 +16,8 @@ from ..base.errors import BadInput
 from ..base.images import check_image
 from ..model.capture import Split, View
 from .exposures import checked
-from .intrinsics import LEFT_UP_FORWARD, read_camera, read_distortion, read_pose
 from .listing import (
+    LEFT_UP_FORWARD,
     Listing,
     check_unique,
     find_image,
@@ -25,7 +25,10 @@ from .listing import (
     inside,
     load_array,
     only_mesh,
+    read_camera,
+    read_distortion,
     read_json_object,
+    read_pose,
     safe_name,
     up_axis,
 )

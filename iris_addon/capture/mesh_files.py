@@ -1,4 +1,7 @@
-"""The mesh of a room out of a PLY, OBJ or GLB file, faces in file order."""
+"""The mesh of a room from a PLY, OBJ or GLB file, faces in file order.
+
+PLY and GLB are read by trimesh. OBJ is read here, because general readers sort faces by material.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +14,15 @@ from numpy.typing import NDArray
 
 from ..base.errors import BadInput
 from ..model.capture import DEGENERATE_AREA, FloatArray, Mesh
+from ..rays.tracer import Tracer
 
 MESH_SUFFIXES = (".ply", ".obj", ".glb")
 MAX_MESH_BYTES = 2 << 30
 MAX_FACES = 20_000_000
 UV_TOLERANCE = 1e-4
+"""By which coordinates may leave the unit square."""
 MAX_UV_OVERLAP = 0.01
+"""Share of the covered texture that several faces may share."""
 
 
 def read_mesh(path: Path) -> tuple[Mesh, tuple[str, ...]]:
@@ -68,7 +74,7 @@ def ply_counts(path: Path) -> dict[str, int]:
     return {line[1]: int(line[2]) for line in words if len(line) == 3 and line[0] == "element" and line[2].isdigit()}
 
 
-# ---- PLY and GLB ---------------------------------------------------------------------------------------------------
+# ---- PLY and GLB ----------------------------------------------------------------------------------------------------
 
 
 def _read_with_trimesh(path: Path) -> Mesh:
@@ -111,7 +117,7 @@ def _convert(geometry: trimesh.Trimesh, transform: FloatArray) -> Mesh:
     return Mesh(vertices, faces, uv)
 
 
-# ---- checks --------------------------------------------------------------------------------------------------------
+# ---- Checks ---------------------------------------------------------------------------------------------------------
 
 
 def _check_geometry(mesh: Mesh, path: Path) -> None:
@@ -160,11 +166,9 @@ def unusable_uv(uv: NDArray[np.float32]) -> str | None:
 def uv_overlap(uv: NDArray[np.float32], side: int = 256) -> float:
     """Share of the covered texture that more than one face of ``uv`` (F, 3, 2) covers, sampled on side² points.
 
-    Each face lies in the UV plane at a height of its own; a point is unique when rays from above and from below meet
-    the same face.
+    Each face is placed above the UV plane at its own height; a point is covered once if rays from above and from below
+    hit the same face.
     """
-    from ..rays.tracer import Tracer  # the tracer needs this package's types: a cycle at import time
-
     heights = np.linspace(0, 1, len(uv))
     corners = np.concatenate([uv, np.broadcast_to(heights[:, None, None], (len(uv), 3, 1))], -1).reshape(-1, 3)
     sheets = Tracer(Mesh(corners.astype(np.float64), np.arange(len(corners)).reshape(-1, 3)))
@@ -181,7 +185,7 @@ def uv_overlap(uv: NDArray[np.float32], side: int = 256) -> float:
     return float((faces[0] != faces[1])[covered].mean()) if covered.any() else 0.0
 
 
-# Wavefront OBJ, read by hand: general readers sort faces by material, and the order of the file must not change
+# ---- OBJ ------------------------------------------------------------------------------------------------------------
 
 
 @dataclass

@@ -1,6 +1,6 @@
-"""Captures as nerfstudio writes them: a transforms.json with poses, intrinsics and paths.
+"""Captures in nerfstudio's format: a transforms.json with poses, intrinsics and paths.
 
-Format: https://docs.nerf.studio/quickstart/data_conventions.html. On top of it "mesh" may name the mesh, and a frame
+Format: https://docs.nerf.studio/quickstart/data_conventions.html. In addition "mesh" may name the mesh, and a frame
 may carry "split", "exposure" or "exposure_time" (with "iso", "f_number").
 """
 
@@ -16,7 +16,6 @@ from ..base.errors import BadInput
 from ..base.images import check_image
 from ..model.capture import Split, View
 from .exposures import from_frame
-from .intrinsics import read_camera, read_distortion
 from .listing import (
     Listing,
     check_unique,
@@ -27,16 +26,18 @@ from .listing import (
     mean_up,
     number,
     only_mesh,
+    read_camera,
+    read_distortion,
     read_json_object,
     up_axis,
     view_names,
 )
 
 UP = (0.0, 0.0, 1.0)
-UPRIGHT = 0.5
-"""Cosine between +z and the mean up of the photos, or what lies behind them, from which on +z is believed."""
-ALONG_AXIS = 0.9
-"""The same between an axis and that mean, from which on it is taken for the axis."""
+UPRIGHT_COSINE = 0.5
+"""Cosine between +z and the mean up, or backward, direction of the photos above which +z is up."""
+AXIS_COSINE = 0.9
+"""Cosine between an axis and that mean from which the axis is up."""
 
 
 def read_nerfstudio(transforms: Path) -> Listing:
@@ -71,23 +72,23 @@ def read_nerfstudio_views(transforms: Path) -> tuple[View, ...]:
 
 
 def _up(views: Sequence[View]) -> tuple[float, float, float]:
-    """+z, as the format has it; the axis that photos are held along where they clearly lie on their side under it.
+    """+z, as the format has it, unless photos clearly lie on their side under it; then an axis, or their mean up.
 
-    RGB-D recorders number their axes as the first photo stood, y down. An axis near the photos' mean is more likely
-    than that mean, which leans where all look down in one direction.
+    RGB-D recorders take their axes from the first photo, with y down. An axis near the mean is more likely than the
+    mean itself, which leans where all photos look down in one direction.
     """
     mean = mean_up(views)
     down = float(np.mean([view.camera.c2w[:3, 2] for view in views], axis=0) @ UP)
-    if mean is None or max(float(np.dot(mean, UP)), down) > UPRIGHT:  # upright, or looking down from above
+    if mean is None or max(float(np.dot(mean, UP)), down) > UPRIGHT_COSINE:  # upright, or looking down from above
         return UP
     axis = np.rint(mean) + 0.0  # no negative zeros
-    if float(axis @ mean) < ALONG_AXIS or np.abs(axis).sum() != 1:
+    if float(axis @ mean) < AXIS_COSINE or np.abs(axis).sum() != 1:
         return mean
     x, y, z = axis.tolist()
     return (x, y, z)
 
 
-# ---- frames --------------------------------------------------------------------------------------------------------
+# ---- Frames ---------------------------------------------------------------------------------------------------------
 
 
 def _views(
@@ -149,7 +150,7 @@ def _split(frame: Mapping[str, Any], name: str, lists: Mapping[str, Split] | Non
     return "train" if lists is None else lists.get(str(frame["file_path"]))
 
 
-# ---- mesh and frame of reference -----------------------------------------------------------------------------------
+# ---- Mesh and frame of reference ------------------------------------------------------------------------------------
 
 
 def _mesh_file(meta: Mapping[str, Any], root: Path, source: Path) -> tuple[Path, bool]:

@@ -1,9 +1,8 @@
-"""Pixels of a view: decoding, and lens distortion taken out.
+"""Pixels of a view: decoding, undistortion, and shrinking.
 
 The distortion models are OpenCV's (https://docs.opencv.org/4.x/d9/d0c/group__calib3d.html and, for the fisheye,
-group__calib3d__fisheye.html); both say where a pinhole direction lands in the photo, which is the direction needed to
-resample the photo onto the pinhole, so nothing has to be inverted. k4 of the perspective model multiplies r^8, as in
-nerfstudio.
+group__calib3d__fisheye.html). Both map a pinhole direction to its place in the photo, which is what resampling onto the
+pinhole needs, so nothing has to be inverted. k4 of the perspective model multiplies r^8, as in nerfstudio.
 """
 
 from __future__ import annotations
@@ -12,14 +11,14 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import gaussian_filter, map_coordinates, zoom
 
 from ..base.errors import BadInput
 from ..base.images import HDR_SUFFIXES, read_exr, read_image
 from ..model.capture import Camera, Distortion, FloatArray, Photo, View
 
 PIXELS_AT_ONCE = 50_000_000
-"""Of all photos that are decoded at one time; to undo a lens takes some 125 bytes for each."""
+"""Over all photos that are decoded at one time; undistortion takes some 125 bytes per pixel."""
 
 
 def photos_at_once(views: Sequence[View]) -> int:
@@ -31,7 +30,7 @@ def photos_at_once(views: Sequence[View]) -> int:
 def load_photo(view: View) -> Photo:
     """Decode and undistort the photo of ``view``.
 
-    8-bit photos come as bytes / 255 (half a quantisation step is the response's business), EXR as linear radiance
+    8-bit photos come as bytes / 255 (the response adds half a quantisation step), EXR as linear radiance
     with negative values set to zero.
 
     Raises:
@@ -122,3 +121,11 @@ def _turning_point(lens: Distortion, limit: float) -> float:
     t = np.linspace(0, limit, 4097)
     falling = np.flatnonzero(np.diff(_odd_polynomial(t, lens)) <= 0)
     return float(t[falling[0]]) if len(falling) else limit * (1 + 1e-9)
+
+
+def shrink(values: FloatArray, height: int, width: int) -> NDArray[np.float64]:
+    """``values`` (H, W, C) low-pass filtered and resampled to (height, width, C)."""
+    scale = values.shape[1] / width
+    smooth = gaussian_filter(np.asarray(values, float), (0.4 * scale, 0.4 * scale, 0)) if scale > 1 else values
+    factors = (height / values.shape[0], width / values.shape[1], 1)
+    return np.asarray(zoom(smooth, factors, order=1, grid_mode=True, mode="nearest"))

@@ -1,4 +1,8 @@
-"""From a path to a checked :class:`Capture`."""
+"""From a path to a checked :class:`Capture`.
+
+The format is recognised by its files. Photos must open and fit their cameras; mesh and poses must share one frame and
+one unit.
+"""
 
 from __future__ import annotations
 
@@ -9,18 +13,30 @@ from pathlib import Path
 import numpy as np
 
 from ..base.errors import BadInput
-from ..base.images import HDR_SUFFIXES
-from ..model.capture import Capture, Mesh, View
-from .checks import check_photos, check_sees_mesh, check_units, seen_shares
+from ..base.images import HDR_SUFFIXES, check_image
+from ..model.capture import Capture, FloatArray, Mesh, View
+from ..rays.tracer import Tracer
 from .colmap import colmap_model, read_colmap, read_colmap_views
 from .exposures import apply_file, from_exif
 from .fipt import PhotoSet, fipt_root, read_fipt, read_fipt_views
 from .listing import Listing
 from .mesh_files import read_mesh
 from .nerfstudio import read_nerfstudio, read_nerfstudio_views
+from .photos import check_photo_size
 
-# glTF is y up by its standard; exporters that obey turn a z-up room on its side.
 Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""glTF is y up by its standard; exporters that comply turn a z-up room on its side."""
+GLB_TURN_GAIN = 0.3
+"""Share of rays that must newly meet the mesh for a GLB to be turned."""
+SEEN_GRID = 16
+"""Rays in a row and in a column through each view that measure how much of the mesh it sees."""
+MIN_SEEN_SHARE = 0.05
+"""Of those rays that meet the mesh; a photo below is warned about."""
+MAX_UNIT_RATIO = 100.0
+"""Between the extents of mesh and camera path; beyond, they are in different units."""
+MAX_ORIGIN_RATIO = 50.0
+"""Distance of mesh or cameras from the origin over the extent of the mesh. Rays are traced in single precision, whose
+steps would be felt beyond."""
 
 
 def read_capture(
@@ -119,7 +135,7 @@ def _with_radiance(views: Sequence[View], folder: Path) -> list[View]:
 def _with_exposures(
     views: Sequence[View], val_views: Sequence[View], exposures: str | Path
 ) -> tuple[list[View], list[View]]:
-    """Views with the exposures the caller asked for; those of held-out photos are never withheld."""
+    """Views with the exposures that ``exposures`` chooses; those of held-out photos are never withheld."""
     if all(_is_radiance(view) for view in views):
         return [replace(view, exposure=1.0) for view in views], [
             replace(view, exposure=1.0) if _is_radiance(view) else view for view in val_views
@@ -137,7 +153,7 @@ def _with_exposures(
 
 
 def _is_radiance(view: View) -> bool:
-    """Whether the photo is EXR: it holds radiance itself, whatever its LDR version was exposed with."""
+    """Whether the photo is EXR, which holds radiance itself whatever the exposure of its LDR version."""
     return view.photo is not None and view.photo.suffix.lower() in HDR_SUFFIXES
 
 
@@ -147,6 +163,100 @@ def _turn_glb(mesh: Mesh, views: Sequence[View], listing: Listing) -> tuple[Mesh
         return mesh, []
     turned = replace(mesh, vertices=mesh.vertices @ Y_UP_TO_Z_UP.T)
     gain = float(seen_shares(views, turned).mean() - seen_shares(views, mesh).mean())
-    if gain < 0.3:
+    if gain < GLB_TURN_GAIN:
         return mesh, []
     return turned, [f"{listing.mesh_file.name}: turned from y up, as glTF has it, to the z up of the poses"]
+
+
+# ---- Checks of the whole capture ------------------------------------------------------------------------------------
+
+
+def check_photos(views: Sequence[View]) -> None:
+    """Every photo opens, has the size of its camera, and all are LDR or all HDR; raises BadInput."""
+    kinds: dict[bool, View] = {}
+    for view in views:
+        if view.photo is None:
+            continue
+        check_photo_size(view, check_image(view.photo))
+        kinds.setdefault(view.photo.suffix.lower() in HDR_SUFFIXES, view)
+    if len(kinds) == 2:
+        raise BadInput(
+            f"is EXR while {kinds[False].photo} is not", "give all training photos as EXR or none", kinds[True].photo
+        )
+
+
+def check_units(views: Sequence[View], mesh: Mesh, path: Path) -> None:
+    """Raise BadInput when the mesh ``path`` and the poses cannot be in one unit, or lie too far from the origin.
+
+    The extent of the mesh is the median distance of its vertices from their median, without a far backdrop.
+    A camera path below half a metre counts as half a metre, because cameras that only turn on the spot have no path.
+    """
+    center = np.median(mesh.vertices, axis=0)
+    extent = float(np.median(np.linalg.norm(mesh.vertices - center, axis=1)))
+    positions = np.array([view.camera.position for view in views])
+    spread = float(np.linalg.norm(np.ptp(positions, axis=0)))
+    ratio = extent / max(spread, 0.5)
+    if ratio > MAX_UNIT_RATIO:
+        raise BadInput(
+            f"is {ratio:.0f} times as large as the path of the cameras: millimetres against metres?",
+            f"scale the mesh to metres (by {_nearest_unit(1 / ratio):g}) or bring the poses to its unit",
+            path,
+        )
+    if spread > MAX_UNIT_RATIO * max(extent, 1e-9):
+        raise BadInput(
+            f"is {spread / max(extent, 1e-9):.0f} times smaller than the path of the cameras: poses in millimetres?",
+            "bring mesh and poses to metres",
+            path,
+        )
+    _check_origin(center, np.median(positions, axis=0), extent, path)
+
+
+def _check_origin(center: FloatArray, camera: FloatArray, extent: float, path: Path) -> None:
+    distance = float(min(np.linalg.norm(center), np.linalg.norm(camera)))
+    times = distance / max(extent, 1e-9)
+    if times > MAX_ORIGIN_RATIO:
+        shift = ", ".join(f"{-round(value):d}" for value in center.tolist())
+        raise BadInput(
+            f"lies {distance:.3g} from the origin, {times:.0f} times its own size: map coordinates?",
+            f"move mesh and poses together to the origin, by ({shift})",
+            path,
+        )
+
+
+def _nearest_unit(scale: float) -> float:
+    """The factor between usual units (mm, cm, m) nearest to ``scale``."""
+    units = np.array([0.001, 0.01])
+    return float(units[np.argmin(np.abs(np.log(units / scale)))])
+
+
+def check_sees_mesh(views: Sequence[View], mesh: Mesh, path: Path) -> tuple[str, ...]:
+    """Raise BadInput when no photo sees the mesh ``path``; return a warning for photos that see little of it."""
+    shares = seen_shares(views, mesh)
+    if not (shares > 0).any():
+        raise BadInput(
+            "no photo sees the mesh", "bring mesh and poses into one frame (axes, unit, origin) and one capture", path
+        )
+    blind = [view.name for view, share in zip(views, shares, strict=True) if share < MIN_SEEN_SHARE]
+    if not blind:
+        return ()
+    names = ", ".join(blind[:5]) + (" …" if len(blind) > 5 else "")
+    return (f"{len(blind)} of {len(views)} photos see less than {MIN_SEEN_SHARE:.0%} of the mesh: {names}",)
+
+
+def seen_shares(views: Sequence[View], mesh: Mesh) -> FloatArray:
+    """(n,) share of a grid of rays through each view that hits the mesh."""
+    coarse = [
+        replace(
+            view.camera,
+            width=SEEN_GRID,
+            height=SEEN_GRID,
+            fx=view.camera.fx * SEEN_GRID / view.camera.width,
+            fy=view.camera.fy * SEEN_GRID / view.camera.height,
+            cx=view.camera.cx * SEEN_GRID / view.camera.width,
+            cy=view.camera.cy * SEEN_GRID / view.camera.height,
+        )
+        for view in views
+    ]
+    rays = [camera.rays() for camera in coarse]
+    hits = Tracer(mesh).closest(np.concatenate([o for o, _ in rays]), np.concatenate([d for _, d in rays]))
+    return (hits.face >= 0).reshape(len(views), -1).mean(1)

@@ -11,7 +11,7 @@ A relighting job is one object; every key is optional::
 ``recovered`` addresses lamps by the id in emitters.json. For each of ``off``, ``scale`` and ``color`` the lamp's own
 entry wins over that of ``all``, and a lamp that has an entry is on unless that says ``off``. ``off`` takes a lamp out
 (its surface turns black), ``scale`` multiplies its radiance, ``color`` replaces its hue and keeps its luminance.
-``outside`` is a factor on the light from beyond the mesh. docs/relighting.md lists the kinds of lights and objects.
+``outside`` is a factor on the light from outside the mesh. docs/relighting.md lists the kinds of lights and objects.
 
 Any value may be animated: ``{"keys": [[0, a], [1, b]]}`` stands for a value that goes from a to b
 (:mod:`iris_addon.edits.motion`).
@@ -19,7 +19,7 @@ Any value may be animated: ``{"keys": [[0, a], [1, b]]}`` stands for a value tha
 The parts of a reference lights.json are accepted as they stand: ``new_lights`` (``original_emitters`` off, ``lights``
 on) and ``one_emitter`` (``kept_faces_of_scene_ply``).
 
-Everything here raises :class:`~iris_addon.base.errors.BadInput` for JSON that does not say what it should.
+Every function raises :class:`~iris_addon.base.errors.BadInput` for JSON that is not such a job.
 """
 
 from __future__ import annotations
@@ -35,15 +35,13 @@ from ..base.errors import BadInput
 from ..model.capture import Camera
 from ..model.response import LUMINANCE
 from ..results.result import Result
-from .lights import read_lights
 from .motion import at_time
-from .objects import read_object
+from .parsing import Json, array, color, flag, json_list, json_map, known_keys, number, read_lights, read_object, whole
 from .scene_edit import SceneEdit, Sphere
-from .values import Json, array, color, flag, json_list, json_map, known_keys, number, whole
 
 RELIGHT_KEYS = {"recovered", "lights", "outside", "camera", "length"}
-# Keys of the reference files that carry no instruction beyond their presence.
 REFERENCE_KEYS = {"poses", "original_emitters", "kept_faces_of_scene_ply", "what", "note", "lighting"}
+"""Keys of reference files that are accepted and not read."""
 INSERTION_KEYS = {"objects", "lights", "views", "camera", "length", "poses", "note", "lighting"}
 
 
@@ -113,7 +111,7 @@ def insertion_edits(
 ) -> list[tuple[int, SceneEdit]]:
     """(view index, edit) for each view of an insertion job or a reference objects.json.
 
-    Objects are those of :func:`iris_addon.edits.objects.read_object`; ``lights`` beside them are those of a
+    Objects are those of :func:`iris_addon.edits.parsing.read_object`; ``lights`` beside them are those of a
     relighting job. Without ``views`` the job's ``objects`` go into the one edit of view 0.
 
     Args:

@@ -1,7 +1,7 @@
-"""Every light's share of a picture: on disk, and mixed to the picture under changed lights without rendering again.
+"""Light shares, the part of each light in a rendered picture: on disk, and mixed under changed lights.
 
-Light is linear: the picture under lamps of other strength and colour is the sum of the pictures under each lamp alone,
-each times its change.
+Light is linear, so the picture under lamps of other strength and colour is the sum of the pictures under each lamp,
+each times its change; nothing is rendered again.
 """
 
 from __future__ import annotations
@@ -18,15 +18,16 @@ from ..base.errors import BadInput
 from ..base.files import atomic_write
 from ..results.result import Result
 from .jobs import lamp_radiance
+from .parsing import Json, json_map, known_keys, number
 from .scene_edit import OUTSIDE, lamp_name
-from .values import Json, json_map, known_keys, number
 
 COMBINED = "combined"
+"""Name of the part of the file with the whole picture."""
 
 
 @dataclass(frozen=True)
 class LightShares:
-    """What each light gives to one view.
+    """The radiance that each light contributes to one view.
 
     Attributes:
         combined: (H, W, 3) linear radiance under all of them.

@@ -14,13 +14,13 @@ import numpy as np
 from ..base.errors import BadInput
 from ..model.capture import Camera
 from ..model.corrections import rotation, rotation_vector
-from .values import Json, array, json_list, json_map, known_keys, whole
+from .parsing import Json, array, json_list, json_map, known_keys, whole
 
 CAMERA_KEYS = {"view", "path", "orbit"}
 
 
 def at_time(value: Any, time: float) -> Any:
-    """``value`` (anything JSON) at ``time``: every ``{"keys": [[t, v], ...]}`` in it becomes the value v goes through.
+    """``value`` (anything JSON) at ``time``: every ``{"keys": [[t, v], ...]}`` in it becomes v at that time.
 
     Numbers and lists of numbers change linearly between their keys and stay before the first and after the last one;
     anything else keeps the value of the last key passed.

@@ -1,6 +1,6 @@
 """Changes to a solved room before it is rendered: lights off, scaled or added, objects put in.
 
-Plain data, no bpy: written by the readers of lights.json and objects.json, carried out by ``iris_addon.blender``.
+Plain data without bpy: made by :mod:`iris_addon.edits.jobs`, applied by :mod:`iris_addon.blender`.
 Positions are metres in the capture's axes, directions are unit vectors, light is scene-linear Rec.709.
 """
 
@@ -18,7 +18,7 @@ Shape = Literal["sphere", "box", "cylinder", "cone", "card"]
 Snap = Literal["none", "down", "surface"]
 
 OUTSIDE = "IRIS Outside"
-"""Name of the light from beyond the mesh, wherever lights are named."""
+"""Name of the light from outside the mesh, wherever lights are named."""
 
 
 def lamp_name(emitter_id: int) -> str:
@@ -26,7 +26,7 @@ def lamp_name(emitter_id: int) -> str:
     return f"IRIS Lamp {emitter_id:02d}"
 
 
-# ---- lights --------------------------------------------------------------------------------------------------------
+# ---- Lights ---------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class Panorama:
 
 Light = Quad | PointLight | SpotLight | SunLight
 
-# ---- objects -------------------------------------------------------------------------------------------------------
+# ---- Objects --------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -173,7 +173,7 @@ class ObjectFile:
     material: Material | None = None
 
 
-# ---- all of it -----------------------------------------------------------------------------------------------------
+# ---- The whole edit -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

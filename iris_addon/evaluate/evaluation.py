@@ -14,9 +14,16 @@ from ..results.maps import MapRenderer
 from ..results.result import Result
 from . import metrics
 from .ground_truth import GroundTruth, read_ground_truth
-from .held_out import score_held_out
 from .map_scores import score_maps
-from .relighting import RenderViews, inserted_views, novel_views, relit_views, render_all, score_pictures
+from .pictures import (
+    RenderViews,
+    inserted_views,
+    novel_views,
+    relit_views,
+    render_all,
+    score_held_out,
+    score_pictures,
+)
 
 RENDERED = ("nvs_psnr", "nvs_ssim", "relight_psnr", "relight_ssim", "insert_psnr", "insert_psnr_around")
 MAPPED = (

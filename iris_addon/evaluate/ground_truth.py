@@ -21,7 +21,7 @@ from ..model.response import N_SAMPLES, Response
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """Where the truth about a capture lies.
+    """Files and cameras of the ground truth of a capture.
 
     Attributes:
         root: the capture.

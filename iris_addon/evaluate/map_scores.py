@@ -1,7 +1,7 @@
 """Scores of material and emission maps over the training views, as IRIS and FIPT evaluate them.
 
-Emitter pixels of the truth are zeroed on both sides and stay in the denominator. Beside each number ``*_valid`` is the
-error over the pixels that count alone, and ``*_si`` allows one least-squares factor over all images of that metric.
+Emitter pixels of the truth are zeroed on both sides and stay in the denominator. Beside each number, ``*_valid`` is the
+error over surface pixels only, and ``*_si`` allows one least-squares factor over all images of that metric.
 Values are means over images of the per-image value.
 """
 
@@ -19,8 +19,9 @@ from .ground_truth import GroundTruth
 from .metrics import FloatArray, Mask
 
 FULLY_ROUGH = 0.999
+"""True roughness above which a pixel counts as diffuse."""
 MIN_ROUGHNESS = 0.2
-"""Below it roughness is not told apart: both sides are clamped to [0.2, 1]."""
+"""Smaller values are not distinguished: both sides are clamped to [0.2, 1]."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +134,7 @@ def _gloss_scores(maps: ViewMaps, truth: GroundTruth, index: int) -> dict[str, f
     return scores
 
 
-# ---- emission ------------------------------------------------------------------------------------------------------
+# ---- Emission -------------------------------------------------------------------------------------------------------
 
 
 class _LogScaleFit:

@@ -1,4 +1,4 @@
-"""The numbers of an evaluation as pure functions of arrays. Nothing here knows about files, meshes or renderers.
+"""Metrics as pure functions of arrays, independent of files, meshes and renderers.
 
 Images are (H, W, 3) or (H, W) in [0, 1]; a mask is (H, W) bool.
 """
@@ -18,7 +18,7 @@ MIN_MSE = 1e-10
 """Equal images score 100 dB, so that a mean over images stays finite."""
 
 
-# ---- images --------------------------------------------------------------------------------------------------------
+# ---- Images ---------------------------------------------------------------------------------------------------------
 
 
 def quantise8(image: FloatArray) -> FloatArray:
@@ -65,7 +65,7 @@ def ssim(image: FloatArray, truth: FloatArray) -> float:
     return float(similarity.mean())
 
 
-# ---- light ---------------------------------------------------------------------------------------------------------
+# ---- Light ----------------------------------------------------------------------------------------------------------
 
 
 def iou(mask: Mask, truth: Mask) -> float:
@@ -79,7 +79,7 @@ def log_l2(emission: FloatArray, truth: FloatArray) -> float:
     return float(np.mean((np.log1p(np.maximum(emission, 0.0)) - np.log1p(np.maximum(truth, 0.0))) ** 2))
 
 
-# ---- camera --------------------------------------------------------------------------------------------------------
+# ---- Camera ---------------------------------------------------------------------------------------------------------
 
 
 def crf_l2(samples: FloatArray, truth: FloatArray) -> float:

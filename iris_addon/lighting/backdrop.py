@@ -43,7 +43,7 @@ def fit_backdrop(beyond: BackdropPixels, photometry: Photometry, mesh: Mesh, vie
     if shell is None:
         return None
     linear = photometry.linearise_pixels(beyond.z, beyond.view, beyond.pixel)
-    radiance = np.where(linear.open, linear.radiance, linear.bound).astype(np.float64)
+    radiance = np.where(linear.unclipped, linear.radiance, linear.bound).astype(np.float64)
     texel = shell.texels(positions[beyond.view], beyond.direction, (HEIGHT, 2 * HEIGHT))
     met = texel >= 0
     if not met.any():

@@ -59,13 +59,13 @@ def brightness(
     o = observations
     group = group_radiance(linear, o.patch, o.count, n_patches)
     value = least_radiance(linear, specular)
-    floor = [_low_quantile(value[:, c], linear.open[:, c], o.count, o.patch, n_patches) for c in range(3)]
+    floor = [_low_quantile(value[:, c], linear.unclipped[:, c], o.count, o.patch, n_patches) for c in range(3)]
     return Brightness(np.stack(floor, -1), np.where(group.known, group.radiance, np.nan), group.bound)
 
 
 def least_radiance(linear: Linearised, specular: NDArray[np.floating] | None) -> NDArray[np.float64]:
     """(M, 3) what each observation is known to reach, as measured or as a bound, without ``specular`` (M, 3)."""
-    value = np.where(linear.open, linear.radiance, linear.bound)
+    value = np.where(linear.unclipped, linear.radiance, linear.bound)
     return value if specular is None else np.maximum(value - specular, 0.0)
 
 

@@ -135,7 +135,7 @@ def changing_patches(shown: Shown, irradiance: NDArray[np.floating]) -> NDArray[
         irradiance: (P, 3) irradiance / pi.
     """
     o, linear, n = shown.observations, shown.linear, len(irradiance)
-    known = linear.told
+    known = linear.well_exposed
     own = without_specular(linear.radiance, shown.specular)[known]
     log, patch = np.log(np.maximum(own, 1e-9)), o.patch[known]
     colour = log[:, [0, 2]] - log[:, [1]]

@@ -54,7 +54,7 @@ def pose_problem(
     """
     exposure = photometry.exposure_at(observations.view, observations.pixel)
     linear = linearise(observations, photometry.response, exposure)
-    if not linear.open.all(1).any():
+    if not linear.unclipped.all(1).any():
         raise BadInput("every pixel of the photos is clipped in one channel or another", "add darker photos")
     photos, regions, n_patches = room.photos, room.regions.of_face, len(room.patches.region)
     angle = schlick(room.samples.cosine[observations.sample].astype(np.float64))
@@ -163,7 +163,7 @@ def find_first_lights(
     if (material != problem.light.material).any():
         problem = problem.with_materials(material)
         light, lights = choose_outside(problem.light, problem.observed, progress, lights)
-    if photometry.exponent_open and not problem.light.decisions.forbids("exponent"):
+    if photometry.exponent_unconstrained and not problem.light.decisions.forbids("exponent"):
         exponent = choose_exponent(light, problem.observed, lights, photometry.exponent_error, progress)
     if exponent != 1.0:
         problem = pose(photometry.raised(exponent)).with_materials(material)

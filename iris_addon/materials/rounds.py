@@ -235,7 +235,7 @@ class _GlossFit:
     def prepare(problem: MaterialProblem, lights: Lights) -> _GlossFit:
         o, light = problem.observations, problem.light
         rng = np.random.default_rng([problem.seed, 29])
-        usable = problem.linear.open.all(1) & ~lights.mask[light.samples.face[o.sample]]
+        usable = problem.linear.unclipped.all(1) & ~lights.mask[light.samples.face[o.sample]]
         rows = choose_observations(problem.region, o.patch, np.where(usable, o.count, 0), rng)
         scene, at = problem.scene(lights), o.sample[rows]
         rays = [

@@ -43,7 +43,7 @@ def choose_diffuse(
         schlick: (M,) S of the direction each observation was made from.
     """
     o = observations
-    usable = linear.told & (linear.radiance.min(1) > MIN_RADIANCE) & (o.count >= MIN_PIXELS)
+    usable = linear.well_exposed & (linear.radiance.min(1) > MIN_RADIANCE) & (o.count >= MIN_PIXELS)
     weight = np.where(usable, np.sqrt(np.minimum(o.count, 25.0)), 0.0)
     if not weight.any():
         return DiffuseChoice("lambert", 0.0)

@@ -1,4 +1,4 @@
-"""What a capture is once it has been read and checked: cameras, photos by reference, a mesh.
+"""A capture that has been read and checked: cameras, photos by reference, a mesh.
 
 Conventions of the whole engine: metres, scene-linear Rec.709, camera-to-world matrices as Blender and nerfstudio have
 them (columns x right, y up, z backward). Pixel (i, j) of a camera has its centre at (i + 0.5, j + 0.5) and its ray
@@ -18,7 +18,7 @@ FloatArray = NDArray[np.floating]
 
 Split = Literal["train", "val"]
 DEGENERATE_AREA = 1e-12
-"""Square metres up to which a face counts as none."""
+"""Square metres up to which a face counts as degenerate."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,13 @@ class Camera:
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         return np.broadcast_to(self.position, directions.shape), directions
 
+    def shrunk(self, width: int) -> Camera:
+        """The camera with at most ``width`` pixels in a row and the same field of view."""
+        scale = min(1.0, width / self.width)
+        w, h = max(2, round(self.width * scale)), max(2, round(self.height * scale))
+        x, y = w / self.width, h / self.height
+        return replace(self, width=w, height=h, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y)
+
     def local(self, points: NDArray[np.floating]) -> FloatArray:
         """(..., 3) world-space points in the frame of the camera: x right, y up, z backward."""
         return (points - self.position) @ self.c2w[:3, :3]
@@ -82,7 +89,7 @@ class Distortion:
 
 @dataclass(frozen=True)
 class View:
-    """One photo: where it lies, how it was taken.
+    """One photo: its file, camera and exposure.
 
     Attributes:
         name: unique within the capture and its split, safe as a file name.
@@ -143,7 +150,7 @@ class Capture:
     Attributes:
         views: the photos the solver may look at (split ``train``).
         val_views: held-out photos; the solver never opens them.
-        up: unit vector that points away from the floor, as far as the capture says it ((0, 0, 1) otherwise).
+        up: unit vector that points away from the floor; (0, 0, 1) where the capture does not give it.
         warnings: what a user should know before waiting for a solve.
     """
 

@@ -1,7 +1,7 @@
-"""What is wrong with the cameras of a capture: with all a focal length, a principal point, an offset; with each a pose.
+"""Corrections of the cameras of a capture: of all focal length, principal point and offset; of each its pose.
 
-RGB-D recorders often give the poses and the focal length of the depth camera to photos of the colour camera beside it,
-and the poses themselves drift.
+RGB-D recorders often give photos of the colour camera the poses and the focal length of the depth camera beside it, and
+the poses themselves drift. Rotations are written in numpy alone, because Blender's own Python has no scipy.
 """
 
 from __future__ import annotations
@@ -16,14 +16,16 @@ from numpy.typing import NDArray
 
 from .capture import Camera, FloatArray, View
 
-SAME_FIELD = 1e-3
-SAME_POSE = 1e-4
-NEAR = (0.6, 0.6)
-"""Radians and metres over which corrections of two photos become less alike, by a factor of e."""
+FOCAL_TOLERANCE = 1e-3
+"""Relative difference of focal lengths up to which a view was taken by the corrected camera."""
+POSE_TOLERANCE = 1e-4
+"""Distance of poses, in correlation lengths, up to which two are one."""
+CORRELATION_LENGTHS = (0.6, 0.6)
+"""Radians and metres over which the correlation of the corrections of two photos falls by a factor of e."""
 NUGGET = 0.01
-"""Variance of what a photo's correction has for itself, relative to what it shares with near ones."""
-PREDICTED = 0.7
-"""Neighbours speak for each other where what they leave of their corrections is smaller than that, relative."""
+"""Variance of a correction that is not correlated with its neighbours', relative to the one that is (kriging)."""
+SMOOTH_RESIDUAL = 0.7
+"""Median error of corrections predicted from their neighbours, relative to their size, below which they are smooth."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class CameraCorrection:
     """One correction for all photos of one camera.
 
     Attributes:
-        fx_over_width: of the cameras as given, by which the views that it applies to are known.
+        fx_over_width: of the given cameras; identifies the views that the correction applies to.
         focal: factor of the focal lengths.
         principal: shift of the principal point in image widths, right and down.
         offset: shift of the centre of projection, metres along the camera's x (right) and y (up).
@@ -43,8 +45,8 @@ class CameraCorrection:
     offset: tuple[float, float] = (0.0, 0.0)
 
     def camera(self, camera: Camera) -> Camera:
-        """The camera as it was; one with another field of view is none of this capture's and stays as it is."""
-        if abs(camera.fx / camera.width - self.fx_over_width) > SAME_FIELD * self.fx_over_width:
+        """``camera`` corrected; one with another field of view is not of this capture and is returned unchanged."""
+        if abs(camera.fx / camera.width - self.fx_over_width) > FOCAL_TOLERANCE * self.fx_over_width:
             return camera
         c2w = np.array(camera.c2w, np.float64)
         c2w[:3, 3] += c2w[:3, :2] @ self.offset
@@ -58,7 +60,7 @@ class CameraCorrection:
         )
 
     def view(self, view: View) -> View:
-        """``view`` with its camera corrected; a distorted photo is left alone, its lens was calibrated."""
+        """``view`` with its camera corrected; unchanged with lens distortion, because that lens was calibrated."""
         return view if view.distortion is not None else replace(view, camera=self.camera(view.camera))
 
     def content(self) -> dict[str, Any]:
@@ -84,12 +86,12 @@ class CameraCorrection:
 
 @dataclass(frozen=True)
 class PoseCorrections:
-    """A correction for each photo, and for cameras near them what their neighbours have.
+    """A pose correction for each photo, and, where they vary smoothly, for cameras between the photos.
 
     Attributes:
         given: (N, 4, 4) camera to world of the photos before.
         twists: (N, 6) rotation vector and translation in the frame of each camera.
-        smooth: whether photos near each other are off alike, as those of a tracker that drifts are.
+        smooth: whether neighbouring photos have similar corrections, as under a drifting tracker.
     """
 
     given: FloatArray
@@ -98,25 +100,25 @@ class PoseCorrections:
 
     @staticmethod
     def between(given: Sequence[Camera], found: Sequence[Camera]) -> PoseCorrections:
-        """The corrections that make the cameras ``found`` of those ``given``."""
+        """The corrections that turn the cameras ``given`` into those ``found``."""
         before = np.array([camera.c2w for camera in given])
         twists = np.array([twist(np.linalg.inv(a) @ b.c2w) for a, b in zip(before, found, strict=True)])
-        corrections = PoseCorrections(before, twists, True)
-        # What is left of each if the others predict it (Dubrule 1983, cross validation of kriging in a unique
-        # neighbourhood).
-        left = corrections._weights / np.diag(corrections._precision)[:, None]
-        size, left = (np.linalg.norm(region.reshape(-1, 2, 3), axis=-1) for region in (twists, left))
-        return replace(corrections, smooth=bool((np.median(left, 0) < PREDICTED * np.median(size, 0)).all()))
+        # Residual of each if the others predict it: Dubrule 1983, cross validation of kriging.
+        precision = _kriging_precision(before)
+        residual = precision @ twists / np.diag(precision)[:, None]
+        size, residual = (np.linalg.norm(x.reshape(-1, 2, 3), axis=-1) for x in (twists, residual))
+        smooth = bool((np.median(residual, 0) < SMOOTH_RESIDUAL * np.median(size, 0)).all())
+        return PoseCorrections(before, twists, smooth)
 
     def sizes(self) -> FloatArray:
-        """(N, 2) radians and metres."""
+        """(N, 2) radians and metres of each correction."""
         return np.linalg.norm(self.twists.reshape(-1, 2, 3), axis=-1)
 
     def camera(self, camera: Camera) -> Camera:
-        """The camera of a photo as it was found, another one as its neighbours are off if those are off alike."""
-        away = self._away(camera.c2w)
+        """The corrected camera of a photo; another camera gets the predicted correction if corrections are smooth."""
+        away = _distances(self.given, camera.c2w)
         nearest = int(away.argmin())
-        if away[nearest] < SAME_POSE:
+        if away[nearest] < POSE_TOLERANCE:
             correction = self.twists[nearest]
         elif self.smooth:
             correction = self._predicted(camera.c2w)
@@ -124,26 +126,14 @@ class PoseCorrections:
             return camera
         return replace(camera, c2w=camera.c2w @ rigid(correction))
 
-    def _away(self, pose: FloatArray) -> NDArray[np.float64]:
-        """(N,) how far the photos were taken from a camera, in the unit of NEAR."""
-        cosine = (np.einsum("nij,ij->n", self.given[:, :3, :3], pose[:3, :3]) - 1) / 2
-        turn = np.arccos(np.clip(cosine, -1, 1))
-        return turn / NEAR[0] + np.linalg.norm(self.given[:, :3, 3] - pose[:3, 3], axis=1) / NEAR[1]
-
     def _predicted(self, pose: FloatArray) -> FloatArray:
-        """(6,) what the photos near a camera say of it, nothing far from all: simple kriging (Matheron 1963)."""
-        return np.exp(-self._away(pose)) @ self._weights
-
-    @cached_property
-    def _precision(self) -> FloatArray:
-        """(N, N) inverse of how alike the corrections of two photos are."""
-        alike = np.exp(-np.array([self._away(pose) for pose in self.given]))
-        return np.linalg.inv(alike + NUGGET * np.eye(len(alike)))
+        """(6,) twist predicted from neighbouring photos, zero far from all: simple kriging (Matheron 1963)."""
+        return np.exp(-_distances(self.given, pose)) @ self._weights
 
     @cached_property
     def _weights(self) -> FloatArray:
-        """(N, 6) that the corrections are the sum of."""
-        return self._precision @ self.twists
+        """(N, 6) coefficients of the correlation with each photo."""
+        return _kriging_precision(self.given) @ self.twists
 
     def content(self) -> dict[str, Any]:
         """Plain values for report.json."""
@@ -165,7 +155,21 @@ class PoseCorrections:
         return PoseCorrections(poses, twists, bool(content["smooth"]))
 
 
-# ---- Rotations and rigid motions as vectors, in numpy alone: Blender's own Python has no scipy ----------------------
+def _distances(given: FloatArray, pose: FloatArray) -> NDArray[np.float64]:
+    """(N,) distance of the poses ``given`` (N, 4, 4) from ``pose`` (4, 4), in correlation lengths."""
+    cosine = (np.einsum("nij,ij->n", given[:, :3, :3], pose[:3, :3]) - 1) / 2
+    turn = np.arccos(np.clip(cosine, -1, 1))
+    away = np.linalg.norm(given[:, :3, 3] - pose[:3, 3], axis=1)
+    return turn / CORRELATION_LENGTHS[0] + away / CORRELATION_LENGTHS[1]
+
+
+def _kriging_precision(given: FloatArray) -> FloatArray:
+    """(N, N) inverse covariance of the corrections of poses (N, 4, 4)."""
+    correlation = np.exp(-np.array([_distances(given, pose) for pose in given]))
+    return np.linalg.inv(correlation + NUGGET * np.eye(len(correlation)))
+
+
+# ---- Rotations and rigid motions as vectors -------------------------------------------------------------------------
 
 
 def rotation(vector: FloatArray) -> NDArray[np.float64]:
@@ -177,18 +181,18 @@ def rotation(vector: FloatArray) -> NDArray[np.float64]:
 
 
 def rotation_vector(turn: FloatArray) -> NDArray[np.float64]:
-    """(3,) vector of a rotation (3, 3), half a turn at most; inverse of :func:`rotation`."""
+    """(3,) rotation vector in radians, of length π at most, of a rotation (3, 3); inverse of :func:`rotation`."""
     axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     angle = float(np.arctan2(np.linalg.norm(axis), np.trace(turn) - 1))
     if angle < 1e-9:
         return axis / 2
-    if np.pi - angle < 1e-6:  # every axis of the eigenvalue 1 will do
+    if np.pi - angle < 1e-6:  # either direction of the axis, the eigenvector of the eigenvalue 1, will do
         axis = np.linalg.eigh(turn + turn.T)[1][:, -1]
     return axis * (angle / np.linalg.norm(axis))
 
 
 def rigid(twist: FloatArray) -> NDArray[np.float64]:
-    """(4, 4) rigid motion by a rotation vector (radians) and a translation, together (6,)."""
+    """(4, 4) rigid motion by a rotation vector (radians) and a translation (metres), together (6,)."""
     motion = np.eye(4)
     motion[:3, :3], motion[:3, 3] = rotation(twist[:3]), twist[3:]
     return motion

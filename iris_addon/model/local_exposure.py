@@ -1,13 +1,13 @@
-"""What a camera does to exposure from place to place within a photo: local tone mapping and vignetting.
+"""Local exposure, the gain of a camera from place to place within a photo: local tone mapping and vignetting.
 
 A photo is z = f(L t g(p)). With y = log luminance of what reaches the sensor, B its Gaussian mean around the pixel p
 and r the distance from the middle of the photo over that of its corners,
 
     log g(p) = -strength (B(p) - median B) - falloff r(p)^2
 
-The first term compresses contrast between regions and keeps it within them, as the base layer of Durand & Dorsey 2002
-does; phones and cameras' "shadow boost" work alike. The second is cos^4 and mechanical vignetting to their first order.
-Both are smooth, so that a small picture of each photo is enough to find and to undo them.
+The first term compresses contrast between areas and keeps it within them, as the base layer of Durand & Dorsey 2002
+does; phones and cameras' "shadow boost" do the same. The second is cos^4 and mechanical vignetting to first order. Both
+are smooth, so a small picture of each photo is enough to find and to undo them.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from ..base.parallel import filled
 from .response import LUMINANCE, SATURATED, Response
 
 ROWS, COLUMNS = 24, 32
-"""Of small photos, whatever the shape of the large ones."""
-CELL = 8
-"""Rows and columns of pixels that are looked at in each cell, if there are more."""
-DARKEST = 1e-4
-"""Relative exposure below which all is black."""
-SETTLED, MOST_TURNS = 1e-3, 40
-"""Change of log exposure at which undoing a tone mapping ends, and turns after which it does anyway."""
+"""Cells of small photos, whatever the shape of the large ones."""
+CELL_PIXELS = 8
+"""Rows and columns of pixels that are averaged in each cell; the others are skipped."""
+BLACK_EXPOSURE = 1e-4
+"""Relative exposure that stands for everything darker."""
+INVERSION_TOLERANCE, INVERSION_MAX_STEPS = 1e-3, 40
+"""Change of log exposure at which the fixed-point iteration that undoes a tone mapping ends, and its last step."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class LocalSettings:
     """Parameters of the model, common to all photos.
 
     Attributes:
-        strength: share by which contrast between regions is compressed, 0 to 1.
+        strength: share by which contrast between large areas is compressed, 0 to 1.
         scale: standard deviation of the Gaussian mean, in widths of the photo.
         headroom: relative exposure that clipped pixels are taken to have had in that mean.
         falloff: natural logarithm by which corners are darker than the middle.
@@ -58,8 +58,8 @@ class LocalSettings:
         return small.local_exposure(self, response).at(np.zeros_like(every), every).reshape(height, width, 1)
 
 
-ALIKE = LocalSettings()
-"""All places of a photo are exposed alike."""
+UNIFORM = LocalSettings()
+"""No local exposure: every place of a photo has the exposure of the photo."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class LocalExposure:
         return LocalExposure(settings, arrays["local_log_gain"], arrays["local_sizes"])
 
     def raised(self, exponent: float) -> LocalExposure:
-        """That of the same photos, explained by radiance to the power ``exponent``."""
+        """The local exposure under which the same photos show radiance to the power ``exponent``."""
         own = self.settings
         raised = replace(own, headroom=own.headroom**exponent, falloff=own.falloff * exponent)
         return replace(self, settings=raised, log_gain=(self.log_gain * exponent).astype(np.float32))
@@ -116,7 +116,7 @@ class LocalExposure:
 
 @dataclass(frozen=True)
 class SmallPhotos:
-    """Photos of any size as pictures of one small size.
+    """Photos of any size, averaged to one small size.
 
     Attributes:
         z: (V, 24, 32, 3) float32 mean display values.
@@ -129,24 +129,24 @@ class SmallPhotos:
     sizes: NDArray[np.int64]
 
     def local_exposure(self, settings: LocalSettings, response: Response) -> LocalExposure:
-        """The gains that the photos were given, if ``response`` is their curve and ``settings`` are right.
+        """The gains of the photos under their curve ``response`` and ``settings``.
 
-        The mean was taken of exposures before they were compressed. These solve y = y' + strength (B(y) - median B(y))
-        for the log exposures y' that are seen, a contraction.
+        The Gaussian mean is that of log exposures y before compression, which solve the contraction
+        y = y' + strength (B(y) - median B(y)) for the log exposures y' seen in the photos.
         """
-        seen = np.log(np.maximum(response.invert(np.minimum(self.z + 0.5 / 255, 1.0)) @ LUMINANCE, DARKEST))
+        seen = np.log(np.maximum(response.invert(np.minimum(self.z + 0.5 / 255, 1.0)) @ LUMINANCE, BLACK_EXPOSURE))
         seen += self.clipped * np.log(settings.headroom)
         shift = np.zeros(seen.shape)
         if settings.strength:
-            for _ in range(MOST_TURNS):
+            for _ in range(INVERSION_MAX_STEPS):
                 before, shift = shift, settings.strength * self._base(seen + shift, settings.scale)
-                if np.abs(shift - before).max() < SETTLED:
+                if np.abs(shift - before).max() < INVERSION_TOLERANCE:
                     break
         return LocalExposure(settings, (-shift - settings.falloff * self._radius2()).astype(np.float32), self.sizes)
 
     def _base(self, log_exposure: NDArray[np.float64], scale: float) -> NDArray[np.float64]:
         """(V, 24, 32) Gaussian means over their median in each photo."""
-        # Cells are as wide as they are high in photos of 4:3 only; photos of one capture are mostly alike.
+        # Cells are square in photos of 4:3 only; the median stands for the shape of all photos.
         height, width = np.median(self.sizes, axis=0)
         base = gaussian(scale * width / height * ROWS, ROWS) @ log_exposure @ gaussian(scale * COLUMNS, COLUMNS).T
         return base - np.median(base, axis=(1, 2), keepdims=True)
@@ -160,7 +160,7 @@ class SmallPhotos:
 
 
 def gaussian(deviation: float, n: int) -> NDArray[np.float64]:
-    """(n, n) weights of cells in the Gaussian mean around each; those beyond an end are taken for the last one."""
+    """(n, n) weights of cells in the Gaussian mean around each; the last cell continues past either end."""
     reach = int(np.ceil(4 * deviation))
     offset = np.arange(-reach, reach + 1)
     weight = np.exp(-0.5 * (offset / deviation) ** 2)
@@ -182,7 +182,7 @@ def small_photo(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """(24, 32, 3) display values and (24, 32) share that is clipped, of a photo (H, W, 3) where it is valid (H, W)."""
     height, width = valid.shape
-    step = max(1, min(height // (ROWS * CELL), width // (COLUMNS * CELL)))
+    step = max(1, min(height // (ROWS * CELL_PIXELS), width // (COLUMNS * CELL_PIXELS)))
     values, valid = values[::step, ::step], valid[::step, ::step]
     return shrink(values, valid), shrink((values >= SATURATED).mean(-1, keepdims=True), valid)[..., 0]
 

@@ -1,4 +1,4 @@
-"""What a solve gives: textures on the mesh's atlas, emitters, light from outside, the camera response."""
+"""What a solve recovers of the room: emitters, outside light, backdrop, and textures on the mesh's atlas."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 DiffuseLobe = Literal["lambert", "layered", "burley"]
-"""Layered is Lambert's under a dielectric."""
+"""Layered is Lambert's lobe under a dielectric."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Emitter:
         faces: (n,) int64 indices into the mesh's faces.
         radiance: (3,) float64, scene-linear Rec.709, both sides emit.
         area: square metres.
-        confidence: 0 (guess) ... 1 (its light explains the shading of much that was seen).
+        confidence: 0 (guess) ... 1 (its light explains the shading of much of what photos show).
     """
 
     id: int
@@ -32,7 +32,7 @@ class Emitter:
 
 @dataclass(frozen=True)
 class OutsideLight:
-    """Radiance that arrives from beyond the mesh, real spherical harmonics up to order 2.
+    """Radiance that arrives from outside the mesh, real spherical harmonics up to order 2.
 
     Attributes:
         sh: (n, 3) float64 coefficients, n in {1, 4, 9}, basis order (l, m) = (0,0), (1,-1), (1,0), (1,1), (2,-2) ...
@@ -46,17 +46,17 @@ class OutsideLight:
 class Backdrop:
     """What cameras see through holes of the mesh: a convex shell around the room with a picture on its inner side.
 
-    It stands for surfaces that a scan missed. Where these explain the light that comes through the holes, it is such a
-    surface: it has an albedo and is lit by the room. Else cameras and reflections show it; to diffuse surfaces it is
-    not there.
+    It stands for surfaces that a scan missed. Where such surfaces explain the light that comes through the holes, the
+    backdrop has an albedo and is lit by the room. Elsewhere only cameras and reflections see it; it sends no light to
+    diffuse surfaces.
 
     Attributes:
         vertices: (V, 3) float64 of the shell, metres, in the capture's world space.
         faces: (F, 3) int64, counter-clockwise from within.
-        picture: (H, 2 H, 3) float32 radiance that it has whatever the lamps do, equirectangular around :attr:`centre`
-            with +z on top.
-        albedo: (H, 2 H, 3) float32 of the surface, zero where there is none and one looks outside; None for a shell
-            that is only looked at.
+        picture: (H, 2 H, 3) float32 linear radiance that does not depend on the lamps, equirectangular around
+            :attr:`centre` with +z on top.
+        albedo: (H, 2 H, 3) float32 linear, zero where there is no surface and one looks outside; None for a shell that
+            sends no light.
     """
 
     vertices: NDArray[np.float64]
@@ -66,7 +66,7 @@ class Backdrop:
 
     @property
     def centre(self) -> NDArray[np.float64]:
-        """(3,) from where the picture was painted."""
+        """(3,) metres, the point from which the picture is seen."""
         return self.vertices.mean(0)
 
 

@@ -16,7 +16,7 @@ FloatArray = NDArray[np.floating]
 
 N_SAMPLES = 1024
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Of scene-linear Rec.709."""
+"""Weights of scene-linear Rec.709."""
 SATURATED = 254.5 / 255
 """Display values at or above this are clipped: floor(255 z) = 255 only for z = 1."""
 
@@ -27,7 +27,7 @@ class Response:
 
     Attributes:
         samples: (3, 1024) float64, f at x = linspace(0, 1, 1024) for R, G, B.
-        family: how it was found ("power-spline", "identity", "gamma", "file").
+        family: its origin ("power-spline", "identity", "gamma", "file").
         coefficients: parameters of the family, then the exponent where the curve was raised; for the record.
     """
 
@@ -69,7 +69,7 @@ class Response:
 def _at(rows: NDArray[np.float64], x: NDArray[np.floating]) -> NDArray[np.float64]:
     """Rows (3, 1024), sampled evenly over [0, 1], at ``x`` (..., 3): np.interp, without its search for the interval."""
     position = np.clip(x, 0.0, 1.0).astype(np.float64) * (N_SAMPLES - 1)
-    with np.errstate(invalid="ignore"):  # what is no number gets some index, and stays no number by its position
+    with np.errstate(invalid="ignore"):  # NaN gets an arbitrary index, and remains NaN by its position
         index = np.minimum(position.astype(np.int64), N_SAMPLES - 2)
     position -= index
     index += np.arange(3) * N_SAMPLES
@@ -96,6 +96,7 @@ def gamma(exponent: float = 1 / 2.2) -> Response:
 
 
 MIDDLE_GREY = 0.18
+"""Reflectance of the photographic grey card."""
 
 
 def grey_exposure(radiance: FloatArray) -> float:

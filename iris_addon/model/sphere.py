@@ -1,4 +1,7 @@
-"""Real spherical harmonics up to order 2, the basis of light from outside the mesh."""
+"""Functions of direction: real spherical harmonics up to order 2, and equirectangular pictures.
+
+Both are bases of light from outside the mesh. Pictures are as Cycles reads them: +z on top, row 0 of an array above.
+"""
 
 from __future__ import annotations
 
@@ -32,11 +35,11 @@ def sh_radiance(sh: NDArray[np.floating], directions: NDArray[np.floating]) -> N
     return np.maximum(sh_basis(directions, len(sh)) @ sh, 0.0)
 
 
-# ---- Equirectangular pictures as Cycles reads them: +z on top, row 0 of an array above ------------------------------
+# ---- Equirectangular pictures ---------------------------------------------------------------------------------------
 
 
 def equirect_directions(width: int, height: int) -> NDArray[np.float64]:
-    """(height, width, 3) unit directions of the middles of the texels."""
+    """(height, width, 3) unit directions of the centres of the texels."""
     u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
     azimuth, polar = -2 * np.pi * (u - 0.5), np.pi * v
     x, y = np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar)

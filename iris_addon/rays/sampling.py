@@ -1,4 +1,4 @@
-"""Directions and points to shoot rays with, from well-spread low-discrepancy sequences."""
+"""Sampling patterns: low-discrepancy points, directions drawn from them, and the origins of rays on patches."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def dot(a: NDArray[np.floating], b: NDArray[np.floating]) -> NDArray[np.floating
 
 
 def r2_sequence(n_rows: int, n_columns: int, rng: np.random.Generator) -> NDArray[np.float32]:
-    """(n_rows, n_columns, 2) points in [0, 1)²: the same R2 sequence per row under a random shift of its own."""
+    """(n_rows, n_columns, 2) points in [0, 1)²: one R2 sequence, under a random shift per row."""
     base = ((np.arange(1, n_columns + 1)[:, None] * _R2) % 1.0).astype(np.float32)
     points = base[None] + rng.random((n_rows, 1, 2), np.float32)
     points -= points >= 1
@@ -110,7 +110,7 @@ def ggx_direction(n: Vector, o: Vector, alpha: Real, u: Real, v: Real) -> tuple[
 
 @dataclass(frozen=True)
 class Origins:
-    """Points on patches from which rays start: ``k`` per patch, picked among the pixels that saw the patch.
+    """Points on patches from which rays start: ``k`` per patch, picked among the pixels that show it.
 
     Attributes:
         position: (P, k, 3) float32 metres.

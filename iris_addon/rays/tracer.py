@@ -17,8 +17,10 @@ from ..base.parallel import over_blocks
 from ..model.capture import DEGENERATE_AREA, Mesh
 
 CHUNK = 1 << 18
+"""Rays that one call of Embree traces."""
 END_MARGIN = 0.25
-"""Of epsilon: so far before its end a ray may meet that end itself, by rounding. A shade may be close to its bulb."""
+"""Length by which shadow rays are shortened so as not to hit their own end, in epsilon. Small, because a lampshade may
+be close to its bulb."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ class Tracer:
         return face
 
     def visible(self, origins: NDArray[np.floating], targets: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """(n,) whether nothing lies between two points (n, 3), both given on their surfaces."""
+        """(n,) whether nothing lies between two points (n, 3), metres, both on surfaces."""
         offset = np.asarray(targets, np.float64) - origins
         length = np.linalg.norm(offset, axis=1)
         return self.unoccluded(origins, offset / np.maximum(length, 1e-12)[:, None], length)
@@ -104,7 +106,7 @@ class Tracer:
     def unoccluded(
         self, origins: NDArray[np.floating], directions: NDArray[np.floating], lengths: NDArray[np.floating]
     ) -> NDArray[np.bool_]:
-        """(n,) whether each ray is clear up to the surface point that it is to end on, ``lengths`` metres away."""
+        """(n,) whether nothing lies on each ray before its end, a point of a surface ``lengths`` (n,) metres away."""
         reach = np.maximum(lengths - END_MARGIN * self.epsilon, 0.0).astype(np.float32)
         clear = np.empty(len(origins), bool)
 
@@ -130,7 +132,7 @@ class Tracer:
 
 
 def _size(corners: NDArray[np.floating]) -> float:
-    """Metres across triangles (F, 3, 3), or four times what most of them fill: a far backdrop is not the room."""
+    """Diagonal of triangles (F, 3, 3), metres; at most four times that of 98 % of them, without a far backdrop."""
     points = corners.reshape(-1, 3)
     most = np.percentile(points[:: 1 + len(points) // 300_000], (1, 99), axis=0)
     whole = np.ptp(points, axis=0)

@@ -1,10 +1,11 @@
 """A response family that needs no measured table: f(x) = x^P(s) with s = x^0.35 and log P smooth.
 
-The family holds f(0) = 0, f(1) = 1 by construction and contains gamma curves (P constant). P is a natural cubic spline
-of s through nine values, which are local exponents of the curve, so that a prior over them is easy to state. Fitted to
-every third of 94 measured curves of DoRF (Grossberg & Nayar 2004) the table of 3 x 1024 samples is met with a median L2
-distance of 0.023 (90th percentile 0.064). A polynomial P with five coefficients stops at 0.09, and where it does not
-fit, the data distort the whole scale of radiance by up to 8 %, because only the bend near saturation anchors it.
+The family has f(0) = 0 and f(1) = 1 by construction and contains gamma curves (P constant). P is a natural cubic spline
+of s through nine values, which are local exponents of the curve, so a prior over them is easy to state. Fitted to every
+third of 94 measured curves of DoRF (Grossberg & Nayar 2004), it approximates their tables of 3 x 1024 samples to a
+median L2 distance of 0.023 (90th percentile 0.064). A polynomial P with five coefficients reaches no better than 0.09;
+where it does not fit, it distorts the whole scale of radiance by up to 8 %, because only the bend near saturation fixes
+that scale.
 """
 
 from __future__ import annotations
@@ -20,21 +21,23 @@ from ..model.response import N_SAMPLES, Response
 FITTED = "power-spline"
 """Name of the family in a response."""
 WARP = 0.35
+"""Exponent of s = x^WARP, which spaces the knots more densely near black."""
 PRIOR_MEAN = np.array([-0.25, -0.34, -0.43, -0.54, -0.67, -0.79, -0.92, -1.05, -1.28])
 """Median of log P at the knots over measured camera responses."""
-PRIOR_STD = 0.7
-BEND_STD = 0.25
-"""Spread about the median, and of its second differences."""
+PRIOR_STD, BEND_STD = 0.7, 0.25
+"""Standard deviations of log P about that median, and of its second differences, over the same curves."""
 MIDTONES = (0.15, 0.6)
+"""Display values between which contrast is measured."""
 CONTRAST_MEAN, CONTRAST_STD = -0.41, 0.42
-"""Log of the slope of log f over log x between those display values, over the same curves."""
+"""Of the log of the slope of log f over log x between the midtones, over the same curves."""
 _KNOTS = np.linspace(0.0, 1.0, len(PRIOR_MEAN))
 PRIOR_RESIDUALS, DOWNHILL_RESIDUALS = 2 * len(PRIOR_MEAN) - 2, 255
+"""Residuals of :func:`prior_residual` and of :func:`downhill`."""
 
 
 @dataclass(frozen=True)
 class Family:
-    """The curves of the family at relative exposures (n,) that many of them are asked for at.
+    """The curves of the family at fixed relative exposures (n,), prepared for many evaluations.
 
     Attributes:
         log_x: (n,) logarithm of the exposures.
@@ -64,7 +67,8 @@ def prior_residual(log_knots: NDArray[np.floating]) -> NDArray[np.float64]:
 def contrast_residual(response: Response) -> NDArray[np.float64]:
     """(3,) distance of the curves' exponents in the midtones from the median measured one, in standard deviations.
 
-    It is the slope of log f over log x between two display values, which no scale of x moves, nor a soft shoulder.
+    It is the slope of log f over log x between two display values, independent of the scale of x and of a
+    soft shoulder.
     """
     low, high = np.log(np.maximum(response.invert(np.repeat(MIDTONES, 3).reshape(2, 3)), 1e-6))
     slope = np.log(MIDTONES[1] / MIDTONES[0]) / np.maximum(high - low, 1e-3)
@@ -72,12 +76,12 @@ def contrast_residual(response: Response) -> NDArray[np.float64]:
 
 
 def downhill(log_knots: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(DOWNHILL_RESIDUALS,) how far the curve falls from one point to the next, 0 where it rises. Dense near black."""
+    """(DOWNHILL_RESIDUALS,) descent of the curve from one point to the next, 0 where it rises; dense near black."""
     return np.clip(-np.diff(_DOWNHILL.evaluate(log_knots)), 0.0, None)
 
 
 def to_response(log_knots: list[NDArray[np.float64]]) -> Response:
-    """Table of the curve of each channel; one entry stands for all three channels."""
+    """The response with the knots (9,) of each channel, or of all three."""
     rows = []
     for knots in log_knots:
         f = _TABLE.evaluate(knots)

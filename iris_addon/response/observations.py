@@ -1,4 +1,4 @@
-"""What the photos say about each patch: one observation per patch and view.
+"""What each photo shows of each patch: one observation per patch and view.
 
 An observation is the mean over the pixels of one view that fall on one patch. It is the unit of every later stage:
 some 10^5 to 10^6 of them stand for all pixels.
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from ..base.group_by import group_equal, group_sums
 from ..model.response import SATURATED
 
-MIXED_SAY = 1e-3
-"""Say of a pixel on an edge: any other that shows the place outweighs it."""
+MIXED_WEIGHT = 1e-3
+"""Weight of a pixel on an edge: any other that shows the place outweighs it."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def observe(
 ) -> Observations:
     """Group pixel samples by patch and view.
 
-    Pixels on an edge show other surfaces too; they count as others do, but what is seen is what the others say.
+    Pixels on an edge show other surfaces too: they enter ``count`` like any other, but hardly weigh in the means.
 
     Args:
         patch: (n,) patch of each pixel.
@@ -68,6 +68,8 @@ def observe(
         widths: (V,) of the photos in pixels.
         z: (n, 3) display values of the pixels; radiance for HDR input, which never saturates.
         mixed: (n,) pixels on an edge.
+        hdr: whether ``z`` is radiance.
+        rng: picks the pixel that stands for each observation.
     """
     n_views = int(view.max()) + 1
     key = patch.astype(np.int64) * n_views + view
@@ -77,13 +79,13 @@ def observe(
     unique, count, m = groups.keys, groups.count, len(groups.keys)
     group = np.empty(len(key), np.int32)
     group[order] = groups.group
-    say = np.where(mixed, np.float32(MIXED_SAY), np.float32(1))[:, None]
-    norm = np.bincount(group, say[:, 0], m)[:, None]
-    mean = group_sums(say * z, group, m) / norm
-    square = group_sums(say * z.astype(np.float64) ** 2, group, m) / norm
+    weight = np.where(mixed, np.float32(MIXED_WEIGHT), np.float32(1))[:, None]
+    norm = np.bincount(group, weight[:, 0], m)[:, None]
+    mean = group_sums(weight * z, group, m) / norm
+    square = group_sums(weight * z.astype(np.float64) ** 2, group, m) / norm
 
     def share(pixels: NDArray[np.bool_]) -> NDArray[np.float32]:
-        return (group_sums(np.where(pixels, say, 0), group, m) / norm).astype(np.float32)
+        return (group_sums(np.where(pixels, weight, 0), group, m) / norm).astype(np.float32)
 
     neither = np.zeros((m, 3), np.float32)
     return Observations(

@@ -1,9 +1,16 @@
-"""The response from overlap: the same patch in photos of different exposure.
+"""Response, exposures and local exposure from overlap: the same patch in photos of different exposure.
 
 After Debevec & Malik 1997 and Mitsunaga & Nayar 1999. Unknowns are the curve, log radiance per patch and channel, and,
 where they are not given, the exposures. The residual is taken in display values, ``z - f(L t)``, where quantisation
 noise is uniform; saturated observations enter as the inequality ``L t >= 1``. With the exposures unknown the data fix
 the curve only up to (f^g, t^g, L^g); that exponent is left at the prior's here and chosen later by light transport.
+
+Local exposure is found from patches that photos show in different places: one beside a window in one photo and alone
+in another tells how strongly contrast is compressed, one in the middle and in a corner tells the vignetting. What all
+photos compress in the same way cannot be seen, but is described by the same parameters.
+
+Every refinement (a curve per channel, local exposure, corrected exposures) is fitted on four fifths of the patches and
+kept if it lowers the disagreement on the others.
 """
 
 from __future__ import annotations
@@ -12,25 +19,44 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 
 from ..config import AUTO, Refinements
-from ..model.local_exposure import LocalExposure, SmallPhotos
+from ..model.local_exposure import UNIFORM, LocalExposure, LocalSettings, SmallPhotos
 from ..model.response import Response
 from . import family
-from .local_exposure import exposed, find_local_exposure
 from .observations import Observations
 from .overlap_problem import MIN_EXPOSURE_SPREAD, MIN_UNKNOWN_SPREAD, OverlapProblem
 
 MAX_PATCHES = 1_500
-FLAT = 0.04
+"""Of either kind: patches that fix the shape of the curve, and patches that fix its scale."""
+FLAT_SPREAD = 0.04
 """Largest standard deviation of display values within an observation that still counts as one value."""
 MAX_STEPS, SEPARATE_STEPS = 60, 5
 """One curve starts from the prior and runs until it has converged; three start from there and go on if they gain."""
 START_STEPS, START_EVERY, START_LEVELS = 12, 4, (0.0, 0.8, 1.6)
 """For the first guess: steps, one patch in so many, and log exponents of the powers that are tried."""
 CORRECTION_STEPS, CORRECTION_ROUNDS = 10, 3
-EXPOSURE_GAIN = 0.8
-"""Disagreement of held-out patches, relative to that under the known exposures, from which those are put right."""
+"""For corrected exposures: steps of the curve after each correction, and corrections."""
+CHANNEL_CURVES_GAIN = 0.97
+"""Disagreement on held-out patches, relative to that under one curve, below which each channel has its own."""
+CORRECTED_EXPOSURES_GAIN = 0.8
+"""Disagreement on held-out patches, relative to that under the recorded exposures, below which these are corrected."""
+
+LOCAL_GAIN = 0.95
+"""Disagreement on held-out patches, relative to that without a parameter, at which the parameter is accepted."""
+LOCAL_TRIAL = {"strength": 0.1, "falloff": 0.2}
+LOCAL_MAX = {"strength": 0.9, "falloff": 2.0}
+"""Of each parameter: the value tried first, which has to lower the disagreement, and the upper bound."""
+LOCAL_SCALES, LOCAL_HEADROOMS = (1 / 24, 1 / 12, 1 / 6, 1 / 3), (1.0, 2.0, 4.0, 8.0)
+"""Of :class:`LocalSettings`, the values that are tried."""
+LOCAL_TOLERANCE = 0.01
+"""Change of a parameter at which the search for it ends."""
+LOCAL_CURVE_STEPS = 8
+"""Steps of the curve after each search for parameters."""
+
+Knots = list[NDArray[np.float64]]
+"""Log P at the nine knots of one curve, or of three."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +66,8 @@ class OverlapFit:
     Attributes:
         exposures: (V, 3) factor per view and channel; the channels differ where white balance was found to drift.
         residual: median absolute residual of display values on held-out patches, each as the robust loss takes it.
-        per_channel: whether three curves earned their place over one.
-        local: exposure by place where that earned its place, else None.
+        per_channel: whether each channel has its own curve.
+        local: exposure by place within a photo, None where photos are uniformly exposed.
     """
 
     response: Response
@@ -52,20 +78,20 @@ class OverlapFit:
 
 
 def _select(observations: Observations, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Indices of flat observations: of patches that two views show unclipped, and of patches on the verge of clipping.
+    """Indices of flat observations: of patches that two views show unclipped, and of patches that clip in some views.
 
-    The first give the shape of the curve, the second its scale: all that fixes the radiance at which x = 1.
+    The first fix the shape of the curve, the second its scale, which is the radiance at which x = 1.
     """
     o = observations
     n = int(o.patch.max()) + 1
-    flat = (o.spread.max(1) < FLAT) & (o.count >= 2)
+    flat = (o.spread.max(1) < FLAT_SPREAD) & (o.count >= 2)
     clipped = o.saturated.max(1) > 0
-    n_open = np.bincount(o.patch[flat & ~clipped], minlength=n)
+    n_unclipped = np.bincount(o.patch[flat & ~clipped], minlength=n)
     n_clipped = np.bincount(o.patch[flat & clipped], minlength=n)
-    shape = np.flatnonzero(n_open >= 2)
-    anchor = np.flatnonzero((n_open >= 1) & (n_clipped >= 1))
+    shape = np.flatnonzero(n_unclipped >= 2)
+    anchor = np.flatnonzero((n_unclipped >= 1) & (n_clipped >= 1))
     chosen = np.zeros(n, bool)
-    index = np.flatnonzero(flat & (n_open[o.patch] >= 1))
+    index = np.flatnonzero(flat & (n_unclipped[o.patch] >= 1))
     for patches in (shape, anchor):
         if len(patches) > MAX_PATCHES:
             patches = rng.choice(patches, MAX_PATCHES, replace=False, p=_spread_over_brightness(o, index, patches))
@@ -97,34 +123,35 @@ def fit_overlap(
 
     Args:
         exposures: (V,) known factors, or None.
-        fixed: a response that is given; only exposures are then looked for.
-        refinements: whether curves and exposures per channel and exposure by place are forced, forbidden or have to
-            earn their place.
-        small: the photos, for exposure by place; None leaves that out.
+        n_views: V, photos of the capture.
+        rng: selects and holds out patches.
+        fixed: a given response; only exposures are then fitted.
+        refinements: which refinements are forced or forbidden; the others are accepted on held-out patches.
+        small: the photos, for local exposure; None leaves that out.
     """
     index = _select(observations, rng)
     problem = OverlapProblem.build(observations, index, exposures, n_views, refinements.white_balance)
     if fixed is not None:
         return OverlapFit(fixed, problem.exposures(fixed), np.nan, False)
     if _of_one_exposure(problem):
-        # They say nothing about the curve: the most common one stands.
+        # The curve is unconstrained: the most common one is taken.
         median = family.to_response([family.PRIOR_MEAN])
         return OverlapFit(median, problem.exposures(median), np.nan, False)
     held_out = rng.random(problem.n_patches) < 0.2
     training, testing = problem.restrict(~held_out), problem.restrict(held_out)
     knots, error = _fit_curves(training, testing, refinements)
-    # Before exposures: four numbers for all photos ask for less belief than one for each of them.
+    # Before exposures: four parameters for all photos are the smaller model than one per photo.
     local = None
     if small is not None and refinements.local_exposure is not False:
         local = find_local_exposure(training, testing, small, knots, refinements.local_exposure is True)
     if local is not None:
-        problem, training, testing = (exposed(region, local) for region in (problem, training, testing))
+        problem, training, testing = (with_local_exposure(p, local) for p in (problem, training, testing))
         knots, error = _fit_curves(training, testing, refinements)
     if exposures is not None and refinements.corrected_exposures is not False:
-        gain = np.inf if refinements.corrected_exposures else EXPOSURE_GAIN
-        log_t = _right_exposures(training, testing, knots, gain)
+        gain = np.inf if refinements.corrected_exposures else CORRECTED_EXPOSURES_GAIN
+        log_t = _corrected_exposures(training, testing, knots, gain)
         if log_t is not None:
-            problem, training, testing = (replace(region, log_t=log_t) for region in (problem, training, testing))
+            problem, training, testing = (replace(p, log_t=log_t) for p in (problem, training, testing))
             knots, error = _fit_curves(training, testing, refinements)
     response = family.to_response(knots)
     return OverlapFit(
@@ -137,7 +164,7 @@ def fit_overlap(
 
 
 def _of_one_exposure(problem: OverlapProblem) -> bool:
-    """Whether photos were taken alike, by their own account and by that of the exposures that are known."""
+    """Whether all photos have one exposure, judged by their overlap and by the exposures that are known."""
     seen = replace(problem, log_t=None).exposure_spread()
     if problem.log_t is None:
         return seen < MIN_UNKNOWN_SPREAD
@@ -147,7 +174,7 @@ def _of_one_exposure(problem: OverlapProblem) -> bool:
 def _fit_curves(
     training: OverlapProblem, testing: OverlapProblem, refinements: Refinements
 ) -> tuple[list[NDArray[np.float64]], float]:
-    """Knots of one curve, or of three if they earn it, and the disagreement of held-out patches under them."""
+    """Knots of one curve, or of three if held-out patches bear them out, and the disagreement of those patches."""
     shared = training.minimise([_first_guess(training)], MAX_STEPS)
     error = testing.disagreement(shared)
     if refinements.channel_curves is False:
@@ -156,16 +183,16 @@ def _fit_curves(
     separate = leading.minimise(shared * 3, SEPARATE_STEPS)
     # One curve is the null hypothesis: cameras apply the same curve to all channels far more often than not.
     separate_error = testing.disagreement(separate)
-    if refinements.channel_curves or separate_error < 0.97 * error:
+    if refinements.channel_curves or separate_error < CHANNEL_CURVES_GAIN * error:
         separate = training.minimise(leading.minimise(separate, MAX_STEPS), MAX_STEPS)
         return separate, testing.disagreement(separate)
     return shared, error
 
 
 def _first_guess(problem: OverlapProblem) -> NDArray[np.float64]:
-    """Knots to start from: the median measured response, or a power that leads lower on a region of the patches.
+    """Knots to start from: the median measured response, or a power with a lower loss on a quarter of the patches.
 
-    From the median alone a curve that crushes the shadows ends where it fits neither those nor the lights.
+    Started from the median alone, the fit of a curve that crushes the shadows ends in a poor local minimum.
     """
     coarse = replace(problem.restrict(np.arange(problem.n_patches) % START_EVERY == 0), highlights=False)
     starts = [family.PRIOR_MEAN, *(np.full(len(family.PRIOR_MEAN), level) for level in START_LEVELS)]
@@ -173,13 +200,13 @@ def _first_guess(problem: OverlapProblem) -> NDArray[np.float64]:
     return min(ends, key=lambda knots: float((coarse.residual(knots, 1) ** 2).sum()))
 
 
-def _right_exposures(
+def _corrected_exposures(
     training: OverlapProblem, testing: OverlapProblem, knots: list[NDArray[np.float64]], gain: float
 ) -> NDArray[np.float64] | None:
-    """Log exposures (V, 3) in place of the known ones, or None unless the overlap speaks clearly against those.
+    """Log exposures (V, 3) in place of the recorded ones, or None where those stand.
 
-    Recorded exposures may be rounded, and white balance may drift. A correction of every photo, then one of every
-    channel, is taken where patches that it was not fitted to disagree less than ``gain`` times as much under it.
+    Recorded exposures may be rounded, and white balance may drift. A correction per photo, then one per channel, is
+    accepted where held-out patches disagree less than ``gain`` times as much under it.
     """
     best, found = testing.disagreement(knots), None
     for per_channel in (False, True) if training.white_balance is not False else (False,):
@@ -193,3 +220,100 @@ def _right_exposures(
         if disagreement < gain * best:
             best, found = disagreement, log_t
     return found
+
+
+# ---- Local exposure -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Settings, the curve that goes with them, and the disagreement of held-out patches under both."""
+
+    settings: LocalSettings
+    knots: Knots
+    error: float
+
+
+def find_local_exposure(
+    training: OverlapProblem, testing: OverlapProblem, small: SmallPhotos, knots: Knots, forced: bool
+) -> LocalExposure | None:
+    """The local tone mapping and vignetting that held-out patches bear out; None where they bear out neither.
+
+    Args:
+        training, testing: problems of fitted and of held-out patches.
+        small: the photos.
+        knots: of the curve for uniformly exposed photos.
+        forced: whether all parameters are taken even if held-out patches disagree more.
+    """
+    search = _Search(training, testing, small)
+    fit = _Fit(UNIFORM, knots, testing.disagreement(knots))
+    if not np.isfinite(fit.error):  # no unclipped patch was held out
+        return None
+    untried = list(LOCAL_TRIAL)
+    while untried:
+        ends = {name: search.along((name,), fit, forced) for name in untried}
+        name, best = min(ends.items(), key=lambda end: end[1].error)
+        if not forced and best.error > LOCAL_GAIN * fit.error:
+            break
+        fit = best
+        untried.remove(name)
+    if not untried:  # both darken corners, and one at a time they would creep along a valley of the loss
+        fit = search.along(tuple(LOCAL_TRIAL), fit, forced=True)
+    if fit.settings == UNIFORM:
+        return None
+    return small.local_exposure(fit.settings, family.to_response(fit.knots))
+
+
+@dataclass(frozen=True)
+class _Search:
+    """Minimises the disagreement of the patches ``training`` over settings and curve, in turns."""
+
+    training: OverlapProblem
+    testing: OverlapProblem
+    small: SmallPhotos
+
+    def along(self, names: tuple[str, ...], start: _Fit, forced: bool) -> _Fit:
+        """The best fit that differs from ``start`` in the parameters ``names`` and in the curve.
+
+        Returns ``start`` if their trial values do not lower the disagreement.
+        """
+        settings, knots = start.settings, start.knots
+        mapped = "strength" in names
+        scales = [{"scale": scale} for scale in LOCAL_SCALES] if mapped else [{}]
+        headrooms = [{"headroom": height} for height in LOCAL_HEADROOMS] if mapped else [{}]
+        trial = {name: LOCAL_TRIAL[name] for name in names}
+        tried = min(self._error(replace(settings, **trial, **scale), knots) for scale in scales)
+        if not forced and tried >= self._error(settings, knots):
+            return start
+        for choices in (scales, scales, headrooms, headrooms):
+            ends = [self._best(names, replace(settings, **choice), knots) for choice in choices]
+            settings = min(ends, key=lambda end: end[1])[0]
+            knots = self._exposed(self.training, settings, knots).minimise(knots, LOCAL_CURVE_STEPS)
+        return _Fit(settings, knots, self._exposed(self.testing, settings, knots).disagreement(knots))
+
+    def _best(self, names: tuple[str, ...], start: LocalSettings, knots: Knots) -> tuple[LocalSettings, float]:
+        """The parameters at which patches agree best under a given curve, and how well."""
+        at = np.array([getattr(start, name) for name in names])
+        found = minimize(
+            lambda x: self._error(replace(start, **dict(zip(names, x.tolist(), strict=True))), knots),
+            at,
+            method="Nelder-Mead",
+            bounds=[(0.0, LOCAL_MAX[name]) for name in names],
+            options={
+                "initial_simplex": np.vstack([at, at + np.diag([LOCAL_TRIAL[name] for name in names])]),
+                "xatol": LOCAL_TOLERANCE,
+                "fatol": np.inf,  # the step size alone decides: far from the minimum errors hardly differ
+            },
+        )
+        return replace(start, **dict(zip(names, found.x.tolist(), strict=True))), float(found.fun)
+
+    def _error(self, settings: LocalSettings, knots: Knots) -> float:
+        return self._exposed(self.training, settings, knots).disagreement(knots)
+
+    def _exposed(self, problem: OverlapProblem, settings: LocalSettings, knots: Knots) -> OverlapProblem:
+        return with_local_exposure(problem, self.small.local_exposure(settings, family.to_response(knots)))
+
+
+def with_local_exposure(problem: OverlapProblem, local: LocalExposure) -> OverlapProblem:
+    """``problem`` with the gains of ``local`` at its observations."""
+    return replace(problem, log_gain=np.log(local.at(problem.view, problem.pixel)))

@@ -1,6 +1,10 @@
 """The least-squares problem behind the response: observations of patches in photos of different exposure.
 
 Residuals are in display values; radiance, and exposures where they are unknown, are eliminated (variable projection).
+
+The kernels at the end go observation by observation. Observations lie patch by patch, and ``first`` (n + 1,) is where
+each of the n patches begins. A curve is a table per channel (3, 1024) over relative exposures in [0, 1], as in
+:class:`iris_addon.model.response.Response`.
 """
 
 from __future__ import annotations
@@ -21,43 +25,65 @@ from . import family
 from .observations import Observations
 
 WHITE_BALANCE_GAIN = 0.9
+"""Disagreement about radiance, relative to that under one exposure per photo, below which each channel has its own."""
 EXPONENT_WEIGHT = 300.0
-"""Of the prior over contrast, which alone holds the exponent where exposures are unknown."""
+"""Weight of the prior over contrast, which alone fixes the exponent where exposures are unknown."""
 MIN_EXPOSURE_SPREAD, MIN_UNKNOWN_SPREAD = 0.5, 0.25
-"""Stops; below, exposures vary too little to tell the curve."""
-AMPLE_SPREAD = 2.7
-"""Stops; unknown exposures that vary as much tell the curve as known ones do."""
+"""Stops (standard deviation) below which known and unknown exposures vary too little to fix the curve."""
+AMPLE_EXPOSURE_SPREAD = 2.7
+"""Stops from which unknown exposures fix the curve as well as known ones do."""
 PRIOR_WEIGHT = 1.0
-"""The prior over curves counts as much as one observation that is off by ROBUST_SCALE."""
+"""One standard deviation of the prior over curves counts as one observation that is off by ROBUST_SCALE."""
 MONOTONICITY_WEIGHT = 1e4
-CONVERGED = 1e-5
-"""Relative gain of a step at which the curve stands still."""
-UNLINKED = 1e-9
-"""Pull of each photo's log exposure to zero, relative to that of others: what sets it where nothing else does."""
-DIFFERENCE = 1e-7
-"""Step of the differences for derivatives by knots."""
+"""Weight of a curve's descent from one point to the next, in display values: in effect a constraint."""
+CURVE_TOLERANCE = 1e-5
+"""Relative decrease of the loss in one step below which the curve has converged."""
+UNLINKED_PULL = 1e-9
+"""Pull of each photo's log exposure towards zero, relative to that of other photos: fixes photos without overlap."""
+KNOT_STEP = 1e-7
+"""Change of log P at a knot for numerical derivatives."""
+
+CLIP_SCALE = 0.03
+"""Log exposure by which an observation may lie on the wrong side of saturation before it starts to be an outlier."""
+ROBUST_SCALE = 0.01
+"""Display-value residual at which an observation starts to count as an outlier (a highlight, a moved object)."""
+BLACK_EXPOSURE = 1e-5
+"""Relative exposure that stands for black."""
+BLACK_VALUE = 1.5 / 255
+"""Display value up to which an observation only bounds the exposure from above."""
+WEIGHT_FLOOR = 1e-12
+"""Keeps weighted means defined where no observation has any weight."""
 
 _COLUMNS = ("z", "share", "clipped", "weight", "view", "pixel", "log_gain")
-"""What there is of each observation, but for its patch."""
+"""Fields with an entry per observation, the patch aside."""
 
 
 @dataclass(frozen=True)
 class OverlapProblem:
-    """m observations of n patches, patch by patch. ``log_t`` is (V, 3), or None where exposures are unknown.
+    """m observations of n patches in V photos, patch by patch.
 
-    ``white_balance`` forces or forbids unknown exposures per channel; None lets them earn their place. ``log_gain`` is
-    what the camera adds to the log exposure of each observation by its place in the photo. ``highlights`` may clip what
-    other views show below saturation; without them a curve far from the right one is led there.
+    Attributes:
+        z: (m, 3) display values in [0, 1].
+        share: (m, 3) of the pixels that are clipped.
+        clipped: (m,) whether any pixel is clipped in any channel.
+        weight: (m,) statistical weight.
+        patch, view: (m,) indices; ``patch`` ascends.
+        pixel: (m,) row-major place in the photo.
+        log_gain: (m,) what the camera adds to the log exposure there (local exposure).
+        log_t: (V, 3) log exposures, None where they are unknown.
+        white_balance: True and False force and forbid unknown exposures per channel; None lets the data decide.
+        highlights: whether an observation may clip that other views show below saturation. Without, a curve that is far
+            from the right one is led there.
     """
 
-    z: NDArray[np.float64]  # (m, 3)
-    share: NDArray[np.float64]  # (m, 3) of pixels clipped
-    clipped: NDArray[np.bool_]  # (m,) any pixel clipped in any channel
-    weight: NDArray[np.float64]  # (m,)
-    patch: NDArray[np.int64]  # (m,)
-    view: NDArray[np.int64]  # (m,)
-    pixel: NDArray[np.int32]  # (m,)
-    log_gain: NDArray[np.float64]  # (m,)
+    z: NDArray[np.float64]
+    share: NDArray[np.float64]
+    clipped: NDArray[np.bool_]
+    weight: NDArray[np.float64]
+    patch: NDArray[np.int64]
+    view: NDArray[np.int64]
+    pixel: NDArray[np.int32]
+    log_gain: NDArray[np.float64]
     n_patches: int
     n_views: int
     log_t: NDArray[np.float64] | None
@@ -131,8 +157,8 @@ class OverlapProblem:
         return np.exp(log_t[self.view] + self.log_gain[:, None])
 
     def _log_exposed(self, response: Response) -> NDArray[np.float64]:
-        """(m, 3) log of what each observation would have been exposed to if all places of a photo were alike."""
-        return np.subtract(np.log(np.maximum(response.invert(self.z), LEAST)), self.log_gain[:, None])
+        """(m, 3) log exposure of each observation without the local gain of its place."""
+        return np.subtract(np.log(np.maximum(response.invert(self.z), BLACK_EXPOSURE)), self.log_gain[:, None])
 
     def exposure_spread(self) -> float:
         """Standard deviation of the exposures in stops, under the median measured response."""
@@ -140,7 +166,7 @@ class OverlapProblem:
         return float(np.std(log_t) / np.log(2))
 
     def exposures(self, response: Response) -> NDArray[np.float64]:
-        """(V, 3) exposure factors under a curve: the known ones, or those that the overlap asks for.
+        """(V, 3) exposure factors under a curve: the known ones, or those that fit the overlap best.
 
         A factor per channel (white balance) is taken where it explains the overlap clearly better than one per photo.
         """
@@ -152,10 +178,10 @@ class OverlapProblem:
         return np.exp(per_channel if self.white_balance or better else shared)
 
     def corrected_exposures(self, response: Response, per_channel: bool) -> NDArray[np.float64]:
-        """(V, 3) log exposures that the overlap asks for under a curve, on the scale of the known ones.
+        """(V, 3) log exposures that fit the overlap best under a curve, on the scale of the known ones.
 
-        The overlap fixes them up to an offset and a factor, the exponent of the curve. Both are those of the regression
-        of the known ones on them, because the known ones are what has errors. Photos without overlap keep theirs.
+        The overlap fixes them up to an offset and a factor, the exponent of the curve. Both come from the regression of
+        the known exposures, which have the errors, on those of the overlap. Photos without overlap keep theirs.
         """
         assert self.log_t is not None
         free = self._chained(response, per_channel)
@@ -171,21 +197,21 @@ class OverlapProblem:
     def _chained(self, response: Response, per_channel: bool = False) -> NDArray[np.float64]:
         """(V, 3) log exposures on which the views of each patch agree under a curve.
 
-        What is black in a photo, or on the curve's shoulder, hardly counts, and outliers less the second time. The
-        Laplacian of the graph of photos that share patches is inverted: a walk through a house, where each photo
-        overlaps with the next few only, would take thousands of turns of patch means and view means to agree. Photos
-        that share nothing with the rest come out near the mean.
+        Observations that are black, or on the shoulder of the curve, hardly count; outliers count less in a second
+        pass. The Laplacian of the graph of photos that share patches is inverted, because alternating patch means and
+        view means would take thousands of iterations on a walk through a house, where each photo overlaps with the next
+        few only. Photos that share nothing with the rest come out near the mean.
         """
-        log_x, say, scratch = (np.empty_like(self.z) for _ in range(3))
+        log_x, precision, scratch = (np.empty_like(self.z) for _ in range(3))
         data = self.z, self.clipped, self.weight, self.log_gain
-        log_exposures(response.samples, response.slopes, *data, log_x, say)
+        log_exposures(response.samples, response.slopes, *data, log_x, precision)
         log_t, n, channels = np.zeros((self.n_views, 3)), self.n_views, 3 if per_channel else 1
         for trusting in (True, False):
             half, pull = np.zeros((channels, n, n)), np.zeros((channels, n))
-            add_links(self._first, self.view, log_x, say, log_t, trusting, scratch, half, pull)
+            add_links(self._first, self.view, log_x, precision, log_t, trusting, scratch, half, pull)
             laplacian = half + half.transpose(0, 2, 1)
             mean = np.trace(laplacian, axis1=1, axis2=2)[:, None, None] / n
-            held = laplacian + np.maximum(UNLINKED * mean, 1e-30) * np.eye(n)
+            held = laplacian + np.maximum(UNLINKED_PULL * mean, 1e-30) * np.eye(n)
             log_t = np.ascontiguousarray(np.broadcast_to(np.linalg.solve(held, pull[..., None])[..., 0].T, (n, 3)))
         return log_t
 
@@ -208,7 +234,7 @@ class OverlapProblem:
         residuals(response.samples, self._first, *data, self.highlights, mismatch, saturation)
         prior = [self._prior_weight * family.prior_residual(k) for k in knots]
         bends = [MONOTONICITY_WEIGHT * family.downhill(k) for k in knots]
-        # (f^g, t^g, L^g) fits as well for any g: without exposure times only the prior holds the exponent, by contrast
+        # (f^g, t^g, L^g) fits as well for any g: without exposure times only the prior fixes the exponent, by contrast
         # as far as it leaves the curve free.
         held = np.zeros(0)
         if self.log_t is None:
@@ -217,11 +243,11 @@ class OverlapProblem:
 
     @cached_property
     def _prior_weight(self) -> float:
-        """Of the prior over curves. Exposures that are looked for too, and differ little, leave much of the curve to
+        """Of the prior over curves; larger for unknown exposures that differ little, which leave much of the curve to
         whatever else makes views disagree."""
         if self.log_t is not None:
             return PRIOR_WEIGHT
-        return PRIOR_WEIGHT * max(1.0, (AMPLE_SPREAD / max(self.exposure_spread(), MIN_UNKNOWN_SPREAD)) ** 2)
+        return PRIOR_WEIGHT * max(1.0, (AMPLE_EXPOSURE_SPREAD / max(self.exposure_spread(), MIN_UNKNOWN_SPREAD)) ** 2)
 
     def minimise(self, start: list[NDArray[np.float64]], max_steps: int) -> list[NDArray[np.float64]]:
         """Knots of one or three curves; radiance and exposures are eliminated (variable projection)."""
@@ -233,15 +259,15 @@ class OverlapProblem:
             args=(n_curves,),
             max_nfev=max_steps,
             x_scale=0.3,
-            ftol=CONVERGED,
+            ftol=CURVE_TOLERANCE,
         )
         return list(fit.x.reshape(n_curves, -1))
 
     def jacobian(self, parameters: NDArray[np.float64], n_curves: int) -> NDArray[np.float64]:
         """(n, parameters) derivative of :meth:`residual` by forward differences.
 
-        Under known exposures a knot of all curves is moved at once, as no residual feels more than one of them.
-        Exposures that are looked for too are shared by the channels, and tie the curves to each other.
+        Under known exposures one knot of every curve is moved at once, because each residual depends on one curve only.
+        Unknown exposures are shared by the channels and couple the curves.
         """
         n, base = parameters.size, self.residual(parameters, n_curves)
         tied = n_curves == 1 or self.log_t is None
@@ -251,8 +277,8 @@ class OverlapProblem:
 
         def move(columns: NDArray[np.int64]) -> None:
             moved = parameters.copy()
-            moved[columns] += DIFFERENCE
-            slope = (self.residual(moved, n_curves) - base) / DIFFERENCE
+            moved[columns] += KNOT_STEP
+            slope = (self.residual(moved, n_curves) - base) / KNOT_STEP
             for c, column in enumerate(columns):
                 jacobian[:, column] = slope if of_curve is None else np.where(of_curve == c, slope, 0.0)
 
@@ -277,21 +303,7 @@ class OverlapProblem:
         return float(np.median(np.abs(mismatch[~self.clipped])) * ROBUST_SCALE)
 
 
-# Residuals of a response, the radiance of every patch eliminated (variable projection), observation by observation
-#
-# Observations lie patch by patch; ``first`` (n + 1,) is where each of the n patches begins. A curve is a table per
-# channel (3, 1024) over relative exposures in [0, 1], as in :class:`iris_addon.model.response.Response`.
-
-
-CLIP_SCALE = 0.03
-"""Log exposure by which an observation may lie on the wrong side of saturation before it starts to be an outlier."""
-ROBUST_SCALE = 0.01
-"""Display-value residual at which an observation starts to count as an outlier (a highlight, a moved object)."""
-LEAST = 1e-5
-"""Relative exposure that black is taken for."""
-BLACK = 1.5 / 255
-"""Display value up to which it says only that less was exposed."""
-NO_WEIGHT = 1e-12
+# ---- Kernels --------------------------------------------------------------------------------------------------------
 
 
 @inlined
@@ -326,7 +338,7 @@ def project(
     weight: NDArray[np.float64],
     exposure: NDArray[np.float64],
     found: NDArray[np.float64],
-    say: NDArray[np.float64],
+    precision: NDArray[np.float64],
     radiance: NDArray[np.float64],
 ) -> None:
     """Radiance (n, 3) of every patch that its m observations agree on under a curve.
@@ -334,28 +346,28 @@ def project(
     Args:
         table, slope: the curve and its derivative.
         z, exposure: (m, 3) display values and exposures, ``clipped`` and ``weight`` (m,).
-        found, say: (m, 3) written over: the radiance that each observation shows, and its weight.
+        found, precision: (m, 3) overwritten with the radiance that each observation shows, and its precision.
     """
     for p in range(len(first) - 1):
         rows = range(first[p], first[p + 1])
         for c in range(3):
             total = norm = 0.0
             for j in rows:
-                x, t = max(_inverse(table, c, z[j, c]), LEAST), exposure[j, c]
+                x, t = max(_inverse(table, c, z[j, c]), BLACK_EXPOSURE), exposure[j, c]
                 found[j, c] = x / t
                 # Quantisation noise is uniform in z, so the precision of x / t is (f'(x) t)^2.
                 rate = _at(slope, c, x) * t
-                silent = clipped[j] or z[j, c] < BLACK
-                say[j, c] = (0.0 if silent else weight[j] * rate * rate) + NO_WEIGHT
-                total += say[j, c] * found[j, c]
-                norm += say[j, c]
+                unconstrained = clipped[j] or z[j, c] < BLACK_VALUE
+                precision[j, c] = (0.0 if unconstrained else weight[j] * rate * rate) + WEIGHT_FLOOR
+                total += precision[j, c] * found[j, c]
+                norm += precision[j, c]
             radiance[p, c] = total / norm
             # An outlier would pull its patch along and so hide behind the others: the mean is taken once more without.
             for _ in range(2):
                 total = norm = 0.0
                 for j in rows:
                     off = (_at(table, c, radiance[p, c] * exposure[j, c]) - z[j, c]) / ROBUST_SCALE
-                    trusted = say[j, c] / (1 + off * off)
+                    trusted = precision[j, c] / (1 + off * off)
                     total += trusted * found[j, c]
                     norm += trusted
                 radiance[p, c] = total / norm
@@ -370,16 +382,18 @@ def log_exposures(
     weight: NDArray[np.float64],
     log_gain: NDArray[np.float64],
     log_x: NDArray[np.float64],
-    say: NDArray[np.float64],
+    precision: NDArray[np.float64],
 ) -> None:
-    """Log of what each of m observations would have been exposed to if all places of its photo were alike, and the
-    precision of that, (m, 3) both: noise is uniform in z, so it is (f'(x) x)^2; 0 where clipped."""
+    """Log exposure (m, 3) of each observation without the local gain of its place, and its precision.
+
+    Noise is uniform in z, so the precision of log x is (f'(x) x)^2; 0 where clipped or black.
+    """
     for j in range(len(z)):
         for c in range(3):
-            x = max(_inverse(table, c, z[j, c]), LEAST)
+            x = max(_inverse(table, c, z[j, c]), BLACK_EXPOSURE)
             rate = _at(slope, c, x) * x
             log_x[j, c] = math.log(x) - log_gain[j]
-            say[j, c] = 0.0 if clipped[j] or z[j, c] < BLACK else weight[j] * rate * rate
+            precision[j, c] = 0.0 if clipped[j] or z[j, c] < BLACK_VALUE else weight[j] * rate * rate
 
 
 @kernel
@@ -387,21 +401,21 @@ def add_links(
     first: NDArray[np.int64],
     view: NDArray[np.int64],
     log_x: NDArray[np.float64],
-    say: NDArray[np.float64],
+    precision: NDArray[np.float64],
     log_t: NDArray[np.float64],
     trusting: bool,
     scaled: NDArray[np.float64],
     laplacian: NDArray[np.float64],
     pull: NDArray[np.float64],
 ) -> None:
-    """Normal equations of log exposures whose views of every patch agree.
+    """Add up the normal equations of the log exposures under which all views of a patch agree.
 
     Args:
-        log_x, say: (m, 3) of :func:`log_exposures`; ``say`` is written over.
-        log_t: (V, 3) log exposures; unless ``trusting``, what is an outlier under them counts less.
-        scaled: (m, 3) written over.
-        laplacian, pull: (3, V, V) and (3, V), or the sums over channels (1, V, V) and (1, V). Of the laplacian a half,
-            on and below the diagonal, that gives the whole once its transpose is added.
+        log_x, precision: (m, 3) of :func:`log_exposures`; ``precision`` is overwritten.
+        log_t: (V, 3) log exposures; unless ``trusting``, outliers under them count less.
+        scaled: (m, 3) scratch.
+        laplacian, pull: (3, V, V) and (3, V), or the sums over channels (1, V, V) and (1, V). The laplacian is filled
+            on and below the diagonal, with half of the diagonal: the full one is its sum with its transpose.
     """
     each = len(pull) == 3
     for p in range(len(first) - 1):
@@ -409,20 +423,20 @@ def add_links(
         for c in range(3):
             k = c if each else 0
             if not trusting:
-                total, norm = 0.0, NO_WEIGHT
+                total, norm = 0.0, WEIGHT_FLOOR
                 for j in rows:
-                    total += say[j, c] * (log_x[j, c] - log_t[view[j], c])
-                    norm += say[j, c]
+                    total += precision[j, c] * (log_x[j, c] - log_t[view[j], c])
+                    norm += precision[j, c]
                 for j in rows:
                     off = (log_x[j, c] - log_t[view[j], c] - total / norm) / ROBUST_SCALE
-                    say[j, c] /= 1 + say[j, c] * off * off
-            total, norm = 0.0, NO_WEIGHT
+                    precision[j, c] /= 1 + precision[j, c] * off * off
+            total, norm = 0.0, WEIGHT_FLOOR
             for j in rows:
-                total += say[j, c] * log_x[j, c]
-                norm += say[j, c]
+                total += precision[j, c] * log_x[j, c]
+                norm += precision[j, c]
             root = math.sqrt(norm)
             for j in rows:
-                a, s = view[j], say[j, c]
+                a, s = view[j], precision[j, c]
                 scaled[j, c] = s / root
                 laplacian[k, a, a] += 0.5 * (s - scaled[j, c] * scaled[j, c])
                 pull[k, a] += s * (log_x[j, c] - total / norm)
@@ -458,11 +472,11 @@ def residuals(
     mismatch: NDArray[np.float64],
     saturation: NDArray[np.float64],
 ) -> None:
-    """What display values and clipping (m, 3) of the observations are off by, both as their losses take it.
+    """Fill ``mismatch`` and ``saturation`` (m, 3) with the robust residuals of display values and of clipping.
 
     Args:
         share: (m, 3) of pixels clipped.
-        highlights: whether what clips where other views show little counts by a loss that ends.
+        highlights: whether the loss is bounded for an observation that clips where other views are below saturation.
     """
     for p in range(len(first) - 1):
         for j in range(first[p], first[p + 1]):

@@ -1,4 +1,7 @@
-"""Response and exposures of a capture, measured or given."""
+"""Response and exposures of a capture, measured from its photos or given: what turns display values into radiance.
+
+Response files are a response.json of a result, or a table as .npy or text.
+"""
 
 from __future__ import annotations
 
@@ -23,10 +26,12 @@ from .observations import Observations
 from .overlap import fit_overlap
 from .radiance import Linearised, linearise_bytes, radiance_itself
 
-EXPONENT_SURE = 0.015
-"""Standard deviation of the log exponent up to which records are better than what light transport says of it."""
-LEAST_SPREAD = 1e-6
-"""Stops. Photos of one exposure have none."""
+EXPONENT_MAX_ERROR = 0.015
+"""Standard deviation of the log exponent up to which recorded exposures fix it better than light transport does."""
+MIN_REGRESSION_SPREAD = 1e-6
+"""Stops; keeps the error finite for photos of one exposure."""
+MAX_RESPONSE_BYTES = 16 << 20
+"""Of a response file."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +43,9 @@ class Photometry:
         held_out: display-value disagreement between views of held-out patches, NaN where nothing was fitted.
         per_channel: whether each channel has its own curve.
         known_exposures: whether the capture gave the exposures.
-        exposure_error: stops RMS by which photos speak against the exposures that were given, 0 where they do not.
-        exponent: of response, exposures and radiance over those that the prior chose.
-        local: what the camera adds from place to place, None where all places of a photo are alike.
+        exposure_error: stops RMS by which the given exposures were corrected, 0 where they stand.
+        exponent: by which response, exposures and radiance were raised over those that the prior chose.
+        local: exposure by place within a photo, None where photos are uniformly exposed.
     """
 
     response: Response
@@ -64,7 +69,7 @@ class Photometry:
             return ()
         found = []
         if self.local is not None and self.local.settings.strength:
-            lost = f"{self.local.settings.strength:.0%} of the contrast between regions"
+            lost = f"{self.local.settings.strength:.0%} of the contrast between large areas"
             found.append(f"the photos are locally tone mapped ({lost}); it was undone")
         if not self.known_exposures:
             found.append("exposures are unknown: the overall brightness of lights is relative")
@@ -74,27 +79,26 @@ class Photometry:
         return tuple(found)
 
     @property
-    def exponent_open(self) -> bool:
-        """Whether photos and what was recorded with them leave a common exponent of response, exposures and radiance
-        open."""
-        return self.exponent_error > EXPONENT_SURE
+    def exponent_unconstrained(self) -> bool:
+        """Whether neither photos nor recorded exposures fix the common exponent of response, exposures and radiance."""
+        return self.exponent_error > EXPONENT_MAX_ERROR
 
     @property
     def exponent_error(self) -> float:
         """Standard deviation of the logarithm of that exponent, infinite where no exposures are recorded.
 
-        Wrong records leave a slope between them and the true ones that is off by their error, over their spread and
-        the root of their number (a linear regression).
+        It is the slope of a linear regression of the true on the recorded exposures, whose error is theirs over their
+        spread and the root of their number.
         """
         if self.response.family != FITTED:
             return 0.0
         if not self.known_exposures:
             return np.inf
         spread = float(np.log2(self.exposures).mean(1).std())
-        return self.exposure_error / (max(spread, LEAST_SPREAD) * len(self.exposures) ** 0.5)
+        return self.exposure_error / (max(spread, MIN_REGRESSION_SPREAD) * len(self.exposures) ** 0.5)
 
     def raised(self, exponent: float) -> Photometry:
-        """The same photos explained by radiance to the power ``exponent``."""
+        """The photometry under which the same photos show radiance to the power ``exponent``."""
         return replace(
             self,
             response=self.response.raised(exponent),
@@ -111,18 +115,29 @@ class Photometry:
     def linearise_pixels(
         self, z: NDArray[np.floating], view: NDArray[np.integer], pixel: NDArray[np.integer]
     ) -> Linearised:
-        """Radiance of pixels (n, 3) with their precision; a single pixel is clipped or it is not."""
+        """Radiance of single pixels, each clipped or not.
+
+        Args:
+            z: (n, 3) display values; radiance for HDR input.
+            view, pixel: (n,) where each is, row-major.
+        """
         if self.hdr:
             return radiance_itself(z / self.exposures[view])
-        empty = [np.empty(z.shape) for _ in range(4)]
-        whole = Linearised(empty[0], np.empty(z.shape, bool), *empty[1:])
+        radiance, bound, ceiling, precision = (np.empty(z.shape) for _ in range(4))
+        whole = Linearised(
+            radiance=radiance,
+            unclipped=np.empty(z.shape, bool),
+            bound=bound,
+            ceiling=ceiling,
+            precision=precision,
+        )
 
         def work(rows: slice) -> None:
             t, some = self.exposure_at(view[rows], pixel[rows]), z[rows]
             clipped, black = (some >= SATURATED).astype(np.float32), (some <= 0).astype(np.float32)
-            region = linearise_bytes(self.response, some, t, clipped, black)
+            linear = linearise_bytes(self.response, some, t, clipped, black)
             for column in fields(Linearised):
-                getattr(whole, column.name)[rows] = getattr(region, column.name)
+                getattr(whole, column.name)[rows] = getattr(linear, column.name)
 
         over_blocks(len(z), BLOCK, work)
         return whole
@@ -135,7 +150,7 @@ class Photometry:
         return exposed if self.hdr else self.response.apply(exposed)
 
     def report(self) -> dict[str, Any]:
-        """What was switched on and how well it predicts."""
+        """For report.json: which parts of the model were used, and how well they predict held-out patches."""
         return {
             "family": self.response.family,
             "curves": 3 if self.per_channel else 1,
@@ -180,7 +195,9 @@ class Photometry:
 def measure_photometry(
     capture: Capture, config: SolveConfig, observations: Observations, photos: PhotoSamples, rng: np.random.Generator
 ) -> Photometry:
-    """Response and exposures as the configuration asks for them; those of radiance include its unit.
+    """Response and exposures as ``config`` has them: measured, withheld or read from files.
+
+    HDR photos have the identity as response, and the unit of their radiance as exposure.
 
     Raises:
         BadInput: the response file cannot be used.
@@ -217,12 +234,6 @@ def _fixed_response(config: SolveConfig) -> Response | None:
     return read_response(Path(config.response))
 
 
-# ---- Response curves from files: a solved response.json, or a table as .npy or text ---------------------------------
-
-
-MAX_BYTES = 16 << 20
-
-
 def read_response(path: Path) -> Response:
     """A monotone curve of 2 or more samples over x = 0 ... 1, for one or three channels.
 
@@ -235,7 +246,7 @@ def read_response(path: Path) -> Response:
     if not path.is_file():
         raise BadInput("there is no such response file", "check the path", path)
     size = path.stat().st_size
-    if size == 0 or size > MAX_BYTES:
+    if size == 0 or size > MAX_RESPONSE_BYTES:
         raise BadInput("the response file is empty" if size == 0 else "the response file is far too large", mend, path)
     try:
         if path.suffix == ".json":

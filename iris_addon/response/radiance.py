@@ -1,4 +1,8 @@
-"""From display values to radiance: linearised observations, and their mean per patch with what saturation hides."""
+"""From display values to radiance: linearised observations, and their robust mean per patch within its bounds.
+
+A clipped observation bounds radiance from below, a black one from above. All radiance is scene-linear Rec.709, in the
+unit of the exposures.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +17,12 @@ from .observations import Observations
 
 MODEL_NOISE = 0.03
 """Relative noise of an observation that no photo byte explains: interpolation, misregistration."""
-SURE = 1 / MODEL_NOISE**2
+MAX_PRECISION = 1 / MODEL_NOISE**2
 """Precision of an observation that has no noise but that."""
 OUTLIER_LOG = 0.2
-"""Log distance from a patch's mean at which a view loses half its say (a highlight that only it sees)."""
-MOST_PIXELS = 25.0
-"""Pixels of one observation beyond which it says no more: they err together."""
+"""Log distance from a patch's mean at which a view loses half its weight (a highlight that only it sees)."""
+MAX_COUNTED_PIXELS = 25.0
+"""Pixels up to which the weight of an observation grows with their number: beyond, they err together."""
 CLIPPED_SHARE = 0.5
 """From this share of clipped pixels on, an observation is a lower bound, of black ones an upper bound."""
 
@@ -28,31 +32,33 @@ class Linearised:
     """Observations in linear radiance.
 
     Attributes:
-        radiance: (M, 3) float64; meaningless where not ``open``.
-        open: (M, 3) bool, no pixel of the observation is clipped in that channel.
+        radiance: (M, 3) float64; meaningless where not ``unclipped``.
+        unclipped: (M, 3) bool, no pixel of the observation is clipped in that channel.
         bound: (M, 3) float64 lower bound on radiance where clipped, else 0.
         ceiling: (M, 3) float64 upper bound on radiance where black, else infinite.
         precision: (M, 3) float64 inverse relative variance.
     """
 
     radiance: NDArray[np.float64]
-    open: NDArray[np.bool_]
+    unclipped: NDArray[np.bool_]
     bound: NDArray[np.float64]
     ceiling: NDArray[np.float64]
     precision: NDArray[np.float64]
 
     @property
-    def told(self) -> NDArray[np.bool_]:
+    def well_exposed(self) -> NDArray[np.bool_]:
         """(M,) observations that are neither clipped nor black in any channel."""
-        return (self.open & np.isinf(self.ceiling)).all(1)
+        return (self.unclipped & np.isinf(self.ceiling)).all(1)
 
     def agreeing_with(self, expected: NDArray[np.floating]) -> Linearised:
-        """The same, black ones as bright as is ``expected`` (M, 3) of them, or as their ceiling where that is lower.
+        """The same with black observations at their ``expected`` radiance (M, 3), or at their ceiling if that is lower.
 
-        Those below what is expected are sure that less was there, the others know nothing.
+        A ceiling below the expected radiance contradicts it, and the observation counts with full precision; any other
+        ceiling agrees with it, and the observation keeps its own.
         """
         radiance = np.where(np.isfinite(self.ceiling), np.minimum(self.ceiling, expected), self.radiance)
-        return replace(self, radiance=radiance, precision=np.where(self.ceiling < expected, SURE, self.precision))
+        precision = np.where(self.ceiling < expected, MAX_PRECISION, self.precision)
+        return replace(self, radiance=radiance, precision=precision)
 
 
 @dataclass(frozen=True)
@@ -61,7 +67,7 @@ class GroupRadiance:
 
     Attributes:
         radiance: (P, 3) float64 robust mean; the lower bound where nothing else is known; 0 where nothing is.
-        known: (P, 3) bool, at least one open observation.
+        known: (P, 3) bool, at least one unclipped observation.
         bound: (P, 3) float64 largest lower bound that a clipped observation gave.
         weight: (P,) float64 effective number of pixels behind the mean.
     """
@@ -73,7 +79,7 @@ class GroupRadiance:
 
 
 def linearise(observations: Observations, response: Response, t: NDArray[np.floating]) -> Linearised:
-    """Radiance of every observation.
+    """Radiance of every observation, with its bounds.
 
     Args:
         t: (M, 3) exposure factor of each.
@@ -99,23 +105,27 @@ def linearise_bytes(
         t: (n, 3) exposure factors.
         saturated, black: (n, 3) share of the pixels that are clipped, and whose byte is 0.
     """
-    x, noise = exposed(response, z, black)
+    x, noise = relative_exposure(response, z, black)
     bound = np.where(saturated > CLIPPED_SHARE, 1.0 / t, 0.0)
     ceiling = np.where(black > CLIPPED_SHARE, darkest(response) / t, np.inf)
     return Linearised(
-        radiance=x / t, open=saturated == 0, bound=bound, ceiling=ceiling, precision=1.0 / (MODEL_NOISE**2 + noise**2)
+        radiance=x / t,
+        unclipped=saturated == 0,
+        bound=bound,
+        ceiling=ceiling,
+        precision=1.0 / (MODEL_NOISE**2 + noise**2),
     )
 
 
 def radiance_itself(radiance: NDArray[np.float64]) -> Linearised:
-    """Observations (M, 3) of HDR photos: open from end to end."""
+    """Observations (M, 3) of HDR photos, which neither clip nor turn black."""
     shape = radiance.shape
     return Linearised(
         radiance=radiance,
-        open=np.ones(shape, bool),
+        unclipped=np.ones(shape, bool),
         bound=np.zeros(shape),
         ceiling=np.full(shape, np.inf),
-        precision=np.full(shape, SURE),
+        precision=np.full(shape, MAX_PRECISION),
     )
 
 
@@ -124,13 +134,13 @@ def darkest(response: Response) -> NDArray[np.float64]:
     return response.invert(np.full((1, 3), 1 / 255))
 
 
-def exposed(
+def relative_exposure(
     response: Response, z: NDArray[np.floating], black: NDArray[np.floating]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Relative exposure behind display values that were kept as bytes, and its relative standard deviation.
 
-    A byte of 0 says only that less was exposed than the next byte takes. Of a curve that crushes the shadows that is a
-    wide range, and its end, where the curve begins to rise, would pass for a sharp value.
+    A byte of 0 means only that the exposure was less than that of the next byte. Under a curve that crushes the shadows
+    this is a wide range, and its upper end, where the curve begins to rise, must not pass for a sharp value.
 
     Args:
         z: (n, 3) display values, means over pixels.
@@ -165,7 +175,7 @@ def group_radiance(
         radiance, ceiling = without_specular(radiance, subtract), without_specular(ceiling, subtract)
     if view_factor is not None:
         radiance, lower, ceiling = (column / view_factor[:, None] for column in (radiance, lower, ceiling))
-    weight = linear.open * linear.precision * np.minimum(count, MOST_PIXELS)[:, None]
+    weight = linear.unclipped * linear.precision * np.minimum(count, MAX_COUNTED_PIXELS)[:, None]
 
     norm = group_sums(weight, group, n_groups)
     robust = _robust(radiance, weight, _mean(radiance, weight, group, n_groups), group)
@@ -178,7 +188,7 @@ def group_radiance(
 
 
 def without_specular(radiance: NDArray[np.floating], specular: NDArray[np.floating]) -> NDArray[np.float64]:
-    """What is left of ``radiance`` without ``specular``; never nothing, since the latter is uncertain."""
+    """``radiance`` less ``specular``, of one shape; at least 2 % of it remain, since the latter is uncertain."""
     return np.maximum(radiance - specular, 0.02 * radiance)
 
 
@@ -208,8 +218,8 @@ def _under_ceilings(
 ) -> NDArray[np.float64]:
     """(P, 3) ``mean``, lowered where black observations contradict it.
 
-    Black agrees with any mean below its ceiling, and pulls a higher one there: of a dark surface that only its
-    highlights lift above black, the photos that show it black say more than those that show it.
+    A black observation agrees with any mean below its ceiling and pulls a higher one down to it: where only highlights
+    lift a dark surface above black, the photos that show it black tell more about it than those that show it lit.
     """
     n = len(mean)
     black = np.isfinite(ceiling)
@@ -217,14 +227,14 @@ def _under_ceilings(
     lowest = np.full(mean.shape, np.inf)
     np.minimum.at(lowest, group, ceiling)
     start = np.where(group_sums(lit, group, n) > 0, _mean(radiance, lit, group, n), lowest / 2)
-    say = np.where(black, SURE * np.minimum(count, MOST_PIXELS)[:, None], lit)
+    both = np.where(black, MAX_PRECISION * np.minimum(count, MAX_COUNTED_PIXELS)[:, None], lit)
 
     def agreeing(about: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.where(black, np.minimum(ceiling, about[group]), radiance)
 
-    found = _mean(agreeing(start), say, group, n)
+    found = _mean(agreeing(start), both, group, n)
     for _ in range(2):
-        found = _robust(agreeing(found), say, found, group)
+        found = _robust(agreeing(found), both, found, group)
     return np.where(np.isfinite(lowest), found, mean)
 
 
@@ -235,16 +245,17 @@ def raised_by_clipped(
     count: NDArray[np.floating],
     view_factor: NDArray[np.floating],
 ) -> NDArray[np.float64]:
-    """(P, 3) radiance of matte groups, raised where clipped observations contradict the mean of the open ones.
+    """(P, 3) radiance of matte groups, raised where clipped observations contradict the mean of the unclipped ones.
 
-    Beside a window some pixels of a patch clip in the shortest exposure and others do not. Those that do not are its
-    darker half; an observation that clipped above their mean counts with its bound. (On a glossy patch it would be a
-    highlight.) Arguments are those of :func:`group_radiance`.
+    Beside a window some pixels of a patch clip even in the shortest exposure. Those that do not are its darker half, so
+    an observation that clipped above their mean counts with its bound. (On a glossy patch it would be a highlight.)
+    Arguments are those of :func:`group_radiance`.
     """
     bound = linear.bound / view_factor[:, None]
-    say, n = np.minimum(count, MOST_PIXELS)[:, None], len(found.radiance)
-    above = np.where(bound > found.radiance[group], say, 0.0)
-    clipped, open_ = group_sums(above, group, n), group_sums(np.where(linear.open, say, 0.0), group, n)
+    weight, n = np.minimum(count, MAX_COUNTED_PIXELS)[:, None], len(found.radiance)
+    above = np.where(bound > found.radiance[group], weight, 0.0)
+    clipped = group_sums(above, group, n)
+    unclipped = group_sums(np.where(linear.unclipped, weight, 0.0), group, n)
     reached = group_sums(above * bound, group, n) / np.maximum(clipped, 1e-12)
-    share = np.where(found.known, clipped / np.maximum(open_ + clipped, 1e-12), 0.0)
+    share = np.where(found.known, clipped / np.maximum(unclipped + clipped, 1e-12), 0.0)
     return (1 - share) * found.radiance + share * reached

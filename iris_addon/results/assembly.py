@@ -23,7 +23,7 @@ from ..materials.shading import Shading
 from ..materials.solution import Solution
 from ..materials.specular import pixel_lobes, subtract_specular
 from ..model.capture import Capture
-from ..model.local_exposure import ALIKE
+from ..model.local_exposure import UNIFORM
 from ..model.recovered import Emitter, OutsideLight
 from ..response.photometry import Photometry
 from ..surface.primary_rays import PixelSamples, as_picture
@@ -119,7 +119,7 @@ def make_result(
         exposures=exposures,
         report=report,
         up=capture.up,
-        local=ALIKE if photometry.local is None else photometry.local.settings,
+        local=UNIFORM if photometry.local is None else photometry.local.settings,
         backdrop=problem.beyond.backdrop
         if light.hidden.holes is None
         else as_surface(problem.beyond, light, lights, progress),
@@ -167,7 +167,7 @@ def _pixel_albedo(
         albedo[rows] = pixel_albedo(linear.radiance, specular, ls0[rows], light.diffuse[rows], metallic[rows])
         seen = samples.cosine[rows], samples.footprint[rows]
         sharp = pixel_weight(*seen, irradiance[rows], specular, mixed[rows], scanned[rows], *usual)
-        weight[rows] = sharp * linear.open * linear.precision
+        weight[rows] = sharp * linear.unclipped * linear.precision
 
     over_blocks(len(metallic), BLOCK, work)
     weight /= np.median(weight[weight > 0])

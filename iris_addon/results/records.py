@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..base.errors import BadInput
 from ..base.files import MEND, from_ranges, json_object, numbers, read_json, to_ranges
 from ..model.capture import Mesh
-from ..model.local_exposure import ALIKE, LocalSettings
+from ..model.local_exposure import UNIFORM, LocalSettings
 from ..model.recovered import Backdrop, Emitter, OutsideLight
 from ..model.response import N_SAMPLES, Response
 from .files import EMITTERS, RESPONSE, result_file
@@ -171,7 +171,7 @@ def median_exposure(exposures: Mapping[str, NDArray[np.floating]]) -> NDArray[np
 
 def _read_local(content: Mapping[str, Any], path: Path) -> LocalSettings:
     """Settings of local exposure; missing ones have no effect."""
-    settings = {**asdict(ALIKE), **content}
+    settings = {**asdict(UNIFORM), **content}
     for name, (low, high) in LOCAL_BOUNDS.items():
         value = settings[name]
         if not isinstance(value, int | float) or not low <= value <= high:

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from ..base.files import atomic_write, require_own_folder
 from ..base.images import to_codes, write_png
 from ..base.parallel import over_each
-from ..capture.alignment import shrink, small_camera
-from ..capture.photos import load_photo
+from ..capture.photos import load_photo, shrink
 from ..model.capture import Camera, Capture, View
 from ..model.response import grey_exposure, srgb
 from .maps import MapRenderer, ViewMaps
@@ -61,7 +60,7 @@ def write_report(
     shown = shown[:MAX_VIEWS]
     saver = Pictures(folder / "report")
     renderer = MapRenderer(result)
-    maps = {view.name: renderer.maps(small_camera(view.camera, MAX_WIDTH)) for view in shown}
+    maps = {view.name: renderer.maps(view.camera.shrunk(MAX_WIDTH)) for view in shown}
     sections = [
         _summary(result, capture),
         _gallery(saver, gallery or {}),
@@ -126,7 +125,7 @@ def _photos(saver: Pictures, shown: Sequence[View], pictures: Mapping[str, Float
 
 def _shown(image: FloatArray, camera: Camera) -> FloatArray:
     """``image`` (H, W, 3) of the view of ``camera`` at the size it has on the page."""
-    small = small_camera(camera, MAX_WIDTH)
+    small = camera.shrunk(MAX_WIDTH)
     same = image.shape[:2] == (small.height, small.width)
     return image if same else shrink(image, small.height, small.width)
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..model.capture import Camera, Mesh, View
 from ..model.corrections import CameraCorrection, PoseCorrections
-from ..model.local_exposure import ALIKE, LocalSettings
+from ..model.local_exposure import UNIFORM, LocalSettings
 from ..model.recovered import Backdrop, DiffuseLobe, Emitter, OutsideLight, Textures
 from ..model.response import Response
 
@@ -51,7 +51,7 @@ class Result:
     exposures: dict[str, NDArray[np.float64]]
     report: dict[str, Any] = field(default_factory=dict)
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    local: LocalSettings = ALIKE
+    local: LocalSettings = UNIFORM
     backdrop: Backdrop | None = None
 
     def __repr__(self) -> str:

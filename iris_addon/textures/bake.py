@@ -19,7 +19,7 @@ from ..base.compiled import Integer, kernel
 from ..base.group_by import group_equal, group_medians
 from ..base.parallel import over_shares
 from ..lighting.balance import MAX_ALBEDO
-from ..response.observations import MIXED_SAY
+from ..response.observations import MIXED_WEIGHT
 
 DIM_IRRADIANCE = 0.05
 """Irradiance, in medians, below which radiance over irradiance is unreliable."""
@@ -124,7 +124,7 @@ def pixel_weight(
     resolution = usual_footprint / np.maximum(footprint, 1e-6)
     lit = irradiance / (irradiance + DIM_IRRADIANCE * usual_irradiance)
     highlight = HIGHLIGHT_PRECISION * specular.mean(1) / np.maximum(irradiance.mean(1), 1e-6)
-    edge = np.where(mixed, np.where(scanned, np.float32(MIXED_SAY), np.float32(MODELLED_EDGE_WEIGHT)), np.float32(1))
+    edge = np.where(mixed, np.where(scanned, np.float32(MIXED_WEIGHT), np.float32(MODELLED_EDGE_WEIGHT)), np.float32(1))
     sharp = cosine**2 * np.clip(resolution, 0.05, 20.0) ** 2 * edge
     return ((sharp / (1 + highlight**2))[:, None] * lit**2).astype(np.float32)
 

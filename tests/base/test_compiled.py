@@ -58,13 +58,13 @@ def test_a_changed_kernel_is_compiled_anew_wherever_it_is_called_from(tmp_path):
     assert len(folders) == 1 and folders.isdisjoint(path.parents[1].name for path in before)
 
 
-def test_a_cache_folder_that_cannot_be_written_costs_time_alone(tmp_path):
+def test_kernels_run_uncached_where_the_cache_folder_cannot_be_written(tmp_path):
     nowhere = tmp_path / "file"
     nowhere.touch()
     run(nowhere)
 
 
-def test_rows_of_a_named_tuple():
+def test_rows_of_selects_rows_of_every_column():
     class Pair(NamedTuple):
         a: np.ndarray
         b: np.ndarray

@@ -28,9 +28,9 @@ def test_rows_of_equal_keys_are_grouped_as_numpy_groups_them(dtype: type[np.inte
         np.testing.assert_array_equal(ours, theirs)
 
 
-def test_of_no_rows_there_are_no_groups() -> None:
+def test_no_rows_make_no_groups() -> None:
     found = group_equal(np.zeros(0, np.int64))
-    assert [len(region) for region in (found.keys, found.group, found.order, found.start, found.count)] == [0] * 5
+    assert [len(column) for column in (found.keys, found.group, found.order, found.start, found.count)] == [0] * 5
 
 
 def test_one_sort_orders_values_within_their_groups() -> None:

@@ -41,7 +41,7 @@ def test_single_channel_exr(tmp_path: Path, radiance: np.ndarray) -> None:
     np.testing.assert_array_equal(imaging.read_exr(tmp_path / "y.exr"), radiance[..., :1])
 
 
-def test_multi_region_exr_gives_the_region_with_colour(tmp_path: Path, radiance: np.ndarray) -> None:
+def test_multi_part_exr_gives_the_part_with_colour(tmp_path: Path, radiance: np.ndarray) -> None:
     header = {"type": OpenEXR.scanlineimage}
     depth = {"Depth.Z": radiance[..., 0].copy()}
     combined = {f"Combined.{name}": radiance[..., k].copy() for k, name in enumerate("RGB")}

@@ -34,7 +34,7 @@ def test_blocks_cover_everything_once(n: int, size: int) -> None:
     assert not shares or shares[-1] == 1
 
 
-def test_what_takes_much_memory_is_done_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_at_once_limits_the_blocks_in_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("iris_addon.base.parallel.cores", lambda: 3)
     assert set(over_each(range(6), lambda _: threading.get_ident(), at_once=1)) == {threading.get_ident()}
     camera = Camera(width=6000, height=4000, fx=5000.0, fy=5000.0, cx=3000.0, cy=2000.0, c2w=np.eye(4))
@@ -69,14 +69,14 @@ print(*aside(lambda: [faults(), faults()]).result())
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only GNU's C library is asked to keep memory")
-def test_threads_keep_the_memory_of_arrays_that_are_gone() -> None:
+def test_threads_keep_the_memory_of_freed_arrays() -> None:
     """Pages come from the system for the first four arrays and not again for the next four."""
     answer = run([sys.executable, "-c", MEMORY], capture_output=True, text=True, check=True, cwd=ROOT)
     first, second = map(int, answer.stdout.split())
     assert first > 1000 and second < 0.05 * first
 
 
-def test_numbers_do_not_depend_on_who_runs_first() -> None:
+def test_random_blocks_do_not_depend_on_the_order_of_execution() -> None:
     def draw(first_waits: bool) -> np.ndarray:
         values = np.empty(64)
         others = threading.Event()
@@ -119,7 +119,7 @@ def test_a_cancel_drops_the_blocks_that_have_not_begun() -> None:
     assert len(begun) < 1000
 
 
-def test_blocks_within_blocks_come_to_an_end() -> None:
+def test_nested_blocks_do_not_deadlock() -> None:
     covered = np.zeros((12, 40), int)
 
     def outer(block: slice) -> None:
@@ -133,7 +133,7 @@ def test_blocks_within_blocks_come_to_an_end() -> None:
     assert (covered == 1).all()
 
 
-def test_work_aside_returns_raises_and_may_be_left() -> None:
+def test_work_aside_returns_raises_and_may_be_abandoned() -> None:
     def fail() -> None:
         raise TimeoutError("of its own")
 

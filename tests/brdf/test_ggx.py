@@ -32,7 +32,7 @@ def test_table_equals_brute_force(roughness: float, cosine: float) -> None:
     assert f1[0] == pytest.approx(expected_f1, abs=0.005)
 
 
-def test_specular_reflects_no_more_than_arrives() -> None:
+def test_specular_albedo_is_at_most_one() -> None:
     roughness, cosine = np.meshgrid(np.linspace(0, 1, 50), np.linspace(0, 1, 50))
     f0, f1 = specular_integrals(roughness, cosine)
     assert (f0 >= 0).all() and (f1 >= 0).all()
@@ -44,7 +44,7 @@ def test_smooth_metal_reflects_its_colour_head_on() -> None:
     assert directional_albedo(color, 0.05, 1.0, 1.0) == pytest.approx(color, abs=0.01)
 
 
-def test_a_dielectric_reflects_what_snell_and_fresnel_say() -> None:
+def test_a_dielectric_follows_snell_and_fresnel() -> None:
     """Of IOR 1.5: 4 % head-on, all at grazing, and at Brewster's angle half of what the one polarisation reflects."""
     brewster = 1 / np.sqrt(1 + 1.5**2)
     across = ((1.5**2 - 1) / (1.5**2 + 1)) ** 2

@@ -41,14 +41,14 @@ def painted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Capture, Tracer]:
     return Capture(name="painted", root=folder, views=tuple(views), val_views=(), mesh=room.mesh), tracer
 
 
-def test_sound_cameras_stay_as_they_are(painted: tuple[Capture, Tracer]) -> None:
+def test_correct_cameras_are_kept(painted: tuple[Capture, Tracer]) -> None:
     capture, calibration = calibrate(*painted, Progress())
     assert calibration.correction is None and capture is painted[0]
     assert calibration.warnings == () and calibration.report()["correction"] is None
 
 
 @pytest.mark.parametrize(("n_views", "width"), [(8, 48), (6, 64)])
-def test_few_small_photos_of_a_plain_room_are_no_reason_to_zoom_in(n_views: int, width: int, tmp_path: Path) -> None:
+def test_few_small_photos_of_a_plain_room_keep_their_focal_length(n_views: int, width: int, tmp_path: Path) -> None:
     """With a longer focal length photos overlap less, and what is left to disagree about is less."""
     fine, views = furnished_room(), cameras(n_views, width, width * 3 // 4)
     radiance = render(fine, Tracer(fine.mesh), views, 48)
@@ -58,7 +58,7 @@ def test_few_small_photos_of_a_plain_room_are_no_reason_to_zoom_in(n_views: int,
     assert calibration.correction is None
 
 
-def test_photos_that_share_nothing_do_not_move_the_cameras(painted: tuple[Capture, Tracer]) -> None:
+def test_photos_without_overlap_keep_their_cameras(painted: tuple[Capture, Tracer]) -> None:
     """In millimetres no two photos show the same cell of four units, and there is nothing to agree about."""
     room, _ = painted
     mesh = replace(room.mesh, vertices=1000 * room.mesh.vertices)
@@ -95,7 +95,7 @@ def test_calibration_can_be_cancelled(painted: tuple[Capture, Tracer]) -> None:
         calibrate(*painted, progress)
 
 
-def test_a_correction_is_for_the_cameras_it_was_found_for() -> None:
+def test_a_correction_applies_to_its_own_cameras_only() -> None:
     camera = cameras(1, 96, 72)[0]
     correction = CameraCorrection(camera.fx / camera.width, 0.9, (0.01, -0.02), (0.03, 0.05))
     moved = correction.camera(camera)

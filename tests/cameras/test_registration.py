@@ -64,13 +64,13 @@ def pixels_off(capture: Capture, true: Capture, tracer: Tracer) -> float:
     return float(np.median(np.concatenate(off)))
 
 
-def test_sound_poses_stay_as_they_are(painted: tuple[Capture, Tracer]) -> None:
+def test_correct_poses_are_kept(painted: tuple[Capture, Tracer]) -> None:
     capture, registration_ = register(*painted, np.random.default_rng(0), Progress())
     assert capture is painted[0] and registration_.corrections is None
     assert registration_.warnings == () and registration_.report()["poses"] is None
 
 
-def test_poses_that_are_off_one_by_one_are_found(painted: tuple[Capture, Tracer]) -> None:
+def test_wrong_poses_are_corrected_one_by_one(painted: tuple[Capture, Tracer]) -> None:
     """Poses 2 cm and half a degree off: photos come to lie on the surface a quarter as far off as they did."""
     true, tracer = painted
     wrong = shaken(true, 2.0)
@@ -90,7 +90,7 @@ def test_the_same_seed_gives_the_same_poses(painted: tuple[Capture, Tracer]) -> 
 
 
 @pytest.mark.parametrize("n_views", [1, 2])
-def test_photos_that_no_third_one_overlaps_keep_their_poses(painted: tuple[Capture, Tracer], n_views: int) -> None:
+def test_photos_without_a_third_overlapping_one_keep_their_poses(painted: tuple[Capture, Tracer], n_views: int) -> None:
     few = replace(painted[0], views=painted[0].views[:n_views])
     assert register(few, painted[1], np.random.default_rng(0), Progress())[0] is few
     asked, found = register(few, painted[1], np.random.default_rng(0), Progress(), forced=True)
@@ -106,7 +106,7 @@ def test_registration_can_be_cancelled(painted: tuple[Capture, Tracer]) -> None:
         register(*painted, np.random.default_rng(0), progress)
 
 
-def test_the_slope_of_what_is_seen_is_that_of_moving_the_camera(painted: tuple[Capture, Tracer]) -> None:
+def test_derivatives_by_the_pose_match_finite_differences(painted: tuple[Capture, Tracer]) -> None:
     """Derivatives by the twist against differences; those of the picture span two pixels, which flattens waves."""
     capture, tracer = painted
     given = [view.camera for view in capture.views]
@@ -142,7 +142,7 @@ def between_photos(k: float) -> Camera:
     return replace(cameras(1)[0], c2w=rigid(np.array([0, 0.02 * k, 0, 0.05 * k, 0, 0])))
 
 
-def test_where_poses_drift_a_camera_between_photos_is_moved_as_they_were() -> None:
+def test_a_camera_between_photos_gets_their_smooth_correction() -> None:
     corrections = drifting(True)
     assert corrections.smooth
     camera = between_photos(10.5)
@@ -152,7 +152,7 @@ def test_where_poses_drift_a_camera_between_photos_is_moved_as_they_were() -> No
     assert corrections.camera(far).c2w == pytest.approx(far.c2w, abs=1e-3)
 
 
-def test_where_each_photo_is_off_by_its_own_a_camera_between_them_stays() -> None:
+def test_a_camera_between_independent_corrections_is_unchanged() -> None:
     corrections = drifting(False)
     assert not corrections.smooth
     camera = between_photos(10.5)

@@ -167,7 +167,7 @@ def test_folder_that_is_no_capture(tmp_path) -> None:
             read_capture(path)
 
 
-def test_moved_poses_with_a_mesh_nobody_vouches_for(nerfstudio_room: RoomCapture) -> None:
+def test_moved_poses_with_an_unnamed_mesh(nerfstudio_room: RoomCapture) -> None:
     nerfstudio_room.meta["applied_transform"] = [[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]]
     assert "applied_transform" in refused(nerfstudio_room)
     nerfstudio_room.meta["mesh"] = "mesh.ply"

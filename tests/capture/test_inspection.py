@@ -9,8 +9,7 @@ import pytest
 from iris_addon.base.errors import Cancelled
 from iris_addon.base.images import write_png
 from iris_addon.base.progress import Progress
-from iris_addon.capture.alignment import align, geometry_edges, small_camera
-from iris_addon.capture.inspection import inspect
+from iris_addon.capture.inspection import align, geometry_edges, inspect
 from iris_addon.capture.reader import read_capture
 from iris_addon.model.capture import Camera, Mesh
 from iris_addon.rays.tracer import Tracer
@@ -56,7 +55,7 @@ def turned(view: Camera, degrees: float) -> Camera:
     return replace(view, c2w=view.c2w @ yaw)
 
 
-def test_a_pose_that_fits_is_told_from_one_that_is_off_by_how_much():
+def test_alignment_measures_the_shift_of_a_wrong_pose():
     tracer, view = Tracer(furnished()), camera()
     photo = photo_from(view, tracer)
     fits = align(photo, *geometry(view, tracer), 4.0)
@@ -68,7 +67,7 @@ def test_a_pose_that_fits_is_told_from_one_that_is_off_by_how_much():
         assert off.shift == pytest.approx(expected, abs=6)
 
 
-def test_nothing_is_claimed_where_photo_and_mesh_have_no_edges_in_common():
+def test_alignment_is_unclear_without_common_edges():
     tracer, view = Tracer(furnished()), camera()
     depth, normal = geometry(view, tracer)
     noise = np.random.default_rng(0).random((view.height, view.width, 3))
@@ -88,15 +87,15 @@ def test_a_plane_has_no_edges_however_slanted():
     assert geometry_edges(depth, flat).max() < 1e-6
 
 
-def test_a_small_camera_sees_the_same_field():
+def test_a_shrunk_camera_keeps_its_field_of_view():
     view = replace(camera(1000), cx=480.0, cy=390.0)
-    small = small_camera(view)
+    small = view.shrunk(160)
     assert (small.width, small.height) == (160, 120)
     assert small.cx / small.width == pytest.approx(view.cx / view.width)
     assert small.width / small.fx == pytest.approx(view.width / view.fx)
 
 
-def test_what_is_written_can_be_read_without_the_engine(nerfstudio_room: RoomCapture, tmp_path):
+def test_an_inspection_can_be_read_without_the_engine(nerfstudio_room: RoomCapture, tmp_path):
     capture = read_capture(nerfstudio_room.root)
     first = capture.views[0]
     assert first.photo is not None
@@ -115,7 +114,7 @@ def test_what_is_written_can_be_read_without_the_engine(nerfstudio_room: RoomCap
     np.testing.assert_array_equal(arrays["vertices"], capture.mesh.vertices)
 
 
-def test_a_look_that_was_cancelled_leaves_nothing_that_counts(nerfstudio_room: RoomCapture, tmp_path):
+def test_a_cancelled_inspection_leaves_no_capture_json(nerfstudio_room: RoomCapture, tmp_path):
     capture = read_capture(nerfstudio_room.root)
     inspect(capture, tmp_path, Progress())
     progress = Progress()

@@ -71,7 +71,7 @@ def test_fipt_constant_exposure_set(fipt_room: RoomCapture) -> None:
     assert all(view.exposure is None for view in capture.val_views)
 
 
-def test_ground_truth_is_never_region_of_the_capture(fipt_room: RoomCapture) -> None:
+def test_ground_truth_is_never_part_of_the_capture(fipt_room: RoomCapture) -> None:
     photos = fipt_room.root / "gt" / "val" / "Image"
     photos.mkdir(parents=True)
     for name in ("000_0001.png", "001_0001.png"):
@@ -216,8 +216,8 @@ def test_glb_nodes_are_placed_and_become_regions(nerfstudio_room: RoomCapture) -
     scene = trimesh.Scene()
     for wall in range(6):
         faces = nerfstudio_room.mesh.faces[2 * wall : 2 * wall + 2]
-        region = trimesh.Trimesh(nerfstudio_room.mesh.vertices - [1, 2, 3], faces, process=False)
-        scene.add_geometry(region, transform=trimesh.transformations.translation_matrix([1, 2, 3]))
+        node = trimesh.Trimesh(nerfstudio_room.mesh.vertices - [1, 2, 3], faces, process=False)
+        scene.add_geometry(node, transform=trimesh.transformations.translation_matrix([1, 2, 3]))
     (nerfstudio_room.root / "mesh.ply").unlink()
     scene.export(nerfstudio_room.root / "mesh.glb")
     mesh = read_capture(nerfstudio_room.root).mesh
@@ -292,7 +292,7 @@ def test_exposures_from_exif(nerfstudio_room: RoomCapture) -> None:
     np.testing.assert_allclose(exposures, 0.02 * 2.0 ** np.arange(6) / 16)
 
 
-def test_one_photo_without_exif_is_unknown_and_said(nerfstudio_room: RoomCapture) -> None:
+def test_one_photo_without_exif_makes_exposures_unknown_with_a_warning(nerfstudio_room: RoomCapture) -> None:
     with_exif(nerfstudio_room, skip=3)
     capture = read_capture(nerfstudio_room.save())
     assert [view.exposure is None for view in capture.views] == [n == 3 for n in range(6)]

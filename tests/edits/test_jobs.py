@@ -58,9 +58,9 @@ def test_the_most_specific_entry_of_a_lamp_wins(lit):
     assert not edit.face_emission[8].any()
 
 
-def test_regions_of_the_reference_files_are_jobs(lit):
-    region = {"poses": "val/transforms.json", "original_emitters": "off", "lights": [QUAD]}
-    assert not relight_edit(lit, region).face_emission.any()
+def test_parts_of_the_reference_files_are_jobs(lit):
+    part = {"poses": "val/transforms.json", "original_emitters": "off", "lights": [QUAD]}
+    assert not relight_edit(lit, part).face_emission.any()
     assert relight_edit(lit, {"kept_faces_of_scene_ply": [6]}).face_emission.any(axis=1).sum() == 1
 
 

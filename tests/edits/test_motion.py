@@ -56,7 +56,7 @@ def test_an_orbit_keeps_what_the_camera_looks_at():
         np.testing.assert_allclose(moved.position - 2.5 * moved.c2w[:3, 2], center, atol=1e-12)
 
 
-def test_wrong_moves_are_refused():
+def test_wrong_moves_raise_bad_input():
     for move, names in (({"view": 3}, "view 3"), ({"path": []}, "empty"), ({"zoom": 1}, "'zoom'")):
         with pytest.raises(BadInput, match=names):
             camera_at(move, [camera()], UP, 0.0)

@@ -9,7 +9,7 @@ from iris_addon.base.errors import BadInput
 from iris_addon.base.images import read_exr, write_exr
 from iris_addon.evaluate import metrics
 from iris_addon.evaluate.evaluation import evaluate
-from iris_addon.evaluate.held_out import fit_gains
+from iris_addon.evaluate.pictures import fit_gains
 from iris_addon.model.capture import Photo
 from iris_addon.model.recovered import Textures
 from iris_addon.model.response import Response, gamma
@@ -36,7 +36,7 @@ def test_the_truth_scores_perfectly(tmp_path, side_by_side):
     }  # fmt: skip
 
 
-def test_constant_grey_scores_what_the_closed_form_says(tmp_path):
+def test_constant_grey_scores_as_its_closed_form(tmp_path):
     root = write_truth_room(tmp_path / "room")
     result = true_result()
     grey = replace(
@@ -51,7 +51,7 @@ def test_constant_grey_scores_what_the_closed_form_says(tmp_path):
         assert scores["per_view"]["kd_psnr_all_valid"][name] == pytest.approx(-10 * np.log10(error[surface].mean()))
 
 
-def test_the_lobe_of_the_result_shows_in_its_directional_albedo_alone(tmp_path):
+def test_the_diffuse_lobe_changes_the_directional_albedo_only(tmp_path):
     root = write_truth_room(tmp_path / "room")
     lambert = evaluate(true_result(), root)
     burley = evaluate(replace(true_result(), report={"model": {"diffuse": {"lobe": "burley"}}}), root)
@@ -77,7 +77,7 @@ def test_si_forgives_one_factor(tmp_path):
     assert scores["emission_log_l2"] > 1e-3 and scores["emission_log_l2_si"] == pytest.approx(0, abs=1e-9)
 
 
-def test_a_lamp_too_many_costs_iou(tmp_path):
+def test_a_false_lamp_lowers_iou(tmp_path):
     root = write_truth_room(tmp_path / "room")
     result = true_result()
     more = replace(result.emitters[0], faces=np.array([10, 11]))
@@ -121,7 +121,7 @@ def test_pictures_that_match_their_references_score_perfectly_and_edits_arrive(t
     assert set(scores["left_out"]) == {"lpips"}
 
 
-def test_twice_the_light_is_forgiven_by_si_alone(tmp_path):
+def test_twice_the_light_leaves_only_si_scores_unchanged(tmp_path):
     root = write_truth_room(tmp_path / "room")
     radiance = np.random.default_rng(0).random((HEIGHT, WIDTH, 3)).astype(np.float32)
     write_references(root, radiance)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from iris_addon.evaluate import metrics
-from iris_addon.model.response import LUMINANCE, gamma, identity
+from iris_addon.model.response import LUMINANCE, gamma, grey_exposure, identity
 
 
 def test_psnr_is_minus_ten_log_of_the_mean_square():
@@ -41,7 +41,7 @@ def test_to_ldr_is_what_a_camera_stores():
 
 def test_grey_exposure_brings_the_median_to_middle_grey():
     radiance = np.random.default_rng(0).random((9, 9, 3)) * 30
-    luminance = radiance * metrics.grey_exposure(radiance) @ LUMINANCE
+    luminance = radiance * grey_exposure(radiance) @ LUMINANCE
     assert np.median(luminance) == pytest.approx(0.18)
 
 
@@ -91,12 +91,12 @@ def test_crf_l2_is_the_frobenius_norm():
     assert metrics.crf_l2(samples + 0.1, samples) == pytest.approx(0.1 * np.sqrt(3 * 1024))
 
 
-def test_exposure_error_forgives_a_common_factor_only():
+def test_exposure_error_is_invariant_to_a_common_factor():
     truth = 2.0 ** np.array([-2, -1, 0, 1, 2.0])
     assert metrics.exposure_log2_rmse(7 * truth, truth) == pytest.approx(0.0, abs=1e-12)
     assert metrics.exposure_log2_rmse(truth * 2.0 ** np.array([1, -1, 0, 0, 0]), truth) == pytest.approx(np.sqrt(0.4))
 
 
-def test_combine_leaves_images_out_that_have_nothing_to_compare():
+def test_combine_ignores_nan():
     assert metrics.combine([1.0, float("nan"), 3.0]) == 2.0
     assert np.isnan(metrics.combine([]))

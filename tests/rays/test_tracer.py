@@ -85,7 +85,7 @@ def test_a_ray_that_is_not_finite_is_refused(bad: float) -> None:
         tracer.closest(origins, directions)
 
 
-def test_visibility_is_symmetric_and_blocked_by_what_lies_between() -> None:
+def test_visibility_is_symmetric_and_blocked_by_faces_between() -> None:
     rng = np.random.default_rng(4)
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     pieces = [
@@ -104,7 +104,7 @@ def test_visibility_is_symmetric_and_blocked_by_what_lies_between() -> None:
     assert (forth == (halfway > 0.5))[clear].all()
 
 
-def test_a_far_backdrop_does_not_make_the_room_coarse() -> None:
+def test_epsilon_does_not_grow_with_a_far_backdrop() -> None:
     """A triangle a kilometre away leaves the origins of rays at tenths of millimetres from their surfaces."""
     room = furnished_room().mesh
     far = np.array([[-1e3, 1e3, -1e3], [1e3, 1e3, -1e3], [0, 1e3, 1e3]])
@@ -113,7 +113,7 @@ def test_a_far_backdrop_does_not_make_the_room_coarse() -> None:
     assert 2e-5 < Tracer(room).epsilon < Tracer(both).epsilon < 5 * Tracer(room).epsilon
 
 
-def test_a_shade_that_nearly_touches_its_lamp_hides_it() -> None:
+def test_a_shade_that_nearly_touches_its_lamp_occludes_it() -> None:
     """A tenth of a millimetre before a lamp in a room of four metres."""
     pieces = [quad([0, 0, z], [4, 0, 0], [0, 3, 0]) for z in (0.0, 2.0, 2.0001)]
     tracer = Tracer(assemble(pieces, [0, 1, 2]))
@@ -123,7 +123,7 @@ def test_a_shade_that_nearly_touches_its_lamp_hides_it() -> None:
     assert not tracer.visible(low, np.column_stack([at[::-1], np.full(200, 2.0001)])).any()
 
 
-def test_targets_on_their_surface_do_not_hide_themselves() -> None:
+def test_targets_do_not_occlude_themselves() -> None:
     rng = np.random.default_rng(5)
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     pieces = [quad([0, 0, 0], [3, 0, 0], [0, 3, 0]), quad([0, 0, 2.5], [3, 0, 0], [0, 3, 0])]

@@ -12,9 +12,9 @@ from scipy.ndimage import gaussian_filter
 from iris_addon.config import Refinements
 from iris_addon.model import response as curve
 from iris_addon.model.local_exposure import (
-    ALIKE,
     COLUMNS,
     ROWS,
+    UNIFORM,
     LocalExposure,
     LocalSettings,
     SmallPhotos,
@@ -24,9 +24,8 @@ from iris_addon.model.local_exposure import (
 )
 from iris_addon.model.response import LUMINANCE
 from iris_addon.response import family
-from iris_addon.response.local_exposure import find_local_exposure
 from iris_addon.response.observations import Observations
-from iris_addon.response.overlap import OverlapFit, fit_overlap
+from iris_addon.response.overlap import OverlapFit, find_local_exposure, fit_overlap
 from iris_addon.response.overlap_problem import OverlapProblem
 from tests.engine_room import observe_off_edges
 
@@ -90,7 +89,7 @@ class Wall:
 
 def small(photos: np.ndarray) -> SmallPhotos:
     valid = np.ones((HEIGHT, WIDTH), bool)
-    z, clipped = (np.stack(region) for region in zip(*(small_photo(photo, valid) for photo in photos), strict=True))
+    z, clipped = (np.stack(column) for column in zip(*(small_photo(photo, valid) for photo in photos), strict=True))
     return SmallPhotos(z, clipped, SIZES)
 
 
@@ -108,7 +107,7 @@ def fitted(settings: LocalSettings, known: bool = True, choice: bool | None = No
     "settings",
     [LocalSettings(strength=0.5, scale=1 / 12), LocalSettings(strength=0.2, scale=1 / 6), LocalSettings(falloff=0.7)],
 )
-def test_gains_come_back_from_the_photos_that_they_made(settings: LocalSettings) -> None:
+def test_local_gains_are_recovered_from_photos_made_with_them(settings: LocalSettings) -> None:
     wall = Wall.painted(0)
     photos = wall.photos(settings)
     found = small(photos).local_exposure(settings, CAMERA)
@@ -141,11 +140,11 @@ def test_both_are_found_together() -> None:
     assert local.settings.falloff == pytest.approx(0.7, abs=0.1)
 
 
-def test_places_exposed_alike_stay_alike() -> None:
-    assert fitted(ALIKE).local is None
+def test_uniformly_exposed_photos_get_no_local_exposure() -> None:
+    assert fitted(UNIFORM).local is None
 
 
-def test_without_held_out_patches_nothing_is_switched_on() -> None:
+def test_no_local_exposure_is_accepted_without_held_out_patches() -> None:
     wall, rng = Wall.painted(1), np.random.default_rng(0)
     photos = wall.photos(LocalSettings(strength=0.5))
     seen = wall.observations(photos, rng)
@@ -154,20 +153,20 @@ def test_without_held_out_patches_nothing_is_switched_on() -> None:
     assert find_local_exposure(problem, nothing, small(photos), [family.PRIOR_MEAN], forced=False) is None
 
 
-def test_undoing_a_tone_mapping_gives_the_curve_back() -> None:
+def test_undoing_a_tone_mapping_recovers_the_curve() -> None:
     settings = LocalSettings(strength=0.5)
     taken, left = (fitted(settings, choice=choice) for choice in (None, False))
     off = [np.linalg.norm(fit.response.samples - CAMERA.samples) for fit in (taken, left)]
     assert taken.residual < 0.6 * left.residual and off[0] < 0.7 * off[1]
 
 
-def test_a_model_may_be_forbidden_it_or_made_to_have_it() -> None:
+def test_local_exposure_can_be_forced_and_forbidden() -> None:
     assert fitted(LocalSettings(strength=0.5), choice=False).local is None
-    forced = fitted(ALIKE, choice=True).local
+    forced = fitted(UNIFORM, choice=True).local
     assert forced is not None and forced.settings.strength < 0.05 and forced.settings.falloff < 0.05
 
 
-def test_gaussian_means_keep_what_is_even_and_spread_a_point_as_far_as_asked() -> None:
+def test_gaussian_means_keep_constants_and_have_the_given_deviation() -> None:
     mean = gaussian(2.5, 40)
     assert mean.sum(1) == pytest.approx(np.ones(40))
     spread = mean[:, 20] @ (np.arange(40) - 20.0) ** 2
@@ -176,7 +175,7 @@ def test_gaussian_means_keep_what_is_even_and_spread_a_point_as_far_as_asked() -
     assert mean @ values == pytest.approx(gaussian_filter(values, 2.5, mode="nearest"), abs=1e-4)
 
 
-def test_small_pictures_are_means_of_the_pixels_that_are_valid() -> None:
+def test_small_photos_are_means_of_valid_pixels() -> None:
     rng = np.random.default_rng(0)
     values, valid = rng.random((HEIGHT, WIDTH, 3)).astype(np.float32), rng.random((HEIGHT, WIDTH)) < 0.7
     valid[:3, :3] = False

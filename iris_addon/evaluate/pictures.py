@@ -1,7 +1,7 @@
-"""Scores of path-traced pictures: novel views, the two relighting references, inserted balls.
+"""Scores of path-traced pictures: novel views, the two relighting references, inserted balls, held-out photos.
 
-The renderer is an argument (:func:`iris_addon.blender.render.cycles.render_views` in practice), so that nothing here
-needs Blender.
+The renderer is an argument (in practice :func:`iris_addon.blender.render.cycles.render_views`), so nothing here needs
+Blender.
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
-from scipy.optimize import minimize_scalar
+from scipy.optimize import least_squares, minimize_scalar
 
 from ..base.progress import Progress
+from ..capture.photos import load_photo
 from ..edits.jobs import insertion_edits, new_lights_edit, one_emitter_edit
 from ..edits.scene_edit import SceneEdit
-from ..model.capture import Camera
+from ..model.capture import Camera, Photo, View
 from ..model.render_settings import RenderSettings
-from ..model.response import Response, gamma
+from ..model.response import Response, gamma, grey_exposure
 from ..results.result import Result
 from . import metrics
 from .ground_truth import GroundTruth, read_lights, read_mask, read_objects, read_rgb
@@ -28,6 +29,10 @@ from .metrics import FloatArray, Mask
 
 RING_PIXELS = 20
 """How far around an inserted object its shadow and bounce are scored."""
+FIT_PIXELS = 8192
+"""Pixels of a held-out photo to which its exposure and white balance are fitted."""
+MIDTONES = (0.02, 0.98)
+"""Display values between which a pixel is neither black nor clipped."""
 
 
 class RenderViews(Protocol):
@@ -42,7 +47,7 @@ class RenderViews(Protocol):
         settings: RenderSettings | None = None,
         on_view: Callable[[int, NDArray[np.float32]], None] | None = None,
     ) -> list[NDArray[np.float32]]:
-        """Render ``cameras``; ``on_view`` hears of each finished image and may raise to stop."""
+        """Render ``cameras``; ``on_view`` is called with each finished image and may raise to stop."""
         ...
 
 
@@ -91,13 +96,13 @@ def light_scale(pictures: Sequence[Picture]) -> float:
     def error(log2_scale: float) -> float:
         return sum(metrics.mse(p.ldr(2.0**log2_scale), p.truth, p.mask) for p in pictures)
 
-    # The error has one valley, but is flat where everything is black or blown: look around before walking down.
+    # The error has one minimum, but is flat where everything is black or clipped: a grid search finds the slope first.
     grid = np.arange(-8.0, 8.5, 0.5)
     best = grid[int(np.argmin([error(x) for x in grid]))]
     return float(2.0 ** minimize_scalar(error, bounds=(best - 0.5, best + 0.5), method="bounded").x)
 
 
-# ---- what is rendered ----------------------------------------------------------------------------------------------
+# ---- Pictures of a capture with ground truth ------------------------------------------------------------------------
 
 
 def novel_views(
@@ -167,7 +172,7 @@ def _beside(
 ) -> Picture:
     """Rendering and reference through the true response, exposed for the reference's median."""
     response = truth.response or gamma()
-    exposure = metrics.grey_exposure(reference)
+    exposure = grey_exposure(reference)
     return Picture(
         metric=metric,
         view=view,
@@ -188,10 +193,63 @@ def render_all(
     seed: int,
     progress: Progress,
 ) -> list[NDArray[np.float32]]:
-    """Render ``cameras`` and report each finished view to ``progress``, which may stop the work."""
+    """Render ``cameras`` and report each finished view to ``progress``; raises Cancelled."""
 
     def on_view(index: int, _image: NDArray[np.float32]) -> None:
         progress.update((index + 1) / len(cameras))
 
     settings = RenderSettings(samples=samples, seed=seed)
     return render(result, cameras, edit=edit, settings=settings, on_view=on_view) if cameras else []
+
+
+# ---- Held-out photos of a capture without ground truth --------------------------------------------------------------
+
+
+def score_held_out(result: Result, views: Sequence[View], images: Sequence[FloatArray]) -> dict[str, dict[str, float]]:
+    """``nvs_psnr`` and ``nvs_ssim`` by view name.
+
+    A photo whose exposure is unknown may be brightened and tinted: an exposure and a white balance are fitted to it.
+
+    Args:
+        views: held-out views with their photos.
+        images: their renderings, (H, W, 3) linear radiance each.
+    """
+    scores: dict[str, dict[str, float]] = {"nvs_psnr": {}, "nvs_ssim": {}}
+    for view, radiance in zip(views, images, strict=True):
+        photo = load_photo(view)
+        gains = fit_gains(radiance, photo, result.response)
+        ldr = metrics.to_ldr(radiance, result.response, gains)
+        # Pixels that undistortion could not fill count as right on both sides: SSIM wants a full image.
+        truth = np.where(photo.valid[..., None], photo.values, ldr)
+        scores["nvs_psnr"][view.name] = metrics.psnr(ldr, truth, photo.valid)
+        scores["nvs_ssim"][view.name] = metrics.ssim(ldr, truth)
+    return scores
+
+
+def fit_gains(radiance: FloatArray, photo: Photo, response: Response) -> FloatArray:
+    """(3,) exposure × white balance with the least squared error of the photo f(radiance · gains).
+
+    The start is the median ratio of exposures over pixels that are neither black nor clipped, or the ratio of means for
+    photos without such pixels.
+    """
+    usable = np.flatnonzero(photo.valid.ravel() & np.isfinite(radiance).all(-1).ravel())
+    rng = np.random.default_rng(0)
+    chosen = rng.choice(usable, min(FIT_PIXELS, len(usable)), replace=False)
+    L = np.maximum(radiance.reshape(-1, 3)[chosen].astype(np.float64), 1e-9)
+    z = photo.values.reshape(-1, 3)[chosen].astype(np.float64)
+    x = response.invert(np.clip(z, 0.0, 1.0))
+    mid = (z > MIDTONES[0]) & (z < MIDTONES[1])
+    start = np.array(
+        [
+            np.median(np.log(x[m, c] + 1e-9) - np.log(L[m, c]))
+            if m.any()
+            else np.log((x[:, c].mean() + 1e-9) / L[:, c].mean())
+            for c, m in enumerate(mid.T)
+        ]
+    )
+
+    def residual(log_gains: FloatArray) -> FloatArray:
+        return (response.apply(np.multiply(L, np.exp(log_gains))) - z).ravel()
+
+    # The table of f is piecewise linear, so derivatives need steps that cross its knots.
+    return np.exp(least_squares(residual, start, diff_step=1e-3, method="trf").x)

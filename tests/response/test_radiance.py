@@ -1,4 +1,4 @@
-"""Black bytes: what was too dark for the response is known to be dark, and no more."""
+"""Radiance of observations and patches: means, and the bounds that clipped and black observations give."""
 
 from __future__ import annotations
 
@@ -8,9 +8,65 @@ import pytest
 from iris_addon.model import response as curve
 from iris_addon.model.response import N_SAMPLES, Response
 from iris_addon.response.overlap_problem import OverlapProblem
-from iris_addon.response.radiance import Linearised, exposed, group_radiance, linearise
+from iris_addon.response.radiance import Linearised, group_radiance, linearise, raised_by_clipped, relative_exposure
 from iris_addon.textures.bake import fuse_texels
 from tests.engine_room import observe_off_edges
+from tests.response.photographed_patches import EXPOSURES, observations_of
+
+
+def test_radiance_comes_back_through_the_curve() -> None:
+    rng = np.random.default_rng(6)
+    truth = curve.gamma()
+    observations, radiance = observations_of(truth, EXPOSURES, rng)
+    linear = linearise(observations, truth, np.repeat(EXPOSURES[observations.view, None], 3, 1))
+    found = group_radiance(linear, observations.patch, observations.count, len(radiance))
+    assert found.known.all()
+    assert found.radiance == pytest.approx(radiance, rel=0.03)
+
+
+def test_one_view_with_a_highlight_does_not_move_a_patch() -> None:
+    rng = np.random.default_rng(7)
+    observations, radiance = observations_of(curve.gamma(), EXPOSURES, rng)
+    linear = linearise(observations, curve.gamma(), np.repeat(EXPOSURES[observations.view, None], 3, 1))
+    linear.radiance[observations.view == 4] *= 8
+    found = group_radiance(linear, observations.patch, observations.count, len(radiance))
+    off = np.abs(np.log(found.radiance / radiance))
+    assert np.median(off) < 0.12
+
+
+def test_radiance_clipped_in_every_photo_is_a_lower_bound() -> None:
+    patch, view = np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], np.int16)
+    z = np.array([[1.0] * 3, [1.0] * 3, [0.5] * 3, [1.0] * 3], np.float32)
+    observations = observe_off_edges(patch, view, z, np.random.default_rng(8))
+    linear = linearise(observations, curve.gamma(), np.array([[2.0] * 3, [0.25] * 3])[observations.view])
+    found = group_radiance(linear, observations.patch, observations.count, 2)
+    assert (found.known == [[False] * 3, [True] * 3]).all()
+    assert found.bound == pytest.approx(np.full((2, 3), 4.0))
+    assert found.radiance[0] == pytest.approx(4.0)
+    assert found.radiance[1] == pytest.approx(((0.5 + 0.5 / 255) ** 2.2) / 2, rel=1e-3)
+
+
+def test_pixels_that_clip_in_the_shortest_exposure_raise_their_patch() -> None:
+    """Half of the pixels of a patch shine twice as much as the others and clip in both exposures; a patch all of
+    whose pixels the short exposure shows is left as it is, however many of the long one clipped."""
+    exposures, truth = np.array([1.0, 8.0]), curve.gamma()
+    radiance = np.array([[0.6, 1.2], [0.4, 0.4]])  # (patches, halves)
+    patch, half, view = (axis.ravel() for axis in np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"))
+    z = truth.apply(np.repeat(np.clip(radiance[patch, half] * exposures[view], 0, 1)[:, None], 3, 1))
+    shown = np.where(z >= 1, 1.0, np.floor(z * 255) / 255).astype(np.float32)
+    # Observations are means of one photo on one patch; halves seen by photos of their own.
+    view = (2 * half + view).astype(np.int16)
+    observations = observe_off_edges(patch, view, shown, np.random.default_rng(0))
+    linear = linearise(observations, truth, np.repeat(np.tile(exposures, 2)[observations.view, None], 3, 1))
+    o, plain = observations, np.ones(len(observations.patch))
+    found = group_radiance(linear, o.patch, o.count, 2)
+    raised = raised_by_clipped(found, linear, o.patch, o.count, plain)
+    assert found.radiance[:, 0] == pytest.approx([0.6, 0.4], rel=0.01)
+    assert raised[:, 0] == pytest.approx([0.8, 0.4], rel=0.01)  # (0.6 + bound 1) / 2 and as it was
+
+
+# ---- Black observations ---------------------------------------------------------------------------------------------
+
 
 TOE = 0.25
 """Relative exposure up to which the curve below is black."""
@@ -30,9 +86,9 @@ def photographed(radiance: np.ndarray, exposures: np.ndarray) -> tuple[Linearise
 
 
 @pytest.mark.parametrize("response", [crushing(), curve.gamma(1.0)], ids=["crushing", "linear"])
-def test_a_black_pixel_says_what_a_uniform_exposure_below_the_next_byte_says(response: Response) -> None:
+def test_a_black_pixel_is_a_uniform_exposure_below_the_next_byte(response: Response) -> None:
     below = response.invert(np.full((1, 3), 1 / 255))[0, 0]
-    mean, noise = exposed(response, np.zeros((1, 3)), np.ones((1, 3)))
+    mean, noise = relative_exposure(response, np.zeros((1, 3)), np.ones((1, 3)))
     assert mean == pytest.approx(np.full((1, 3), below / 2))
     assert noise == pytest.approx(np.full((1, 3), 1 / np.sqrt(3)), rel=1e-6)  # (b / sqrt 12) / (b / 2)
 
@@ -42,7 +98,7 @@ def test_a_mean_over_black_pixels_is_that_of_their_exposures() -> None:
     x = (np.arange(4000) + 0.5) / 4000 * 2 * TOE
     z = np.floor(255 * crushing().apply(np.repeat(x[:, None], 3, 1))) / 255
     shown, black = z.mean(0, keepdims=True), (z == 0).mean(0, keepdims=True)
-    assert exposed(crushing(), shown, black)[0] == pytest.approx(np.full((1, 3), TOE), rel=0.01)
+    assert relative_exposure(crushing(), shown, black)[0] == pytest.approx(np.full((1, 3), TOE), rel=0.01)
     assert crushing().invert(shown + 0.5 / 255)[0, 0] == pytest.approx(0.3125, abs=0.001)
 
 
@@ -64,7 +120,7 @@ def test_black_photos_outweigh_the_highlight_that_one_shows() -> None:
     assert (found.radiance < 1.1 * TOE / 4).all()
 
 
-def test_what_is_always_black_is_below_its_lowest_ceiling_and_says_little() -> None:
+def test_a_patch_black_in_all_photos_lies_below_its_lowest_ceiling_with_little_weight() -> None:
     radiance = np.array([[0.01] * 4, [0.3] * 4])
     linear, patch, count = photographed(radiance, np.array([0.5, 1.0, 2.0, 4.0]) * 0.9)
     found = group_radiance(linear, patch, count, 2)
@@ -73,7 +129,7 @@ def test_what_is_always_black_is_below_its_lowest_ceiling_and_says_little() -> N
     assert found.radiance[1] == pytest.approx(np.full(3, 0.3), rel=0.01)
 
 
-def test_black_pixels_agree_with_what_is_expected_as_far_as_they_can() -> None:
+def test_black_pixels_agree_with_expected_radiance_up_to_their_ceiling() -> None:
     linear, _, _ = photographed(np.array([[0.1, 0.1, 0.1]]), np.array([1.0, 2.0, 4.0]))
     agreeing = linear.agreeing_with(np.full((3, 3), 0.2))
     # Below 0.25, below 0.125, and seen.
@@ -102,9 +158,9 @@ def test_a_channel_that_is_black_in_every_photo_is_unknown() -> None:
     assert np.isnan(fused.value).tolist() == [[False, False, True], [False] * 3]
 
 
-def test_what_is_black_does_not_tell() -> None:
+def test_black_observations_are_not_well_exposed() -> None:
     """A dark floor: its short exposures are black and do not tell of it, the long ones do."""
     rng = np.random.default_rng(2)
     radiance = np.repeat(rng.uniform(0.1, 0.2, (200, 1)), 8, 1)
     linear, _, _ = photographed(radiance, np.tile([0.25, 4.0], 4))
-    assert linear.told.reshape(200, 8)[:, 1::2].all() and not linear.told.reshape(200, 8)[:, ::2].any()
+    assert linear.well_exposed.reshape(200, 8)[:, 1::2].all() and not linear.well_exposed.reshape(200, 8)[:, ::2].any()
