@@ -77,7 +77,7 @@ def measure_floors(mesh: Mesh, seed: int = 0) -> Floors:
 
 
 @contextmanager
-def counted(progress: Progress) -> Iterator[Counts]:
+def counted(progress: StageProgress) -> Iterator[Counts]:
     """Count rays and bytes by the stage ``progress`` is in, while inside."""
     counts, lock = Counts(), Lock()
 

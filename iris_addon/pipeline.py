@@ -96,7 +96,7 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
 
     with progress.stage("photos"):
         tracer = Tracer(capture.mesh)
-        capture, cameras = fit_cameras(capture, tracer, config.refinements.poses, config.rng(8), progress)
+        capture, cameras = fit_cameras(capture, tracer, config.rng(8), progress, decisions)
         photos = sample_photos(capture, tracer, config.hdr is not None, progress)
     with progress.stage("surface"):
         room = cancellable(lambda: trace_room(capture, tracer, photos, config.max_patches, config.rng(1)))
@@ -110,7 +110,7 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     # One core at most, and not needed before there are textures.
     atlas = aside(lambda: atlas_for_photos(capture.mesh, room.samples, config.atlas_size))
     with progress.stage("response"):
-        measure = partial(measure_photometry, capture, config, observations, photos, config.rng(4))
+        measure = partial(measure_photometry, capture, config, observations, photos, config.rng(4), decisions)
         arrays = stage("response", lambda: cancellable(measure).arrays())
         photometry = Photometry.from_arrays(arrays)
     with progress.stage("lights"):

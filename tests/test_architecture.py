@@ -26,8 +26,6 @@ SHARED_NAMES = {
     "files": "base writes any file whole, results names those of a result folder",
     "images": "base decodes and encodes photos, blender wraps those that Blender holds",
     "jobs": "edits parses what a person asks for, blender/worker runs processes",
-    "lights": "edits parses lights that a job adds, blender/scene_out makes lamps of them",
-    "local_exposure": "model holds the correction, response estimates it",
     "photos": "capture decodes them, blender/synth renders them",
 }
 """Names that two modules of iris_addon may have, and why."""

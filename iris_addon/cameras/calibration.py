@@ -20,6 +20,7 @@ from ..base.group_by import group_equal, group_means
 from ..base.parallel import over_each
 from ..base.progress import Progress
 from ..capture.photos import load_photo, photos_at_once
+from ..decide import Decisions
 from ..model.capture import Camera, Capture, View
 from ..model.corrections import CameraCorrection
 from ..rays.tracer import Tracer
@@ -30,8 +31,6 @@ FOCAL_TRIALS = (0.8, 0.87, 0.94, 0.97, 1.0, 1.03, 1.06, 1.15, 1.25)
 """Factors of the given focal length that are tried first."""
 TRIAL_RATIO = 0.97
 """Disagreement, relative to the given cameras', below which the search goes on from the best trial."""
-ACCEPTANCE_GAIN = 0.05
-"""Relative decrease of the disagreement on held-out pixels that the correction must bring."""
 CELL_SIZE = 0.04
 """Metres; about the footprint of the filtered pixels."""
 MIN_SHARED = 1000
@@ -69,7 +68,9 @@ class Calibration:
         return {"correction": correction, "gain": round(self.gain, 4)}
 
 
-def calibrate(capture: Capture, tracer: Tracer, progress: Progress) -> tuple[Capture, Calibration]:
+def calibrate(
+    capture: Capture, tracer: Tracer, progress: Progress, decisions: Decisions | None = None
+) -> tuple[Capture, Calibration]:
     """The capture with its training cameras corrected, if held-out pixels bear the correction out.
 
     Only captures of one undistorted camera are corrected: other cameras were calibrated with their poses.
@@ -106,8 +107,10 @@ def calibrate(capture: Capture, tracer: Tracer, progress: Progress) -> tuple[Cap
     found = correction(minimize(watched, start, method="Nelder-Mead", options=options).x)
     tested = _Lattice.of(capture.views, 0.75, progress)
     before, after = (tested.disagreement(capture.views, c, tracer) for c in (CameraCorrection(float(field[0])), found))
-    gain = 1 - after / max(before, 1e-9) if np.isfinite([before, after]).all() else 0.0
-    if gain < ACCEPTANCE_GAIN:
+    if not np.isfinite([before, after]).all():
+        return capture, Calibration(None, 0.0)
+    gain = 1 - after / max(before, 1e-9)
+    if not (decisions or Decisions()).accept("cameras", before, after):
         return capture, Calibration(None, gain)
     return replace(capture, views=tuple(found.view(view) for view in capture.views)), Calibration(found, gain)
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..base.progress import Progress
+from ..decide import Decisions
 from ..model.capture import Capture
 from ..rays.tracer import Tracer
 from .calibration import Calibration, calibrate
@@ -32,19 +33,19 @@ class CameraFit:
 
 
 def fit_cameras(
-    capture: Capture, tracer: Tracer, poses: bool | None, rng: np.random.Generator, progress: Progress
+    capture: Capture, tracer: Tracer, rng: np.random.Generator, progress: Progress, decisions: Decisions
 ) -> tuple[Capture, CameraFit]:
     """The capture with cameras that fit its mesh.
 
     Args:
-        poses: whether single poses are corrected; None lets held-out points decide.
+        decisions: where the corrections are decided on photos and points that they are not fitted to.
         rng: picks the points on which photos are compared.
 
     Raises:
         BadInput: a photo cannot be read.
     """
-    capture, calibration = calibrate(capture, tracer, progress)
-    if poses is False:
+    capture, calibration = calibrate(capture, tracer, progress, decisions)
+    if decisions.forbids("poses"):
         return capture, CameraFit(calibration, Registration(None, 0.0))
-    capture, registration = register(capture, tracer, rng, progress, forced=bool(poses))
+    capture, registration = register(capture, tracer, rng, progress, decisions)
     return capture, CameraFit(calibration, registration)

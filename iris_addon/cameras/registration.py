@@ -21,6 +21,7 @@ from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 from ..base.parallel import over_blocks, over_each
 from ..base.progress import Progress
 from ..capture.photos import load_photo, photos_at_once, shrink
+from ..decide import Decisions
 from ..model.capture import Camera, Capture, View
 from ..model.corrections import PoseCorrections, rigid, twist
 from ..rays.tracer import Tracer, points_on_faces
@@ -37,8 +38,6 @@ TRIAL_ROUNDS = 3
 """Turns on the first level after which the search goes on or ends."""
 TRIAL_RATIO = 0.96
 """Disagreement, relative to the given poses', below which the search goes on after TRIAL_ROUNDS."""
-ACCEPTANCE_GAIN = 0.2
-"""Relative decrease of the disagreement on held-out points that the corrections must bring."""
 BLUR, SURROUND_BLUR = 1.0, 5.0
 """Pixels of a level: local contrast is the difference of two blurs."""
 BRIGHTNESS_FLOOR = 0.05
@@ -92,16 +91,22 @@ class Registration:
 
 
 def register(
-    capture: Capture, tracer: Tracer, rng: np.random.Generator, progress: Progress, *, forced: bool = False
+    capture: Capture,
+    tracer: Tracer,
+    rng: np.random.Generator,
+    progress: Progress,
+    decisions: Decisions | None = None,
 ) -> tuple[Capture, Registration]:
     """The capture with its training cameras corrected one by one, if held-out points bear the corrections out.
 
     Args:
-        forced: correct them whatever the gain.
+        decisions: where the corrections are decided.
 
     Raises:
         BadInput: a photo cannot be read.
     """
+    decisions = decisions or Decisions()
+    forced = decisions.forces("poses")
     given = [view.camera for view in capture.views]
     photos = _brightness(capture.views, progress)
     fitted, held_out = SurfacePoints.of(given, tracer, N_POINTS, rng).halves()
@@ -119,8 +124,9 @@ def register(
             tried = level == 0 and turn + 1 == TRIAL_ROUNDS and not forced
             if tried and not test.disagreement(pictures, found) < TRIAL_RATIO * before:
                 return capture, Registration(None, 0.0)
-    gain = 1 - test.disagreement(pictures, found) / before if before > 0 else 0.0
-    if gain < ACCEPTANCE_GAIN and not forced:
+    after = test.disagreement(pictures, found)
+    gain = 1 - after / before if before > 0 else 0.0
+    if not decisions.accept("poses", before, after):
         return capture, Registration(None, gain)
     views = tuple(replace(view, camera=camera) for view, camera in zip(capture.views, found, strict=True))
     return replace(capture, views=views), Registration(PoseCorrections.between(given, found), gain)

@@ -109,7 +109,13 @@ def solve_lights(
                 indirect = indirect + more.gather_radiance(radiance, unknown, mask)
         if hidden.holes is not None:
             indirect = indirect + hidden.holes.irradiance(kappa)
-        patches = ShadedPatches(smooth_shaded, kernel @ indirect[:n], smooth_factors, region[rows], say[rows])
+        patches = ShadedPatches(
+            radiance=smooth_shaded,
+            indirect=kernel @ indirect[:n],
+            form_factors=smooth_factors,
+            region=region[rows],
+            weight=say[rows],
+        )
         balance = solve_balance(patches, evidence, start, problem.robust_log, known_about)
         start = balance.radiance
         irradiance = indirect + all_factors @ balance.radiance

@@ -304,7 +304,7 @@ def promising(
     silent = np.full(start.shape, np.nan)
     evidence = Evidence(np.zeros(start.shape), silent, np.arange(len(start)), silent)
     shown, region = observed.radiance[rows], t.region[rows]
-    patches = ShadedPatches(shown, rest, reach, region, say[rows])
+    patches = ShadedPatches(radiance=shown, indirect=rest, form_factors=reach, region=region, weight=say[rows])
     balance = solve_balance(patches, evidence, start, problem.robust_log)
 
     known = np.flatnonzero(np.isin(region, balance.region_ids))

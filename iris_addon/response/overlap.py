@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from ..config import AUTO, Refinements
+from ..decide import Decisions
 from ..model.local_exposure import UNIFORM, LocalExposure, LocalSettings, SmallPhotos
 from ..model.response import Response
 from . import family
@@ -38,13 +38,7 @@ START_STEPS, START_EVERY, START_LEVELS = 12, 4, (0.0, 0.8, 1.6)
 """For the first guess: steps, one patch in so many, and log exponents of the powers that are tried."""
 CORRECTION_STEPS, CORRECTION_ROUNDS = 10, 3
 """For corrected exposures: steps of the curve after each correction, and corrections."""
-CHANNEL_CURVES_GAIN = 0.97
-"""Disagreement on held-out patches, relative to that under one curve, below which each channel has its own."""
-CORRECTED_EXPOSURES_GAIN = 0.8
-"""Disagreement on held-out patches, relative to that under the recorded exposures, below which these are corrected."""
 
-LOCAL_GAIN = 0.95
-"""Disagreement on held-out patches, relative to that without a parameter, at which the parameter is accepted."""
 LOCAL_TRIAL = {"strength": 0.1, "falloff": 0.2}
 LOCAL_MAX = {"strength": 0.9, "falloff": 2.0}
 """Of each parameter: the value tried first, which has to lower the disagreement, and the upper bound."""
@@ -116,7 +110,7 @@ def fit_overlap(
     n_views: int,
     rng: np.random.Generator,
     fixed: Response | None = None,
-    refinements: Refinements = AUTO,
+    decisions: Decisions | None = None,
     small: SmallPhotos | None = None,
 ) -> OverlapFit:
     """Recover the response, and the exposures where ``exposures`` is None.
@@ -126,37 +120,37 @@ def fit_overlap(
         n_views: V, photos of the capture.
         rng: selects and holds out patches.
         fixed: a given response; only exposures are then fitted.
-        refinements: which refinements are forced or forbidden; the others are accepted on held-out patches.
+        decisions: where refinements are decided on held-out patches and written down.
         small: the photos, for local exposure; None leaves that out.
     """
+    decisions = decisions or Decisions()
     index = _select(observations, rng)
-    problem = OverlapProblem.build(observations, index, exposures, n_views, refinements.white_balance)
+    problem = OverlapProblem.build(observations, index, exposures, n_views)
     if fixed is not None:
-        return OverlapFit(fixed, problem.exposures(fixed), np.nan, False)
+        return OverlapFit(fixed, problem.exposures(fixed, decisions), np.nan, False)
     if _of_one_exposure(problem):
         # The curve is unconstrained: the most common one is taken.
         median = family.to_response([family.PRIOR_MEAN])
-        return OverlapFit(median, problem.exposures(median), np.nan, False)
+        return OverlapFit(median, problem.exposures(median, decisions), np.nan, False)
     held_out = rng.random(problem.n_patches) < 0.2
     training, testing = problem.restrict(~held_out), problem.restrict(held_out)
-    knots, error = _fit_curves(training, testing, refinements)
+    knots, error = _fit_curves(training, testing, decisions)
     # Before exposures: four parameters for all photos are the smaller model than one per photo.
     local = None
-    if small is not None and refinements.local_exposure is not False:
-        local = find_local_exposure(training, testing, small, knots, refinements.local_exposure is True)
+    if small is not None and not decisions.forbids("local_exposure"):
+        local = find_local_exposure(training, testing, small, knots, decisions)
     if local is not None:
         problem, training, testing = (with_local_exposure(p, local) for p in (problem, training, testing))
-        knots, error = _fit_curves(training, testing, refinements)
-    if exposures is not None and refinements.corrected_exposures is not False:
-        gain = np.inf if refinements.corrected_exposures else CORRECTED_EXPOSURES_GAIN
-        log_t = _corrected_exposures(training, testing, knots, gain)
+        knots, error = _fit_curves(training, testing, decisions)
+    if exposures is not None and not decisions.forbids("corrected_exposures"):
+        log_t = _corrected_exposures(training, testing, knots, decisions)
         if log_t is not None:
             problem, training, testing = (replace(p, log_t=log_t) for p in (problem, training, testing))
-            knots, error = _fit_curves(training, testing, refinements)
+            knots, error = _fit_curves(training, testing, decisions)
     response = family.to_response(knots)
     return OverlapFit(
         response=response,
-        exposures=problem.exposures(response),
+        exposures=problem.exposures(response, decisions),
         residual=error,
         per_channel=len(knots) == 3,
         local=local,
@@ -172,18 +166,18 @@ def _of_one_exposure(problem: OverlapProblem) -> bool:
 
 
 def _fit_curves(
-    training: OverlapProblem, testing: OverlapProblem, refinements: Refinements
+    training: OverlapProblem, testing: OverlapProblem, decisions: Decisions
 ) -> tuple[list[NDArray[np.float64]], float]:
     """Knots of one curve, or of three if held-out patches bear them out, and the disagreement of those patches."""
     shared = training.minimise([_first_guess(training)], MAX_STEPS)
     error = testing.disagreement(shared)
-    if refinements.channel_curves is False:
+    if decisions.forbids("channel_curves"):
         return shared, error
     leading = replace(training, highlights=False)
     separate = leading.minimise(shared * 3, SEPARATE_STEPS)
     # One curve is the null hypothesis: cameras apply the same curve to all channels far more often than not.
     separate_error = testing.disagreement(separate)
-    if refinements.channel_curves or separate_error < CHANNEL_CURVES_GAIN * error:
+    if decisions.accept("channel_curves", error, separate_error):
         separate = training.minimise(leading.minimise(separate, MAX_STEPS), MAX_STEPS)
         return separate, testing.disagreement(separate)
     return shared, error
@@ -201,23 +195,25 @@ def _first_guess(problem: OverlapProblem) -> NDArray[np.float64]:
 
 
 def _corrected_exposures(
-    training: OverlapProblem, testing: OverlapProblem, knots: list[NDArray[np.float64]], gain: float
+    training: OverlapProblem, testing: OverlapProblem, knots: list[NDArray[np.float64]], decisions: Decisions
 ) -> NDArray[np.float64] | None:
     """Log exposures (V, 3) in place of the recorded ones, or None where those stand.
 
     Recorded exposures may be rounded, and white balance may drift. A correction per photo, then one per channel, is
-    accepted where held-out patches disagree less than ``gain`` times as much under it.
+    accepted where held-out patches disagree less under it.
     """
     best, found = testing.disagreement(knots), None
-    for per_channel in (False, True) if training.white_balance is not False else (False,):
+    for per_channel in (False,) if decisions.forbids("white_balance") else (False, True):
         tried, log_t = knots, training.log_t
         for round_ in range(CORRECTION_ROUNDS):
             log_t = training.corrected_exposures(family.to_response(tried), per_channel)
-            if round_ == 0 and replace(testing, log_t=log_t).disagreement(tried) > max(1.0, gain) * best:
+            worse = replace(testing, log_t=log_t).disagreement(tried) > best
+            if round_ == 0 and worse and not decisions.forces("corrected_exposures"):
                 break
             tried = replace(training, log_t=log_t).minimise(tried, CORRECTION_STEPS)
         disagreement = replace(testing, log_t=log_t).disagreement(tried)
-        if disagreement < gain * best:
+        subject = "per channel" if per_channel else "per photo"
+        if decisions.accept("corrected_exposures", best, disagreement, subject=subject):
             best, found = disagreement, log_t
     return found
 
@@ -235,7 +231,7 @@ class _Fit:
 
 
 def find_local_exposure(
-    training: OverlapProblem, testing: OverlapProblem, small: SmallPhotos, knots: Knots, forced: bool
+    training: OverlapProblem, testing: OverlapProblem, small: SmallPhotos, knots: Knots, decisions: Decisions
 ) -> LocalExposure | None:
     """The local tone mapping and vignetting that held-out patches bear out; None where they bear out neither.
 
@@ -243,9 +239,9 @@ def find_local_exposure(
         training, testing: problems of fitted and of held-out patches.
         small: the photos.
         knots: of the curve for uniformly exposed photos.
-        forced: whether all parameters are taken even if held-out patches disagree more.
+        decisions: where each parameter is decided; if local exposure is forced, all of them are taken.
     """
-    search = _Search(training, testing, small)
+    search, forced = _Search(training, testing, small), decisions.forces("local_exposure")
     fit = _Fit(UNIFORM, knots, testing.disagreement(knots))
     if not np.isfinite(fit.error):  # no unclipped patch was held out
         return None
@@ -253,7 +249,7 @@ def find_local_exposure(
     while untried:
         ends = {name: search.along((name,), fit, forced) for name in untried}
         name, best = min(ends.items(), key=lambda end: end[1].error)
-        if not forced and best.error > LOCAL_GAIN * fit.error:
+        if not decisions.accept("local_exposure", fit.error, best.error, subject=name):
             break
         fit = best
         untried.remove(name)

@@ -20,12 +20,11 @@ from scipy.optimize import least_squares
 from ..base.compiled import Integer, Real, inlined, kernel
 from ..base.group_by import group_means
 from ..base.parallel import over_each
+from ..decide import Decisions
 from ..model.response import Response
 from . import family
 from .observations import Observations
 
-WHITE_BALANCE_GAIN = 0.9
-"""Disagreement about radiance, relative to that under one exposure per photo, below which each channel has its own."""
 EXPONENT_WEIGHT = 300.0
 """Weight of the prior over contrast, which alone fixes the exponent where exposures are unknown."""
 MIN_EXPOSURE_SPREAD, MIN_UNKNOWN_SPREAD = 0.5, 0.25
@@ -71,7 +70,6 @@ class OverlapProblem:
         pixel: (m,) row-major place in the photo.
         log_gain: (m,) what the camera adds to the log exposure there (local exposure).
         log_t: (V, 3) log exposures, None where they are unknown.
-        white_balance: True and False force and forbid unknown exposures per channel; None lets the data decide.
         highlights: whether an observation may clip that other views show below saturation. Without, a curve that is far
             from the right one is led there.
     """
@@ -87,7 +85,6 @@ class OverlapProblem:
     n_patches: int
     n_views: int
     log_t: NDArray[np.float64] | None
-    white_balance: bool | None
     highlights: bool = True
 
     @staticmethod
@@ -96,7 +93,6 @@ class OverlapProblem:
         index: NDArray[np.int64],
         exposures: NDArray[np.floating] | None,
         n_views: int,
-        white_balance: bool | None,
     ) -> OverlapProblem:
         """The problem of the observations ``index``; ``exposures`` (V,) or None where they are unknown."""
         index = index[np.argsort(o.patch[index], kind="stable")]
@@ -113,7 +109,6 @@ class OverlapProblem:
             n_patches=len(patches),
             n_views=n_views,
             log_t=None if exposures is None else np.repeat(np.log(np.asarray(exposures, np.float64))[:, None], 3, 1),
-            white_balance=white_balance,
         )
 
     def restrict(self, keep: NDArray[np.bool_]) -> OverlapProblem:
@@ -165,17 +160,17 @@ class OverlapProblem:
         log_t, _ = self.solve_radiance(family.to_response([family.PRIOR_MEAN]))
         return float(np.std(log_t) / np.log(2))
 
-    def exposures(self, response: Response) -> NDArray[np.float64]:
+    def exposures(self, response: Response, decisions: Decisions) -> NDArray[np.float64]:
         """(V, 3) exposure factors under a curve: the known ones, or those that fit the overlap best.
 
         A factor per channel (white balance) is taken where it explains the overlap clearly better than one per photo.
         """
         shared = self.solve_radiance(response)[0]
-        if self.log_t is not None or self.white_balance is False:
+        if self.log_t is not None or decisions.forbids("white_balance"):
             return np.exp(shared)
         log_x, per_channel = self._log_exposed(response), self._chained(response, per_channel=True)
-        better = self._spread(log_x, per_channel) < WHITE_BALANCE_GAIN * self._spread(log_x, shared)
-        return np.exp(per_channel if self.white_balance or better else shared)
+        smaller, larger = self._spread(log_x, shared), self._spread(log_x, per_channel)
+        return np.exp(per_channel if decisions.accept("white_balance", smaller, larger) else shared)
 
     def corrected_exposures(self, response: Response, per_channel: bool) -> NDArray[np.float64]:
         """(V, 3) log exposures that fit the overlap best under a curve, on the scale of the known ones.

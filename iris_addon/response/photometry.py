@@ -16,6 +16,7 @@ from ..base.errors import BadInput
 from ..base.files import read_json
 from ..base.parallel import BLOCK, over_blocks
 from ..config import SolveConfig
+from ..decide import Decisions
 from ..model import response as curve
 from ..model.capture import Capture
 from ..model.local_exposure import LocalExposure
@@ -193,7 +194,12 @@ class Photometry:
 
 
 def measure_photometry(
-    capture: Capture, config: SolveConfig, observations: Observations, photos: PhotoSamples, rng: np.random.Generator
+    capture: Capture,
+    config: SolveConfig,
+    observations: Observations,
+    photos: PhotoSamples,
+    rng: np.random.Generator,
+    decisions: Decisions,
 ) -> Photometry:
     """Response and exposures as ``config`` has them: measured, withheld or read from files.
 
@@ -212,7 +218,7 @@ def measure_photometry(
             response=curve.identity(), exposures=exposures, held_out=np.nan, per_channel=False, known_exposures=True
         )
     fixed = _fixed_response(config)
-    fit = fit_overlap(observations, given, n, rng, fixed, config.refinements, photos.small)
+    fit = fit_overlap(observations, given, n, rng, fixed, decisions, photos.small)
     error = 0.0 if given is None else float(np.sqrt(np.mean(np.log2(fit.exposures / given[:, None]) ** 2)))
     error = error if error > 1e-6 else 0.0
     return Photometry(

@@ -125,4 +125,6 @@ def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progres
     backdrop = BackdropPixels(len(columns[0]) / sum(photo.tested for photo in photos), *columns)
     sizes = np.array([(camera.height, camera.width) for camera in cameras])
     shown, clipped = (np.stack(pictures) for pictures in zip(*(photo.small for photo in photos), strict=True))
-    return PhotoSamples(samples, z, hdr, backdrop, stride, SmallPhotos(shown, clipped, sizes))
+    return PhotoSamples(
+        samples=samples, z=z, hdr=hdr, backdrop=backdrop, stride=stride, small=SmallPhotos(shown, clipped, sizes)
+    )

@@ -381,7 +381,13 @@ class _Charts:
         i, j = [0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1]
         # Mean of x xᵀ over a triangle: (9 c cᵀ + the sum of its corners' p pᵀ) / 12.
         second = (9 * centre[:, i] * centre[:, j] + (corners[:, :, i] * corners[:, :, j]).sum(1)) / 12
-        return cls(area, texels, normals * texels[:, None], centre * area[:, None], second * area[:, None])
+        return cls(
+            area=area,
+            texels=texels,
+            facing=normals * texels[:, None],
+            first=centre * area[:, None],
+            second=second * area[:, None],
+        )
 
     def merged(self, names: IntArray, n: int) -> _Charts:
         return _Charts(*(sums(names, x, n) for x in (self.area, self.texels, self.facing, self.first, self.second)))

@@ -108,7 +108,9 @@ def trace_glossy_bounce(
         glossy: (n_regions,) bool, regions off which rays are continued.
     """
     on_glossy = np.append(glossy[regions], False)  # the last entry is for rays that hit nothing
-    mirrors = _Mirrors(tracer, transport, regions, roughness, specular_color)
+    mirrors = _Mirrors(
+        tracer=tracer, transport=transport, regions=regions, roughness=roughness, specular_color=specular_color
+    )
 
     def continued(start: int, origins: Origins, rays: GatherRays) -> SparseRays:
         row, column = entries_of(rays.face, on_glossy)

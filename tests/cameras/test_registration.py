@@ -12,6 +12,7 @@ from iris_addon.base.images import write_png
 from iris_addon.base.progress import Cancelled, Progress
 from iris_addon.cameras import registration
 from iris_addon.cameras.registration import SurfacePoints, _Sightings, register, seen_points
+from iris_addon.decide import Decisions
 from iris_addon.model.capture import Camera, Capture, View
 from iris_addon.model.corrections import PoseCorrections, rigid, rotation, rotation_vector, twist
 from iris_addon.rays.tracer import Tracer
@@ -93,7 +94,7 @@ def test_the_same_seed_gives_the_same_poses(painted: tuple[Capture, Tracer]) -> 
 def test_photos_without_a_third_overlapping_one_keep_their_poses(painted: tuple[Capture, Tracer], n_views: int) -> None:
     few = replace(painted[0], views=painted[0].views[:n_views])
     assert register(few, painted[1], np.random.default_rng(0), Progress())[0] is few
-    asked, found = register(few, painted[1], np.random.default_rng(0), Progress(), forced=True)
+    asked, found = register(few, painted[1], np.random.default_rng(0), Progress(), Decisions({"poses": True}))
     assert found.gain == 0 and all(
         np.allclose(a.camera.c2w, b.camera.c2w) for a, b in zip(asked.views, few.views, strict=True)
     )

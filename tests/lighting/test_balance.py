@@ -44,7 +44,13 @@ class Shading:
 
     def solve(self, evidence: Evidence | None = None, start: np.ndarray | None = None) -> Balance:
         begin = np.ones_like(self.truth) if start is None else start
-        patches = ShadedPatches(self.radiance, self.indirect, self.form_factors, self.region, self.weight)
+        patches = ShadedPatches(
+            radiance=self.radiance,
+            indirect=self.indirect,
+            form_factors=self.form_factors,
+            region=self.region,
+            weight=self.weight,
+        )
         return solve_balance(patches, evidence or self.nothing_known, begin)
 
 

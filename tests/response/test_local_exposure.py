@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from iris_addon.config import Refinements
+from iris_addon.decide import Decisions
 from iris_addon.model import response as curve
 from iris_addon.model.local_exposure import (
     COLUMNS,
@@ -98,7 +98,7 @@ def fitted(settings: LocalSettings, known: bool = True, choice: bool | None = No
     """The fit to photos with ``settings``, which the model is made to look for, forbidden, or free to find."""
     wall, rng = Wall.painted(1), np.random.default_rng(0)
     photos = wall.photos(settings)
-    one_curve = Refinements(channel_curves=False, local_exposure=choice)
+    one_curve = Decisions({"channel_curves": False, "local_exposure": choice})
     exposures = EXPOSURES if known else None
     return fit_overlap(wall.observations(photos, rng), exposures, N_VIEWS, rng, None, one_curve, small(photos))
 
@@ -148,9 +148,9 @@ def test_no_local_exposure_is_accepted_without_held_out_patches() -> None:
     wall, rng = Wall.painted(1), np.random.default_rng(0)
     photos = wall.photos(LocalSettings(strength=0.5))
     seen = wall.observations(photos, rng)
-    problem = OverlapProblem.build(seen, np.arange(len(seen.patch)), EXPOSURES, N_VIEWS, False)
+    problem = OverlapProblem.build(seen, np.arange(len(seen.patch)), EXPOSURES, N_VIEWS)
     nothing = problem.restrict(np.zeros(problem.n_patches, bool))
-    assert find_local_exposure(problem, nothing, small(photos), [family.PRIOR_MEAN], forced=False) is None
+    assert find_local_exposure(problem, nothing, small(photos), [family.PRIOR_MEAN], Decisions()) is None
 
 
 def test_undoing_a_tone_mapping_recovers_the_curve() -> None:

@@ -234,7 +234,7 @@ def test_derivatives_of_the_residuals_are_those_of_central_differences(known: bo
     rng = np.random.default_rng(21)
     o, _ = observations_of(response_of(film()), EXPOSURES, rng, n=80)
     every = np.arange(len(o.view))
-    problem = OverlapProblem.build(doubled(o), every, EXPOSURES if known else None, len(EXPOSURES), None)
+    problem = OverlapProblem.build(doubled(o), every, EXPOSURES if known else None, len(EXPOSURES))
     knots = np.concatenate([family.PRIOR_MEAN + rng.normal(0, 0.05, len(family.PRIOR_MEAN)) for _ in range(curves)])
     steps = 1e-5 * np.eye(len(knots))
     central = [(problem.residual(knots + h, curves) - problem.residual(knots - h, curves)) / 2e-5 for h in steps]

@@ -144,7 +144,7 @@ def test_the_overlap_of_photos_reads_radiance_where_it_is_not_black() -> None:
     patch, view = (axis.ravel() for axis in np.indices((200, 4)))
     z = np.floor(255 * crushing().apply(np.repeat((radiance[patch] * exposures[view])[:, None], 3, 1))) / 255
     o = observe_off_edges(patch, view, z.astype(np.float32), rng)
-    problem = OverlapProblem.build(o, np.arange(len(o.patch)), exposures, 4, None)
+    problem = OverlapProblem.build(o, np.arange(len(o.patch)), exposures, 4)
     found = problem.solve_radiance(crushing())[1]
     assert found == pytest.approx(np.repeat(radiance[:, None], 3, 1), rel=0.02)
 

@@ -80,7 +80,15 @@ def build_scene(result: Result, edit: SceneEdit | None = None, *, lamps_apart: b
     except BaseException:
         bpy.data.batch_remove(set(datablocks()) - before)
         raise
-    return BuiltScene(scene, room, lamps, backdrop, lights, inserted, owned=set(datablocks()) - before)
+    return BuiltScene(
+        scene=scene,
+        room=room,
+        lamps=lamps,
+        backdrop=backdrop,
+        lights=lights,
+        inserted=inserted,
+        owned=set(datablocks()) - before,
+    )
 
 
 def add_room(
