@@ -1,6 +1,6 @@
 # Everything runs from the repository root through .venv; nothing is installed into the system.
 
-.PHONY: help setup demo gallery test test-all lint format docs clean bench stability curves scaling profile figures
+.PHONY: help setup demo gallery test test-all lint format docs clean bench stability curves scaling ablation profile figures
 .DEFAULT_GOAL := help
 
 VENV := .venv
@@ -18,6 +18,7 @@ help:
 	@echo "make test-blender  real Blenders 4.3 and 5.2 by mouse, as root on Debian;  make test-wheels  bpy 4.5 and 5.2"
 	@echo "make bench      speed against accuracy with peers, 1½ hours;  make profile  where the time goes, minutes"
 	@echo "make stability  every perturbation, 1½ hours;  make scaling  cost against size, 20 minutes"
+	@echo "make ablation   what each refinement earns, capture by capture, 2 hours"
 	@echo "make curves     measured responses, exposures known and withheld, half an hour"
 	@echo "make figures    charts and tables out of what was measured; nothing is measured"
 	@echo "make lint       ruff, pyright, what may import what;  make format  let ruff format"
@@ -82,7 +83,7 @@ docs: $(VENV)/.docs
 	@NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --quiet --strict
 
 # Each benchmark goes on where it was stopped.
-bench stability curves scaling: $(VENV)/.bench
+bench stability curves scaling ablation: $(VENV)/.bench
 	@$(VENV)/bin/python -m benchmarks.$@
 
 profile: $(VENV)/.bench

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from iris_addon.base.files import atomic_write
 
-from . import curves_section, profile_section, scaling_section, speed_section, stability_section
+from . import ablation_section, curves_section, profile_section, scaling_section, speed_section, stability_section
 from .machine import ROOT
 from .records import COMMITTED, IMAGES, Record, pack, unpack
 
@@ -25,6 +25,7 @@ SECTIONS: Mapping[str, Section] = {
     "bench": speed_section.describe,
     "stability": stability_section.describe,
     "curves": curves_section.describe,
+    "ablation": ablation_section.describe,
     "scaling": scaling_section.describe,
     "profile": profile_section.describe,
 }

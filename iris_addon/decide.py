@@ -214,6 +214,14 @@ def accept(name: str, smaller: float, larger: float, error: float = 0.0, share: 
     return bool(larger < (1.0 - share * row.gain) * smaller - row.errors * error)
 
 
+def share_of_rise(name: str, times: float = 1.0) -> float:
+    """The ``share`` of :func:`accept` with which the loss has to rise by ``times`` the gain without the refinement.
+
+    A rise of r is a fall of r / (1 + r) of the larger loss.
+    """
+    return times / (1.0 + times * REFINEMENTS[name].gain)
+
+
 def paired_error(smaller: NDArray[np.floating], larger: NDArray[np.floating], weight: NDArray[np.floating]) -> float:
     """Standard error of the weighted mean of ``larger - smaller``, the losses (n,) of the same n held-out observations.
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..base.group_by import group_medians
 from ..base.progress import Progress
 from ..brdf.diffuse import under_lobe
+from ..decide import share_of_rise
 from ..rays.sampling import Origins
 from ..response.radiance import GroupRadiance
 from ..surface.topology import smooth_components
@@ -172,7 +173,8 @@ def _without_idle(
         return solved(problem, observed, [*sure, *kept], lights, progress, say, near=True)
 
     def idle(tried: Lights, subject: str, stops: float = 1.0) -> bool:
-        return not problem.decisions.accept("lamp", tried.held_out, lights.held_out, share=stops, subject=subject)
+        share = share_of_rise("lamp", stops)
+        return not problem.decisions.accept("lamp", tried.held_out, lights.held_out, share=share, subject=subject)
 
     if sure and left and idle(tried := without(left), f"{len(left)} together"):
         return tried
@@ -319,10 +321,12 @@ def promising(
     lamps, all_light = len(lights.emitters), loss(light)
     without = [loss(light - np.outer(theirs[known, k], e)) for k, e in enumerate(balance.radiance[lamps:])]
     most_missed = np.argsort(-np.array(without), kind="stable")[:PROMISING]
-    accept = problem.decisions.accept
-    return [
-        pieces[k] for k in most_missed if accept("hidden_emitter", without[k], all_light, subject=_named(pieces[k]))
-    ]
+
+    def missed(k: int) -> bool:
+        share, subject = share_of_rise("hidden_emitter"), _named(pieces[k])
+        return problem.decisions.accept("hidden_emitter", without[k], all_light, share=share, subject=subject)
+
+    return [pieces[k] for k in most_missed if missed(k)]
 
 
 def _origins(origins: Origins, rows: NDArray[np.integer]) -> Origins:

@@ -1,0 +1,132 @@
+"""One leave-one-out run: ``python -m benchmarks.ablation_worker RECORD_FILE CAPTURE LEFT_OUT PRESET``.
+
+What held-out losses decide is left out by refusing it whatever it gains. Mechanisms that no loss decides are replaced
+by what a model without them would do; the engine has no switch for them, because nobody would turn it.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+from unittest.mock import patch
+
+import numpy as np
+
+from iris_addon import decide
+from iris_addon.capture.reader import read_capture
+from iris_addon.config import PresetName, preset
+from iris_addon.evaluate.evaluation import evaluate
+
+from . import machine
+from .records import Record, write_record
+
+NOTHING = "nothing"
+
+
+class Replaced(NamedTuple):
+    """An attribute of a module of the engine, and what takes its place; ``wraps`` makes that out of what was there."""
+
+    module: str
+    name: str
+    by: Any
+    wraps: bool = False
+
+
+def _own_labels(regions: np.ndarray, *_: object) -> np.ndarray:
+    return np.arange(int(regions.max()) + 1, dtype=np.int32)
+
+
+def _any_region_painted(make: Callable[..., Any]) -> Callable[..., Any]:
+    def made(atlas: Any, regions: Any, lamps: Any, gloss: Any, *rest: Any) -> Any:
+        return make(atlas, regions, lamps, gloss, *rest[:-1], gloss.metallic < 0.5)
+
+    return made
+
+
+MECHANISMS: Mapping[str, tuple[Replaced, ...]] = {
+    "regions: coplanar ones across a gap joined": (
+        Replaced("surface.regions", "joined_in_plane", lambda regions, *_: regions),
+    ),
+    "regions: a scan's rejoined under its light": (Replaced("materials.rounds", "joined_regions", _own_labels),),
+    "regions: a scan split by colour": (Replaced("surface.regions", "split_scan", lambda regions, *_: regions),),
+    "regions: split at creases": (
+        Replaced("surface.regions", "split_creases", lambda regions, *_: np.unique(regions, return_inverse=True)[1]),
+    ),
+    "gloss: pooled over regions of one object of the file": (Replaced("materials.gloss", "LIKE_KIN", 1e-6),),
+    "gloss: pooled over near regions of like albedo": (Replaced("materials.gloss", "LIKE", 1e-6),),
+    "gloss: metals seen by few observations must gain more": (Replaced("materials.gloss", "FEW", 0),),
+    "paint: shared by regions": (
+        Replaced("textures.principled", "shared_paint", lambda _a, _e, _r, painted: np.arange(len(painted))),
+    ),
+    "paint: texels of one colour evened": (
+        Replaced("textures.paint", "Paint.evened", lambda _self, albedo, _error, _region: albedo),
+    ),
+    "paint: none on scans": (Replaced("results.assembly", "make_textures", _any_region_painted, wraps=True),),
+    "textures: residual light": (
+        Replaced("results.assembly", "residual_light", lambda _field, region, *_: np.ones((len(region), 3))),
+    ),
+    "textures: edges of models weigh less than those of scans": (
+        Replaced("textures.bake", "MODELLED_EDGE_WEIGHT", 0.001),
+    ),
+}
+"""Parts of the model that no held-out loss decides, by name."""
+
+
+def variants() -> list[str]:
+    """Everything that can be left out, and nothing first."""
+    return [NOTHING, *decide.REFINEMENTS, *MECHANISMS]
+
+
+@contextmanager
+def left_out(name: str) -> Iterator[None]:
+    """The engine without ``name``; raises KeyError for what is no refinement and no mechanism."""
+    with ExitStack() as undone:
+        if name in decide.REFINEMENTS:
+            refused = replace(decide.REFINEMENTS[name], gain=np.inf)
+            undone.enter_context(patch.dict(decide.REFINEMENTS, {name: refused}))  # type: ignore[arg-type]
+        elif name != NOTHING:
+            for module, attribute, by, wraps in MECHANISMS[name]:
+                owner: Any = importlib.import_module(f"iris_addon.{module}")
+                *inside, attribute = attribute.split(".")
+                for part in inside:
+                    owner = getattr(owner, part)
+                new = by(getattr(owner, attribute)) if wraps else by
+                undone.enter_context(patch.object(owner, attribute, new))
+        yield
+
+
+def measure(capture: Path, name: str, preset_name: PresetName) -> Record:
+    """Solve ``capture`` without ``name`` and score its maps. Raises IrisError where it cannot be solved."""
+    from iris_addon.pipeline import solve
+
+    with tempfile.TemporaryDirectory(prefix="iris-ablation-") as scratch, left_out(name):
+        os.environ["IRIS_CACHE"] = str(Path(scratch) / "cache")
+        start = time.monotonic()
+        result = solve(read_capture(capture), preset(preset_name), Path(scratch) / "result")
+        seconds = time.monotonic() - start
+        metrics = evaluate(result, capture, render=None)
+    metrics = {key: value for key, value in metrics.items() if isinstance(value, float)}
+    return {
+        "run": {"capture": str(capture), "left_out": name, "preset": preset_name},
+        "machine": machine.describe(),
+        "seconds_total": seconds,
+        "metrics": {**metrics, "holdout_psnr": result.report["holdout_psnr"]},
+    }
+
+
+def main(arguments: list[str]) -> int:
+    """Command line of the worker."""
+    path, capture, name, preset_name = arguments
+    return write_record(Path(path), lambda: measure(Path(capture), name, preset_name))  # type: ignore[arg-type]
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
