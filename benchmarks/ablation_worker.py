@@ -60,9 +60,9 @@ MECHANISMS: Mapping[str, tuple[Replaced, ...]] = {
     "regions: split at creases": (
         Replaced("surface.regions", "split_creases", lambda regions, *_: np.unique(regions, return_inverse=True)[1]),
     ),
-    "gloss: pooled over regions of one object of the file": (Replaced("materials.gloss", "LIKE_KIN", 1e-6),),
-    "gloss: pooled over near regions of like albedo": (Replaced("materials.gloss", "LIKE", 1e-6),),
-    "gloss: metals seen by few observations must gain more": (Replaced("materials.gloss", "FEW", 0),),
+    "gloss: pooled over regions of one object of the file": (Replaced("materials.gloss", "POOL_ALBEDO_IN_FILE", 1e-6),),
+    "gloss: pooled over near regions of like albedo": (Replaced("materials.gloss", "POOL_ALBEDO", 1e-6),),
+    "gloss: metals seen by few observations must gain more": (Replaced("materials.gloss", "GLOSS_FEW_OBSERVATIONS", 0),),
     "paint: shared by regions": (
         Replaced("textures.principled", "shared_paint", lambda _a, _e, _r, painted: np.arange(len(painted))),
     ),

@@ -1,8 +1,11 @@
-"""What cameras see where the mesh has holes: the surfaces that a scan missed, not the light that comes through.
+"""The backdrop: what photos show where the mesh has holes, painted onto a convex shell around the room.
 
-Light from outside the mesh stands for everything beyond it together, lamps among it. To a camera that looks through a
-hole under a table it would be a glaring patch, and so it would be mirrored by a varnished front. The photos show what
-is there, but not how far away: pixels that miss the mesh are painted onto a shell around it.
+Through a hole a camera sees the surfaces that a scan missed. Light from outside (:mod:`.hidden`) cannot stand for them:
+it sums up everything beyond the mesh, lamps included, and would be a glaring patch in a hole under a table and in the
+varnished front that mirrors that hole. Photos show what is there but not its distance, so pixels that miss the mesh are
+painted onto a shell (:class:`Shell`, :func:`fit_backdrop`). Most of what a scan misses stands at the walls or close to
+them: a missing piece of wall appears where it belongs, and an object further in is displaced a little. Rays that escape
+the mesh meet the same picture (:class:`SeenBackdrop`), as glossy rays do in Cycles.
 """
 
 from __future__ import annotations
@@ -21,30 +24,45 @@ from ..rays.tracer import Tracer
 from ..response.photometry import Photometry
 from ..surface.photo_samples import BackdropPixels
 
-MIN_SHARE = 2e-3
-"""Share of all pixels from which what lies beyond the mesh is worth a backdrop."""
-HEIGHT = 128
-"""Rows of the picture: 1.4 degrees a texel, 6 cm at two and a half metres."""
-OUTLIER = 0.3
-"""Deviation in log radiance of an outlier: something in front of what most photos show."""
-FLOOR = 0.01
-"""Of the mean radiance, added before the logarithm is taken."""
-ENOUGH = 1e-3
-"""Pixels per texel, from which on their surroundings are not asked."""
-ROUNDS = 4
+BACKDROP_MIN_SHARE = 2e-3
+"""Share of all pixels that must miss the mesh for a backdrop to be made."""
+BACKDROP_HEIGHT = 128
+"""Rows of the picture: a texel spans 1.4 degrees, 6 cm at a distance of 2.5 m."""
+BACKDROP_OUTLIER = 0.3
+"""Deviation in log radiance at which a pixel starts to count as an outlier, such as an object in the foreground."""
+BACKDROP_FLOOR = 0.01
+"""Share of the mean radiance that is added before the logarithm is taken."""
+BACKDROP_MIN_WEIGHT = 1e-3
+"""Pixels per texel above which the texel is not mixed with its surroundings."""
+BACKDROP_ROUNDS = 4
+"""Iterations of the robust mean."""
+SHELL_DIRECTIONS = 400
+"""Directions whose outermost points define the faces of the shell."""
+SHELL_CLEARANCE = 1.01
+"""Factor on the size of the shell, so that it does not coincide with the walls and flicker."""
+SHELL_STEP_BACK = 0.1
+"""Distance from each photo's position that the shell encloses, as a share of the room's size."""
 
 
-def fit_backdrop(beyond: BackdropPixels, photometry: Photometry, mesh: Mesh, views: Sequence[View]) -> Backdrop | None:
-    """A shell around mesh and cameras with the radiance of the pixels that miss the mesh; None if hardly any do."""
-    if beyond.share < MIN_SHARE:
+def fit_backdrop(pixels: BackdropPixels, photometry: Photometry, mesh: Mesh, views: Sequence[View]) -> Backdrop | None:
+    """A shell around mesh and cameras, painted with the radiance of the pixels that miss the mesh.
+
+    Args:
+        pixels: those that miss the mesh.
+        photometry: turns their display values into radiance, scene-linear Rec.709.
+
+    Returns:
+        The backdrop, or None if fewer than BACKDROP_MIN_SHARE of all pixels miss the mesh.
+    """
+    if pixels.share < BACKDROP_MIN_SHARE:
         return None
     positions = np.stack([view.camera.position for view in views])
     shell = shell_around(mesh, positions)
     if shell is None:
         return None
-    linear = photometry.linearise_pixels(beyond.z, beyond.view, beyond.pixel)
+    linear = photometry.linearise_pixels(pixels.z, pixels.view, pixels.pixel)
     radiance = np.where(linear.unclipped, linear.radiance, linear.bound).astype(np.float64)
-    texel = shell.texels(positions[beyond.view], beyond.direction, (HEIGHT, 2 * HEIGHT))
+    texel = shell.texels(positions[pixels.view], pixels.direction, (BACKDROP_HEIGHT, 2 * BACKDROP_HEIGHT))
     met = texel >= 0
     if not met.any():
         return None
@@ -52,83 +70,79 @@ def fit_backdrop(beyond: BackdropPixels, photometry: Photometry, mesh: Mesh, vie
 
 
 def _picture(texel: NDArray[np.integer], radiance: NDArray[np.floating]) -> NDArray[np.float32]:
-    """(H, 2 H, 3) robust mean of ``radiance`` (n, 3) per texel; what no pixel shows goes with its surroundings."""
-    n = 2 * HEIGHT * HEIGHT
-    floor = max(FLOOR * float(radiance.mean()), np.finfo(np.float32).tiny)
+    """(H, 2 H, 3) robust mean of ``radiance`` (n, 3) per texel.
+
+    Args:
+        texel: (n,) index of each pixel's texel. Texels without a pixel are filled from their surroundings.
+    """
+    n = 2 * BACKDROP_HEIGHT * BACKDROP_HEIGHT
+    floor = max(BACKDROP_FLOOR * float(radiance.mean()), np.finfo(np.float32).tiny)
     log = np.log(radiance + floor)
     weight, total, mean = np.ones(len(log)), np.zeros(n), np.zeros((n, 3))
-    for _ in range(ROUNDS):
+    for _ in range(BACKDROP_ROUNDS):
         total = np.bincount(texel, weight, n).astype(np.float64)
         sums = np.stack([np.bincount(texel, weight * channel, n) for channel in log.T], -1)
         mean = sums / np.maximum(total, 1e-12)[:, None]
-        weight = 1 / (1 + (np.abs(log - mean[texel]).mean(1) / OUTLIER) ** 2)
-    shape = (HEIGHT, 2 * HEIGHT)
+        weight = 1 / (1 + (np.abs(log - mean[texel]).mean(1) / BACKDROP_OUTLIER) ** 2)
+    shape = (BACKDROP_HEIGHT, 2 * BACKDROP_HEIGHT)
     filled = _filled(mean.reshape(*shape, 3), total.reshape(shape))
     return np.maximum(np.exp(filled) - floor, 0.0).astype(np.float32)
 
 
 def _filled(values: NDArray[np.floating], weight: NDArray[np.floating]) -> NDArray[np.float64]:
-    """``values`` (H, W, 3) where ``weight`` (H, W) is, Gaussian means of ever wider surroundings where it is not."""
+    """``values`` (H, W, 3) where ``weight`` (H, W) is positive, elsewhere Gaussian means of ever wider surroundings."""
     known = weight > 0
     filled, missing = np.zeros(values.shape), np.ones(weight.shape)
     for sigma in (0, 1, 2, 4, 8, 16, 32):
         near = blurred_panorama(weight[..., None], sigma)[..., 0]
         sums = blurred_panorama(values * weight[..., None], sigma)
-        share = missing * near / (near + ENOUGH)
+        share = missing * near / (near + BACKDROP_MIN_WEIGHT)
         filled += (share / np.maximum(near, 1e-300))[..., None] * sums
         missing -= share
     return filled + missing[..., None] * np.average(values[known], axis=0, weights=weight[known])
 
 
 def blurred_panorama(values: NDArray[np.floating], sigma: float) -> NDArray[np.float64]:
-    """Gaussian mean of a panorama (H, 2 H, C), which goes on beyond its left and right edge."""
+    """Gaussian mean (H, 2 H, C) of a panorama (H, 2 H, C), whose left and right edges adjoin; ``sigma`` in texels."""
     height = len(values)
     wide = np.pad(values, ((0, 0), (height, height), (0, 0)), mode="wrap")
     return gaussian_filter(wide, (sigma, sigma, 0), mode="nearest")[:, height:-height]
 
 
-# ---- What rays meet that escape through holes of the mesh: the surfaces that photos show there ----------------------
-#
-# A varnished front beside a hole does not mirror the lamps that light from outside stands for, but the chair that the
-# scan missed. Cycles shows glossy rays the same.
+# ---- What escaping rays meet ----------------------------------------------------------------------------------------
 
 
-class Beyond:
-    """A backdrop, or none, as rays from within meet it.
+class SeenBackdrop:
+    """The backdrop, or none, as escaping rays see it from inside the room.
 
     Attributes:
-        backdrop: None where the mesh has hardly any holes.
-        radiance: (T, 3) float32 of its texels, row by row.
+        recovered: the backdrop; None where the mesh has hardly any holes.
+        radiance: (T, 3) float32 of its texels, row by row; scene-linear Rec.709.
+        shell: the surface that carries the texels.
     """
 
-    def __init__(self, backdrop: Backdrop | None) -> None:
-        self.backdrop = backdrop
-        self.radiance = np.zeros((0, 3), np.float32) if backdrop is None else backdrop.picture.reshape(-1, 3)
-        self.shell = None if backdrop is None else Shell(backdrop.vertices, backdrop.faces)
+    def __init__(self, recovered: Backdrop | None) -> None:
+        self.recovered = recovered
+        self.radiance = np.zeros((0, 3), np.float32) if recovered is None else recovered.picture.reshape(-1, 3)
+        self.shell = None if recovered is None else Shell(recovered.vertices, recovered.faces)
 
     def texels(self, origins: NDArray[np.floating], directions: NDArray[np.floating]) -> NDArray[np.int32]:
-        """(n,) texel that each ray meets, -1 for none; origins within the shell and unit directions (n, 3)."""
-        if self.backdrop is None or self.shell is None:
+        """(n,) texel that each ray meets, -1 for none.
+
+        Args:
+            origins: (n, 3) metres, within the shell.
+            directions: (n, 3) unit vectors.
+        """
+        if self.recovered is None or self.shell is None:
             return np.full(len(origins), -1, np.int32)
-        return self.shell.texels(origins, directions, self.backdrop.picture.shape)
+        return self.shell.texels(origins, directions, self.recovered.picture.shape)
 
 
-# ---- A convex shell around a room whose mesh has holes, and where on it rays end that leave the mesh ----------------
-#
-# Most of what a scan misses stands at its walls or close to them: from wherever one looks, what is missing on a wall is
-# on the shell where it belongs, and what was further in is moved a little.
-
-
-DIRECTIONS = 400
-"""In which the points that the shell is drawn through lie furthest out."""
-CLEARANCE = 1.01
-"""The shell stands off the walls by a hundredth of its size, lest they flicker."""
-STEP_BACK = 0.1
-"""Of the room's size: so far from where a photo was taken one still stands within."""
+# ---- The shell ------------------------------------------------------------------------------------------------------
 
 
 class Shell:
-    """A closed convex surface.
+    """A closed convex surface around a room.
 
     Attributes:
         vertices: (V, 3) float64 metres.
@@ -141,14 +155,19 @@ class Shell:
 
     @property
     def centre(self) -> NDArray[np.float64]:
-        """(3,) from where pictures on it are painted."""
+        """(3,) metres, the viewpoint of the equirectangular picture on it."""
         return self.vertices.mean(0)
 
     def texels(
         self, origins: NDArray[np.floating], directions: NDArray[np.floating], shape: tuple[int, ...]
     ) -> NDArray[np.int32]:
-        """(n,) texel of an equirectangular picture of ``shape`` (H, 2 H, ...) around the centre that each ray meets,
-        -1 for none; origins within the shell and unit directions (n, 3)."""
+        """(n,) texel that each ray meets, -1 for none.
+
+        Args:
+            origins: (n, 3) metres, within the shell.
+            directions: (n, 3) unit vectors.
+            shape: (H, 2 H, ...) of an equirectangular picture around the centre.
+        """
         met = np.full(len(origins), -1, np.int32)
         distance = self._tracer.closest(origins, directions).distance
         on = np.isfinite(distance)
@@ -157,7 +176,7 @@ class Shell:
         return met
 
     def places(self, directions: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(n, 3) points of the shell in unit ``directions`` (n, 3) from its centre, and unit normals that look in."""
+        """Points (n, 3) of the shell in unit ``directions`` (n, 3) from its centre, and inward normals (n, 3)."""
         hits = self._tracer.closest(np.broadcast_to(self.centre, directions.shape), directions)
         on = hits.face >= 0  # a ray along an edge may slip through
         distance = np.where(on, hits.distance, np.median(hits.distance[on]))
@@ -166,28 +185,32 @@ class Shell:
 
 
 def shell_around(mesh: Mesh, positions: NDArray[np.floating]) -> Shell | None:
-    """A shell of few faces around ``mesh`` and cameras at ``positions`` (n, 3), with room to step back; None if all
-    lies in a plane."""
+    """A shell of few faces around ``mesh`` and cameras at ``positions`` (n, 3) metres, with room to step back.
+
+    Returns:
+        The shell, or None if everything lies in a plane.
+    """
     surface = mesh.vertices[np.unique(mesh.faces)]
-    if _flat(np.concatenate([surface, positions])):
+    if _in_one_plane(np.concatenate([surface, positions])):
         return None
-    step = STEP_BACK * float(np.ptp(surface, axis=0).max()) * np.concatenate([np.eye(3), -np.eye(3)])
+    step = SHELL_STEP_BACK * float(np.ptp(surface, axis=0).max()) * np.concatenate([np.eye(3), -np.eye(3)])
     hull = _hull(np.concatenate([surface, *(positions + one for one in step)]))
     return Shell(hull.points, _inward_faces(hull))
 
 
-def _flat(points: NDArray[np.floating]) -> bool:
+def _in_one_plane(points: NDArray[np.floating]) -> bool:
     """Whether ``points`` (n, 3) lie in a plane."""
     return bool(np.linalg.matrix_rank(points - points.mean(0), tol=1e-6 * float(np.ptp(points))) < 3)
 
 
 def _hull(points: NDArray[np.floating]) -> ConvexHull:
-    """A convex body of few faces around all of ``points`` (n, 3), lest it hide a pane that stands back in its wall.
+    """A convex body of few faces that encloses all of ``points`` (n, 3).
 
-    The hull of what lies furthest out in some directions, with each of its faces moved out until nothing is beyond it.
+    It is the hull of the points that lie furthest out in SHELL_DIRECTIONS directions, with each face moved outwards
+    until every point is inside; otherwise it would hide a pane that stands back in its wall.
     """
-    k = np.arange(DIRECTIONS) + 0.5
-    z, azimuth = 1 - 2 * k / DIRECTIONS, np.pi * (1 + 5**0.5) * k  # a Fibonacci lattice on the sphere
+    k = np.arange(SHELL_DIRECTIONS) + 0.5
+    z, azimuth = 1 - 2 * k / SHELL_DIRECTIONS, np.pi * (1 + 5**0.5) * k  # a Fibonacci lattice on the sphere
     ring = np.sqrt(1 - z * z)
     directions = np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], -1)
     points = np.asarray(points, np.float64)
@@ -198,7 +221,7 @@ def _hull(points: NDArray[np.floating]) -> ConvexHull:
     offsets = (outermost @ normals.T).max(0)
     planes = np.concatenate([normals, -offsets[:, None]], 1)
     corners = HalfspaceIntersection(planes, inner.points.mean(0)).intersections
-    return ConvexHull(corners.mean(0) + CLEARANCE * (corners - corners.mean(0)))
+    return ConvexHull(corners.mean(0) + SHELL_CLEARANCE * (corners - corners.mean(0)))
 
 
 def _inward_faces(hull: ConvexHull) -> NDArray[np.int64]:

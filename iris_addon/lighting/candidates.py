@@ -1,9 +1,10 @@
-"""Which faces emit: faces brighter, from every side, than any surface could be under the light that reaches it.
+"""Candidates for lamps: faces that are, from every side, brighter than a surface could be under the light there.
 
-Not a threshold on pixel values: a white wall in a long exposure is saturated too, and a dim lamp is not. What decides
-is the reflectance that a face would need, its observed radiance (or the bound that saturation gives) over the
-irradiance / pi at it. Above 1 nothing but emission explains it. Because the irradiance itself depends on the lamps
-found so far, the caller repeats the test, from the certain ones down.
+A threshold on pixel values would not do: a white wall in a long exposure clips too, and a dim lamp does not. The test
+is the reflectance that a face would need, its observed radiance (or the bound that clipping gives) over the irradiance
+/ pi at it. Above 1 only emission explains it. Because the irradiance depends on the lamps found so far, the caller
+(:mod:`.search`) repeats the test with falling thresholds. Lamps may also be read from a file
+(:func:`read_given_emitters`).
 """
 
 from __future__ import annotations
@@ -23,27 +24,29 @@ from ..response.radiance import Linearised, group_radiance
 from ..surface.topology import component_labels, smooth_edges
 
 WHOLE_REGION_SHARE = 0.75
-"""A region of whose pixels this share emits is a lamp as a whole, the faces no photo sees included."""
-FACE_SHARE = 0.7
-COPLANAR = 0.999
-"""Cosine between the normals of faces in one plane."""
+"""Share of a region's pixels on emitting faces above which the whole region is a lamp, unseen faces included."""
+EMITTING_FACE_SHARE = 0.7
+"""Share of a face's pixels on patches that pass the test above which the face emits."""
+COPLANAR_COSINE = 0.999
+"""Cosine between normals above which two faces lie in one plane."""
 MAX_LAMPS = 48
-CERTAIN = 3.0
-"""Reflectance needed from which on nothing but emission explains a face, however wrong the light still is."""
-MIN_PIXELS = 12
-"""Fewer pixels over all photos are no evidence for a lamp."""
+"""Lamps at most; those with most pixels are kept."""
+CERTAIN_REFLECTANCE = 3.0
+"""Reflectance needed above which only emission explains a face, however wrong the irradiance still is."""
+LAMP_MIN_PIXELS = 12
+"""Pixels over all photos below which there is no evidence for a lamp."""
 VIEW_QUANTILE = 0.25
-"""Emission is seen from everywhere; a highlight from few views. The test takes the view at this quantile."""
+"""Quantile over views at which a patch's radiance is tested: emission is seen in all views, a highlight in few."""
 
 
 @dataclass(frozen=True)
 class Brightness:
-    """Radiance of each patch as the photos show it, saturation included.
+    """Radiance of each patch as photos show it, clipped views included; scene-linear Rec.709.
 
     Attributes:
-        floor: (P, 3) radiance that nearly all views agree to be reached: a low quantile over open views, raised to the
-            highest lower bound where clipped views prevail.
-        measured: (P, 3) radiance from open views, NaN without one.
+        floor: (P, 3) radiance that nearly all views reach: a low quantile over unclipped views, raised to the highest
+            bound where clipped views prevail.
+        measured: (P, 3) radiance from unclipped views, NaN without one.
         bound: (P, 3) lower bound from clipped views.
     """
 
@@ -55,7 +58,7 @@ class Brightness:
 def brightness(
     observations: Observations, linear: Linearised, n_patches: int, specular: NDArray[np.floating] | None = None
 ) -> Brightness:
-    """Brightness of every patch that photos see; ``specular`` (M, 3) is what a glossy surface mirrors, if known."""
+    """Brightness of every seen patch, without the ``specular`` radiance (M, 3) of the observations if known."""
     o = observations
     group = group_radiance(linear, o.patch, o.count, n_patches)
     value = least_radiance(linear, specular)
@@ -64,23 +67,30 @@ def brightness(
 
 
 def least_radiance(linear: Linearised, specular: NDArray[np.floating] | None) -> NDArray[np.float64]:
-    """(M, 3) what each observation is known to reach, as measured or as a bound, without ``specular`` (M, 3)."""
+    """(M, 3) least radiance of each observation, measured or a bound, without its ``specular`` part (M, 3)."""
     value = np.where(linear.unclipped, linear.radiance, linear.bound)
     return value if specular is None else np.maximum(value - specular, 0.0)
 
 
 def _low_quantile(
     value: NDArray[np.float64],
-    open_: NDArray[np.bool_],
+    unclipped: NDArray[np.bool_],
     count: NDArray[np.floating],
     patch: NDArray[np.integer],
     n: int,
 ) -> NDArray[np.float64]:
-    """Low quantile over views of what each patch is known to reach; a bound only raises what it is compared with."""
+    """(n,) low quantile over views of the least radiance of each patch in one channel.
+
+    Args:
+        value: (M,) least radiance of each observation.
+        unclipped: (M,) bool; clipped observations can only raise the result.
+        count: (M,) pixels.
+        patch: (M,) patch of each observation, below ``n``.
+    """
     result = np.zeros(n)
     bound = np.zeros(n)
-    np.maximum.at(bound, patch, np.where(open_, 0.0, value))
-    use = np.flatnonzero(open_)
+    np.maximum.at(bound, patch, np.where(unclipped, 0.0, value))
+    use = np.flatnonzero(unclipped)
     order = use[order_in_groups(value[use], patch[use])]
     in_order = patch[order]
     weight = count[order].astype(np.float64)
@@ -89,25 +99,29 @@ def _low_quantile(
     reached = running >= VIEW_QUANTILE * total[in_order]
     chosen = np.flatnonzero(reached & np.concatenate([[True], (in_order[1:] != in_order[:-1]) | ~reached[:-1]]))
     result[in_order[chosen]] = value[order][chosen]
-    open_share = total / np.maximum(np.bincount(patch, count, n), 1e-9)
-    return np.where(open_share > VIEW_QUANTILE, result, np.maximum(result, bound))
+    unclipped_share = total / np.maximum(np.bincount(patch, count, n), 1e-9)
+    return np.where(unclipped_share > VIEW_QUANTILE, result, np.maximum(result, bound))
 
 
 def reflectance_needed(seen: Brightness, irradiance: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(P,) reflectance that would explain each patch; ``irradiance`` (P, 3) is irradiance / pi at it."""
+    """(P,) reflectance that would explain the brightness of each patch; ``irradiance`` (P, 3) is irradiance / pi."""
     return (seen.floor / np.maximum(irradiance, 1e-6)).max(1)
 
 
 def emitting_faces(
     passed: NDArray[np.bool_], sample_patch: NDArray[np.int32], sample_face: NDArray[np.int32], n_faces: int
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-    """Faces on which nearly every pixel lies on a patch that passed the test, and the pixels of every face.
+    """Faces (F,) nearly all of whose pixels lie on patches that passed the test, and the pixels (F,) of every face.
 
-    A lamp's face shines all over; a large floor triangle with a window's reflection on it does not.
+    A lamp's face shines all over; a large floor triangle that mirrors a window does not.
+
+    Args:
+        passed: (P,) bool.
+        sample_patch, sample_face: (n,) patch and face of every pixel.
     """
     count = np.bincount(sample_face, minlength=n_faces)
     bright = np.bincount(sample_face[passed[sample_patch]], minlength=n_faces)
-    return (bright > FACE_SHARE * count) & (count > 0), count
+    return (bright > EMITTING_FACE_SHARE * count) & (count > 0), count
 
 
 def coplanar_with(
@@ -116,12 +130,12 @@ def coplanar_with(
     normals: NDArray[np.floating],
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
 ) -> NDArray[np.bool_]:
-    """(F,) emitting faces that continue a certain one in its plane, from edge to edge.
+    """(F,) emitting faces that are certain, or continue a certain one in its plane, edge to edge.
 
-    Of a pane's triangles some may be seen in long exposures alone, which say no more than that they are bright.
+    Some triangles of a pane may appear in long exposures only, which show no more than that they are bright.
     """
     a, b = adjacency
-    flat = emitting[a] & emitting[b] & smooth_edges(normals, adjacency, COPLANAR)
+    flat = emitting[a] & emitting[b] & smooth_edges(normals, adjacency, COPLANAR_COSINE)
     label = component_labels(len(emitting), a[flat], b[flat])
     holds_certain = np.zeros(len(emitting), bool)
     holds_certain[label[certain & emitting]] = True
@@ -134,9 +148,9 @@ def with_gaps_closed(
     normals: NDArray[np.floating],
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
 ) -> NDArray[np.bool_]:
-    """(F,) emitting faces, and those between them that no pixel hit: triangles may be smaller than pixels.
+    """(F,) emitting faces, and those between them that no pixel hit because triangles are smaller than pixels.
 
-    Unseen faces joined by smooth edges are one gap. It emits if nearly all seen faces at its border do.
+    Unseen faces joined by smooth edges are one gap. A gap emits if nearly all seen faces at its border do.
     """
     a, b = adjacency
     smooth = smooth_edges(normals, adjacency)
@@ -146,13 +160,13 @@ def with_gaps_closed(
     n_gaps = int(gap.max()) + 1
     at_border = np.bincount(gap[unseen_end], minlength=n_gaps)
     bright = np.bincount(gap[unseen_end], emitting[seen_end], n_gaps)
-    return emitting | (~seen & ((bright > FACE_SHARE * at_border) & (at_border > 0))[gap])
+    return emitting | (~seen & ((bright > EMITTING_FACE_SHARE * at_border) & (at_border > 0))[gap])
 
 
 def whole_regions(
     emitting: NDArray[np.bool_], count: NDArray[np.int64], regions: NDArray[np.int32]
 ) -> NDArray[np.bool_]:
-    """(n_regions,) regions nearly all of whose seen pixels lie on emitting faces."""
+    """(n_regions,) regions nearly all of whose pixels lie on emitting faces; ``count`` (F,) pixels of each face."""
     n_regions = int(regions.max()) + 1
     return np.bincount(regions, count * emitting, n_regions) > WHOLE_REGION_SHARE * np.bincount(
         regions, count, n_regions
@@ -167,7 +181,7 @@ def group_emitters(
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
     among: NDArray[np.bool_] | None = None,
 ) -> list[NDArray[np.int64]]:
-    """Emitting faces joined to lamps: whole regions where nearly all of a region emits, else faces joined by edges.
+    """Faces (k,) of each lamp: a whole region where nearly all of it emits, else emitting faces joined by edges.
 
     Args:
         count: (F,) pixels that saw each face.
@@ -180,19 +194,19 @@ def group_emitters(
     a, b = adjacency
     link = member[a] & member[b]
     label = component_labels(len(regions), a[link], b[link])
-    # Pieces of one region that emit as a whole belong together even where the mesh is not welded.
+    # The faces of a region that emits as a whole belong together even where the mesh is not welded.
     label = np.where(whole[regions], len(regions) + regions, label)
     faces = np.flatnonzero(member & (areas > 0))
     order = np.argsort(label[faces], kind="stable")
     _, first = np.unique(label[faces][order], return_index=True)
-    pieces = np.split(faces[order], first[1:]) if len(faces) else []
-    pixels = np.array([count[piece].sum() for piece in pieces])
+    lamps = np.split(faces[order], first[1:]) if len(faces) else []
+    pixels = np.array([count[lamp].sum() for lamp in lamps])
     kept = np.sort(np.argsort(-pixels, kind="stable")[:MAX_LAMPS])
-    return [pieces[k].astype(np.int64) for k in kept if pixels[k] >= MIN_PIXELS]
+    return [lamps[k].astype(np.int64) for k in kept if pixels[k] >= LAMP_MIN_PIXELS]
 
 
 def tie_fixtures(emitters: Sequence[NDArray[np.int64]], areas: NDArray[np.floating]) -> NDArray[np.int64]:
-    """(E,) label per emitter; lamps built from the same number of faces with the same total area are the same model."""
+    """(E,) label per emitter, the same for lamps of equal face count and total area, which are copies of one model."""
     if not emitters:
         return np.zeros(0, np.int64)
     keys = [(len(faces), float(areas[faces].sum())) for faces in emitters]
@@ -203,14 +217,14 @@ def tie_fixtures(emitters: Sequence[NDArray[np.int64]], areas: NDArray[np.floati
     return label
 
 
-# ---- Lamps that are known beforehand, from a file in the form of a result's emitters.json ---------------------------
+# ---- Lamps given in a file, in the form of a result's emitters.json -------------------------------------------------
 
 
 def read_given_emitters(path: Path, areas: NDArray[np.floating]) -> list[NDArray[np.int64]]:
     """Faces of each lamp: ``{"emitters": [{"faces": [[first, last + 1], ...]}, ...]}``; no lamp is a valid answer.
 
     Args:
-        areas: (F,) of the mesh's faces. Those without are left out, and one that two lamps name is the first one's.
+        areas: (F,) of the mesh's faces. Faces without area are left out; a face that two lamps name goes to the first.
 
     Raises:
         BadInput: unreadable, a face is not of this mesh, or a lamp has none with an area.

@@ -1,8 +1,8 @@
-"""Light whose source no photo shows: surfaces behind a corner that glow, and light from beyond the mesh.
+"""Light whose source no photo shows: hidden emitters inside the mesh, and light from outside it.
 
-The former are lamps like others, of which photos say nothing. The latter enters the light balance by the gather rays
-that escape the mesh, in one of two ways: as further emitters, soft lobes around twelve directions; or as what photos
-show through the holes, where these are gaps in a scan of walls that reflect like all others.
+Hidden emitters are lamps like others, on which photos give no evidence. Light from outside enters the light balance by
+the gather rays that escape the mesh, in one of two ways: as further emitters, soft lobes around twelve directions,
+equation (21); or as the radiance that photos show through the holes, where these are gaps in a scan of walls.
 """
 
 from __future__ import annotations
@@ -21,26 +21,30 @@ from ..rays.sampling import Origins
 from ..transport.form_factors import with_schlick
 from ..transport.gather import ESCAPED, GatherRays
 from ..transport.transport import Transport
-from .backdrop import Beyond
+from .backdrop import SeenBackdrop
 
-MIN_SHARE = 2e-3
-"""Of the mean hemisphere: light through less of it is not looked for."""
-MIN_PIECE_SHARE, MAX_PIECES = 2e-5, 64
-"""The same for a surface, which a shade may hide from most of the room, and how many are asked for."""
-DIRECTIONAL_SHARE = 0.02
-"""From this share of escaping rays on, light from outside may depend on direction."""
+OUTSIDE_MIN_SHARE = 2e-3
+"""Share of the gather rays that must escape for light from outside to be considered."""
+SURFACE_MIN_SHARE, SURFACE_MAX_COUNT = 2e-5, 64
+"""Share of the gather rays that must meet an unseen surface for it to be tried as a lamp, low because a shade hides a
+lamp from most of the room; and the number of such surfaces at most."""
+OUTSIDE_DIRECTIONAL_SHARE = 0.02
+"""Share of escaping rays above which light from outside may depend on direction."""
 LOBE_BANDS = np.repeat([np.pi / 3, np.pi / 6, np.pi / 30], [1, 3, 5])
-"""(1 + cos)² / 16 in Legendre polynomials, (4/3 P0 + 2 P1 + 2/3 P2) / 16, each times 4π / (2 l + 1): by the addition
-theorem, times the harmonics at a lobe's middle, these are the harmonics of the lobe."""
+"""Factor per spherical harmonic, (9,), that turns the harmonics at the centre of a lobe into those of the lobe.
+
+A lobe is (1 + cos)² / 16 = (4/3 P0 + 2 P1 + 2/3 P2) / 16 in Legendre polynomials. By the addition theorem each
+coefficient is multiplied by 4π / (2 l + 1)."""
 
 
 @dataclass(frozen=True)
 class ThroughHoles:
-    """Light by the rays that escape, each of which brings what the backdrop shows where it meets it.
+    """Light that escaping rays bring: each the radiance of the texel of the backdrop that it meets.
 
     Attributes:
-        share: (N, T) share of each patch's rays that end on each texel; ``schlick`` the same times Schlick's S.
-        radiance: (T, 3) of the texels.
+        share: (N, T) share of each patch's rays that end on each texel.
+        schlick: (N, T) the same times Schlick's S.
+        radiance: (T, 3) of the texels, scene-linear Rec.709.
     """
 
     share: csr_array
@@ -53,7 +57,7 @@ class ThroughHoles:
         return light.astype(np.float32)
 
     def raised(self, g: float) -> ThroughHoles:
-        """The same if radiance is what photos say to the power ``g``."""
+        """The same with all radiance raised to the power ``g``."""
         return replace(self, radiance=self.radiance**g)
 
 
@@ -62,39 +66,42 @@ class HiddenSources:
     """Sources that no photo shows, and what photos show through holes of the mesh.
 
     Attributes:
-        pieces: faces of each surface that no photo sees and many gather rays meet, most of them first. The search tries
-            them as lamps.
-        directions: (D, 3) unit middles of the lobes of outside light; D in {0, 1, 12}. How bright each is is unknown to
-            the light balance. A single one is the same from everywhere.
+        surfaces: faces of each surface that no photo sees and many gather rays meet, in descending order of these rays.
+            The search tries them as lamps.
+        directions: (D, 3) unit vectors to the centres of the lobes of outside light, D in {0, 1, 12}. A single lobe is
+            constant over the sphere. The radiance of each lobe is an unknown of the light balance.
         form_factors: (N, D, 2) irradiance / pi of each patch by each lobe, plain and times Schlick's S.
-        holes: what escaping rays meet where it is the light from outside, in place of lobes.
+        holes: light through holes in place of lobes, None where lobes are used.
     """
 
-    pieces: tuple[NDArray[np.int64], ...]
+    surfaces: tuple[NDArray[np.int64], ...]
     directions: NDArray[np.float64]
     form_factors: NDArray[np.float32]
     holes: ThroughHoles | None = None
 
     def with_directions(self, count: int) -> HiddenSources:
-        """The same sources with 0, 1 (constant) or all lobes of outside light, in place of what photos show of it."""
+        """The same sources with 0, 1 (constant) or all lobes of outside light, and none through holes."""
         if count == len(self.directions):
             return replace(self, holes=None)
         outside = self.form_factors.sum(1, keepdims=True)[:, :count]
         return replace(self, directions=np.array([[0.0, 0.0, 1.0]])[:count], form_factors=outside, holes=None)
 
     def as_shown(self) -> HiddenSources:
-        """The same sources with what photos show through the holes in place of lobes."""
+        """The same sources with the light that photos show through the holes in place of lobes."""
         return replace(self.with_directions(0), holes=self.holes)
 
     def irradiance(self, radiance: NDArray[np.floating], kappa: NDArray[np.floating]) -> NDArray[np.floating]:
-        """(N, 3) irradiance / pi from outside, of lobes as bright as ``radiance`` (D, 3) or through holes, at surfaces
-        whose lobe has the grazing gain ``kappa`` (N,)."""
+        """(N, 3) irradiance / pi from outside, by lobes or through holes.
+
+        Args:
+            radiance: (D, 3) of the lobes.
+            kappa: (N,) grazing gain of each patch's diffuse lobe.
+        """
         light = under_lobe(self.form_factors, kappa) @ radiance
         return light if self.holes is None else light + self.holes.irradiance(kappa)
 
     def outside_sh(self, radiance: NDArray[np.floating]) -> NDArray[np.float64] | None:
-        """(1, 3) or (9, 3) spherical harmonics of outside light whose lobes are as bright as ``radiance`` (D, 3), None
-        without lobes."""
+        """(1, 3) or (9, 3) spherical harmonics of lobes of outside light of ``radiance`` (D, 3), None for D = 0."""
         if len(self.directions) == 0:
             return None
         if len(self.directions) == 1:
@@ -103,10 +110,11 @@ class HiddenSources:
 
 
 def lobes(directions: NDArray[np.floating], middles: NDArray[np.floating]) -> NDArray[np.floating]:
-    """(..., D) radiance along unit ``directions`` (..., 3) of lobes of brightness one: (1 + cos)² / 16.
+    """(..., D) radiance along unit ``directions`` (..., 3) of lobes with unit radiance around ``middles`` (D, 3).
 
-    They are harmonics of order 2 and never negative: the balance is solved with just the light that Cycles is given.
-    The faces of a dodecahedron are a spherical design of order 5, so their lobes add up to one in every direction.
+    A lobe, (1 + cos)² / 16 as in equation (21), is a spherical harmonic of order 2 and never negative, so the balance
+    is solved with exactly the light that Cycles is given. The faces of a dodecahedron are a spherical design of order
+    5, so their lobes add up to one in every direction.
     """
     if len(middles) == 1:
         return np.ones((*directions.shape[:-1], 1), directions.dtype)
@@ -127,19 +135,19 @@ def nothing_hidden(transport: Transport) -> HiddenSources:
 
 
 def find_hidden(
-    transport: Transport, regions: NDArray[np.int32], pieces: NDArray[np.int32], seen: NDArray[np.bool_]
+    transport: Transport, regions: NDArray[np.int32], components: NDArray[np.int32], seen: NDArray[np.bool_]
 ) -> HiddenSources:
-    """Surfaces never seen, and directions of escape, that reach the seen surfaces.
+    """Unseen surfaces, and lobes of outside light, that light the seen surfaces.
 
     Args:
-        regions: (F,) part of each face.
-        pieces: (F,) piece of its region between sharp edges.
+        regions: (F,) region of each face.
+        components: (F,) component of its region between sharp edges.
         seen: (F,) faces that a photo shows.
     """
     escaped = float((transport.target == ESCAPED).mean())
     directions = np.zeros((0, 3))
-    if escaped > MIN_SHARE:
-        directions = dodecahedron() if escaped > DIRECTIONAL_SHARE else np.array([[0.0, 0.0, 1.0]])
+    if escaped > OUTSIDE_MIN_SHARE:
+        directions = dodecahedron() if escaped > OUTSIDE_DIRECTIONAL_SHARE else np.array([[0.0, 0.0, 1.0]])
     blocks = [
         _form_factors(target, origins, rays, directions)
         for target, origins, rays in (
@@ -147,56 +155,58 @@ def find_hidden(
             (transport.unseen_target, transport.unseen_origins, transport.unseen_rays),
         )
     ]
-    return HiddenSources(_unseen_pieces(transport.rays, regions, pieces, seen), directions, np.concatenate(blocks))
+    return HiddenSources(
+        _unseen_surfaces(transport.rays, regions, components, seen), directions, np.concatenate(blocks)
+    )
 
 
-def through_holes(transport: Transport, beyond: Beyond) -> ThroughHoles | None:
-    """The light of the backdrop of ``beyond`` at all patches; None without one."""
-    if beyond.backdrop is None:
+def through_holes(transport: Transport, backdrop: SeenBackdrop) -> ThroughHoles | None:
+    """The light of the backdrop at all patches; None without one."""
+    if backdrop.recovered is None:
         return None
-    seen = _share_of_texels(transport.target, transport.origins, transport.rays, beyond)
-    unseen = _share_of_texels(transport.unseen_target, transport.unseen_origins, transport.unseen_rays, beyond)
+    seen = _share_of_texels(transport.target, transport.origins, transport.rays, backdrop)
+    unseen = _share_of_texels(transport.unseen_target, transport.unseen_origins, transport.unseen_rays, backdrop)
     share, schlick = (csr_array(vstack(both)) for both in zip(seen, unseen, strict=True))
-    return ThroughHoles(share, schlick, beyond.radiance)
+    return ThroughHoles(share, schlick, backdrop.radiance)
 
 
 def _share_of_texels(
-    target: NDArray[np.int32], origins: Origins, rays: GatherRays, beyond: Beyond
+    target: NDArray[np.int32], origins: Origins, rays: GatherRays, backdrop: SeenBackdrop
 ) -> tuple[csr_array, csr_array]:
-    """(rows, T) share of the rays of each row that end on each texel of ``beyond``, and the same times S."""
+    """(rows, T) share of the rays of each row that end on each texel of ``backdrop``, and the same times S."""
     row, ray = np.nonzero(target == ESCAPED)
     texel = np.empty(len(row), np.int32)
 
     def look_up(some: slice) -> None:
         start = origins.position[row[some], ray[some] % origins.position.shape[1]]
-        texel[some] = beyond.texels(start, rays.direction[row[some], ray[some]])
+        texel[some] = backdrop.texels(start, rays.direction[row[some], ray[some]])
 
     over_blocks(len(row), BLOCK, look_up)
     row, ray, texel = (index[texel >= 0] for index in (row, ray, texel))
-    # Rows are in order: what is summed over them need not be sorted first.
+    # Rows are in ascending order, so the sparse matrix can be built without sorting.
     first = np.searchsorted(row, np.arange(len(target) + 1))
     of_each = np.full(len(row), 1 / target.shape[1], np.float32)
-    shape = len(target), len(beyond.radiance)
+    shape = len(target), len(backdrop.radiance)
     share = csr_array((of_each, texel, first), shape)
     return share, csr_array((of_each * rays.schlick_start[row, ray], texel, first), shape)
 
 
-def _unseen_pieces(
-    rays: GatherRays, regions: NDArray[np.int32], pieces: NDArray[np.int32], seen: NDArray[np.bool_]
+def _unseen_surfaces(
+    rays: GatherRays, regions: NDArray[np.int32], components: NDArray[np.int32], seen: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], ...]:
-    """Faces of regions, and of pieces of other regions, that no photo sees and rays of the seen patches meet."""
+    """Faces of each unseen region, and unseen component of a seen region, that rays of the seen patches meet."""
     seen_region = np.bincount(regions, seen) > 0
-    label = np.where(seen_region[regions], len(seen_region) + pieces, regions)
+    label = np.where(seen_region[regions], len(seen_region) + components, regions)
     met = counts(rays.face, len(regions))
     share = np.where(np.bincount(label, seen) > 0, 0.0, np.bincount(label, met)) / rays.face.size
-    ids = np.argsort(-share, kind="stable")[:MAX_PIECES]
-    return tuple(np.flatnonzero(label == k) for k in ids if share[k] > MIN_PIECE_SHARE)
+    ids = np.argsort(-share, kind="stable")[:SURFACE_MAX_COUNT]
+    return tuple(np.flatnonzero(label == k) for k in ids if share[k] > SURFACE_MIN_SHARE)
 
 
 def _form_factors(
     target: NDArray[np.int32], origins: Origins, rays: GatherRays, directions: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    """(rows, D, 2) irradiance / pi of each row by the lobes, through the rays that escape."""
+    """(rows, D, 2) irradiance / pi of each row by the lobes through escaping rays, equation (21); plain and times S."""
     n_rows, n_rays = target.shape
     result = np.zeros((n_rows, len(directions), 2), np.float32)
     if len(directions) == 0:

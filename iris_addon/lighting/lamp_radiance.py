@@ -1,4 +1,4 @@
-"""The radiance of given lamps: evidence, light balance, and the light that unseen surfaces pass on."""
+"""The radiance of given lamps: evidence on them, the light balance, and the light that unseen surfaces pass on."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from ..base.progress import Progress
 from ..brdf.diffuse import under_lobe
 from ..response.radiance import GroupRadiance
 from ..transport.form_factors import emitter_form_factors, emitter_of_face
-from .balance import MAX_ALBEDO, Evidence, ShadedPatches, fitted_patches, noticeable, solve_balance
+from .balance import MAX_ALBEDO, Evidence, ShadedPatches, fitted_patches, noticeable_radiance, solve_balance
 from .candidates import tie_fixtures
 from .problem import LightProblem, Lights
 
 SEARCH_SHADOW_RAYS, SHADOW_RAYS = (6, 13), (13, 64)
-"""From a patch to a lamp: fewest and most in the search, and for the lamps that were found. Noise here makes lamps too
-dim and walls too white."""
-NOISE_WIDTH = 1.0
-"""Standard deviation, in patch sizes, over which neighbours are averaged for the light balance: noise of the rays makes
-direct light look less reliable than indirect, lamps too dim and walls too white."""
-TURNED = 0.5
-"""Change of log irradiance per sine of the angle that a surface is turned by: light from one side as order 1 of
-spherical harmonics has it, E (1 + TURNED cos)."""
-BEYOND_BOUND = 2.0
-"""What a lamp that photos clip is expected to be, in bounds; a speck whose light nobody feels stays about there."""
-WHOLLY_ON = 0.8
-"""Quantile of a lamp's patches at which its radiance is read: where its edge or a blind shows too, they are darker."""
+"""Fewest and most shadow rays from a patch to a lamp, in the search and for the lamps that were found. Noise here makes
+lamps too dim and walls too white."""
+BALANCE_SMOOTHING = 1.0
+"""Standard deviation, in patch sizes, of the kernel that averages neighbours for the light balance. Without it the
+noise of rays makes direct light look less reliable than indirect light, lamps too dim and walls too white."""
+NORMAL_SENSITIVITY = 0.5
+"""Change of log irradiance per sine of the error of a normal, for light from one side as order 1 of spherical harmonics
+describes it, E (1 + NORMAL_SENSITIVITY cos)."""
+CLIPPED_LAMP_FACTOR = 2.0
+"""Expected radiance of a clipped lamp over its bound; a speck whose light reaches no patch stays about there."""
+LAMP_QUANTILE = 0.8
+"""Quantile over a lamp's unclipped pixels at which its radiance is measured; its edge or a blind is darker."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ class PatchFit:
     """How the P seen patches enter the light balance.
 
     Attributes:
-        weight: (P,) statistical weight, by default :func:`say_of`.
+        weight: (P,) statistical weight, by default :func:`patch_weight`.
         diffuse: (P, 3) radiance without its specular part, once materials are known; by default that observed.
-        fit_mask: (P,) bool, patches that are fitted, by default all; the others only help to average noise away.
+        fit_mask: (P,) bool, patches that are fitted, by default all; the others only average noise out.
     """
 
     weight: NDArray[np.float64] | None = None
@@ -55,17 +55,18 @@ def solve_lights(
     fit: PatchFit = PatchFit(),
     warm_start: bool = False,
 ) -> Lights:
-    """Radiance of given emitters.
+    """Radiance of given emitters, and the irradiance (1) of all patches under it.
 
     Args:
         observed: radiance of the seen patches, which is what they cast on others.
+        emitters: faces of each.
         before: lights of the previous pass, for the light that unseen patches reflect.
-        form_factors: ``B`` when it is already known for these emitters.
+        form_factors: (N, E, 2) ``B`` if already known for these emitters.
         fit: how patches enter the balance.
-        warm_start: whether the light is about that of ``before``, so that one pass from there is enough.
+        warm_start: whether the light is close to that of ``before``, so that one pass from there is enough.
 
     Returns:
-        The lights; ``before`` where there is nothing to solve for, or no patch to tell it from.
+        The lights; ``before`` where there is nothing to solve for or no patch to fit.
     """
     if not emitters and not len(before.hidden_radiance):
         return before
@@ -85,23 +86,23 @@ def solve_lights(
     if problem.bounce is not None:
         direct += problem.bounce.form_factors(emitters, n_faces)
     all_factors = np.concatenate([direct, under_lobe(hidden.form_factors, kappa)], 1)
-    level = noticeable(observed.radiance, all_factors[: problem.transport.n_seen])
+    level = noticeable_radiance(observed.radiance, all_factors[: problem.transport.n_seen])
     start = _first_finite(evidence.measured, evidence.expected, level)
     if warm_start:
         known = _columns(emitters, before.emitters)
         start[np.flatnonzero(known >= 0)] = before.radiance[known[known >= 0]]
     usable = observed.known.all(1) & ~on_lamp[: problem.transport.n_seen]
-    say = usable * (say_of(problem, observed) if fit.weight is None else fit.weight)
+    weight = usable * (patch_weight(problem, observed) if fit.weight is None else fit.weight)
     n = problem.transport.n_seen
     shaded = observed.radiance if fit.diffuse is None else fit.diffuse
     region = problem.transport.region
-    rows = fitted_patches(shaded, say if fit.fit_mask is None else say * fit.fit_mask)
+    rows = fitted_patches(shaded, weight if fit.fit_mask is None else weight * fit.fit_mask)
     if not len(rows):
         return before
-    # Means over neighbours of one albedo, of both sides of L = a (I + B e) alike, so that the balance holds.
-    kernel = problem.field.kernel(NOISE_WIDTH, rows, np.where(say > 0, region[:n], -1))
+    # Both sides of L = a (I + B e) are averaged over neighbours of one albedo alike, so that the balance still holds.
+    kernel = problem.field.kernel(BALANCE_SMOOTHING, rows, np.where(weight > 0, region[:n], -1))
     smooth_shaded, smooth_factors = (kernel @ values[:n].astype(np.float32) for values in (shaded, all_factors))
-    for known_about in (True,) if warm_start else (False, True):
+    for from_solution in (True,) if warm_start else (False, True):
         unknown = mean_radiance(radiance, problem)
         indirect = problem.transport.gather_radiance(radiance, unknown, mask)
         for more in (problem.bounce, problem.aimed):
@@ -114,9 +115,9 @@ def solve_lights(
             indirect=kernel @ indirect[:n],
             form_factors=smooth_factors,
             region=region[rows],
-            weight=say[rows],
+            weight=weight[rows],
         )
-        balance = solve_balance(patches, evidence, start, problem.robust_log, known_about)
+        balance = solve_balance(patches, evidence, start, problem.robust_log, from_solution)
         start = balance.radiance
         irradiance = indirect + all_factors @ balance.radiance
         albedo = dict(zip(balance.region_ids.tolist(), balance.region_albedo, strict=True))
@@ -136,18 +137,18 @@ def solve_lights(
     )
 
 
-def say_of(problem: LightProblem, observed: GroupRadiance) -> NDArray[np.float64]:
-    """(P,) say of each seen patch in the light balance, by the pixels behind it and by how well its light is known.
+def patch_weight(problem: LightProblem, observed: GroupRadiance) -> NDArray[np.float64]:
+    """(P,) weight of each seen patch in the light balance, equation (19): by its pixels and the spread of its normals.
 
-    On folds, leaves and the noise of a scan normals differ from point to point, and the light there is off by as much.
-    That is an error of a regressor of (5), which makes lamps too dim; flat patches do not have it.
+    On folds, leaves and noisy scans normals differ from point to point, and so does the irradiance. That is an error in
+    a regressor of equation (18), which makes lamps too dim; flat patches do not have it.
     """
-    off = TURNED * problem.surface.spread / problem.robust_log
+    off = NORMAL_SENSITIVITY * problem.surface.spread / problem.robust_log
     return np.sqrt(np.minimum(observed.weight, 50.0)) / (1 + off**2)
 
 
 def _first_finite(*choices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Element-wise first choice that is finite and positive."""
+    """The first of the choices that is finite and positive, element by element; the last one where none is."""
     result = choices[-1]
     for choice in reversed(choices[:-1]):
         result = np.where(np.isfinite(choice) & (choice > 0), choice, result)
@@ -155,7 +156,7 @@ def _first_finite(*choices: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _with_hidden(lamps: Evidence, expected: NDArray[np.float64]) -> Evidence:
-    """Evidence on lamps and hidden sources together; nobody saw the latter, so they only have an expectation."""
+    """Evidence on lamps and lobes of outside light together; lobes have an expectation (H, 3) only."""
     n, h = len(lamps.tie), len(expected)
     nothing = np.full((h, 3), np.nan)
     first_free = int(lamps.tie.max()) + 1 if n else 0
@@ -168,7 +169,7 @@ def _with_hidden(lamps: Evidence, expected: NDArray[np.float64]) -> Evidence:
 
 
 def lights_without_lamps(problem: LightProblem, observed: GroupRadiance) -> Lights:
-    """The first guess of irradiance: everything glows as it was seen, lamps included."""
+    """The first guess of the light: every patch casts the radiance that was seen, lamps included."""
     n = problem.transport.n_patches
     radiance = np.zeros((n, 3))
     radiance[: len(observed.radiance)] = observed.radiance
@@ -201,8 +202,8 @@ def form_factors_of(
     """(N, E, 2) form factors of lamps at all patches, seen and unseen.
 
     Args:
-        limits: fewest and most shadow rays from a patch to a lamp; between them the budget is shared out evenly.
-        known: lights whose lamps, where they are among ``emitters``, need not be traced again.
+        limits: fewest and most shadow rays from a patch to a lamp; between them lamps share the budget evenly.
+        known: lights from which the form factors of lamps among ``emitters`` are reused.
     """
     columns = _columns(emitters, known.emitters) if known else np.full(len(emitters), -1)
     fresh = [faces for faces, k in zip(emitters, columns, strict=True) if k < 0]
@@ -234,20 +235,20 @@ def _lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> 
     label = emitter_of_face(emitters, len(problem.regions))
     on_lamp = np.flatnonzero(label[face] >= 0)
     order = on_lamp[np.argsort(label[face[on_lamp]], kind="stable")]
-    pieces = np.split(patch[order], np.cumsum(np.bincount(label[face[order]], minlength=len(emitters)))[:-1])
+    per_lamp = np.split(patch[order], np.cumsum(np.bincount(label[face[order]], minlength=len(emitters)))[:-1])
     bound = np.zeros((len(emitters), 3))
     measured = np.full((len(emitters), 3), np.nan)
-    for index, piece in enumerate(pieces[: len(emitters)]):
-        if len(piece) == 0:
+    for index, own in enumerate(per_lamp[: len(emitters)]):
+        if len(own) == 0:
             continue  # no photo shows it
-        bound[index] = np.median(seen.bound[piece], axis=0)
+        bound[index] = np.median(seen.bound[own], axis=0)
         for channel in range(3):
-            # An open pixel below what others saw clipped is the lamp's edge.
-            values = seen.measured[piece, channel]
-            open_ = values >= 0.98 * bound[index, channel]
-            if open_.mean() > 0.3:
-                measured[index, channel] = np.quantile(values[open_], WHOLLY_ON)
-    expected = np.where((bound > 0) & np.isnan(measured), BEYOND_BOUND * bound, np.nan)
+            # An unclipped pixel below the bound of clipped ones shows the lamp's edge.
+            values = seen.measured[own, channel]
+            unclipped = values >= 0.98 * bound[index, channel]
+            if unclipped.mean() > 0.3:
+                measured[index, channel] = np.quantile(values[unclipped], LAMP_QUANTILE)
+    expected = np.where((bound > 0) & np.isnan(measured), CLIPPED_LAMP_FACTOR * bound, np.nan)
     return Evidence(bound, measured, tie_fixtures(emitters, problem.tracer.areas), expected)
 
 
@@ -260,7 +261,7 @@ def patches_on(problem: LightProblem, mask: NDArray[np.bool_]) -> NDArray[np.boo
 
 
 def lamp_of_patch(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """(P,) index of the emitter that most of each seen patch lies on, -1 where that is none."""
+    """(P,) index of the emitter that covers most of each seen patch, -1 for none."""
     label = emitter_of_face(emitters, len(problem.regions))[problem.samples.face]
     on = np.flatnonzero(label >= 0)
     pair, pixels = np.unique(problem.surface.sample_patch[on] * len(emitters) + label[on], return_counts=True)
@@ -274,8 +275,13 @@ def lamp_of_patch(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> N
 def _start_radiance(
     observed: GroupRadiance, before: Lights, on_lamp: NDArray[np.bool_], was_lamp: NDArray[np.bool_] | None
 ) -> NDArray[np.float64]:
-    """(N, 3) what patches cast as far as it is known: seen ones what was observed, or what ``before`` inferred of all
-    that were no lamp then."""
+    """(N, 3) radiance that patches cast at the start.
+
+    Args:
+        on_lamp: (N,) patches on emitters, which reflect nothing.
+        was_lamp: (N,) patches on the emitters of ``before``: with it only these take their observed radiance, and all
+            others that of ``before``. None: all seen patches take their observed radiance.
+    """
     n = len(observed.radiance)
     radiance = before.patch_radiance.copy()
     known = np.ones(n, bool) if was_lamp is None else was_lamp[:n]
@@ -285,14 +291,15 @@ def _start_radiance(
 
 
 def _light_kept(problem: LightProblem, before: Lights, emitters: list[NDArray[np.int64]]) -> NDArray[np.float64]:
-    """(N, 3) share of the light of ``before`` at each patch that is not that of lamps which are none any more."""
+    """(N, 3) share of the light of ``before`` at each patch that remains without the lamps that were dropped."""
     lost = np.flatnonzero(_columns(before.emitters, emitters) < 0)
     direct = under_lobe(before.form_factors[:, lost], problem.transport.kappa) @ before.radiance[lost]
     return np.clip(1 - direct / np.maximum(before.irradiance, 1e-9), 0.0, 1.0)
 
 
 def mean_radiance(radiance: NDArray[np.float64], problem: LightProblem) -> NDArray[np.float64]:
-    """(3,) stand-in for surfaces that have no patch: the mean of what is seen, darkened as hidden places are."""
+    """(3,) stand-in for the radiance of surfaces without a patch: the median of the seen ones, darkened by 0.7 because
+    hidden places are darker."""
     return 0.7 * np.median(radiance[: problem.transport.n_seen], axis=0)
 
 
@@ -304,7 +311,7 @@ def _infer_unseen(
     albedo: dict[int, NDArray[np.float64]],
     on_lamp: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
-    """Radiance of patches without an observation: the albedo of their part times the irradiance at them."""
+    """(N, 3) radiance with that of unobserved patches inferred from ``irradiance`` (N, 3) and their region's albedo."""
     typical = np.median(np.stack(list(albedo.values())), axis=0) if albedo else np.full(3, 0.5)
     table = np.tile(np.clip(typical, 0.05, 0.9), (int(problem.regions.max()) + 1, 1))
     for region, value in albedo.items():
@@ -313,7 +320,7 @@ def _infer_unseen(
     result = radiance.copy()
     n = problem.transport.n_seen
     result[n:] = inferred[n:]
-    # A clipped patch reflects at least its bound and about what its region does.
+    # A clipped patch reflects at least its bound, and about as much as its region.
     clipped = ~observed.known
     result[:n] = np.where(clipped, np.maximum(observed.bound, inferred[:n]), result[:n])
     result[on_lamp] = 0.0

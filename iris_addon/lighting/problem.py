@@ -1,4 +1,4 @@
-"""What is known of the light: the problem that is posed, and its solution."""
+"""The lighting problem and its solution."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ class Lights:
 
     Attributes:
         emitters: faces of each.
-        radiance: (E, 3).
-        hidden_radiance: (H, 3) of the directions of outside light.
-        log_std: (E,) uncertainty of log radiance.
-        form_factors: (N, E, 2) ``B`` for all patches, seen and unseen, plain and times Schlick's S.
+        radiance: (E, 3) of the emitters, scene-linear Rec.709.
+        hidden_radiance: (H, 3) of the lobes of outside light.
+        log_std: (E,) standard deviation of log radiance.
+        form_factors: (N, E, 2) ``B`` of equation (8) for all patches, seen and unseen, plain and times Schlick's S.
         mask: (F,) bool, faces that emit.
         irradiance: (N, 3) irradiance / pi of every patch, all light.
         patch_radiance: (N, 3) reflected radiance of every patch, observed or inferred.
-        part_albedo: albedo per region id, from the balance.
+        region_albedo: (3,) albedo per region id, from the balance.
         held_out: robust loss of the balance on patches it was not fitted to.
     """
 
@@ -51,7 +51,7 @@ class Lights:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a user should know."""
+        """Warnings for the user."""
         if len(self.emitters) >= MAX_LAMPS:
             what = f"no more than {MAX_LAMPS} lamps are told apart, those with most pixels"
             return (f"{what}: give lamps that belong together one material",)
@@ -68,8 +68,8 @@ class Lights:
             **{f"lights.{name}": getattr(self, name) for name in names},
             "lights.sizes": np.array([len(faces) for faces in self.emitters], np.int64),
             "lights.faces": np.concatenate([*self.emitters, np.zeros(0, np.int64)]),
-            "lights.part_ids": ids,
-            "lights.part_albedo": np.array(list(self.region_albedo.values())).reshape(len(ids), 3),
+            "lights.region_ids": ids,
+            "lights.region_albedo": np.array(list(self.region_albedo.values())).reshape(len(ids), 3),
         }
 
     @staticmethod
@@ -77,7 +77,7 @@ class Lights:
         """Inverse of :meth:`arrays`."""
         a = {name.removeprefix("lights."): value for name, value in arrays.items() if name.startswith("lights.")}
         emitters = np.split(a.pop("faces"), np.cumsum(a.pop("sizes")))[:-1]
-        albedo = dict(zip(a.pop("part_ids").tolist(), a.pop("part_albedo"), strict=True))
+        albedo = dict(zip(a.pop("region_ids").tolist(), a.pop("region_albedo"), strict=True))
         held_out = float(a.pop("held_out"))
         return Lights(emitters=emitters, region_albedo=albedo, held_out=held_out, **a)
 
@@ -91,20 +91,26 @@ class Lights:
 
 @dataclass(frozen=True)
 class LightProblem:
-    """All that does not change while lamps are searched for.
+    """What stays fixed while lamps are searched for.
 
     Attributes:
-        regions: (F,) part per face; patches, and observations of them, are told apart by it.
-        material: (n_regions,) label that regions of one material share, and patches have as their part.
+        tracer: the mesh.
+        samples: the pixels.
+        surface: the seen patches.
+        transport: gather rays between patches.
+        regions: (F,) region of each face.
+        material: (n_regions,) label that regions of one material share; patches carry it as their region.
         adjacency: pairs of faces that share an edge.
-        brightness: how bright each seen patch was.
-        brighter_neighbour: (n,) pixel beside each mixed one that all its light may come from, -1 for none.
-        hidden: unknowns beside the lamps.
+        brightness: brightness of each seen patch.
+        brighter_neighbour: (n,) pixel beside each mixed pixel that may be the source of all its light, -1 for none.
+        hidden: sources that no photo shows.
         field: neighbourhoods of the seen patches.
+        shadow_rays: from a patch to all lamps together.
         decisions: where refinements of the light are decided.
-        bounce: once materials are known, what glossy surfaces pass on; patches then cast only their diffuse light.
-        aimed: rays to bright patches, where there are any, once the light is about known.
-        given: faces of the lamps where they are known beforehand, None to search for them.
+        bounce: once materials are known, the light that glossy surfaces pass on; patches then cast their diffuse light
+            alone.
+        aimed: rays to bright patches, once the light is about known; None where there are none.
+        given_emitters: faces of each lamp where the configuration names the lamps, None to search for them.
         robust_log: deviation of log albedo at which a patch starts to count as an outlier.
     """
 
@@ -124,7 +130,7 @@ class LightProblem:
     decisions: Decisions
     bounce: Bounce | None = None
     aimed: SparseRays | None = None
-    given: list[NDArray[np.int64]] | None = None
+    given_emitters: list[NDArray[np.int64]] | None = None
     robust_log: float = ROBUST_LOG
 
 

@@ -1,4 +1,9 @@
-"""Find the lamps: candidates, their radiance, and the test again under the light just found."""
+"""The search for light: which faces are lamps, how much light comes from outside, and the exponent of the response.
+
+Candidates for lamps are solved for, then tested again under the light just found, with falling thresholds
+(:func:`find_lights`, :func:`reconsider_lamps`). Every hypothesis on outside light (:func:`choose_outside`) and every
+exponent (:func:`choose_exponent`) is judged by the light balance of patches that it was not fitted to.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +19,7 @@ from ..response.radiance import GroupRadiance
 from ..transport.gather import ESCAPED
 from .balance import EFFECTIVE_PATCHES, ROBUST_LOG
 from .candidates import (
-    CERTAIN,
+    CERTAIN_REFLECTANCE,
     Brightness,
     coplanar_with,
     emitting_faces,
@@ -33,28 +38,38 @@ from .lamp_radiance import (
     solve_lights,
 )
 from .problem import LightProblem, Lights
-from .selection import certainty, needed_lamps, same_emitters, solved, with_all_rays, with_silent
+from .selection import certainty, needed_lamps, same_emitters, solved, with_all_rays, with_unconstrained
 
-OPEN_SHARE = 0.15
-"""Share of escaping rays from which a mesh is no closed room."""
-SELECTIONS = 2
-"""How often silent regions are tried and idle lamps left out: while specks glow, no lamp seems to be missing."""
-HYSTERESIS = 0.8
-THRESHOLDS = (CERTAIN, 1.6, 1.25)
-"""Reflectance needed at which a face counts as a lamp, round by round, from the certain ones down."""
+OPEN_MESH_SHARE = 0.15
+"""Share of escaping rays above which a mesh is no closed room."""
+SELECTION_ROUNDS = 2
+"""Rounds in which unconstrained regions are tried and idle lamps dropped. One is not enough: as long as specks count as
+lamps, no lamp seems to be missing."""
+LAMP_HYSTERESIS = 0.8
+"""Factor on the thresholds for faces that already count as a lamp."""
+LAMP_THRESHOLDS = (CERTAIN_REFLECTANCE, 1.6, 1.25)
+"""Reflectance needed above which a face counts as a lamp, round by round, from the certain ones down."""
+EXPONENT_LOGS = np.linspace(-1.2, 1.2, 13)
+"""Log exponents that are tried; the loss between them is smooth."""
+EXPONENT_PRIOR_STD = 0.4
+"""Standard deviation of the log exponent about that of the median measured response."""
 
 
 def find_lights(problem: LightProblem, observed: GroupRadiance, progress: Progress) -> Lights:
-    """Search for lamps from nothing: certain ones first, then those that stand out only under their light."""
+    """The lamps, found without any to start from: certain ones first, then those that stand out only under their light.
+
+    Args:
+        observed: radiance of the seen patches.
+    """
     lights = lights_without_lamps(problem, observed)
-    if problem.given is not None:
-        return solve_lights(problem, observed, problem.given, lights, progress)
-    for threshold in THRESHOLDS:
+    if problem.given_emitters is not None:
+        return solve_lights(problem, observed, problem.given_emitters, lights, progress)
+    for threshold in LAMP_THRESHOLDS:
         emitters = _candidates(problem, lights, threshold, threshold)
-        if threshold == CERTAIN or not same_emitters(emitters, lights.emitters):
+        if threshold == CERTAIN_REFLECTANCE or not same_emitters(emitters, lights.emitters):
             lights = solved(problem, observed, emitters, lights, progress)
-    for _ in range(SELECTIONS):
-        lights = with_silent(problem, observed, lights, progress)
+    for _ in range(SELECTION_ROUNDS):
+        lights = with_unconstrained(problem, observed, lights, progress)
         emitters = needed_lamps(problem, observed, lights, progress)
         if len(emitters) == len(lights.emitters):
             break
@@ -68,18 +83,23 @@ def choose_outside(
     progress: Progress,
     known: Lights | None = None,
 ) -> tuple[LightProblem, Lights]:
-    """Lamps, with as much light from outside the mesh as earns its place: none, constant, by direction, or what photos
-    show through its holes.
+    """Lamps, with as much light from outside the mesh as earns its place.
 
-    Each hypothesis is scored by the light balance of patches that it was not fitted to, and :mod:`iris_addon.decide`
-    says what a larger one must earn. Where light from outside is forced, all directions are taken at once. The lamps
-    are those of ``known``; without it they are searched for.
+    The hypotheses are none, constant light, light by direction, and the radiance that photos show through the holes.
+    Each is scored by the held-out loss of the light balance, and :mod:`iris_addon.decide` states the acceptance gain of
+    a larger one. Where light from outside is forced, all directions are taken at once.
+
+    Args:
+        known: lights whose lamps are kept; without it lamps are searched for.
+
+    Returns:
+        The problem with the chosen light from outside, and its lights.
     """
     directions, decisions = len(problem.hidden.directions), problem.decisions
     forced = decisions.forces("hidden_light")
     best: tuple[LightProblem, Lights] | None = None
-    # A mesh with large holes is not a closed room: without outside light everything in it would seem to glow.
-    is_open = float((problem.transport.target == ESCAPED).mean()) > OPEN_SHARE
+    # A mesh with large holes is no closed room: without outside light everything in it would seem to emit.
+    is_open = float((problem.transport.target == ESCAPED).mean()) > OPEN_MESH_SHARE
     hypotheses = sorted({min(1, directions), directions} | (set() if is_open else {0}))
     for count in hypotheses[-1:] if forced else hypotheses:
         tried = replace(problem, hidden=problem.hidden.with_directions(count))
@@ -106,12 +126,12 @@ def choose_outside(
 
 
 def _with_outside(problem: LightProblem, observed: GroupRadiance, before: Lights, progress: Progress) -> Lights:
-    """The lamps of ``before`` under the light from outside of ``problem``."""
+    """The lamps of ``before``, solved for again together with the light from outside of ``problem``."""
     count = len(problem.hidden.directions)
-    # Directions begin at the constant that they refine, and so can only explain more.
+    # Directions start from the constant that they refine, and so can only explain more.
     refined = len(before.hidden_radiance) == 1 and count > 1
     outside = before.hidden_radiance[0] if refined else mean_radiance(before.patch_radiance, problem)
-    # Where there is nothing to solve for, it comes back as it is, and explains nothing.
+    # Where there is nothing to solve for, this is returned unchanged, with an infinite loss.
     start = replace(before, hidden_radiance=np.tile(outside, (count, 1)), held_out=np.inf)
     return solve_lights(problem, observed, start.emitters, start, progress, start.form_factors, warm_start=refined)
 
@@ -124,18 +144,18 @@ def reconsider_lamps(
     diffuse: NDArray[np.float64],
     progress: Progress,
 ) -> Lights:
-    """Test and solve the lamps again, now that gloss is known.
+    """The lamps, tested and solved for again now that gloss is known.
 
     Args:
-        weight: (P,) say of each seen patch.
+        weight: (P,) statistical weight of each seen patch.
         diffuse: (P, 3) radiance without its specular part.
     """
-    # What seems to glow once its specular part is taken off, and did not before, was never a lamp.
-    emitters = problem.given
+    # Only earlier lamps are tested: what seems to emit only after its specular part was subtracted is no lamp.
+    emitters = problem.given_emitters
     if emitters is None:
         seen = problem.samples.seen_faces(len(problem.regions))
         unseen = [lamp for lamp in lights.emitters if not seen[lamp].any()]
-        emitters = [*_candidates(problem, lights, CERTAIN, THRESHOLDS[-1], lights.mask), *unseen]
+        emitters = [*_candidates(problem, lights, CERTAIN_REFLECTANCE, LAMP_THRESHOLDS[-1], lights.mask), *unseen]
     factors = form_factors_of(problem, emitters, progress, known=lights)
     return solve_lights(problem, observed, emitters, lights, progress, factors, PatchFit(weight, diffuse))
 
@@ -146,23 +166,24 @@ def _candidates(
     """Lamps under the light known so far.
 
     Args:
-        new, old: thresholds for faces that count as no lamp yet, and for those that do.
+        new, old: reflectance needed above which faces are lamps: those that are none so far, and those that are.
         among: (F,) faces that may be lamps, by default all.
     """
     n = problem.transport.n_seen
     lamp = lamp_of_patch(problem, lights.emitters)
     seen = _with_found(problem, lights, lamp)
     needed = reflectance_needed(seen, _irradiance_by_rank(problem, lights, lamp))
-    # What already counts as a lamp stays one unless the light found since explains it away.
+    # A face that counts as a lamp stays one unless the light found since explains its brightness.
     counts = patches_on(problem, lights.mask)[:n]
     patch, face, n_faces = problem.surface.sample_patch, problem.samples.face, len(problem.regions)
-    emitting, count = emitting_faces(needed > np.where(counts, HYSTERESIS * old, new), patch, face, n_faces)
-    certain, _ = emitting_faces(needed > np.where(counts, HYSTERESIS, 1.0) * CERTAIN, patch, face, n_faces)
-    # Dimmer than what the room reflects anyway: unexplained light, but not a lamp.
+    emitting, count = emitting_faces(needed > np.where(counts, LAMP_HYSTERESIS * old, new), patch, face, n_faces)
+    certain, _ = emitting_faces(
+        needed > np.where(counts, LAMP_HYSTERESIS, 1.0) * CERTAIN_REFLECTANCE, patch, face, n_faces
+    )
+    # A face dimmer than the typical reflected light is unexplained, but no lamp.
     level = np.median(lights.irradiance[:n].mean(1))
     emitting &= emitting_faces(seen.floor.max(1) > level, patch, face, n_faces)[0]
-    # A bright region of a region that otherwise reflects is a highlight or a caustic until it is far too bright for
-    # one.
+    # Bright faces of a region that otherwise reflects are a highlight or a caustic until they are far too bright.
     certain = coplanar_with(certain, emitting, problem.tracer.normals, problem.adjacency)
     emitting &= certain | whole_regions(emitting, count, problem.regions)[problem.regions]
     emitting = with_gaps_closed(emitting, count > 0, problem.tracer.normals, problem.adjacency)
@@ -170,7 +191,7 @@ def _candidates(
 
 
 def _with_found(problem: LightProblem, lights: Lights, lamp: NDArray[np.int64]) -> Brightness:
-    """The brightness of patches; on clipped lamps, of which photos give a bound, that which their light asks for."""
+    """The brightness of patches; on clipped lamps, whose photos give only a bound, at least their solved radiance."""
     floor = problem.brightness.floor.copy()
     at = np.flatnonzero(lamp >= 0)
     clipped = (problem.brightness.bound[at] >= floor[at]) & (floor[at] > 0)
@@ -179,10 +200,10 @@ def _with_found(problem: LightProblem, lights: Lights, lamp: NDArray[np.int64]) 
 
 
 def _irradiance_by_rank(problem: LightProblem, lights: Lights, lamp: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(P, 3) irradiance / pi at the seen patches; on a lamp, without the direct light of lamps less certain than it.
+    """(P, 3) irradiance / pi at the seen patches; on a lamp, without the direct light of less certain lamps.
 
-    A frame before a window is as bright as the window's light makes it. Taken for a lamp, it must not explain the
-    window away.
+    The frame in front of a window is lit by the window. If it is mistaken for a lamp, its light must not make the
+    window look like a reflecting surface.
     """
     irradiance = np.array(lights.irradiance[: problem.transport.n_seen], np.float64)
     needed = certainty(problem, lights, lamp)
@@ -193,50 +214,45 @@ def _irradiance_by_rank(problem: LightProblem, lights: Lights, lamp: NDArray[np.
     return irradiance
 
 
-# ---- The exponent that overlap leaves open, found by light transport ------------------------------------------------
-#
-# With the exposures unknown, or recorded wrong, photos fix response, exposures and radiance only up to
-# (f(x^1/g), t^g, L^g). But light adds up, and its powers do not: within a region of one albedo
-# log L = log a + log(G L + B e), with slope 1, holds for the right g alone. Every g is held to its own best lamps;
-# patches that these were not fitted to decide.
-
-
-LOG_EXPONENTS = np.linspace(-1.2, 1.2, 13)
-"""Tried; between them the loss is smooth."""
-PRIOR_STD = 0.4
-"""Of the log exponent about that of the median measured response, for rooms whose shading says little."""
+# ---- The exponent of the response -----------------------------------------------------------------------------------
 
 
 def choose_exponent(
     problem: LightProblem, observed: GroupRadiance, lights: Lights, error: float, progress: Progress
 ) -> float:
-    """The g under which the light balances best; 1 where that says nothing.
+    """The exponent g of equation (16), under which the light balances best.
 
-    So it is where most light comes from what no photo shows, as the balance then is about guesses, and where the best g
-    lies at an end of the range.
+    With unknown or wrongly recorded exposures, photos determine response, exposures and radiance only up to
+    (f(x^(1/g)), t^g, L^g). Light adds up and its powers do not: within a region of one albedo
+    ``log L = log a + log(G L + B e)`` holds with slope 1 for the right g alone. Each g is tried with its own best
+    lamps, and held-out patches decide.
 
     Args:
         observed: radiance of the seen patches, up to a power.
-        lights: the lamps found under that radiance; g changes their radiance, not which faces they are.
-        error: standard deviation of log g by the exposures that were recorded, infinite without any.
+        lights: the lamps found under that radiance; g changes their radiance, not their faces.
+        error: standard deviation of log g that recorded exposures leave, infinite without any.
+
+    Returns:
+        The exponent; 1 where more light comes from outside than from lamps, because the balance then rests on guesses,
+        and where the best g lies at an end of the range.
     """
     n_seen, kappa = problem.transport.n_seen, problem.transport.kappa
     from_lamps = under_lobe(lights.form_factors[:n_seen], kappa[:n_seen]) @ lights.radiance
     from_outside = problem.hidden.irradiance(lights.hidden_radiance, kappa)[:n_seen]
     if from_lamps.sum() <= from_outside.sum():
         return 1.0
-    losses = np.array([_loss(problem, observed, lights, float(g), progress) for g in np.exp(LOG_EXPONENTS)])
-    losses += 0.5 * (LOG_EXPONENTS / min(error, PRIOR_STD)) ** 2 / EFFECTIVE_PATCHES
+    losses = np.array([_loss(problem, observed, lights, float(g), progress) for g in np.exp(EXPONENT_LOGS)])
+    losses += 0.5 * (EXPONENT_LOGS / min(error, EXPONENT_PRIOR_STD)) ** 2 / EFFECTIVE_PATCHES
     if losses.argmin() in (0, len(losses) - 1):
         return 1.0
-    fine = np.linspace(LOG_EXPONENTS[0], LOG_EXPONENTS[-1], 1000)
-    return float(np.exp(fine[CubicSpline(LOG_EXPONENTS, losses)(fine).argmin()]))
+    fine = np.linspace(EXPONENT_LOGS[0], EXPONENT_LOGS[-1], 1000)
+    return float(np.exp(fine[CubicSpline(EXPONENT_LOGS, losses)(fine).argmin()]))
 
 
 def _loss(problem: LightProblem, observed: GroupRadiance, lights: Lights, g: float, progress: Progress) -> float:
-    """Held-out loss of the light balance between radiances to the power g.
+    """Held-out loss of the light balance of radiance raised to the power g.
 
-    Its logs are g times as far apart, errors included, so that its outliers start g times as far off.
+    Differences of log radiance grow by the factor g, errors included, so the robust scale does too.
     """
     seen = problem.brightness
     hidden = problem.hidden
@@ -252,4 +268,5 @@ def _loss(problem: LightProblem, observed: GroupRadiance, lights: Lights, g: flo
 
 
 def _raised(observed: GroupRadiance, g: float) -> GroupRadiance:
+    """``observed`` with all radiance raised to the power ``g``."""
     return replace(observed, radiance=observed.radiance**g, bound=observed.bound**g)

@@ -1,8 +1,8 @@
-"""Which lamps a room needs: some are tried because photos say nothing against them, others left out again.
+"""The selection of lamps: unconstrained regions are tried as lamps, and lamps that the room does not need are dropped.
 
-The search (:mod:`iris_addon.lighting.search`) takes for a lamp what is too bright to reflect. That is too little where
-photos clip, and too much before the lamps that light the room are known. What decides here is the light balance of
-patches it was not fitted to.
+The search (:mod:`.search`) takes for a lamp what is too bright to reflect. That finds too few lamps where photos clip
+and where none shows them, and too many before the lamps that light the room are known. Here the light balance of
+held-out patches decides, equation (18).
 """
 
 from __future__ import annotations
@@ -19,57 +19,66 @@ from ..response.radiance import GroupRadiance
 from ..surface.topology import smooth_components
 from ..transport.form_factors import emitter_form_factors, emitter_of_face
 from ..transport.gather import GatherRays
-from .balance import Evidence, ShadedPatches, noticeable, solve_balance
-from .candidates import CERTAIN, emitting_faces, group_emitters, reflectance_needed, whole_regions
+from .balance import Evidence, ShadedPatches, noticeable_radiance, solve_balance
+from .candidates import CERTAIN_REFLECTANCE, emitting_faces, group_emitters, reflectance_needed, whole_regions
 from .lamp_radiance import (
     SEARCH_SHADOW_RAYS,
     PatchFit,
     form_factors_of,
     lamp_of_patch,
+    patch_weight,
     patches_on,
-    say_of,
     solve_lights,
 )
 from .problem import LightProblem, Lights
 
-NEGLIGIBLE_POWER = 2e-4
-"""Of all the light that enters the room, lamps and outside together."""
-SILENT_EVERY = 4
-"""One patch in so many is asked whether a silent part lights it; all are, before a lamp stays."""
-LEAST_ASKED = 4
-"""Patches without which nobody is asked: what is left of the room says nothing."""
-MAX_CLIPPED = 8
-"""Regions that clip in all photos that are tried."""
-GLOWING = 1.25
-"""Reflectance it would need from which on such a region emits; below, it is of a light colour."""
-REFLECTED = 1.0
-"""Reflectance up to which what a lamp's own pixels show may be reflected light."""
-MAX_SIDES = 12
-"""A lamp with more sides is round."""
+LAMP_MIN_POWER = 2e-4
+"""Share of all light that enters the room, from lamps and from outside, below which a lamp is dropped."""
+UNCONSTRAINED_EVERY = 4
+"""One patch in so many is fitted while unconstrained regions are tried."""
+UNCONSTRAINED_MIN_PATCHES = 4
+"""Patches to fit below which no unconstrained region is tried."""
+UNCONSTRAINED_MAX_CLIPPED = 8
+"""Regions that clip in all photos and are tried, at most."""
+UNCONSTRAINED_MIN_REFLECTANCE = 1.25
+"""Reflectance needed above which an unconstrained region emits; below, its colour is light."""
+SHOWN_MAX_REFLECTANCE = 1.0
+"""Reflectance needed up to which the pixels of a lamp may show reflected light."""
+LAMP_MAX_SIDES = 12
+"""Sides above which a lamp counts as round and is not divided."""
+HIDDEN_PATCHES = 4000
+"""Patches on which hidden emitters are tried first."""
+HIDDEN_SHADOW_RAYS = 12
+"""Shadow rays from each of these patches to a surface."""
+HIDDEN_MAX_TRIED = 8
+"""Hidden emitters at most that are then tried with all rays of the search."""
+HIDDEN_MIN_RADIANCE = 1e-9
+"""Radiance below which a logarithm is not taken."""
 
 
-def with_silent(problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress) -> Lights:
-    """Try regions on which photos are silent, and keep what the light of the room asks for.
+def with_unconstrained(problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress) -> Lights:
+    """``lights`` and the unconstrained regions that the light balance accepts as lamps.
 
-    Of a region that clips all over they say too little to need emission, of one that none shows nothing. A region that
-    takes the place of a lamp which is a piece of it may cost nothing; one beside it must gain.
+    Photos do not determine whether a region emits that clips all over, or that none of them shows. A region that
+    replaces lamps which are parts of it must not raise the held-out loss; one in addition to all lamps must lower it.
     """
-    proposed = [*promising(problem, observed, lights, say_of(problem, observed)), *_clipped_regions(problem, lights)]
+    hidden = promising_surfaces(problem, observed, lights, patch_weight(problem, observed))
+    proposed = [*hidden, *_clipped_regions(problem, lights)]
     if not proposed:
         return lights
     mask = lights.mask.copy()
     mask[np.concatenate(proposed)] = True
     n = problem.transport.n_seen
-    say = np.where(patches_on(problem, mask)[:n], 0.0, say_of(problem, observed))
-    asked = np.arange(n) % SILENT_EVERY == 0
-    if np.count_nonzero(say * asked * observed.known.all(1)) < LEAST_ASKED:
+    weight = np.where(patches_on(problem, mask)[:n], 0.0, patch_weight(problem, observed))
+    fit_mask = np.arange(n) % UNCONSTRAINED_EVERY == 0
+    if np.count_nonzero(weight * fit_mask * observed.known.all(1)) < UNCONSTRAINED_MIN_PATCHES:
         return lights
 
-    def with_lamps(emitters: list[NDArray[np.int64]], before: Lights, near: bool = False) -> Lights:
-        return solved(problem, observed, emitters, before, progress, say, near, asked)
+    def with_lamps(emitters: list[NDArray[np.int64]], before: Lights, warm_start: bool = False) -> Lights:
+        return solved(problem, observed, emitters, before, progress, weight, warm_start, fit_mask)
 
     apart = [lamp for lamp in lights.emitters if not any(np.isin(lamp, faces).any() for faces in proposed)]
-    together = with_lamps([*apart, *proposed], lights, near=True)
+    together = with_lamps([*apart, *proposed], lights, warm_start=True)
     bright = [faces for faces in proposed if _glows(problem, together, faces)]
     if not bright:
         return lights
@@ -86,14 +95,14 @@ def with_silent(problem: LightProblem, observed: GroupRadiance, lights: Lights, 
 
 
 def _glows(problem: LightProblem, lights: Lights, faces: NDArray[np.int64]) -> bool:
-    """Whether a lamp is brighter than it could be by reflection of the light that reaches its region."""
+    """Whether a lamp is brighter than its region could be by reflecting the light that reaches it."""
     radiance = next(r for lamp, r in zip(lights.emitters, lights.radiance, strict=True) if np.array_equal(lamp, faces))
     own = problem.transport.region == problem.material[problem.regions[faces[0]]]
-    return bool(radiance.mean() > GLOWING * lights.irradiance[own].mean())
+    return bool(radiance.mean() > UNCONSTRAINED_MIN_REFLECTANCE * lights.irradiance[own].mean())
 
 
 def _clipped_regions(problem: LightProblem, lights: Lights) -> list[NDArray[np.int64]]:
-    """Regions that clip in all views and are no lamp yet, those that need the largest reflectance first."""
+    """Faces of regions that clip in all views and are no lamp yet, in descending order of the reflectance needed."""
     n, patch, face = problem.transport.n_seen, problem.surface.sample_patch, problem.samples.face
     seen = problem.brightness
     clipped = ((seen.bound >= seen.floor) & (seen.floor > 0)).all(1)
@@ -104,73 +113,79 @@ def _clipped_regions(problem: LightProblem, lights: Lights) -> list[NDArray[np.i
     needed = _median_by_lamp(
         reflectance_needed(seen, lights.irradiance[:n]), lamp_of_patch(problem, groups), len(groups)
     )
-    return [groups[k] for k in np.argsort(-needed, kind="stable")[:MAX_CLIPPED]]
+    return [groups[k] for k in np.argsort(-needed, kind="stable")[:UNCONSTRAINED_MAX_CLIPPED]]
 
 
 def needed_lamps(
     problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress
 ) -> list[NDArray[np.int64]]:
-    """The lamps of ``lights`` without those, or those sides, that are not certain and that the room does not need.
+    """The lamps of ``lights`` without those lamps, or sides of lamps, that are not certain and that the room can miss.
 
-    Whether it does is asked of the same patches with and without the lamp, and so not of those on any: what is textured
-    and taken for a lamp would seem needed because its texture then does not count.
+    The losses with and without a lamp are taken over the same patches, those on no lamp. Otherwise a textured surface
+    that is mistaken for a lamp would seem needed, because its texture then leaves the loss.
+
+    Returns:
+        Faces of each lamp that is kept.
     """
-    say = np.where(patches_on(problem, lights.mask)[: problem.transport.n_seen], 0.0, say_of(problem, observed))
+    weight = np.where(
+        patches_on(problem, lights.mask)[: problem.transport.n_seen], 0.0, patch_weight(problem, observed)
+    )
     needed = certainty(problem, lights, lamp_of_patch(problem, lights.emitters))
     power = np.array([problem.tracer.areas[f].sum() for f in lights.emitters]) * lights.radiance.mean(1)
-    # Mixed pixels at the edge of a real lamp make specks.
-    strong = power > NEGLIGIBLE_POWER * (power.sum() + _power_from_outside(problem, lights))
-    # Pixels beside which something else is as bright show nothing: a bar of a frame is no proof of a lamp.
-    certain = (needed >= CERTAIN) & (needed * (1 - _outshone(problem, lights.emitters)) > REFLECTED)
+    # Mixed pixels at the edge of a real lamp create specks.
+    strong = power > LAMP_MIN_POWER * (power.sum() + _outside_power(problem, lights))
+    # Pixels beside something as bright are no evidence: a bar of a window frame is no certain lamp.
+    shown = needed * (1 - _share_beside_brighter(problem, lights.emitters))
+    certain = (needed >= CERTAIN_REFLECTANCE) & (shown > SHOWN_MAX_REFLECTANCE)
     sure = [lights.emitters[k] for k in np.flatnonzero(strong & certain)]
     lamps = [lights.emitters[k] for k in np.flatnonzero(strong & ~certain)]
     if lamps:
-        lights = _without_idle(problem, observed, sure, lamps, lights, say, progress)
+        lights = _without_idle(problem, observed, sure, lamps, lights, weight, progress)
         lamps = lights.emitters[len(sure) :]
         sides = [side for lamp in lamps for side in _sides(problem, lamp)]
         if len(sides) > len(lamps):
-            lights = _without_idle(problem, observed, sure, sides, lights, say, progress)
+            lights = _without_idle(problem, observed, sure, sides, lights, weight, progress)
             lamps = [lamp[lights.mask[lamp]] for lamp in lamps]
     return [*sure, *(lamp for lamp in lamps if len(lamp))]
 
 
-def _power_from_outside(problem: LightProblem, lights: Lights) -> float:
-    """Light that comes in from beyond the mesh, in the unit of a lamp's area times its radiance.
+def _outside_power(problem: LightProblem, lights: Lights) -> float:
+    """Light from outside the mesh, in the unit of a lamp's area times its radiance.
 
-    The patches share the area of the mesh about evenly.
+    The estimate assumes that patches share the area of the mesh evenly.
     """
     irradiance = problem.hidden.irradiance(lights.hidden_radiance, problem.transport.kappa)
     return float(problem.tracer.areas.sum() * irradiance.mean())
 
 
-def _outshone(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> NDArray[np.float64]:
-    """(E,) share of each lamp's pixels beside which something else is as bright: the light they show may be its."""
+def _share_beside_brighter(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> NDArray[np.float64]:
+    """(E,) share of each lamp's pixels beside something else as bright, which may be the source of their light."""
     lamp, by = emitter_of_face(emitters, len(problem.regions))[problem.samples.face], problem.brighter_neighbour
     on = np.flatnonzero(lamp >= 0)
-    lent = (by[on] >= 0) & (lamp[by[on]] != lamp[on])
+    borrowed = (by[on] >= 0) & (lamp[by[on]] != lamp[on])
     pixels = np.bincount(lamp[on], minlength=len(emitters))
-    return np.bincount(lamp[on], lent, len(emitters)) / np.maximum(pixels, 1)
+    return np.bincount(lamp[on], borrowed, len(emitters)) / np.maximum(pixels, 1)
 
 
 def _without_idle(
     problem: LightProblem,
     observed: GroupRadiance,
     sure: list[NDArray[np.int64]],
-    open_: list[NDArray[np.int64]],
+    undecided: list[NDArray[np.int64]],
     lights: Lights,
-    say: NDArray[np.float64],
+    weight: NDArray[np.float64],
     progress: Progress,
 ) -> Lights:
-    """The lamps ``sure`` and those of ``open_`` without which the held-out loss rises; the smallest are tried first.
+    """Lights of the lamps ``sure`` and of those of ``undecided`` without which the held-out loss rises.
 
-    A lamp that no photo shows is tried after all others: it is there because the room missed its light, and must not
-    have to hold its own against a bright surface that feigns some of it.
+    Lamps are left out one by one, the smallest first and hidden emitters last. A hidden emitter was added because the
+    room lacked its light; it must not be compared while a bright surface still stands in for some of that light.
     """
-    lights, left = solved(problem, observed, [*sure, *open_], lights, progress, say), list(open_)
+    lights, left = solved(problem, observed, [*sure, *undecided], lights, progress, weight), list(undecided)
 
     def without(lamps: list[NDArray[np.int64]]) -> Lights:
         kept = [lamp for lamp in left if all(lamp is not other for other in lamps)]
-        return solved(problem, observed, [*sure, *kept], lights, progress, say, near=True)
+        return solved(problem, observed, [*sure, *kept], lights, progress, weight, warm_start=True)
 
     def idle(tried: Lights, subject: str, stops: float = 1.0) -> bool:
         share = share_of_rise("lamp", stops)
@@ -191,29 +206,33 @@ def _without_idle(
 
 
 def _named(faces: NDArray[np.int64]) -> str:
-    """How a decision names a lamp."""
+    """The name of a lamp in the record of decisions."""
     return f"lamp of {len(faces)} faces from {int(faces.min())}"
 
 
 def _stops_beyond_photos(problem: LightProblem, lamp: NDArray[np.int64], radiance: NDArray[np.float64]) -> float:
-    """By how many stops a lamp would have to be brighter than photos show, from half a stop to ten.
+    """Stops by which a lamp is brighter than photos show it, between a half and ten.
 
-    The further beyond, the more the room has to ask for it: a strip of a frame can stand in for the window behind it at
-    a hundred times the radiance. Pixels beside which something else is as bright show nothing of it.
+    The acceptance gain is proportional to it: a strip of a window frame can stand in for the window behind it at a
+    hundred times the radiance. Pixels beside something as bright count as black.
+
+    Args:
+        lamp: (k,) faces.
+        radiance: (3,) of the lamp.
     """
     on = lamp_of_patch(problem, [lamp]) == 0
     shown = np.median(problem.brightness.floor[on].mean(1)) if on.any() else 0.0
-    shown *= 1 - _outshone(problem, [lamp])[0]
+    shown *= 1 - _share_beside_brighter(problem, [lamp])[0]
     return float(np.clip(np.log2(radiance.mean() / max(shown, 1e-9)), 0.5, 10.0))
 
 
 def _sides(problem: LightProblem, lamp: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Pieces of a lamp between its sharp edges; the lamp itself if it has none, or more than MAX_SIDES."""
+    """Faces of each side of a lamp between sharp edges; the lamp as a whole if there are more than LAMP_MAX_SIDES."""
     member = np.zeros(len(problem.regions), bool)
     member[lamp] = True
     label = smooth_components(problem.tracer.normals, problem.adjacency, member)[lamp]
     sides = [lamp[label == k] for k in np.unique(label)]
-    return sides if len(sides) <= MAX_SIDES else [lamp]
+    return sides if len(sides) <= LAMP_MAX_SIDES else [lamp]
 
 
 def with_all_rays(
@@ -223,7 +242,7 @@ def with_all_rays(
     before: Lights,
     progress: Progress,
 ) -> Lights:
-    """Solved with as many shadow rays as lamps that were found deserve."""
+    """Lights of ``emitters``, with all shadow rays traced anew and as many as for lamps that were found."""
     factors = form_factors_of(problem, emitters, progress)
     return solve_lights(problem, observed, emitters, before, progress, factors)
 
@@ -234,24 +253,25 @@ def solved(
     emitters: list[NDArray[np.int64]],
     before: Lights,
     progress: Progress,
-    say: NDArray[np.float64] | None = None,
-    near: bool = False,
-    asked: NDArray[np.bool_] | None = None,
+    weight: NDArray[np.float64] | None = None,
+    warm_start: bool = False,
+    fit_mask: NDArray[np.bool_] | None = None,
 ) -> Lights:
-    """Lights with other lamps; what of their form factors ``before`` does not have is traced as the search does."""
+    """Lights of ``emitters``; form factors that ``before`` lacks are traced with the rays of the search."""
     factors = form_factors_of(problem, emitters, progress, SEARCH_SHADOW_RAYS, before)
-    fit = PatchFit(weight=say, fit_mask=asked)
-    return solve_lights(problem, observed, emitters, before, progress, factors, fit, near)
+    fit = PatchFit(weight=weight, fit_mask=fit_mask)
+    return solve_lights(problem, observed, emitters, before, progress, factors, fit, warm_start)
 
 
 def certainty(problem: LightProblem, lights: Lights, lamp: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(E,) reflectance that each lamp would need if it were none, median over its patches."""
+    """(E,) reflectance that would explain each lamp's brightness, median over its patches; ``lamp`` (P,) as of
+    :func:`.lamp_of_patch`."""
     needed = reflectance_needed(problem.brightness, lights.irradiance[: problem.transport.n_seen])
     return _median_by_lamp(needed, lamp, len(lights.emitters))
 
 
 def _median_by_lamp(values: NDArray[np.float64], lamp: NDArray[np.int64], n_lamps: int) -> NDArray[np.float64]:
-    """(E,) median over the patches of each lamp, 0 without any."""
+    """(E,) median of ``values`` (P,) over the patches of each lamp, 0 for a lamp without patches."""
     of_some = lamp >= 0
     return group_medians(values[of_some, None], lamp[of_some], n_lamps)[:, 0]
 
@@ -261,52 +281,46 @@ def same_emitters(a: list[NDArray[np.int64]], b: list[NDArray[np.int64]]) -> boo
     return len(a) == len(b) and all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
 
 
-# ---- Which of the surfaces that no photo shows may be lamps: a first look, on few patches and with few rays ---------
-#
-# A bulb under its shade fills a ten-thousandth of what the room sees, and there are dozens of surfaces like it: hinges,
-# undersides, the backs of drawers. Rays enough to solve for each would cost more than the rest of the search. But a
-# lamp that is missing is missed where it shines, by many times what noise does; so all are solved for at once, roughly,
-# and the few without whose light the balance would be worse are then tried with care
-# (:mod:`iris_addon.lighting.selection`). How much light they bring says less: a hinge may take any radiance.
+# ---- Hidden emitters: a rough first solve ---------------------------------------------------------------------------
 
 
-ASKED = 4000
-"""Patches asked."""
-SHADOW_RAYS = 12
-"""From each to a surface."""
-PROMISING = 8
-"""Surfaces at most that are tried with care."""
-DARK = 1e-9
-
-
-def promising(
-    problem: LightProblem, observed: GroupRadiance, lights: Lights, say: NDArray[np.float64]
+def promising_surfaces(
+    problem: LightProblem, observed: GroupRadiance, lights: Lights, weight: NDArray[np.float64]
 ) -> list[NDArray[np.int64]]:
-    """Surfaces that no photo shows and whose light would be missed beside that of ``lights``, the most missed first.
+    """Unseen surfaces that may be lamps: those without whose light a rough balance would be worse, by falling loss.
+
+    A bulb under its shade fills a ten-thousandth of the hemisphere of the room, and dozens of surfaces are like it:
+    hinges, undersides, backs of drawers. Enough rays to solve for each would cost more than the rest of the search. But
+    a missing lamp leaves an error where it shines that is many times the noise. So all surfaces are solved for together
+    on HIDDEN_PATCHES patches, and each is judged by the loss without its light. The light it brings is no criterion: a
+    hinge may take any radiance.
 
     Args:
-        say: (P,) say of each seen patch.
+        weight: (P,) statistical weight of each seen patch.
+
+    Returns:
+        Faces of each surface, at most HIDDEN_MAX_TRIED.
     """
-    pieces = [faces for faces in problem.hidden.pieces if not lights.mask[faces].any()]
-    usable = np.flatnonzero((say > 0) & observed.known.all(1))
-    if not pieces or not len(usable):
+    surfaces = [faces for faces in problem.hidden.surfaces if not lights.mask[faces].any()]
+    usable = np.flatnonzero((weight > 0) & observed.known.all(1))
+    if not surfaces or not len(usable):
         return []
     rng = np.random.default_rng([problem.seed, 41])
-    rows = np.sort(rng.permutation(usable)[:ASKED])
+    rows = np.sort(rng.permutation(usable)[:HIDDEN_PATCHES])
     t = problem.transport
     factors = emitter_form_factors(
-        problem.tracer, _origins(t.origins, rows), _rays(t.rays, rows), pieces, SHADOW_RAYS, rng, Progress()
+        problem.tracer, _origins(t.origins, rows), _rays(t.rays, rows), surfaces, HIDDEN_SHADOW_RAYS, rng, Progress()
     )
     theirs = under_lobe(factors, t.kappa[rows])
     own = under_lobe(lights.form_factors[rows], t.kappa[rows])
     rest = lights.irradiance[rows] - own @ lights.radiance
 
     reach = np.concatenate([own, theirs], 1)
-    start = np.concatenate([lights.radiance, noticeable(lights.irradiance[rows], theirs)])
-    silent = np.full(start.shape, np.nan)
-    evidence = Evidence(np.zeros(start.shape), silent, np.arange(len(start)), silent)
+    start = np.concatenate([lights.radiance, noticeable_radiance(lights.irradiance[rows], theirs)])
+    none = np.full(start.shape, np.nan)
+    evidence = Evidence(bound=np.zeros(start.shape), measured=none, tie=np.arange(len(start)), expected=none)
     shown, region = observed.radiance[rows], t.region[rows]
-    patches = ShadedPatches(radiance=shown, indirect=rest, form_factors=reach, region=region, weight=say[rows])
+    patches = ShadedPatches(radiance=shown, indirect=rest, form_factors=reach, region=region, weight=weight[rows])
     balance = solve_balance(patches, evidence, start, problem.robust_log)
 
     known = np.flatnonzero(np.isin(region, balance.region_ids))
@@ -314,26 +328,29 @@ def promising(
     light = (rest + reach @ balance.radiance)[known]
 
     def loss(light: NDArray[np.floating]) -> float:
-        """Of the same balance under other light, its albedo kept."""
-        r = np.log(np.maximum(shown[known], DARK) / (np.maximum(light, DARK) * albedo)) / problem.robust_log
-        return float(np.log1p(r**2).sum(1) @ say[rows[known]])
+        """Loss of the balance under other light (n, 3), with the albedo kept."""
+        predicted = np.maximum(light, HIDDEN_MIN_RADIANCE) * albedo
+        r = np.log(np.maximum(shown[known], HIDDEN_MIN_RADIANCE) / predicted) / problem.robust_log
+        return float(np.log1p(r**2).sum(1) @ weight[rows[known]])
 
     lamps, all_light = len(lights.emitters), loss(light)
     without = [loss(light - np.outer(theirs[known, k], e)) for k, e in enumerate(balance.radiance[lamps:])]
-    most_missed = np.argsort(-np.array(without), kind="stable")[:PROMISING]
+    most_missed = np.argsort(-np.array(without), kind="stable")[:HIDDEN_MAX_TRIED]
 
     def missed(k: int) -> bool:
-        share, subject = share_of_rise("hidden_emitter"), _named(pieces[k])
+        share, subject = share_of_rise("hidden_emitter"), _named(surfaces[k])
         return problem.decisions.accept("hidden_emitter", without[k], all_light, share=share, subject=subject)
 
-    return [pieces[k] for k in most_missed if missed(k)]
+    return [surfaces[k] for k in most_missed if missed(k)]
 
 
 def _origins(origins: Origins, rows: NDArray[np.integer]) -> Origins:
+    """The ray origins of the patches ``rows``."""
     return Origins(origins.position[rows], origins.normal[rows])
 
 
 def _rays(rays: GatherRays, rows: NDArray[np.integer]) -> GatherRays:
+    """The gather rays of the patches ``rows``."""
     return GatherRays(
         face=rays.face[rows],
         direction=rays.direction[rows],

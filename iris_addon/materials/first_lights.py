@@ -1,6 +1,8 @@
-"""The first solve for light, with every surface rough: the problem as photos pose it, and what it settles for good.
+"""The first solve for light, with every surface rough.
 
-Rounds of lamps and gloss (:mod:`.rounds`) start from here.
+:func:`pose_problem` makes the problem from the photos. :func:`find_first_lights` solves it and fixes, for the rest of
+the solve, the regions of one material, the kind of light from outside, and the exponent of the response. Rounds of
+lamps and gloss (:mod:`.rounds`) start from there.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from ..base.progress import Progress
 from ..brdf.diffuse import grazing_gain, schlick
 from ..config import SolveConfig
 from ..decide import Decisions
-from ..lighting.backdrop import Beyond, fit_backdrop
+from ..lighting.backdrop import SeenBackdrop, fit_backdrop
 from ..lighting.candidates import brightness, read_given_emitters
 from ..lighting.hidden import HiddenSources, through_holes
 from ..lighting.problem import LightProblem, Lights
@@ -27,12 +29,12 @@ from ..response.photometry import Photometry
 from ..response.radiance import group_radiance, linearise
 from ..surface.traced_room import TracedRoom
 from ..transport.transport import Transport
-from .gloss import LEVELS, rough_everywhere
+from .gloss import GLOSS_LEVELS, rough_everywhere
 from .rounds import MaterialProblem
 from .view_dependence import choose_diffuse, mirrored_radiance
 
 Pose = Callable[[Photometry], MaterialProblem]
-"""The problem under a photometry: :func:`pose_problem` with its other arguments given."""
+"""The problem under a photometry: :func:`pose_problem` with its other arguments bound."""
 
 
 def pose_problem(
@@ -44,10 +46,10 @@ def pose_problem(
     decisions: Decisions,
     photometry: Photometry,
 ) -> MaterialProblem:
-    """The radiance of patches and observations under ``photometry``, all surfaces rough, and what is unknown of it.
+    """The problem of light and materials under ``photometry``, with all surfaces rough.
 
     Args:
-        hidden: sources that no photo shows, before what photos show through holes of the mesh is known.
+        hidden: sources that no photo shows, without light through holes.
 
     Raises:
         BadInput: no pixel of any photo is unclipped in all channels, or the file of lamps cannot be used.
@@ -59,12 +61,12 @@ def pose_problem(
     photos, regions, n_patches = room.photos, room.regions.of_face, len(room.patches.region)
     angle = schlick(room.samples.cosine[observations.sample].astype(np.float64))
     diffuse = choose_diffuse(observations, linear, angle, decisions)
-    backdrop = Beyond(None)
+    backdrop = SeenBackdrop(None)
     if not decisions.forbids("hidden_light"):
         capture = room.capture
-        backdrop = Beyond(fit_backdrop(photos.backdrop, photometry, capture.mesh, capture.views))
+        backdrop = SeenBackdrop(fit_backdrop(photos.backdrop, photometry, capture.mesh, capture.views))
     rough = rough_everywhere(room.n_regions)
-    given = config.emitters
+    emitters_file = config.emitters
     light = LightProblem(
         tracer=room.tracer,
         samples=room.samples,
@@ -80,9 +82,11 @@ def pose_problem(
         shadow_rays=config.shadow_rays,
         seed=config.seed,
         decisions=decisions,
-        given=read_given_emitters(given, room.tracer.areas) if isinstance(given, Path) else None,
+        given_emitters=read_given_emitters(emitters_file, room.tracer.areas)
+        if isinstance(emitters_file, Path)
+        else None,
     )
-    view_factor = 1 + grazing_gain(diffuse.lobe, np.array(LEVELS[-1])) * angle
+    view_factor = 1 + grazing_gain(diffuse.lobe, np.array(GLOSS_LEVELS[-1])) * angle
     observed = group_radiance(linear, observations.patch, observations.count, n_patches, view_factor=view_factor)
     return MaterialProblem(
         light=light,
@@ -95,21 +99,21 @@ def pose_problem(
         diffuse=diffuse,
         specular_rays=config.specular_rays,
         seed=config.seed,
-        beyond=backdrop,
-        given=room.regions.in_file,
+        backdrop=backdrop,
+        in_file=room.regions.in_file,
     )
 
 
 @dataclass(frozen=True)
 class FirstLights:
-    """What the first solve for light finds.
+    """The result of the first solve for light.
 
     Attributes:
         lights: the lamps and the light from outside.
-        material: (n_regions,) label that regions of a scan share which are one material under that light.
-        directions: number of directions of light from outside.
-        shown: whether light through holes of the mesh is what photos show there, in place of directions.
-        exponent: power of radiance under which the light balances, where exposures leave it open; else 1.
+        material: (n_regions,) label that regions of a scan share if they are one material under that light.
+        directions: number of lobes of outside light.
+        shown: whether light through holes of the mesh is the radiance that photos show there, in place of lobes.
+        exponent: exponent of equation (16) where exposures leave it undetermined, else 1.
     """
 
     lights: Lights
@@ -151,11 +155,11 @@ def find_first_lights(
     room: TracedRoom,
     progress: Progress,
 ) -> FirstLights:
-    """The lamps of ``problem``, the regions of a scan that are one material under their light, and the exponent.
+    """The lamps, the regions of a scan that are one material under their light, and the exponent.
 
     Args:
-        pose: gives the problem under another photometry.
-        problem: that of ``photometry``.
+        pose: makes the problem under another photometry.
+        problem: the problem under ``photometry``.
     """
     exponent = 1.0
     light, lights = choose_outside(problem.light, problem.observed, progress)

@@ -1,8 +1,10 @@
 """Roughness and metallic per region, from how its photos change with the view.
 
-For each level of roughness the reflected light is predicted; what remains after it is taken off must be one diffuse
-albedo per patch whatever the view, and much the same albedo over a region. A region that shows no view dependence keeps
-the rough dielectric it started as: gloss has to earn its place.
+For each level of roughness the specular light is predicted and subtracted. What remains must be one diffuse albedo per
+patch, whatever the view, and about the same albedo over a region; the cost of a gloss, equation (24), measures the
+deviation (:class:`RegionFits`). Costs are pooled over regions that may be of one material, equation (25)
+(:class:`RegionCosts`). A region is glossy or metallic only if that lowers its cost enough, equation (26)
+(:func:`fit_gloss`); otherwise it stays the rough dielectric it started as.
 """
 
 from __future__ import annotations
@@ -22,31 +24,62 @@ from ..base.parallel import over_each
 from ..brdf.ggx import DIELECTRIC_F0
 from ..decide import Decisions
 
-WELL_OBSERVED = 2000
-"""Observations that regions lend to one at most."""
-NEAR = 1.0
-"""Metres over which regions of like albedo are taken for pieces of one material."""
-LIKE = 0.05
-"""Difference in log albedo at which they no longer are."""
-LIKE_KIN = 0.1
-"""The same for pieces of what the capture says is one region, however far apart: small ones are off by as much."""
-NEIGHBOURS = 24
+POOL_MAX_OBSERVATIONS = 2000
+"""Observations that all other regions together contribute to the pooled cost of a region, at most."""
+POOL_DISTANCE = 1.0
+"""Standard deviation in metres of the weight by distance, for regions of like albedo."""
+POOL_ALBEDO = 0.05
+"""Standard deviation of the weight by difference in log albedo."""
+POOL_ALBEDO_IN_FILE = 0.1
+"""The same for regions of one object of the file, at any distance; the albedo of small regions is off by as much."""
+POOL_NEIGHBOURS = 24
+"""Nearest regions that are pooled, and best observed regions of the same object, at most."""
+COST_SPATIAL_WEIGHT = 0.35
+"""Weight of "the albedo is even over the region" relative to "the albedo is the same from every view"."""
+COST_ROBUST = 0.15
+"""Relative residual at which an observation starts to count as an outlier."""
+COST_MAX_ALBEDO, COST_MIN_RADIANCE = 1.2, 1e-4
+"""Largest albedo of a patch, and radiance below which residuals are no longer relative."""
+COST_NOISY_ROUGHNESS = 0.4
+"""Roughness above which the lobes of few rays are too noisy to identify a metal."""
+COST_MIN_ROUGH = 0.02
+"""Least cost of the rough dielectric: below, the noise of the photos prevails."""
+GLOSS_LEVELS = (0.1, 0.2, 0.32, 0.5, 0.7, 1.0)
+"""Roughness levels that are tried, as in IRIS; between them the best level is interpolated."""
+GLOSS_RAYS = (8, 16, 32, 32)
+"""Reflected rays per observation at each of the first levels; wider lobes need more because they are noisier. The other
+levels see what the hemisphere sees. They differ from a rough surface by their sheen alone, and an error in the shape of
+the diffuse lobe looks the same."""
+GLOSS_MIN_OBSERVATIONS = 10
+"""Observations of a region below which it keeps the default."""
+GLOSS_MAX_OBSERVATIONS = POOL_MAX_OBSERVATIONS
+"""Observations of one region, at most. With a quarter of them large matte walls were taken for glossy in one random
+draw and not in the next."""
+GLOSS_ALL_OBSERVATIONS = 500_000
+"""Observations of all regions, at most: each has 88 rays, and thousands of regions would fill the memory. redkitchen
+has 330,000."""
+GLOSS_FEW_OBSERVATIONS = 90
+"""Observations at which the acceptance gain is doubled, because chance explains a few."""
+METAL_MAX_COLOUR = 0.95
+"""Largest specular colour of a metal."""
+LobeHalves = Sequence[tuple[NDArray[np.floating], NDArray[np.floating]]]
+"""(Ls0, Ls1) from two independent sets of rays; a single entry where they are free of noise."""
 
 
 @dataclass(frozen=True)
 class RegionCosts:
-    """Costs of k regions at every level, and what tells which of them are one material.
+    """Costs of k regions at every level of roughness, and what indicates which of them are one material.
 
     Attributes:
-        ids: (k,) part ids.
+        ids: (k,) region ids.
         rough: (k,) cost of the rough dielectric.
-        plastic, metal: (k, levels) relative to that.
-        error: (k, levels) standard error of how much ``plastic`` lies below the rough dielectric.
+        plastic, metal: (k, levels) costs relative to ``rough``.
+        error: (k, levels) standard error of the difference between ``plastic`` and the rough dielectric.
         colour: (k, levels, 3) specular colour of the metal.
         count: (k,) observations.
         centre: (k, 3) metres.
         log_albedo: (k, 3).
-        given: (k,) what of the capture's own regions each is a piece of.
+        in_file: (k,) object of the mesh file that each region lies in.
     """
 
     ids: NDArray[np.integer]
@@ -58,64 +91,67 @@ class RegionCosts:
     count: NDArray[np.float64]
     centre: NDArray[np.float64]
     log_albedo: NDArray[np.float64]
-    given: NDArray[np.integer]
+    in_file: NDArray[np.integer]
 
     def pooled(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Plastic and metal costs of every region averaged with those of near regions of like albedo and of its kin,
-        pieces of the same region of the capture; the error of such an average, and the observations behind it."""
+        """Costs of every region averaged with those of other regions by the weights of equation (25).
+
+        Returns:
+            Plastic and metal costs (k, levels), the standard error (k, levels) of the former, and the observations (k,)
+            behind them.
+        """
         near, first = self._candidates()
         own = near == np.arange(len(near))[:, None]
-        kin = self.given[near] == self.given[:, None]
-        distance = np.linalg.norm(self.centre[near] - self.centre[:, None], axis=-1) / NEAR
+        same_object = self.in_file[near] == self.in_file[:, None]
+        distance = np.linalg.norm(self.centre[near] - self.centre[:, None], axis=-1) / POOL_DISTANCE
         unlike = np.abs(self.log_albedo[near] - self.log_albedo[:, None]).max(-1)
-        apart = np.where(kin, (unlike / LIKE_KIN) ** 2, distance**2 + (unlike / LIKE) ** 2)
-        say = np.where(first & ~own, self.count[near] * np.exp(-0.5 * apart), 0.0)
-        # However many they are, a region that was well observed itself is not outvoted.
-        say *= np.minimum(1.0, WELL_OBSERVED / np.maximum(say.sum(1, keepdims=True), 1e-9))
-        say += (first & own) * self.count[:, None]
-        total = say.sum(1)
-        say /= total[:, None]
+        apart = np.where(same_object, (unlike / POOL_ALBEDO_IN_FILE) ** 2, distance**2 + (unlike / POOL_ALBEDO) ** 2)
+        weight = np.where(first & ~own, self.count[near] * np.exp(-0.5 * apart), 0.0)
+        # A region that is well observed itself must not be outvoted by the others, however many they are.
+        weight *= np.minimum(1.0, POOL_MAX_OBSERVATIONS / np.maximum(weight.sum(1, keepdims=True), 1e-9))
+        weight += (first & own) * self.count[:, None]
+        total = weight.sum(1)
+        weight /= total[:, None]
         return (
-            np.einsum("kn,knl->kl", say, self.plastic[near]),
-            np.einsum("kn,knl->kl", say, self.metal[near]),
-            np.sqrt(np.einsum("kn,knl->kl", say**2, self.error[near] ** 2)),
+            np.einsum("kn,knl->kl", weight, self.plastic[near]),
+            np.einsum("kn,knl->kl", weight, self.metal[near]),
+            np.sqrt(np.einsum("kn,knl->kl", weight**2, self.error[near] ** 2)),
             total,
         )
 
     def _candidates(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """(k, m) regions that may be of one material with each: the nearest, itself among them, and the best observed
-        of its kin; and where in a row a region is listed first."""
+        """Regions (k, m) that may be of one material with each region, and whether (k, m) an entry is the first of its
+        region in the row.
+
+        They are the nearest regions, itself included, and the best observed regions of the same object of the file.
+        """
         n = len(self.ids)
-        near = cKDTree(self.centre).query(self.centre, k=min(NEIGHBOURS, n))[1].reshape(n, -1)
-        best = np.lexsort((-self.count, self.given))
-        rank = np.arange(n) - np.searchsorted(self.given[best], self.given[best])
-        most = min(NEIGHBOURS, int(rank.max()) + 1)  # one where the capture brings no regions
+        near = cKDTree(self.centre).query(self.centre, k=min(POOL_NEIGHBOURS, n))[1].reshape(n, -1)
+        best = np.lexsort((-self.count, self.in_file))
+        rank = np.arange(n) - np.searchsorted(self.in_file[best], self.in_file[best])
+        most = min(POOL_NEIGHBOURS, int(rank.max()) + 1)  # one where the file names no objects
         listed = rank < most
-        kin = np.full((int(self.given.max()) + 1, most), -1)
-        kin[self.given[best[listed]], rank[listed]] = best[listed]
-        kin = kin[self.given]
-        other = (kin >= 0) & ~(kin[:, :, None] == near[:, None]).any(-1)
-        return np.concatenate([near, kin], 1), np.concatenate([np.ones(near.shape, bool), other], 1)
+        of_object = np.full((int(self.in_file.max()) + 1, most), -1)
+        of_object[self.in_file[best[listed]], rank[listed]] = best[listed]
+        same_object = of_object[self.in_file]
+        other = (same_object >= 0) & ~(same_object[:, :, None] == near[:, None]).any(-1)
+        return np.concatenate([near, same_object], 1), np.concatenate([np.ones(near.shape, bool), other], 1)
 
 
-# ---- How badly each gloss explains the photos of every region -------------------------------------------------------
-
-
-SPATIAL_WEIGHT = 0.35
-"""Say of "the albedo is even over the region" against "the albedo is the same from every view"."""
-ROBUST = 0.15
-MOST, DARK = 1.2, 1e-4
-"""Largest albedo of a patch, and radiance below which residuals are no longer relative."""
-WIDE = 0.4
-"""Roughness from which the lobes of few rays are too noisy to tell a metal."""
-LobeHalves = Sequence[tuple[NDArray[np.floating], NDArray[np.floating]]]
-"""(Ls0, Ls1) from two independent sets of rays, or once where there is no noise to tell apart."""
+# ---- The cost of a gloss, equation (24) -----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class RegionFits:
-    """Observations of k regions, m in all; ``patch`` (m,) and ``region``, (n,) of each of the n patches, count from
-    0."""
+    """The m observations of k regions, and the n patches they show.
+
+    Attributes:
+        patch: (m,) patch of each observation, 0 to n - 1.
+        region: (n,) region of each patch, 0 to k - 1.
+        weight: (m,) statistical weight.
+        radiance: (m, 3) observed, scene-linear Rec.709.
+        irradiance: (m, 3) irradiance / pi.
+    """
 
     patch: NDArray[np.integer]
     region: NDArray[np.integer]
@@ -124,25 +160,35 @@ class RegionFits:
     irradiance: NDArray[np.floating]
 
     def dielectric(self, diffuse: NDArray[np.floating], halves: LobeHalves) -> NDArray[np.float64]:
-        """(n,) robust cost with albedo free per patch and the 4 % lobe taken off; ``diffuse`` (m,) view factor."""
+        """(n,) robust cost with one free albedo per patch and the 4 % lobe subtracted.
+
+        Args:
+            diffuse: (m,) view factor of the diffuse lobe.
+            halves: (m, 3) specular lobes.
+        """
         light = self.irradiance * diffuse[:, None]
         return self._cost([self._solved(self.radiance - DIELECTRIC_F0 * s0 - s1, light) for s0, s1 in halves])
 
     def metal(self, roughness: float, halves: LobeHalves) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(n,) robust cost with the specular colour free per patch and no diffuse part, (k, 3) that colour's median.
+        """Robust cost (n,) with one free specular colour per patch and no diffuse part, and the median colour (k, 3).
 
-        A wide lobe of few rays meets a lamp or misses it, and a metal has nothing else to send: such a cost keeps the
-        noise in it, which speaks against the metal.
+        A wide lobe of few rays either meets a lamp or misses it, and a metal sends no other light. From
+        COST_NOISY_ROUGHNESS on the noise is therefore kept in the cost, which counts against the metal.
         """
         mean = np.mean([s0 for s0, _ in halves], axis=0), np.mean([s1 for _, s1 in halves], axis=0)
         colour = self._solved(self.radiance - mean[1], np.maximum(mean[0], 1e-5))
-        if roughness >= WIDE:
+        if roughness >= COST_NOISY_ROUGHNESS:
             return self._cost([colour]), colour.median
         cost = self._cost([self._solved(self.radiance - s1, np.maximum(s0, 1e-5)) for s0, s1 in halves])
         return cost, colour.median
 
     def _solved(self, explained: NDArray[np.floating], per_albedo: NDArray[np.floating]) -> _Solved:
-        """Diffuse albedo or specular colour of each patch, least squares over its views."""
+        """Diffuse albedo or specular colour of each patch by least squares over its views.
+
+        Args:
+            explained: (m, 3) radiance that the albedo has to explain.
+            per_albedo: (m, 3) radiance per unit of albedo.
+        """
         albedo, norm = np.zeros((2, len(self.region), 3))
         _fit(self.patch, self.weight, explained, per_albedo, albedo, norm)
         return _Solved(explained, per_albedo, albedo, self._medians(albedo))
@@ -152,39 +198,44 @@ class RegionFits:
         return group_medians(values, self.region, int(self.region.max()) + 1)
 
     def mean(self, cost: NDArray[np.floating]) -> NDArray[np.float64]:
-        """(k,) mean over the observations of each region of what its patches (n,) cost."""
-        say = self._say
-        return np.bincount(self.region, say * cost) / np.bincount(self.region, say)
+        """(k,) mean of the costs (n,) of a region's patches, weighted by observations."""
+        weight = self._patch_weight
+        return np.bincount(self.region, weight * cost) / np.bincount(self.region, weight)
 
     def standard_error(self, cost: NDArray[np.floating]) -> NDArray[np.float64]:
-        """(k,) of :meth:`mean`, from how much the patches of a region differ; of a single patch, as large as the
-        mean."""
-        say, mean, n = self._say, self.mean(cost), np.bincount(self.region)
-        off = say * (cost - mean[self.region])
-        spread = np.sqrt(np.bincount(self.region, off**2)) / np.bincount(self.region, say)
+        """(k,) standard error of :meth:`mean` from the spread of a region's patches; for a single patch, the mean."""
+        weight, mean, n = self._patch_weight, self.mean(cost), np.bincount(self.region)
+        off = weight * (cost - mean[self.region])
+        spread = np.sqrt(np.bincount(self.region, off**2)) / np.bincount(self.region, weight)
         return np.where(n > 1, spread * np.sqrt(n / np.maximum(n - 1, 1)), np.abs(mean))
 
     @cached_property
-    def _say(self) -> NDArray[np.float64]:
-        """(n,) observations of each patch, by weight."""
+    def _patch_weight(self) -> NDArray[np.float64]:
+        """(n,) sum of the weights of each patch's observations."""
         return np.asarray(np.bincount(self.patch, self.weight, len(self.region)), np.float64)
 
     def _cost(self, halves: Sequence[_Solved]) -> NDArray[np.float64]:
-        """(n,) robust mean of the squared residuals, less the noise of few rays.
+        """(n,) robust mean of the squared residuals without the noise of few rays, equation (24).
 
-        The square of a noisy residual has the noise's variance in it, and the smooth null hypothesis would always
-        win. The product of two residuals from independent halves of the rays has not; it is averaged over the views of
-        a patch before the robust loss, which would shrink what is noisy.
+        The square of a noisy residual contains the variance of the noise, so the smooth null hypothesis would always
+        win. The product of two residuals from independent halves of the rays does not. It is averaged over the views of
+        a patch before the robust loss, which would otherwise shrink noisy values.
         """
         sums = np.zeros((2, len(self.region), 3))
         _add_products(self.patch, self.region, self.weight, self.radiance, halves[0], halves[-1], sums)
-        views, space = _robust(sums / self._say[:, None])
-        return (views + SPATIAL_WEIGHT * space).mean(1)
+        views, space = _robust(sums / self._patch_weight[:, None])
+        return (views + COST_SPATIAL_WEIGHT * space).mean(1)
 
 
 class _Solved(NamedTuple):
-    """Radiance that albedo has to explain and light per albedo, (m, 3) each; the albedo of each patch (n, 3) and its
-    median over each region (k, 3)."""
+    """A least-squares albedo and what it was fitted to.
+
+    Attributes:
+        explained: (m, 3) radiance that the albedo has to explain.
+        per_albedo: (m, 3) radiance per unit of albedo.
+        albedo: (n, 3) of each patch.
+        median: (k, 3) of each region.
+    """
 
     explained: NDArray[np.floating]
     per_albedo: NDArray[np.floating]
@@ -201,14 +252,14 @@ def _fit(
     albedo: NDArray[np.float64],
     norm: NDArray[np.float64],
 ) -> None:
-    """Sums become the least squares ``albedo`` (n, 3) of every patch."""
+    """Fill ``albedo`` (n, 3) with the least-squares albedo of every patch; it and ``norm`` (n, 3) start as zeros."""
     for i in range(len(patch)):
         for c in range(3):
             albedo[patch[i], c] += weight[i] * explained[i, c]
             norm[patch[i], c] += weight[i] * per_albedo[i, c]
     for p in range(len(albedo)):
         for c in range(3):
-            albedo[p, c] = min(max(albedo[p, c] / max(norm[p, c], 1e-9), 0.0), MOST)
+            albedo[p, c] = min(max(albedo[p, c] / max(norm[p, c], 1e-9), 0.0), COST_MAX_ALBEDO)
 
 
 @kernel
@@ -221,39 +272,24 @@ def _add_products(
     other: _Solved,
     sums: NDArray[np.float64],
 ) -> None:
-    """Add up products (2, n, 3) of the relative residuals of either half: between the views of a patch, and between
-    patches of a region."""
+    """Add to ``sums`` (2, n, 3) the products of the relative residuals of both halves: with the albedo of the patch,
+    and with the median albedo of its region."""
     for i in range(len(patch)):
         p, k = patch[i], region[patch[i]]
         for c in range(3):
-            say = weight[i] / max(radiance[i, c], DARK) ** 2
+            relative = weight[i] / max(radiance[i, c], COST_MIN_RADIANCE) ** 2
             x, y = one.per_albedo[i, c], other.per_albedo[i, c]
             a, b = one.explained[i, c], other.explained[i, c]
-            sums[0, p, c] += say * (one.albedo[p, c] * x - a) * (other.albedo[p, c] * y - b)
-            sums[1, p, c] += say * (one.median[k, c] * x - a) * (other.median[k, c] * y - b)
+            sums[0, p, c] += relative * (one.albedo[p, c] * x - a) * (other.albedo[p, c] * y - b)
+            sums[1, p, c] += relative * (one.median[k, c] * x - a) * (other.median[k, c] * y - b)
 
 
 def _robust(square: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Cauchy's loss of squared residuals that noise may have made negative."""
-    return np.copysign(np.log1p(np.abs(square) / ROBUST**2), square)
+    """Cauchy's loss of squared residuals, odd in its argument because noise may have made them negative."""
+    return np.copysign(np.log1p(np.abs(square) / COST_ROBUST**2), square)
 
 
-LEVELS = (0.1, 0.2, 0.32, 0.5, 0.7, 1.0)
-"""Six roughness levels as in IRIS; between them the best level is interpolated."""
-FIT_RAYS = (8, 16, 32, 32)
-"""Reflected rays per observation at each level, the wider the lobe the more for its noise. The levels beyond see what
-the hemisphere sees; they differ from a rough surface by their sheen alone, which the shape of a diffuse lobe feigns."""
-MIN_OBSERVATIONS = 10
-MIN_COST = 0.02
-"""Cost below which the rough dielectric explains a region but for the noise of the photos."""
-MAX_OBSERVATIONS = WELL_OBSERVED
-"""Of one region. With a quarter of them large matte walls passed for glossy in one draw and not in the next."""
-ALL_OBSERVATIONS = 500_000
-"""Of all regions: each has 88 rays, and thousands of regions would fill the memory. redkitchen has 330,000."""
-MAX_METAL = 0.95
-"""Brightest specular colour."""
-FEW = 90
-"""Observations by which the gain needed is doubled: chance explains a few."""
+# ---- The fit --------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -261,10 +297,10 @@ class Gloss:
     """Material of each region id.
 
     Attributes:
-        roughness, metallic: (n_regions,).
+        roughness, metallic: (n_regions,) Principled roughness, and 0 or 1.
         specular: (n_regions, 3) reflectance at normal incidence: 4 %, or a metal's colour.
-        decided: (n_regions,) bool, the photos decided; elsewhere the default stands.
-        layered: whether dielectrics take their light off the diffuse light below them.
+        decided: (n_regions,) bool, whether photos decided; elsewhere the default stands.
+        layered: whether dielectrics take the light they reflect off the diffuse light below them, equation (11).
     """
 
     roughness: NDArray[np.float64]
@@ -274,7 +310,7 @@ class Gloss:
     layered: bool = False
 
     def of_regions(self, material: NDArray[np.integer]) -> Gloss:
-        """The same for regions, each with the gloss of its ``material``, (n_regions,)."""
+        """The gloss of regions of which each has that of the region ``material`` (n_regions,)."""
         m = material
         return Gloss(
             roughness=self.roughness[m],
@@ -308,7 +344,7 @@ class Gloss:
 
 
 def rough_everywhere(n_regions: int) -> Gloss:
-    """The null hypothesis."""
+    """The null hypothesis: rough dielectrics."""
     specular = np.full((n_regions, 3), DIELECTRIC_F0)
     return Gloss(np.ones(n_regions), np.zeros(n_regions), specular, np.zeros(n_regions, bool))
 
@@ -316,18 +352,25 @@ def rough_everywhere(n_regions: int) -> Gloss:
 def choose_observations(
     region: NDArray[np.integer], patch: NDArray[np.integer], weight: NDArray[np.floating], rng: np.random.Generator
 ) -> NDArray[np.int64]:
-    """Indices of the observations to fit on, whole patches with all their views: per region up to MAX_OBSERVATIONS, and
-    of many regions up to as many of each as keep all within ALL_OBSERVATIONS."""
+    """Indices of the observations to fit, random whole patches with all their views.
+
+    Each region has at most GLOSS_MAX_OBSERVATIONS of them, or fewer if all regions together would exceed
+    GLOSS_ALL_OBSERVATIONS.
+
+    Args:
+        region, patch: (M,) of each observation.
+        weight: (M,) statistical weight; observations of weight 0 are left out.
+    """
     shuffle = rng.permutation(int(patch.max()) + 1)
     usable = np.flatnonzero(weight > 0)
     order = usable[np.lexsort((shuffle[patch[usable]], region[usable]))]
     rank = np.arange(len(order)) - np.searchsorted(region[order], region[order])
-    most = min(MAX_OBSERVATIONS, _even_share(np.bincount(region[usable]), ALL_OBSERVATIONS))
+    most = min(GLOSS_MAX_OBSERVATIONS, _even_share(np.bincount(region[usable]), GLOSS_ALL_OBSERVATIONS))
     return np.sort(order[rank < most])
 
 
 def _even_share(counts: NDArray[np.integer], total: int) -> int:
-    """How many each may have at most, so that those who have ``counts`` (n,) have ``total`` together or less."""
+    """The limit for each of ``counts`` (n,) under which they sum to ``total`` or less."""
     ascending = np.sort(counts)
     left = total - np.concatenate([[0], np.cumsum(ascending)[:-1]])
     share = left // np.arange(len(ascending), 0, -1)
@@ -339,15 +382,16 @@ class GlossObservations:
     """Observations that gloss is fitted to, m of them.
 
     Attributes:
-        part, patch, weight: (m,).
+        region, patch, weight: (m,) region, patch and statistical weight of each.
         position: (m, 3) metres.
-        radiance: (m, 3) observed.
+        radiance: (m, 3) observed, scene-linear Rec.709.
         irradiance: (m, 3) irradiance / pi.
-        diffuse: (levels, m) factor of the diffuse lobe towards the camera.
-        lobes: per level of LEVELS, (Ls0, Ls1), (m, 3) each, from either half of the rays; once if free of noise.
-        layer: (levels, m) further factor if dielectrics take their light off the diffuse light below; None where the
-            diffuse lobe is of a model in which they do not.
-        given: (n_regions,) what of the capture's own regions each region is a piece of; None if it brings none.
+        diffuse: (levels, m) view factor of the diffuse lobe.
+        lobes: per level of GLOSS_LEVELS, (Ls0, Ls1) of (m, 3) each from either half of the rays; a single entry if free
+            of noise.
+        layer: (levels, m) further view factor if dielectrics take the light they reflect off the diffuse light below;
+            None where the diffuse lobe is Burley's, whose model has no such layer.
+        in_file: (n_regions,) object of the mesh file that each region lies in; None if the file names none.
     """
 
     region: NDArray[np.integer]
@@ -359,15 +403,15 @@ class GlossObservations:
     diffuse: NDArray[np.floating]
     lobes: Sequence[LobeHalves]
     layer: NDArray[np.floating] | None = None
-    given: NDArray[np.integer] | None = None
+    in_file: NDArray[np.integer] | None = None
 
 
 def fit_gloss(observed: GlossObservations, n_regions: int, decisions: Decisions) -> Gloss:
-    """Fit every region with enough observations.
+    """Roughness and metallic of every region with enough observations, decided by equation (26).
 
     Args:
-        decisions: where gloss and metal are decided. Gloss that is forced takes the best material however little it
-            gains; where it is forbidden all stay rough dielectrics.
+        decisions: where gloss and metal are decided. If gloss is forced, each region takes the best material however
+            little it gains; if it is forbidden, all stay rough dielectrics.
     """
     gloss, forced = rough_everywhere(n_regions), decisions.forces("gloss")
     costs, layered = (None, False) if decisions.forbids("gloss") else _layered_or_not(observed)
@@ -375,7 +419,7 @@ def fit_gloss(observed: GlossObservations, n_regions: int, decisions: Decisions)
         for k, (plastic, metal, error, count) in enumerate(zip(*costs.pooled(), strict=True)):
             label, own, own_error = int(costs.ids[k]), costs.plastic[k], costs.error[k]
             best, best_alone, subject = _best_traced(plastic), _best_traced(own), f"region {label}"
-            share = 0.0 if forced else 1.0 + FEW / count
+            share = 0.0 if forced else 1.0 + GLOSS_FEW_OBSERVATIONS / count
             if decisions.accept("metal", plastic.min(), metal.min(), share=share, subject=subject):
                 _make_metal(gloss, label, metal, costs.colour[k])
             elif decisions.accept("gloss", plastic[-1], plastic[best], error[best], subject=subject) and (
@@ -389,7 +433,7 @@ def fit_gloss(observed: GlossObservations, n_regions: int, decisions: Decisions)
 
 
 def _layered_or_not(observed: GlossObservations) -> tuple[RegionCosts | None, bool]:
-    """Costs with or without a layer over the diffuse light, whichever explains the room better, and whether with."""
+    """The better of the costs without and with a dielectric layer over the diffuse light, and whether with it."""
     either = _region_costs(observed)
     if not either:
         return None, False
@@ -402,18 +446,17 @@ def _layered_or_not(observed: GlossObservations) -> tuple[RegionCosts | None, bo
 
 
 def _region_costs(observed: GlossObservations) -> list[RegionCosts]:
-    """Costs without a layer over the diffuse light and, where there may be one, with; nothing without regions to
-    fit."""
+    """Costs without and, where there may be one, with a layer over the diffuse light; empty without regions."""
     o = observed
     order = np.argsort(o.region, kind="stable")
     ids, first, count = np.unique(o.region[order], return_index=True, return_counts=True)
-    enough = count >= MIN_OBSERVATIONS
+    enough = count >= GLOSS_MIN_OBSERVATIONS
     if not enough.any():
         return []
-    pieces = [order[start : start + n] for start, n in zip(first[enough], count[enough], strict=True)]
-    rows = np.concatenate(pieces)
+    per_region = [order[start : start + n] for start, n in zip(first[enough], count[enough], strict=True)]
+    rows = np.concatenate(per_region)
     _, one, patch = np.unique(o.patch[rows], return_index=True, return_inverse=True)
-    region = np.repeat(np.arange(len(pieces)), count[enough])[one]
+    region = np.repeat(np.arange(len(per_region)), count[enough])[one]
     fits = RegionFits(
         patch=patch,
         region=region,
@@ -422,19 +465,19 @@ def _region_costs(observed: GlossObservations) -> list[RegionCosts]:
         irradiance=np.maximum(o.irradiance[rows], 1e-5),
     )
     lobes = [[(s0[rows], s1[rows]) for s0, s1 in halves] for halves in o.lobes]
-    levels = range(len(LEVELS))
-    metals = over_each(levels, lambda k: fits.metal(LEVELS[k], lobes[k]))
+    levels = range(len(GLOSS_LEVELS))
+    metals = over_each(levels, lambda k: fits.metal(GLOSS_LEVELS[k], lobes[k]))
     metal, colour = np.stack([fits.mean(cost) for cost, _ in metals], 1), np.stack([colour for _, colour in metals], 1)
-    centre = np.stack([o.position[rows].mean(0) for rows in pieces])
+    centre = np.stack([o.position[own].mean(0) for own in per_region])
     log_albedo = np.log(np.maximum(o.radiance, 1e-4) / np.maximum(o.irradiance, 1e-4))
-    log_albedo = np.stack([np.median(log_albedo[rows], axis=0) for rows in pieces])
-    given = np.arange(int(ids.max()) + 1) if o.given is None else o.given
+    log_albedo = np.stack([np.median(log_albedo[own], axis=0) for own in per_region])
+    in_file = np.arange(int(ids.max()) + 1) if o.in_file is None else o.in_file
 
     def with_diffuse(factor: NDArray[np.floating]) -> RegionCosts:
         dielectric = over_each(levels, lambda k: fits.dielectric(factor[k][rows], lobes[k]))
         plastic = np.stack([fits.mean(cost) for cost in dielectric], 1)
         error = np.stack([fits.standard_error(dielectric[-1] - cost) for cost in dielectric], 1)
-        null = np.maximum(plastic[:, -1:], MIN_COST)
+        null = np.maximum(plastic[:, -1:], COST_MIN_ROUGH)
         return RegionCosts(
             ids=ids[enough],
             rough=null[:, 0],
@@ -445,28 +488,29 @@ def _region_costs(observed: GlossObservations) -> list[RegionCosts]:
             count=count[enough].astype(np.float64),
             centre=centre,
             log_albedo=log_albedo,
-            given=given[ids[enough]],
+            in_file=in_file[ids[enough]],
         )
 
     return [with_diffuse(o.diffuse), *([] if o.layer is None else [with_diffuse(o.diffuse * o.layer)])]
 
 
 def _make_metal(gloss: Gloss, label: int, cost: NDArray[np.float64], colour: NDArray[np.float64]) -> None:
+    """Set the region ``label`` to a metal with costs ``cost`` (levels,) and colours ``colour`` (levels, 3)."""
     gloss.metallic[label] = 1.0
     gloss.roughness[label] = _interpolate_minimum(cost)
-    gloss.specular[label] = np.clip(colour[int(np.argmin(cost))], DIELECTRIC_F0, MAX_METAL)
+    gloss.specular[label] = np.clip(colour[int(np.argmin(cost))], DIELECTRIC_F0, METAL_MAX_COLOUR)
 
 
 def _best_traced(cost: NDArray[np.float64]) -> int:
-    """The level that fits best of those whose lobes are narrow enough to be traced: no gloss from sheen alone."""
-    return int(np.argmin(cost[: len(FIT_RAYS)]))
+    """The best of the traced levels; at the others a surface differs from a rough one by its sheen alone."""
+    return int(np.argmin(cost[: len(GLOSS_RAYS)]))
 
 
 def _interpolate_minimum(cost: NDArray[np.float64]) -> float:
     """Roughness at the vertex of a parabola through the best level and its neighbours, in log roughness."""
-    x = np.log(LEVELS)
+    x = np.log(GLOSS_LEVELS)
     k = int(np.argmin(cost))
     if k in (0, len(cost) - 1):
-        return LEVELS[k]
+        return GLOSS_LEVELS[k]
     a, b, _ = np.polyfit(x[k - 1 : k + 2], cost[k - 1 : k + 2], 2)
-    return float(np.exp(np.clip(-b / (2 * a), x[k - 1], x[k + 1]))) if a > 0 else LEVELS[k]
+    return float(np.exp(np.clip(-b / (2 * a), x[k - 1], x[k + 1]))) if a > 0 else GLOSS_LEVELS[k]

@@ -1,9 +1,9 @@
-"""Specular radiance toward the cameras, by cached reflected rays.
+"""The specular lobes towards the cameras, from cached reflected rays: equation (3).
 
-FIPT's split (Wu et al. 2023, eq. 6): ``L_r = kd Ld + ks Ls0(σ) + Ls1(σ)`` with F0 = 1 - F1, F1 = (1 - h·ωi)^5. The
-two lobes are integrals of incoming radiance. Most of their rays are drawn from the visible GGX normals, some are aimed
-at lamps. They are traced once per roughness, and what they hit is kept, so that a new guess of the lamps costs one
-look-up.
+The split ``L = kd Fd Ld + ks Ls0(σ) + Ls1(σ)``, equation (2), is FIPT's (Wu et al. 2023, eq. 6) with another Fresnel
+term. Both lobes are integrals of incoming radiance. Most of their rays are drawn from the visible GGX normals, some are
+aimed at lamps (:class:`LampAim`). They are traced once per roughness, and what they meet is kept (:class:`LobeRays`),
+so that a new guess of the lamps costs one look-up.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ..base.compiled import Integer, Real, inlined, kernel, rows_of
 from ..base.parallel import BLOCK, over_blocks, over_random_blocks
 from ..brdf.ggx import ray_alpha
 from ..brdf.ggx_sampling import visible_normal_density, visible_normal_weights
-from ..lighting.backdrop import Beyond
+from ..lighting.backdrop import SeenBackdrop
 from ..model.response import LUMINANCE
 from ..rays.sampling import Vector, ggx_direction, grazing, r2_sequence, vector
 from ..rays.tracer import Tracer
@@ -31,10 +31,10 @@ from ..transport.form_factors import emitter_of_face
 from ..transport.gather import ESCAPED, find_patch
 from ..transport.transport import Transport, radiance_table
 
-AIMED = 3
-"""One ray of so many is aimed at a lamp."""
-NEGLIGIBLE = 1e-7
-"""Of the light of a lamp: rays aimed at one that would carry less are not cast."""
+AIMED_EVERY = 3
+"""One ray in so many is aimed at a lamp."""
+AIMED_MIN_WEIGHT = 1e-7
+"""Weight below which a ray aimed at a lamp is not cast."""
 
 
 @dataclass(frozen=True)
@@ -42,13 +42,13 @@ class Scene:
     """Light and materials that reflected rays meet.
 
     Attributes:
-        regions: (F,) part per face.
+        regions: (F,) region of each face.
         sample_patch: (n,) patch of every pixel.
-        patch_radiance: (N, 3) reflected radiance.
-        face_emission: (F, 3).
+        patch_radiance: (N, 3) reflected radiance, scene-linear Rec.709.
+        face_emission: (F, 3) emitted radiance.
         unknown: (3,) radiance of surfaces without a patch.
-        beyond: what is met by rays that escape.
-        aim: where rays are aimed at lamps.
+        backdrop: what escaping rays meet.
+        aim: how rays are aimed at lamps.
     """
 
     tracer: Tracer
@@ -58,19 +58,20 @@ class Scene:
     patch_radiance: NDArray[np.floating]
     face_emission: NDArray[np.floating]
     unknown: NDArray[np.floating]
-    beyond: Beyond
+    backdrop: SeenBackdrop
     aim: LampAim
 
     def lobes(self, rays: LobeRays) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """``Ls0`` and ``Ls1`` (n, 3) of the points whose reflected rays these are."""
+        """``Ls0`` and ``Ls1`` (n, 3) of equation (3) at the points of the reflected ``rays``."""
         return rays.radiance(*self._met, self.face_emission, self.unknown)
 
     @cached_property
     def _met(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        """(N + T, 3) radiance of what rays meet, patches and texels beyond them, and (N + T,) kappa of their lobes."""
-        beyond = self.beyond.radiance
-        radiance = np.concatenate([self.patch_radiance, beyond])
-        return radiance, np.concatenate([self.transport.kappa, np.zeros(len(beyond))])
+        """Radiance (N + T, 3) of what rays meet, patches and then texels of the backdrop, and the kappa (N + T,) of
+        their diffuse lobes."""
+        texels = self.backdrop.radiance
+        radiance = np.concatenate([self.patch_radiance, texels])
+        return radiance, np.concatenate([self.transport.kappa, np.zeros(len(texels))])
 
 
 def trace_lobes(
@@ -81,7 +82,7 @@ def trace_lobes(
     n_rays: int,
     rng: np.random.Generator,
 ) -> LobeRays:
-    """Reflected rays of some pixels.
+    """Reflected rays of some pixels, weighted by equation (23).
 
     Args:
         rows: (n,) the pixels among ``samples``.
@@ -105,13 +106,13 @@ def _trace_block(
     rays: LobeRays,
     rng: np.random.Generator,
 ) -> None:
-    """Fill ``rays``.
+    """Fill ``rays`` with the reflected rays of the pixels ``rows``.
 
-    A ray counts for G1 F over the density of all rays of its pixel, which makes those drawn from the lobe and those
-    aimed at lamps alike; what is no lamp is left to the drawn ones.
+    The weight of equation (23) divides by the density of all rays of a pixel, drawn and aimed, wherever a ray may be
+    aimed. Surfaces that are no lamp are met by drawn rays only.
     """
     n, n_rays = rays.target.shape
-    n_aimed = n_rays // AIMED if len(scene.aim.faces) else 0
+    n_aimed = n_rays // AIMED_EVERY if len(scene.aim.faces) else 0
     n_drawn = n_rays - n_aimed
     points = _Points(
         samples.position[rows],
@@ -138,8 +139,14 @@ def _trace_block(
 
 
 class _Points(NamedTuple):
-    """Where n rays start: (n, 3) on the surface, unit normals and directions to the camera, (n,) GGX widths and
-    patches."""
+    """Where the rays of n pixels start.
+
+    Attributes:
+        position: (n, 3) metres.
+        normal, toward: (n, 3) unit normals, and directions to the camera.
+        alpha: (n,) GGX width.
+        patch: (n,) patch of each pixel.
+    """
 
     position: NDArray[np.float32]
     normal: NDArray[np.float32]
@@ -149,8 +156,13 @@ class _Points(NamedTuple):
 
 
 class _Cast(NamedTuple):
-    """Rays to be traced: (m, 3) starts and unit directions, (m,) lengths of those that are aimed, and the row and
-    column of each among all."""
+    """Rays to be traced.
+
+    Attributes:
+        start, along: (m, 3) metres, and unit directions.
+        length: (m,) metres, of aimed rays only.
+        row, column: (m,) pixel of each, and its number among the rays of that pixel.
+    """
 
     start: NDArray[np.float32]
     along: NDArray[np.float32]
@@ -160,13 +172,13 @@ class _Cast(NamedTuple):
 
     @staticmethod
     def empty(n: int) -> _Cast:
-        """Room for so many."""
+        """Memory for ``n`` rays."""
         start, along = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
         return _Cast(start, along, np.empty(n, np.float32), np.empty(n, np.int32), np.empty(n, np.int32))
 
 
 class _Meets(NamedTuple):
-    """What tells the patch that a ray meets: the grid, normals (F, 3) and regions (F,) of faces."""
+    """What identifies the patch that a ray meets: the grid of patches, and normals (F, 3) and regions (F,) of faces."""
 
     grid: Lookup
     normals: NDArray[np.float32]
@@ -177,6 +189,7 @@ class _Meets(NamedTuple):
 def _cast_ray(
     cast: _Cast, at: Integer, points: _Points, i: Integer, epsilon: float, d: Vector, column: Integer
 ) -> None:
+    """Write the ray from point ``i`` in direction ``d`` to place ``at`` of ``cast``."""
     for axis in range(3):
         cast.start[at, axis] = points.position[i, axis] + epsilon * points.normal[i, axis]
         cast.along[at, axis] = d[axis]
@@ -185,7 +198,7 @@ def _cast_ray(
 
 @kernel
 def _draw(points: _Points, epsilon: float, u: NDArray[np.float32], cast: _Cast, rays: LobeRays) -> int:
-    """Rays off visible normals from points (n, S, 2) of the unit square; how many leave the surface."""
+    """Cast rays off visible normals, from points (n, S, 2) of the unit square; returns how many leave the surface."""
     count = 0
     for i in range(u.shape[0]):
         n, o, alpha = vector(points.normal, i), vector(points.toward, i), points.alpha[i]
@@ -211,6 +224,12 @@ def _arrive(
     n_aimed: int,
     rays: LobeRays,
 ) -> None:
+    """Write to ``rays`` what the drawn rays ``cast`` meet, and their weights by equation (23).
+
+    Args:
+        face, distance: (m,) face hit, negative for none, and metres to it.
+        n_drawn, n_aimed: rays of each pixel.
+    """
     for k in range(len(face)):
         i, j, f, reach = cast.row[k], cast.column[k], face[k], distance[k]
         share = 1.0 / n_drawn
@@ -232,7 +251,8 @@ def _arrive(
 
 
 def _escape(cast: _Cast, scene: Scene, rays: LobeRays) -> None:
-    texel = scene.beyond.texels(cast.start, cast.along)
+    """Write to ``rays`` the texels of the backdrop that the escaping rays ``cast`` meet."""
+    texel = scene.backdrop.texels(cast.start, cast.along)
     met = texel >= 0
     rays.target[cast.row[met], cast.column[met]] = texel[met] + scene.transport.n_patches
 
@@ -241,7 +261,7 @@ def _escape(cast: _Cast, scene: Scene, rays: LobeRays) -> None:
 def _aim(
     points: _Points, epsilon: float, u: NDArray[np.float32], aim: LampAim, n_drawn: int, cast: _Cast, rays: LobeRays
 ) -> int:
-    """Rays to points on lamps from numbers (n, S, 4) in [0, 1); how many might carry something."""
+    """Cast rays to points on lamps, from numbers (n, S, 4) in [0, 1); returns how many have a noticeable weight."""
     count, n_aimed = 0, u.shape[1]
     for i in range(u.shape[0]):
         n, o, alpha, patch = vector(points.normal, i), vector(points.toward, i), points.alpha[i], points.patch[i]
@@ -261,7 +281,7 @@ def _aim(
                 cosine = x * aim.normals[face, 0] + y * aim.normals[face, 1] + z * aim.normals[face, 2]
                 drawn = visible_normal_density(n, o, (x, y, z), alpha)
                 share = drawn / (n_drawn * drawn + n_aimed * aimed_density(aim, patch, lamp, length, cosine))
-                if (w0 + w1) * share > NEGLIGIBLE:
+                if (w0 + w1) * share > AIMED_MIN_WEIGHT:
                     column = n_drawn + j
                     _cast_ray(cast, count, points, i, epsilon, (x, y, z), column)
                     cast.length[count] = length
@@ -274,6 +294,7 @@ def _aim(
 
 @kernel
 def _arrive_on_lamps(cast: _Cast, clear: NDArray[np.bool_], meets: _Meets, rays: LobeRays) -> None:
+    """Write to ``rays`` the patches that aimed rays meet; the rays that are not ``clear`` (m,) are dropped."""
     for k in range(len(clear)):
         i, j, reach = cast.row[k], cast.column[k], cast.length[k]
         face = rays.face[i, j]
@@ -286,17 +307,17 @@ def _arrive_on_lamps(cast: _Cast, clear: NDArray[np.bool_], meets: _Meets, rays:
             rays.weight0[i, j] = rays.weight1[i, j] = rays.schlick[i, j] = 0.0
 
 
-# ---- Reflected rays kept: what they meet, and what that counts for in either specular lobe --------------------------
+# ---- Cached rays ----------------------------------------------------------------------------------------------------
 
 
 class LobeRays(NamedTuple):
-    """Reflected rays of n points at one roughness each.
+    """S reflected rays of each of n points, at one roughness per point.
 
     Attributes:
-        target: (n, S) int32 patch hit, N and on for the texels of what lies beyond the mesh, UNKNOWN or ESCAPED.
+        target: (n, S) int32 patch hit, N + t for texel t of the backdrop, UNKNOWN or ESCAPED.
         face: (n, S) int32 face hit, -1 where escaped.
-        weight0, weight1: (n, S) float32, what the radiance each ray meets counts for in either lobe.
-        schlick: (n, S) float32, S of the angle at which each ray arrives.
+        weight0, weight1: (n, S) float32 weights of equation (23) in ``Ls0`` and ``Ls1``.
+        schlick: (n, S) float32 Schlick's S of the angle at which each ray arrives.
     """
 
     target: NDArray[np.int32]
@@ -322,10 +343,10 @@ class LobeRays(NamedTuple):
         """``Ls0`` and ``Ls1``, (n, 3) each.
 
         Args:
-            met: (N + T, 3) reflected radiance of every patch, and radiance of every texel beyond the mesh.
-            kappa: (N + T,) of their diffuse lobes.
-            face_emission: (F, 3).
-            unknown: (3,) for hits without a patch.
+            met: (N + T, 3) reflected radiance of every patch, and radiance of every texel of the backdrop.
+            kappa: (N + T,) grazing gain of their diffuse lobes.
+            face_emission: (F, 3) emitted radiance.
+            unknown: (3,) radiance of hits without a patch.
         """
         n, samples = self.target.shape
         lobes = np.empty((2, n, 3), np.float32)
@@ -347,7 +368,7 @@ def _sum_up(
     emits: NDArray[np.bool_],
     lobes: NDArray[np.float32],
 ) -> None:
-    """Both lobes (2, n, 3): emission of lamps and reflected radiance of patches, weighted."""
+    """Fill both ``lobes`` (2, n, 3): weighted sums of the emission of lamps and the radiance of patches."""
     for i in range(rays.target.shape[0]):
         for c in range(3):
             lobes[0, i, c] = lobes[1, i, c] = 0.0
@@ -364,26 +385,26 @@ def _sum_up(
                     lobes[1, i, c] += w1 * light
 
 
-# ---- Rays aimed at lamps, beside those that a lobe reflects ---------------------------------------------------------
-#
-# A wide lobe meets a small lamp with one ray in hundreds, which then stands for all of its light: a matte wall and a
-# varnished one look alike in such noise. Rays aimed at the lamps always know of them, and are in turn useless for sharp
-# lobes. Both are weighted by the balance heuristic (Veach 1997, eq. 9.8), as light at patches is
-# (:mod:`iris_addon.transport.form_factors`).
+# ---- Rays aimed at lamps --------------------------------------------------------------------------------------------
 
 
 class LampAim(NamedTuple):
-    """Where to look for lamps from each of P patches.
+    """How rays from each of P patches are aimed at E lamps.
+
+    A wide lobe meets a small lamp with one ray in hundreds, which then carries all of its light; in such noise a matte
+    wall and a varnished one look alike. Rays aimed at lamps always meet them, but are useless for narrow lobes. Both
+    are combined by the balance heuristic (Veach 1997, eq. 9.8), like light at patches in equation (8).
 
     Attributes:
-        corners: (F, 3, 3) of the mesh, metres, and ``normals`` (F, 3) float32.
-        faces: (K,) faces of all E lamps, one lamp after the other.
-        cumulative: (K,) area of ``faces`` up to and with each, square metres.
-        end: (E,) of ``cumulative`` at the last face of each lamp.
+        corners: (F, 3, 3) of the mesh's faces, metres.
+        normals: (F, 3) unit normals.
+        faces: (K,) faces of all lamps, one lamp after the other.
+        cumulative: (K,) area of ``faces`` up to and including each, square metres.
+        end: (E,) value of ``cumulative`` at the last face of each lamp.
         area: (E,) square metres.
-        label: (F + 1,) lamp of every face, -1 for none; the last entry is that of no face at all.
-        chance: (P, E) that a ray is aimed at each lamp: its share of the light there. Rows of patches that no lamp
-            lights are zero.
+        label: (F + 1,) lamp of every face, -1 for none; the last entry, index -1, stands for a ray that hits no face.
+        chance: (P, E) probability that a ray is aimed at each lamp, its share of the light there. Rows of patches that
+            no lamp lights are zero.
     """
 
     corners: NDArray[np.floating]
@@ -402,31 +423,31 @@ class LampAim(NamedTuple):
         radiance: NDArray[np.floating],
         form_factors: NDArray[np.floating],
     ) -> LampAim:
-        """Aim by what lamps of ``radiance`` (E, 3) with ``form_factors`` (P, E) send."""
+        """Aim in proportion to the light of lamps of ``radiance`` (E, 3) with ``form_factors`` (P, E)."""
         power = form_factors * np.maximum(radiance @ LUMINANCE, 0.0)
         faces = np.concatenate([np.zeros(0, np.int64), *emitters]).astype(np.int64)
         cumulative = np.cumsum(tracer.areas[faces], dtype=np.float64)
-        end = cumulative[np.cumsum([len(piece) for piece in emitters], dtype=np.int64) - 1]
+        end = cumulative[np.cumsum([len(lamp) for lamp in emitters], dtype=np.int64) - 1]
         return LampAim(
-            tracer.corners,
-            tracer.normals,
-            faces,
-            cumulative,
-            end,
-            np.diff(end, prepend=0.0),
-            emitter_of_face(emitters, len(tracer.areas)),
-            (power / np.maximum(power.sum(1, keepdims=True), 1e-12)).astype(np.float32),
+            corners=tracer.corners,
+            normals=tracer.normals,
+            faces=faces,
+            cumulative=cumulative,
+            end=end,
+            area=np.diff(end, prepend=0.0),
+            label=emitter_of_face(emitters, len(tracer.areas)),
+            chance=(power / np.maximum(power.sum(1, keepdims=True), 1e-12)).astype(np.float32),
         )
 
     @staticmethod
     def nowhere(tracer: Tracer) -> LampAim:
-        """Of a room without lamps, or where lobes are to find them all."""
+        """No aim: for a room without lamps, or to leave all lamps to drawn rays."""
         return LampAim.at(tracer, [], np.zeros((0, 3)), np.zeros((0, 0), np.float32))
 
 
 @inlined
 def lamp_after(aim: LampAim, patch: Integer, chosen: Real) -> Integer:
-    """Lamp that a number in [0, 1) chooses from ``patch``, -1 if no lamp lights it."""
+    """The lamp that the number ``chosen`` in [0, 1) selects from ``patch``, -1 if no lamp lights it."""
     last, total = -1, 0.0
     for lamp in range(len(aim.area)):
         total += aim.chance[patch, lamp]
@@ -442,7 +463,7 @@ def lamp_after(aim: LampAim, patch: Integer, chosen: Real) -> Integer:
 
 @inlined
 def point_on_lamp(aim: LampAim, lamp: Integer, along: Real, u: Real, v: Real) -> tuple[Integer, Real, Real, Real]:
-    """Face and place of a point spread evenly over a lamp, from three numbers in [0, 1)."""
+    """Face and position of a point uniformly distributed over a lamp, from three numbers in [0, 1)."""
     area = aim.end[lamp] - aim.area[lamp] * along
     face = aim.faces[min(np.searchsorted(aim.cumulative, area), len(aim.faces) - 1)]
     if u + v > 1:
@@ -458,6 +479,10 @@ def point_on_lamp(aim: LampAim, lamp: Integer, along: Real, u: Real, v: Real) ->
 
 @inlined
 def aimed_density(aim: LampAim, patch: Integer, lamp: Integer, distance: Real, cosine: Real) -> Real:
-    """Probability per steradian with which a ray from ``patch`` is aimed at a point of ``lamp``, which lies
-    ``distance`` metres away and whose normal has ``cosine`` to the ray, either sign."""
+    """Probability density per steradian of a ray aimed from ``patch`` at a point of ``lamp``.
+
+    Args:
+        distance: metres to the point.
+        cosine: between the ray and the lamp's normal, of either sign.
+    """
     return aim.chance[patch, lamp] / aim.area[lamp] * distance * distance / max(abs(cosine), 1e-6)

@@ -1,7 +1,7 @@
-"""Rounds of lamps and gloss: each takes what the other found.
+"""Rounds of lamps and gloss, solved in turn on cached rays.
 
-A glossy floor read as diffuse makes the lamps it mirrors look stronger; a lamp of the wrong strength makes the floor
-look glossier. Both are cheap to solve on cached rays, so they are solved in turn.
+A glossy floor that is taken for diffuse makes the lamps it mirrors look stronger, and a lamp of the wrong strength
+makes the floor look glossier. Each is therefore solved for again under the other.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from ..base.group_by import group_means
 from ..base.progress import Progress
 from ..brdf.diffuse import grazing_gain
 from ..brdf.ggx import layered_factor
-from ..lighting.backdrop import Beyond
+from ..lighting.backdrop import SeenBackdrop
 from ..lighting.candidates import brightness
-from ..lighting.lamp_radiance import mean_radiance, say_of
+from ..lighting.lamp_radiance import mean_radiance, patch_weight
 from ..lighting.problem import LightProblem, Lights
 from ..lighting.screens import Shown, with_screens
 from ..lighting.search import reconsider_lamps
@@ -27,16 +27,18 @@ from ..surface.regions import joined_regions
 from ..transport.aimed_rays import SparseRays, aim_at_bright
 from ..transport.glossy_bounce import GlossyBounce, trace_glossy_bounce
 from ..transport.transport import LightMoments
-from .gloss import FIT_RAYS, LEVELS, Gloss, GlossObservations, choose_observations, fit_gloss
+from .gloss import GLOSS_LEVELS, GLOSS_RAYS, Gloss, GlossObservations, choose_observations, fit_gloss
 from .lobes import LampAim, LobeRays, Scene, trace_lobes
 from .shading import Shading
 from .specular import rough_lobes, specular_lobes, subtract_specular
 from .view_dependence import DiffuseChoice
 
-PASSED_ON = 0.6
-GLOSSY = 0.5
-GLOSSY_SAY = 0.3
-"""Glossy regions keep this say in the light balance: what is left of their highlights is a bias, not noise."""
+BOUNCE_MAX_ROUGHNESS = 0.6
+"""Roughness up to which light paths go on from a surface, as in IRIS."""
+BALANCE_GLOSSY_ROUGHNESS = 0.5
+"""Roughness below which a region counts as glossy in the light balance."""
+BALANCE_GLOSSY_WEIGHT = 0.3
+"""Factor on the weight of glossy regions in the light balance: their highlights leave a bias, not noise."""
 
 
 @dataclass(frozen=True)
@@ -44,14 +46,17 @@ class MaterialProblem:
     """What stays fixed over the rounds.
 
     Attributes:
-        light: the light problem, brightness as seen.
-        mirrored: (M, 3) radiance of the pixel of each observation whose reflected rays are traced, see :mod:`.turning`.
-        observed: radiance per patch, all of it, without the view factor of rough surfaces.
-        part: (M,) part of each observation.
-        schlick: (M,) Schlick's S of the direction each observation was made from.
+        light: the lighting problem, with brightness as photos show it.
+        observations: M means over the pixels of one photo on one patch.
+        linear: their radiance with its bounds.
+        mirrored: (M, 3) radiance that the reflected rays of each observation explain, see :func:`.mirrored_radiance`.
+        observed: radiance per patch, specular light included, over the view factor of rough surfaces.
+        region: (M,) region of each observation.
+        schlick: (M,) Schlick's S of the angle between normal and camera.
         diffuse: the lobe of every diffuse surface.
-        given: (n_regions,) what of the capture's own regions each is a piece of; None if it brings none.
-        beyond: what photos show where the mesh has holes.
+        specular_rays: reflected rays per observation.
+        backdrop: what photos show where the mesh has holes.
+        in_file: (n_regions,) object of the mesh file that each region lies in; None if the file names none.
     """
 
     light: LightProblem
@@ -64,33 +69,38 @@ class MaterialProblem:
     diffuse: DiffuseChoice
     specular_rays: int
     seed: int
-    beyond: Beyond
-    given: NDArray[np.int32] | None = None
+    backdrop: SeenBackdrop
+    in_file: NDArray[np.int32] | None = None
 
     def shading(self, lights: Lights) -> Shading:
-        """The light of ``lights`` at the seen patches."""
+        """The irradiance of ``lights`` at the seen patches."""
         return Shading.under(lights, self.light, self.diffuse.lobe)
 
     def view_factor(
         self, shading: Shading, roughness: NDArray[np.floating], rows: NDArray[np.integer] | slice = slice(None)
     ) -> NDArray[np.float32]:
-        """Factor by which the diffuse lobe differs from Lambert's towards the camera of each of the observations
-        ``rows``, (..., m), for any ``roughness`` (..., m)."""
+        """(..., m) view factor F_d of the observations ``rows``, equations (10), (11), for ``roughness`` (..., m)."""
         o = self.observations
         toward = self.light.samples.direction[o.sample[rows]]
         return shading.view_factor(o.patch[rows], roughness, self.schlick[rows], toward)
 
     def with_gloss(self, gloss: Gloss, moments: LightMoments | None = None) -> MaterialProblem:
-        """The same problem between patches whose diffuse lobes have the roughness of ``gloss``; ``moments`` say where
-        their light comes from, once that is about known."""
+        """The same problem with diffuse lobes of the roughness of ``gloss``.
+
+        Args:
+            moments: of the light at the seen patches, once it is about known.
+        """
         transport = self.light.transport
         kappa = grazing_gain(self.diffuse.lobe, gloss.roughness)[transport.region]
         light = replace(self.light, transport=transport.with_lobes(kappa, moments))
         return replace(self, light=light, diffuse=self.diffuse.under(gloss.layered))
 
     def materials_under(self, lights: Lights, scanned: NDArray[np.bool_]) -> NDArray[np.int32]:
-        """(n_regions,) label of each region, the same for regions of a scan (F,) that are one material under
-        ``lights``."""
+        """(n_regions,) label of each region, the same for regions that are one material under ``lights``.
+
+        Args:
+            scanned: (F,) bool, faces of scans; other regions keep their label.
+        """
         light, seen = self.light, self.observed
         if not scanned.any():
             return light.material
@@ -103,8 +113,7 @@ class MaterialProblem:
         return joined_regions(light.regions, light.adjacency, log_albedo, pixels, scanned)
 
     def with_materials(self, material: NDArray[np.int32]) -> MaterialProblem:
-        """The same problem with regions of one material (n_regions,) joined: patches and observations have its
-        label."""
+        """The same problem with patches and observations in regions of one ``material`` (n_regions,) joined."""
         light = self.light
         surface = replace(light.surface, region=material[light.surface.region])
         transport = replace(light.transport, region=material[light.transport.region])
@@ -112,7 +121,7 @@ class MaterialProblem:
         return replace(self, light=light, region=material[self.region])
 
     def scene(self, lights: Lights) -> Scene:
-        """What reflected rays meet under ``lights``."""
+        """The scene that reflected rays meet under ``lights``."""
         light = self.light
         seen = light.transport.n_seen
         return Scene(
@@ -123,19 +132,24 @@ class MaterialProblem:
             patch_radiance=lights.patch_radiance,
             face_emission=lights.face_emission(len(light.regions)),
             unknown=mean_radiance(lights.patch_radiance, light),
-            beyond=self.beyond,
+            backdrop=self.backdrop,
             aim=LampAim.at(light.tracer, lights.emitters, lights.radiance, lights.form_factors[:seen, :, 0]),
         )
 
     def with_outside(self, directions: int, shown: bool) -> MaterialProblem:
-        """The same problem with so many directions of outside light, or with what photos show of it."""
+        """The same problem with so many lobes of outside light, or with light through holes if ``shown``."""
         hidden = self.light.hidden
         hidden = hidden.as_shown() if shown else hidden.with_directions(directions)
         return replace(self, light=replace(self.light, hidden=hidden))
 
 
 def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progress: Progress) -> tuple[Lights, Gloss]:
-    """Lamps and materials that explain the observations together, starting from lamps found by diffuse shading."""
+    """Lamps and materials that explain the observations together.
+
+    Args:
+        lights: lamps found by diffuse shading, the start.
+        rounds: times that lamps and gloss are solved for in turn.
+    """
     fit = _GlossFit.prepare(problem, lights)
     shading = problem.shading(lights)
     gloss = fit.gloss(problem, lights, shading)
@@ -150,12 +164,12 @@ def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progr
         bounce = _continued_paths(problem, gloss, round_)
         aimed = _aimed_rays(problem, lights, round_)
         light_problem = replace(problem.light, brightness=seen, bounce=bounce, aimed=aimed)
-        say = _say(problem, gloss, diffuse)
+        weight = _balance_weight(problem, gloss, diffuse)
         cast = _cast_radiance(problem, gloss, diffuse, view_factor)
-        lights = reconsider_lamps(light_problem, cast, lights, say, diffuse.radiance, progress)
+        lights = reconsider_lamps(light_problem, cast, lights, weight, diffuse.radiance, progress)
         if round_ == rounds - 1:
             shown = Shown(o, problem.linear, specular)
-            lights = with_screens(light_problem, cast, lights, shown, say, diffuse.radiance, progress)
+            lights = with_screens(light_problem, cast, lights, shown, weight, diffuse.radiance, progress)
         shading = problem.shading(lights)
         gloss = fit.gloss(problem, lights, shading)
         progress.update((round_ + 1) / rounds)
@@ -163,14 +177,14 @@ def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progr
 
 
 def _glossy_regions(gloss: Gloss) -> NDArray[np.bool_]:
-    """(n_regions,) regions on which light paths go on (IRIS: roughness up to 0.6)."""
-    return gloss.roughness <= PASSED_ON
+    """(n_regions,) regions from which light paths go on."""
+    return gloss.roughness <= BOUNCE_MAX_ROUGHNESS
 
 
 def _cast_radiance(
     problem: MaterialProblem, gloss: Gloss, diffuse: GroupRadiance, view_factor: NDArray[np.floating]
 ) -> GroupRadiance:
-    """What patches cast on others themselves: as seen where matte, the diffuse part alone where paths go on."""
+    """Radiance that patches cast on others: as seen where matte, the diffuse part alone where light paths go on."""
     region = problem.light.transport.region[: len(diffuse.weight)]
     metal = (gloss.metallic[region] > 0.5)[:, None]
     own = np.where(metal, 0.0, diffuse.radiance)
@@ -181,7 +195,7 @@ def _cast_radiance(
 
 
 def _continued_paths(problem: MaterialProblem, gloss: Gloss, round_: int) -> GlossyBounce:
-    """Continued paths under the materials of this round."""
+    """Light paths continued on glossy regions, under the materials of this round."""
     rng = np.random.default_rng([problem.seed, 37, round_])
     light = problem.light
     passes = _glossy_regions(gloss)
@@ -191,19 +205,21 @@ def _continued_paths(problem: MaterialProblem, gloss: Gloss, round_: int) -> Glo
 
 
 def _aimed_rays(problem: MaterialProblem, lights: Lights, round_: int) -> SparseRays | None:
-    """Rays to what is bright under ``lights``."""
+    """Rays to patches that are bright under ``lights``; None if there are none."""
     rng = np.random.default_rng([problem.seed, 41, round_])
     light, cast = problem.light, lights.patch_radiance
     return aim_at_bright(light.tracer, light.transport, light.regions, cast, lights.irradiance, lights.mask, rng)
 
 
-def _say(problem: MaterialProblem, gloss: Gloss, diffuse: GroupRadiance) -> NDArray[np.float64]:
-    """(P,) say of each patch in the light balance once materials are known."""
+def _balance_weight(problem: MaterialProblem, gloss: Gloss, diffuse: GroupRadiance) -> NDArray[np.float64]:
+    """(P,) weight of each seen patch in the light balance once materials are known, from equation (19)."""
     region = problem.light.transport.region[: len(diffuse.weight)]
-    matte = np.where(gloss.roughness[region] < GLOSSY, GLOSSY_SAY, 1.0) * (gloss.metallic[region] < 0.5)
-    # Where nearly all light was specular the remainder is what a wrong lobe leaves.
+    matte = np.where(gloss.roughness[region] < BALANCE_GLOSSY_ROUGHNESS, BALANCE_GLOSSY_WEIGHT, 1.0) * (
+        gloss.metallic[region] < 0.5
+    )
+    # Where nearly all light was specular, the remainder is the error of the lobe.
     mostly_diffuse = diffuse.radiance.min(1) > 0.1 * problem.observed.radiance.min(1)
-    return say_of(problem.light, diffuse) * matte * mostly_diffuse
+    return patch_weight(problem.light, diffuse) * matte * mostly_diffuse
 
 
 def _observed_specular(
@@ -226,13 +242,19 @@ def _observed_specular(
 
 @dataclass(frozen=True)
 class _GlossFit:
-    """Observations to fit gloss on and their reflected rays at every level, two halves each, traced once."""
+    """The observations that gloss is fitted to, with their reflected rays.
+
+    Attributes:
+        rows: (m,) indices of the observations.
+        rays: per traced level of GLOSS_LEVELS, two independent halves.
+    """
 
     rows: NDArray[np.int64]
     rays: list[list[LobeRays]]
 
     @staticmethod
     def prepare(problem: MaterialProblem, lights: Lights) -> _GlossFit:
+        """Choose observations off the lamps and trace their rays, once for all rounds."""
         o, light = problem.observations, problem.light
         rng = np.random.default_rng([problem.seed, 29])
         usable = problem.linear.unclipped.all(1) & ~lights.mask[light.samples.face[o.sample]]
@@ -240,7 +262,7 @@ class _GlossFit:
         scene, at = problem.scene(lights), o.sample[rows]
         rays = [
             [trace_lobes(scene, light.samples, at, np.full(len(at), level), n_rays // 2, rng) for _ in range(2)]
-            for level, n_rays in zip(LEVELS, FIT_RAYS, strict=False)
+            for level, n_rays in zip(GLOSS_LEVELS, GLOSS_RAYS, strict=False)
         ]
         return _GlossFit(rows, rays)
 
@@ -251,10 +273,10 @@ class _GlossFit:
         at = o.sample[self.rows]
         local = problem.light.field.at_samples(samples.take(at), o.patch[self.rows], shading.irradiance)
         lobes = [[scene.lobes(half) for half in halves] for halves in self.rays]
-        # The widest lobes come from irradiance, as everywhere.
-        rough = LEVELS[len(FIT_RAYS) :]
+        # The widest lobes are computed from irradiance.
+        rough = GLOSS_LEVELS[len(GLOSS_RAYS) :]
         lobes += [[rough_lobes(np.full(len(at), level), samples.cosine[at], local)] for level in rough]
-        lobe, levels = problem.diffuse.lobe, np.array(LEVELS)[:, None]
+        lobe, levels = problem.diffuse.lobe, np.array(GLOSS_LEVELS)[:, None]
         observed = GlossObservations(
             region=problem.region[self.rows],
             patch=o.patch[self.rows],
@@ -267,7 +289,7 @@ class _GlossFit:
             else np.ones((len(levels), len(at))),
             lobes=lobes,
             layer=None if lobe == "burley" else layered_factor(levels, samples.cosine[at]),
-            given=problem.given,
+            in_file=problem.in_file,
         )
         material = problem.light.material
         return fit_gloss(observed, len(material), problem.light.decisions).of_regions(material)

@@ -1,9 +1,9 @@
-"""Light at the seen patches, and what a diffuse lobe sends of it towards a camera.
+"""Light at the seen patches, and the share of it that a diffuse lobe sends towards a camera.
 
-A rough wall is brighter seen from where its light comes from than seen against it, by a few per cent at grazing angles.
-Rooms are photographed from the middle, so that this is a trend between walls near the windows and far from them, which
-a light balance takes for weaker windows. Where the light of a patch comes from
-(:mod:`iris_addon.transport.transport`) tells how bright it is from anywhere.
+A rough wall seen from the side of its light is brighter than seen from the opposite side, by a few per cent at grazing
+angles. Rooms are photographed from the middle, so this is a trend between walls near the windows and walls far from
+them, which the light balance would take for weaker windows. The moments of the light of a patch
+(:class:`.LightMoments`, equation (10)) give its brightness in every direction.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ class Shading:
     """The light of all lamps at the seen patches.
 
     Attributes:
-        irradiance: (P, 3) irradiance / pi without the noise of its rays.
-        moments: where it comes from, which only Burley's lobe asks.
-        layered: whether surfaces lie under a dielectric that takes its light off them.
+        irradiance: (P, 3) irradiance / pi, denoised.
+        moments: of its direction, for Burley's lobe; None for others.
+        layered: whether dielectrics take the light they reflect off the diffuse light below, equation (11).
     """
 
     irradiance: NDArray[np.float32]
@@ -48,9 +48,9 @@ class Shading:
         schlick: NDArray[np.floating],
         toward: NDArray[np.floating],
     ) -> NDArray[np.float32]:
-        """Factor of the view: what the diffuse lobe sends a camera over albedo times irradiance / pi, (..., n).
+        """(..., n) view factor F_d, equations (10) and (11): diffuse radiance over albedo times irradiance / pi.
 
-        The irradiance is that of the patch under its lobe, ``1 + κ S``.
+        The irradiance is weighted by the separable lobe, ``1 + κ S``.
 
         Args:
             patch: (n,) patch that each view sees.
@@ -66,21 +66,21 @@ class Shading:
 
 
 def smooth_irradiance(problem: LightProblem, lights: Lights) -> NDArray[np.float32]:
-    """(P, 3) irradiance / pi of the seen patches without the noise of their rays."""
+    """(P, 3) denoised irradiance / pi of the seen patches."""
     return problem.field.denoise(lights.irradiance[: problem.transport.n_seen])
 
 
 def light_moments(problem: LightProblem, lights: Lights) -> LightMoments:
-    """Moments of the light of other patches and of the lamps.
+    """Moments of the light of other patches and of the lamps at the seen patches.
 
-    A lamp counts as one point, its centre. Light from outside and by way of glossy surfaces is left to have the mean
+    A lamp counts as one point, its centre. Light from outside and by way of glossy surfaces is assumed to have the mean
     direction of the rest.
     """
     sums = _gathered(problem, lights) + _of_lamps(problem, lights)
     lit = lights.irradiance[: len(sums)]
     sums = problem.field.denoise(sums, lit)
     total = np.maximum(sums[:, :1], 1e-12)
-    # Nothing is known of the light of a patch that no ray found any for; it comes from ahead.
+    # Where no ray found light, its direction is unknown; the normal is assumed.
     ahead = np.where(sums[:, :1] > 0, sums[:, 2:5] / total, problem.field.normal)
     return LightMoments(ahead, sums[:, 1] / total[:, 0], sums[:, 5:] / total)
 
@@ -103,7 +103,7 @@ def _gathered(problem: LightProblem, lights: Lights) -> NDArray[np.float32]:
 
 
 def _of_lamps(problem: LightProblem, lights: Lights) -> NDArray[np.float32]:
-    """(P, 8) the same sums over the lamps."""
+    """(P, 8) the sums of :func:`_gathered` over the lamps."""
     position, tracer = problem.field.position, problem.tracer
     sums = np.zeros((len(position), 8), np.float32)
     if not lights.emitters:

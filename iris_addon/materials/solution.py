@@ -1,4 +1,4 @@
-"""What a solve finds of a room before its textures are made."""
+"""The solution of a room before its textures are made."""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Specular radiance of observations and pixels under the materials and lamps at hand."""
+"""Specular lobes of observations and pixels: traced where glossy, from irradiance where rough, denoised over pixels.
+
+Neighbouring pixels reflect nearly the same things, so :func:`pixel_lobes` averages their lobes
+(:func:`denoise_lobes`) and needs fewer rays than :func:`specular_lobes`.
+"""
 
 from __future__ import annotations
 
@@ -19,16 +23,23 @@ from ..surface.photo_samples import PhotoSamples
 from ..surface.primary_rays import Lattice, PixelSamples
 from .lobes import Scene, trace_lobes
 
-ROUGH = 0.75
-"""From this roughness on the lobe is so wide that it sees about what the whole hemisphere sees."""
+SPECULAR_ROUGH = 0.75
+"""Roughness above which a lobe sees about what the whole hemisphere sees."""
+DENOISE_STEPS = (1, 2, 4)
+"""Spacing in pixels of the neighbours in each pass of the filter."""
+DENOISE_TURN = 0.6
+"""Standard deviation of the filter in the reflected direction, in GGX widths."""
+DENOISE_SIDE, DENOISE_CORNER = 0.5, 0.25
+"""Weights of the eight neighbours relative to the pixel itself: a binomial kernel."""
 
 
 def rough_lobes(
     roughness: NDArray[np.floating], cosine: NDArray[np.floating], irradiance: NDArray[np.floating]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """``Ls0`` and ``Ls1`` (n, 3) of lobes that see what the hemisphere sees: free of the noise of few rays.
+    """``Ls0`` and ``Ls1`` (n, 3) of lobes that see the whole hemisphere, from tables and free of the noise of rays.
 
     Args:
+        roughness: (n,) Principled roughness.
         cosine: (n,) between the normal and the direction to the camera.
         irradiance: (n, 3) irradiance / pi.
     """
@@ -52,13 +63,13 @@ def specular_lobes(
     rng: np.random.Generator,
     progress: Progress,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """``Ls0`` and ``Ls1`` (n, 3) of the pixels ``rows``: traced where glossy, from irradiance where rough.
+    """``Ls0`` and ``Ls1`` (n, 3) of the pixels ``rows`` (n,): traced where glossy, from irradiance where rough.
 
     Args:
         roughness: (n,) Principled roughness at each pixel.
         irradiance: (n, 3) irradiance / pi at each pixel.
     """
-    rough, traced = np.flatnonzero(roughness >= ROUGH), np.flatnonzero(roughness < ROUGH)
+    rough, traced = np.flatnonzero(roughness >= SPECULAR_ROUGH), np.flatnonzero(roughness < SPECULAR_ROUGH)
     ls0, ls1 = np.empty((len(rows), 3), np.float32), np.empty((len(rows), 3), np.float32)
     ls0[rough], ls1[rough] = rough_lobes(roughness[rough], samples.cosine[rows[rough]], irradiance[rough])
 
@@ -80,7 +91,7 @@ def pixel_lobes(
     rng: np.random.Generator,
     progress: Progress,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """:func:`specular_lobes` of all pixels, which then take the noise off each other and so need half the rays.
+    """:func:`specular_lobes` (n, 3) of all pixels, denoised, with half the rays.
 
     Args:
         cameras: of all views.
@@ -90,7 +101,7 @@ def pixel_lobes(
     samples = photos.samples
     rows, region = np.arange(len(samples.face)), scene.regions[samples.face]
     ls0, ls1 = specular_lobes(scene, samples, rows, roughness, irradiance, max(1, n_rays // 2), rng, progress)
-    traced = np.flatnonzero(roughness < ROUGH)
+    traced = np.flatnonzero(roughness < SPECULAR_ROUGH)
     both = np.concatenate([ls0[traced], ls1[traced]], 1)
     smooth = denoise_lobes(both, samples, traced, region[traced], roughness[traced], cameras, photos.stride)
     ls0[traced], ls1[traced] = smooth[:, :3], smooth[:, 3:]
@@ -100,23 +111,12 @@ def pixel_lobes(
 def subtract_specular(
     ls0: NDArray[np.floating], ls1: NDArray[np.floating], metallic: NDArray[np.floating]
 ) -> NDArray[np.float32]:
-    """(n, 3) specular radiance to take off a dielectric; metals keep ``ks Ls0``, which their colour explains."""
+    """(n, 3) specular radiance to subtract before a colour is fitted: all of a dielectric's, and ``Ls1`` alone of a
+    metal, whose colour explains ``Ls0``."""
     return (DIELECTRIC_F0 * (1 - metallic))[:, None].astype(np.float32) * ls0 + ls1
 
 
-# ---- Noise taken off specular lobes: pixels side by side reflect nearly the same things -----------------------------
-#
-# What a lobe sees changes over the width of the lobe. Where neighbours of a pixel reflect towards less than that, their
-# rays serve it too. Passes with doubled steps (à trous, Dammertz et al. 2010) let 27 looks cover 225 pixels; what stops
-# them are the borders of regions and the turn of the reflected direction, held against the width of the lobe: mirrors
-# keep their images sharp.
-
-
-STEPS = (1, 2, 4)
-REACH = 0.6
-"""Turn of the reflected direction, in GGX widths, that is one standard deviation of the filter."""
-SIDE, CORNER = 0.5, 0.25
-"""Say of the eight neighbours against the pixel's own: a binomial kernel."""
+# ---- Denoising ------------------------------------------------------------------------------------------------------
 
 
 def denoise_lobes(
@@ -128,18 +128,23 @@ def denoise_lobes(
     cameras: Sequence[Camera],
     stride: int,
 ) -> NDArray[np.float32]:
-    """Lobes (n, C) of the pixels ``rows`` (n,), averaged over neighbours that reflect the same.
+    """Lobes (n, C) of the pixels ``rows`` (n,), averaged over neighbours that reflect nearly the same direction.
+
+    The radiance in a lobe changes over the width of the lobe. If the reflected directions of two neighbouring pixels
+    differ by less, the rays of one serve the other. Three passes with doubled steps (à trous, Dammertz et al. 2010)
+    cover 225 pixels with 27 samples. The filter stops at borders of regions and where the reflected direction turns by
+    more than the lobe's width, so mirrors keep sharp images.
 
     Args:
-        part, roughness: (n,) of each pixel.
+        region, roughness: (n,) of each pixel.
         cameras: of the views, for the width of their photos.
         stride: spacing of the lattice of pixels, see :func:`iris_addon.surface.primary_rays.pixel_lattice`.
     """
-    lattice = Lattice.of(samples.view[rows], samples.pixel[rows], cameras, stride, max(STEPS))
+    lattice = Lattice.of(samples.view[rows], samples.pixel[rows], cameras, stride, max(DENOISE_STEPS))
     normal, toward = samples.normal[rows], samples.direction[rows]
     reflected = (2 * dot(normal, toward)[:, None] * normal - toward).astype(np.float32)
-    precision = 0.5 / (np.float32(REACH) * ray_alpha(roughness)) ** 2
-    for step in STEPS:
+    precision = 0.5 / (np.float32(DENOISE_TURN) * ray_alpha(roughness)) ** 2
+    for step in DENOISE_STEPS:
         smooth, noisy = np.empty_like(lobes), lobes
 
         def work(block: slice, step: int, smooth: NDArray[np.float32], noisy: NDArray[np.float32]) -> None:
@@ -164,7 +169,14 @@ def _average(
     noisy: NDArray[np.float32],
     smooth: NDArray[np.float32],
 ) -> None:
-    """One pass: the mean over a pixel and eight others, ``step`` rows and columns away; of pixels from ``first`` on."""
+    """One pass: the weighted mean over each pixel and eight others, ``step`` rows and columns away.
+
+    Args:
+        first: the first pixel of the block.
+        reflected: (n, 3) unit vectors.
+        precision: (n,) of the filter in the reflected direction.
+        noisy, smooth: (n, C) lobes before and after.
+    """
     for k in range(len(slot)):
         own, norm = first + k, 1.0
         for c in range(noisy.shape[1]):
@@ -177,9 +189,9 @@ def _average(
                 turn = 0.0
                 for axis in range(3):
                     turn += (reflected[near, axis] - reflected[own, axis]) ** 2
-                say = (CORNER if down and across else SIDE) * math.exp(-precision[own] * turn)
-                norm += say
+                weight = (DENOISE_CORNER if down and across else DENOISE_SIDE) * math.exp(-precision[own] * turn)
+                norm += weight
                 for c in range(noisy.shape[1]):
-                    smooth[own, c] += say * noisy[near, c]
+                    smooth[own, c] += weight * noisy[near, c]
         for c in range(noisy.shape[1]):
             smooth[own, c] /= norm

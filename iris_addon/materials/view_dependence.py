@@ -1,4 +1,10 @@
-"""Which diffuse lobe the surfaces of a room have, from how their brightness changes with the angle of view."""
+"""How the brightness of surfaces depends on the view: the choice of the diffuse lobe, and observations of curved
+surfaces.
+
+:func:`choose_diffuse` takes Burley's lobe where the views of each patch then agree better. :func:`mirrored_radiance`
+gives the radiance that the reflected rays of an observation explain; where the surface is curved, that is the radiance
+of one pixel, because the mean over several contains no sharp highlight.
+"""
 
 from __future__ import annotations
 
@@ -16,21 +22,32 @@ from ..response.photometry import Photometry
 from ..response.radiance import GroupRadiance, Linearised
 from ..surface.photo_samples import PhotoSamples
 
-ROBUST_LOG = 0.1
-MIN_PIXELS = 2
-MIN_RADIANCE = 1e-3
+DIFFUSE_ROBUST_LOG = 0.1
+"""Deviation in log brightness at which an observation starts to count as an outlier."""
+DIFFUSE_MIN_PIXELS = 2
+"""Pixels below which an observation is left out."""
+DIFFUSE_MIN_RADIANCE = 1e-3
+"""Radiance below which an observation is left out."""
+CURVED_COSINE = np.cos(np.radians(5.0))
+"""Cosine between the normal of an observation's pixel and the mean normal of all its pixels below which they show
+different things."""
 
 
 @dataclass(frozen=True)
 class DiffuseChoice:
-    """The lobe of every diffuse surface, and the relative fall of the disagreement that Burley's brings."""
+    """The lobe of every diffuse surface.
+
+    Attributes:
+        lobe: its name.
+        gain: relative fall of the disagreement of views under Burley's lobe.
+    """
 
     lobe: DiffuseLobe
     gain: float
 
     def under(self, layer: bool) -> DiffuseChoice:
-        """The same room with or without a dielectric layer that takes its light off what is below; Burley's lobe is of
-        models that have none."""
+        """The same room with or without a dielectric layer that takes the light it reflects off the diffuse light
+        below; Burley's lobe belongs to a model without such a layer."""
         return self if self.lobe == "burley" else DiffuseChoice("layered" if layer else "lambert", self.gain)
 
 
@@ -40,14 +57,15 @@ def choose_diffuse(
     """The lobe under which the views of each patch agree.
 
     Args:
-        schlick: (M,) S of the direction each observation was made from.
+        schlick: (M,) Schlick's S of the angle between normal and camera.
+        decisions: where Burley's lobe is decided.
     """
     o = observations
-    usable = linear.well_exposed & (linear.radiance.min(1) > MIN_RADIANCE) & (o.count >= MIN_PIXELS)
+    usable = linear.well_exposed & (linear.radiance.min(1) > DIFFUSE_MIN_RADIANCE) & (o.count >= DIFFUSE_MIN_PIXELS)
     weight = np.where(usable, np.sqrt(np.minimum(o.count, 25.0)), 0.0)
     if not weight.any():
         return DiffuseChoice("lambert", 0.0)
-    brightness = np.log(np.maximum(linear.radiance, MIN_RADIANCE)).mean(1)
+    brightness = np.log(np.maximum(linear.radiance, DIFFUSE_MIN_RADIANCE)).mean(1)
     rough = float(grazing_gain("burley", np.array(1.0)))
     lambert = _disagreement(brightness, o.patch, weight)
     burley = _disagreement(brightness - np.log1p(rough * schlick), o.patch, weight)
@@ -56,25 +74,19 @@ def choose_diffuse(
 
 
 def _disagreement(brightness: NDArray[np.floating], patch: NDArray[np.integer], weight: NDArray[np.floating]) -> float:
-    """Robust mean deviation of log brightness (M,) from one value per patch."""
+    """Robust mean deviation of log brightness (M,) from one value per patch, with ``weight`` (M,)."""
     n = int(patch.max()) + 1
-    say, deviation = weight, np.zeros_like(brightness)
+    robust_weight, deviation = weight, np.zeros_like(brightness)
     for _ in range(3):
-        mean = np.bincount(patch, say * brightness, n) / np.maximum(np.bincount(patch, say, n), 1e-9)
-        deviation = (brightness - mean[patch]) / ROBUST_LOG
-        say = weight / (1 + deviation**2)
+        mean = np.bincount(patch, robust_weight * brightness, n) / np.maximum(
+            np.bincount(patch, robust_weight, n), 1e-9
+        )
+        deviation = (brightness - mean[patch]) / DIFFUSE_ROBUST_LOG
+        robust_weight = weight / (1 + deviation**2)
     return float(weight @ np.log1p(deviation**2) / weight.sum())
 
 
-# ---- Observations on curved surfaces, whose highlights one pixel shows and the mean over several does not -----------
-#
-# An observation is the mean over the pixels of one view on one patch, and its reflected rays start at one of them. A
-# ball turns by twenty degrees from one side of a patch to the other, and what its pixels mirror lies forty degrees
-# apart: the mean of them is nothing that a metal with one normal could show.
-
-
-TURN = np.cos(np.radians(5.0))
-"""Cosine between the normal of the one pixel and the mean normal of all, from which on they show different things."""
+# ---- Observations of curved surfaces --------------------------------------------------------------------------------
 
 
 def mirrored_radiance(
@@ -84,22 +96,28 @@ def mirrored_radiance(
     photos: PhotoSamples,
     photometry: Photometry,
 ) -> NDArray[np.float64]:
-    """(M, 3) radiance of the pixel whose reflected rays stand for each observation: its own where the surface turns,
-    elsewhere the mean ``linear``, which has less noise. Meaningless where that is not open.
+    """(M, 3) radiance that the reflected rays of each observation explain.
 
-    What is black is as bright as its patch is ``observed`` to be in other photos, as far as black allows.
+    An observation is the mean over the pixels of one photo on one patch, and its reflected rays start at one of them.
+    The normals of a ball turn by twenty degrees across a patch, and what its pixels mirror lies forty degrees apart: no
+    metal with one normal shows the mean of that. On curved surfaces the radiance of the one pixel is taken, elsewhere
+    the mean, which has less noise.
+
+    Args:
+        linear: radiance of the observations; the result is meaningless where it is clipped.
+        observed: radiance of the patches, which black pixels take as far as their upper bound allows.
     """
     expected = observed.radiance[observations.patch]
     radiance = linear.agreeing_with(expected).radiance
-    at = np.flatnonzero(turning(observations, photos.samples.normal))
+    at = np.flatnonzero(on_curved_surface(observations, photos.samples.normal))
     pixel, samples = observations.sample[at], photos.samples
     alone = photometry.linearise_pixels(photos.z[pixel], samples.view[pixel], samples.pixel[pixel])
     radiance[at] = alone.agreeing_with(expected[at]).radiance
     return radiance
 
 
-def turning(observations: Observations, normal: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """(M,) observations whose one pixel faces elsewhere than their pixels do on average; ``normal`` (n, 3) of all."""
+def on_curved_surface(observations: Observations, normal: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """(M,) observations whose pixel has another normal than the mean of their pixels; ``normal`` (n, 3) of all."""
     o = observations
     mean = group_sums(normal, o.sample_to_observation, len(o.patch))
-    return np.einsum("mk,mk->m", mean, normal[o.sample]) < TURN * np.linalg.norm(mean, axis=1)
+    return np.einsum("mk,mk->m", mean, normal[o.sample]) < CURVED_COSINE * np.linalg.norm(mean, axis=1)

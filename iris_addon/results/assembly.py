@@ -120,9 +120,9 @@ def make_result(
         report=report,
         up=capture.up,
         local=UNIFORM if photometry.local is None else photometry.local.settings,
-        backdrop=problem.beyond.backdrop
+        backdrop=problem.backdrop.recovered
         if light.hidden.holes is None
-        else as_surface(problem.beyond, light, lights, progress),
+        else as_surface(problem.backdrop, light, lights, progress),
     )
     return result, _rerenders(capture, samples, explained)
 

@@ -1,4 +1,4 @@
-"""What cameras see through holes of the mesh: painted where it belongs, and no light of its own."""
+"""The backdrop: painted where the missing surfaces are, and shown in Blender without adding light."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from iris_addon.blender.scene_in.scene_capture import read_scene_mesh
 from iris_addon.blender.scene_out.backdrop import BACKDROP
 from iris_addon.blender.scene_out.build import build_scene
 from iris_addon.edits.scene_edit import SceneEdit, Sphere
-from iris_addon.lighting.backdrop import MIN_SHARE, fit_backdrop
+from iris_addon.lighting.backdrop import BACKDROP_MIN_SHARE, fit_backdrop
 from iris_addon.model.capture import Mesh, View
 from iris_addon.model.recovered import Backdrop, Emitter, OutsideLight
 from iris_addon.model.render_settings import RenderSettings
@@ -72,7 +72,7 @@ PHOTOMETRY = Photometry(
 
 
 @pytest.mark.parametrize("hidden", [0.0, 0.5])
-def test_a_missing_wall_is_painted_where_it_stands(hidden: float) -> None:
+def test_a_missing_wall_is_painted_in_its_place(hidden: float) -> None:
     """Stripes seen from three places are one set of stripes: by directions alone they would be blurred to grey."""
     rng = np.random.default_rng(0)
     found = fit_backdrop(seen(rng, 60000, hidden), PHOTOMETRY, ROOM, VIEWS)
@@ -93,7 +93,7 @@ def assert_within(points: list[np.ndarray], shell: Backdrop) -> None:
         assert (np.einsum("fc,fc->f", normal, point - a) > 0).all()
 
 
-def test_the_shell_holds_mesh_and_cameras_and_looks_inwards() -> None:
+def test_the_shell_encloses_mesh_and_cameras_and_faces_inwards() -> None:
     rng = np.random.default_rng(1)
     outside = np.vstack([CAMERAS, [[2.0, -1.5, 1.0]]])  # a photographer in the door
     found = fit_backdrop(seen(rng, 500), PHOTOMETRY, ROOM, views_at(outside))
@@ -101,7 +101,7 @@ def test_the_shell_holds_mesh_and_cameras_and_looks_inwards() -> None:
     assert_within([*CORNERS, *outside], found)
 
 
-def test_the_shell_does_not_stand_before_a_pane_that_stands_back_in_its_wall() -> None:
+def test_the_shell_encloses_a_recessed_pane() -> None:
     """No direction in which the pane's corners lie furthest out need be among those that the shell is drawn from."""
     pane = np.array([[x, 4.15, z] for x in (1.7, 3.3) for z in (0.9, 2.1)])
     recessed = Mesh(np.vstack([CORNERS, pane]), np.vstack([box().faces, [[8, 9, 11], [8, 11, 10]]]))
@@ -112,7 +112,7 @@ def test_the_shell_does_not_stand_before_a_pane_that_stands_back_in_its_wall() -
 
 def test_no_backdrop_without_holes_or_without_a_room() -> None:
     rng = np.random.default_rng(2)
-    assert fit_backdrop(seen(rng, 500, share=MIN_SHARE / 2), PHOTOMETRY, ROOM, VIEWS) is None
+    assert fit_backdrop(seen(rng, 500, share=BACKDROP_MIN_SHARE / 2), PHOTOMETRY, ROOM, VIEWS) is None
     flat = replace(ROOM, vertices=CORNERS * [1, 1, 0])
     assert fit_backdrop(seen(rng, 500), PHOTOMETRY, flat, views_at(CAMERAS * [1, 1, 0])) is None
 
@@ -142,7 +142,7 @@ def test_a_backdrop_that_is_mostly_black_is_dark_and_finite(lit: float) -> None:
     assert found.picture.min() >= 0 and found.picture.max() <= (0.5 if lit else 0.0)
 
 
-def test_directions_and_texels_are_each_others_inverse() -> None:
+def test_directions_and_texels_are_inverse() -> None:
     directions = equirect_directions(32, 16).reshape(-1, 3)
     assert (equirect_texels(7 * directions, 32, 16) == np.arange(32 * 16)).all()
     assert (equirect_directions(32, 16)[0, :, 2] > 0.99).all()
@@ -170,7 +170,7 @@ def inward(shell: Mesh) -> np.ndarray:
 
 
 @pytest.mark.bpy
-def test_cameras_see_it_through_the_hole_with_parallax_and_it_lights_nothing_diffuse() -> None:
+def test_cameras_see_the_backdrop_with_parallax_and_it_lights_nothing_diffuse() -> None:
     result = open_room()
     view = camera(position=(0.5, 0.3, 0.6))
     origin, direction = view.rays()
@@ -190,7 +190,7 @@ def test_cameras_see_it_through_the_hole_with_parallax_and_it_lights_nothing_dif
 
 @pytest.mark.bpy
 @pytest.mark.parametrize("roughness", [0.0, 0.25])
-def test_reflections_show_it_sharp_or_blurred_and_not_the_light_from_outside(roughness: float) -> None:
+def test_reflections_show_the_backdrop_and_not_the_light_from_outside(roughness: float) -> None:
     """A ball before the camera reflects what is behind it, through the open side the camera looks in by."""
     ball = Sphere(center=np.zeros(3), radius=0.5, base_color=np.ones(3), roughness=roughness, metallic=1.0)
     view = camera(position=(0, 0, 3), fx=60.0, fy=60.0)
@@ -201,7 +201,7 @@ def test_reflections_show_it_sharp_or_blurred_and_not_the_light_from_outside(rou
 
 
 @pytest.mark.bpy
-def test_from_outside_one_looks_through_it_into_the_room() -> None:
+def test_the_backdrop_is_invisible_from_outside() -> None:
     result = open_room()
     view = camera(position=(0, 0, 6), fx=30.0, fy=30.0)
     lit = replace(result, emitters=room(emission={2: (3, 2, 1)}).emitters)
@@ -233,7 +233,7 @@ def lamp_in_a_shell(picture: np.ndarray, albedo: np.ndarray) -> Result:
 
 @pytest.mark.bpy
 @pytest.mark.parametrize("albedo", [0.3, 0.7])
-def test_one_that_reflects_is_an_integrating_sphere(albedo: float) -> None:
+def test_a_reflecting_backdrop_is_an_integrating_sphere(albedo: float) -> None:
     """A lamp of radiance L in the middle: the wall has one of a / (1 - a) L times the ratio of their areas."""
     result = lamp_in_a_shell(np.zeros((8, 16, 3)), np.full((8, 16, 3), albedo))
     (image,) = render_views(
@@ -244,7 +244,7 @@ def test_one_that_reflects_is_an_integrating_sphere(albedo: float) -> None:
 
 
 @pytest.mark.bpy
-def test_through_its_openings_one_sees_outside_whatever_the_lamps_do() -> None:
+def test_openings_of_the_backdrop_do_not_depend_on_the_lamps() -> None:
     """Its half towards +x has no albedo: one sees its own picture there, and the world behind it."""
     ahead = (equirect_directions(128, 64)[..., :1] > 0) * np.ones(3)
     result = lamp_in_a_shell(0.4 * ahead, 0.5 * (1 - ahead))
@@ -257,7 +257,7 @@ def test_through_its_openings_one_sees_outside_whatever_the_lamps_do() -> None:
 
 
 @pytest.mark.bpy
-def test_it_goes_with_the_light_from_outside_in_a_mix() -> None:
+def test_the_backdrop_follows_light_from_outside_in_a_mix() -> None:
     shares = render_light_shares(open_room(), camera(), settings=RenderSettings(samples=4, denoise=False))
     assert set(shares.shares) == {"IRIS Outside"}
     np.testing.assert_allclose(shares.shares["IRIS Outside"], shares.combined, atol=1e-5)
@@ -265,7 +265,7 @@ def test_it_goes_with_the_light_from_outside_in_a_mix() -> None:
 
 
 @pytest.mark.bpy
-def test_it_counts_as_the_room_when_something_is_put_in() -> None:
+def test_the_backdrop_counts_as_the_room_when_an_object_is_inserted() -> None:
     built = build_scene(open_room())
     assert built.backdrop is not None
     look_through(built.scene, camera(), add_camera(camera(), "view", built.scene.collection))
@@ -274,7 +274,7 @@ def test_it_counts_as_the_room_when_something_is_put_in() -> None:
 
 
 @pytest.mark.bpy
-def test_the_blend_has_it_and_the_glb_does_not(tmp_path: Path) -> None:
+def test_the_blend_contains_the_backdrop_and_the_glb_does_not(tmp_path: Path) -> None:
     apply(open_room(), tmp_path / "room.blend", glb=tmp_path / "room.glb")
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "room.blend"))
     assert BACKDROP in bpy.context.scene.objects and bpy.data.images[BACKDROP].packed_file
@@ -284,7 +284,7 @@ def test_the_blend_has_it_and_the_glb_does_not(tmp_path: Path) -> None:
 
 
 @pytest.mark.bpy
-def test_it_is_no_region_of_the_room_and_goes_when_the_objects_are_restored() -> None:
+def test_the_backdrop_is_no_region_and_is_removed_when_objects_are_restored() -> None:
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.mesh.primitive_cube_add()
     scene = bpy.context.scene

@@ -27,7 +27,7 @@ from tests.engine_room import Room, furnished_room, room_origins
 
 @dataclass(frozen=True)
 class Shading:
-    """What the balance is given, one patch per face of the room, and the truth."""
+    """The input of the balance, one patch per face of the room, and the truth."""
 
     radiance: np.ndarray
     indirect: np.ndarray
@@ -107,12 +107,12 @@ def test_one_lamp_comes_back_exactly(shading: Shading) -> None:
 
 
 @pytest.mark.parametrize("factor", [0.05, 30.0])
-def test_the_start_does_not_matter(shading: Shading, factor: float) -> None:
+def test_solution_is_invariant_to_the_start(shading: Shading, factor: float) -> None:
     assert shading.solve(start=shading.truth * factor).radiance == pytest.approx(shading.truth, rel=0.03)
 
 
-def test_where_no_light_comes_back_the_room_is_of_common_albedo(shading: Shading) -> None:
-    """Without interreflection light times albedo is all that photos tell; what rooms are like sets the level."""
+def test_without_interreflection_albedo_is_that_of_the_prior(shading: Shading) -> None:
+    """Without interreflection photos determine only light times albedo; the prior on a room's albedo sets the level."""
     from_lamps = shading.form_factors @ shading.truth
     direct = shading.radiance * from_lamps / (shading.indirect + from_lamps)
     dark = replace(shading, radiance=direct, indirect=np.zeros_like(direct))
@@ -125,7 +125,7 @@ def test_where_no_light_comes_back_the_room_is_of_common_albedo(shading: Shading
         assert ratio[0] == pytest.approx(ratio[1], rel=0.05)
 
 
-def test_texture_and_outliers_do_little(shading: Shading) -> None:
+def test_texture_and_outliers_hardly_change_the_lamps(shading: Shading) -> None:
     rng = np.random.default_rng(1)
     texture = np.exp(rng.normal(0, 0.15, (len(shading.region), 1)))
     wrong = rng.random(len(shading.region)) < 0.1
@@ -160,8 +160,8 @@ def test_gradient_is_that_of_the_loss(shading: Shading) -> None:
     assert gradient == pytest.approx(np.array(numeric), rel=1e-4, abs=1e-7)
 
 
-def test_unknowns_are_measured_in_what_the_loss_feels(shading: Shading) -> None:
-    """At the solution the loss curves alike in all of them, a large wall and the smallest part."""
+def test_unknowns_are_scaled_to_equal_curvature(shading: Shading) -> None:
+    """At the solution the loss has the same curvature in all of them, from a large wall to the smallest region."""
     rng = np.random.default_rng(8)
     region = shading.region + np.where(rng.random(len(shading.region)) < 0.03, 10, 0)  # a small piece off every wall
     _, label = np.unique(region, return_inverse=True)
@@ -187,15 +187,15 @@ def test_unknowns_are_measured_in_what_the_loss_feels(shading: Shading) -> None:
     assert unit.max() > 10 * unit.min()
 
 
-def test_saturation_is_a_lower_bound(shading: Shading) -> None:
+def test_clipping_is_a_lower_bound(shading: Shading) -> None:
     below, above = shading.truth * 0.5, shading.truth * 1.4
     assert shading.solve(replace(shading.nothing_known, bound=below)).radiance == pytest.approx(shading.truth, rel=0.03)
     forced = shading.solve(replace(shading.nothing_known, bound=above)).radiance
     assert (forced > 0.9 * above).all()
 
 
-def test_a_clipped_speck_whose_light_nobody_feels_stays_near_what_is_expected(shading: Shading) -> None:
-    """The room's other errors would have it glow a hundred times as bright, if it only fitted them a little."""
+def test_a_clipped_speck_without_influence_stays_near_its_expectation(shading: Shading) -> None:
+    """Other errors of the room would make it a hundred times as bright for a tiny gain in fit."""
     rng = np.random.default_rng(9)
     speck = 1e-5 * rng.random((len(shading.region), 1))
     error = np.exp(rng.normal(0, 0.05, (len(shading.region), 1)) + 500 * speck)
@@ -212,7 +212,7 @@ def test_a_clipped_speck_whose_light_nobody_feels_stays_near_what_is_expected(sh
     assert beside.solve(clipped, start).radiance[2].max() > 20
 
 
-def test_a_yellow_speck_that_photos_measured_leaves_the_lamps_alone(shading: Shading) -> None:
+def test_a_measured_yellow_speck_does_not_change_the_lamps(shading: Shading) -> None:
     """A lemon in the sun, taken for a lamp: what is known of it is far sharper than what the room says of the
     lamps, and unlike any tint. Steps in units of the room alone ended at lamps a fifth too dim."""
     speck = 1e-5 * np.random.default_rng(9).random((len(shading.region), 1))
@@ -228,7 +228,7 @@ def test_a_yellow_speck_that_photos_measured_leaves_the_lamps_alone(shading: Sha
     assert found[2] == pytest.approx(lemon, rel=0.1)
 
 
-def test_what_is_known_of_lamps_is_as_precise_as_its_penalty_curves() -> None:
+def test_precision_is_half_the_curvature_of_the_penalty() -> None:
     """Half the second derivative of the penalty, by central differences: bound, measured, expected, and tint alone."""
     nan, log_e, h = np.nan, np.zeros((4, 3)), 1e-4
     bound, measured, expected = (np.full((4, 3), value) for value in (np.log(1e-6), nan, nan))
@@ -239,7 +239,7 @@ def test_what_is_known_of_lamps_is_as_precise_as_its_penalty_curves() -> None:
     assert direct.precision(log_e).ravel() == pytest.approx(np.array(slopes) / 2, rel=1e-6)
 
 
-def test_a_measurement_pulls(shading: Shading) -> None:
+def test_a_measurement_attracts_the_radiance(shading: Shading) -> None:
     measured = np.full_like(shading.truth, np.nan)
     measured[1] = shading.truth[1] * 1.2
     balance = shading.solve(replace(shading.nothing_known, measured=measured))
@@ -255,7 +255,7 @@ def test_tied_fixtures_share_one_radiance(shading: Shading) -> None:
     assert (radiance[0] > 0.9 * low).all() and (radiance[0] < 1.1 * high).all()
 
 
-def test_distant_patches_of_a_region_are_what_fixes_the_scale(shading: Shading) -> None:
+def test_distant_patches_of_a_region_determine_the_scale(shading: Shading) -> None:
     """Cut every wall into tiles of even light with an albedo of their own: only neighbours are left to compare."""
     order = np.lexsort((shading.radiance[:, 1], shading.region))
     tiles = np.empty_like(shading.region)
@@ -269,7 +269,7 @@ def test_distant_patches_of_a_region_are_what_fixes_the_scale(shading: Shading) 
     assert square[1] > 3 * square[0]
 
 
-def test_uncertainty_tells_the_lamp_that_lights_nothing() -> None:
+def test_a_lamp_that_lights_nothing_has_the_largest_uncertainty() -> None:
     room = furnished_room()
     emission = room.emission.copy()
     emission[9] *= 1e-3
@@ -283,7 +283,7 @@ def test_a_lamp_far_from_its_start_does_not_overflow(shading: Shading) -> None:
     assert stronger.solve().radiance == pytest.approx(shading.truth * [[1], [1000]], rel=0.1)
 
 
-def test_patches_of_no_weight_do_not_matter(shading: Shading) -> None:
+def test_solution_is_invariant_to_patches_of_no_weight(shading: Shading) -> None:
     rng = np.random.default_rng(4)
     spoiled = rng.random(len(shading.region)) < 0.3
     radiance = np.where(spoiled[:, None], rng.random((len(spoiled), 3)) * 5, shading.radiance)
@@ -291,7 +291,7 @@ def test_patches_of_no_weight_do_not_matter(shading: Shading) -> None:
     assert balance.radiance == pytest.approx(shading.truth, rel=0.02)
 
 
-def test_patches_whose_light_is_badly_known_make_lamps_dim_unless_they_weigh_less(shading: Shading) -> None:
+def test_errors_of_irradiance_make_lamps_dim_unless_weighted_down(shading: Shading) -> None:
     """Errors of the regressors, as where the normals of a mesh are noise."""
     rng = np.random.default_rng(6)
     shaken = rng.random(len(shading.region)) < 0.6
@@ -302,7 +302,7 @@ def test_patches_whose_light_is_badly_known_make_lamps_dim_unless_they_weigh_les
     assert knowing.solve().radiance == pytest.approx(shading.truth, rel=0.05)
 
 
-def test_the_held_out_loss_rises_with_what_the_model_cannot_explain(shading: Shading) -> None:
+def test_held_out_loss_rises_with_model_error(shading: Shading) -> None:
     rng = np.random.default_rng(5)
     texture = np.exp(rng.normal(0, 0.3, (len(shading.region), 1)))
     assert shading.solve().held_out < 0.01

@@ -1,4 +1,4 @@
-"""Which faces count as lamps: bright from every side, brighter than any surface could be, all over."""
+"""Which faces count as lamps: faces brighter than a surface could be, in every view and all over."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ EXPOSURES = 2.0 ** np.linspace(-3, 3, N_VIEWS)
 def brightness_of(
     radiance: np.ndarray, exposures: np.ndarray = EXPOSURES, specular: np.ndarray | None = None
 ) -> Brightness:
-    """Photos of patches whose radiance (P, V) may depend on the view, and how bright they count."""
+    """The brightness of patches whose radiance (P, V) may depend on the view."""
     n = len(radiance)
     patch, view = (a.ravel() for a in np.meshgrid(np.arange(n), np.arange(len(exposures)), indexing="ij"))
     exposed = np.clip(radiance[patch, view] * exposures[view], 0, 1)[:, None]
@@ -38,7 +38,7 @@ def brightness_of(
     return brightness(o, linear, n, None if specular is None else specular[patch, view][:, None].repeat(3, 1))
 
 
-def test_what_is_bright_from_every_side_counts_in_full() -> None:
+def test_a_patch_bright_in_every_view_counts_in_full() -> None:
     radiance = np.array([0.3, 1.0, 4.0])[:, None] * np.ones(N_VIEWS)
     assert brightness_of(radiance).floor[:, 0] == pytest.approx([0.3, 1.0, 4.0], rel=0.05)
 
@@ -49,13 +49,13 @@ def test_a_highlight_in_few_views_does_not_count() -> None:
     assert brightness_of(radiance).floor[0, 0] == pytest.approx(0.3, rel=0.05)
 
 
-def test_the_mirror_image_of_a_lamp_is_taken_off() -> None:
+def test_specular_light_is_subtracted() -> None:
     specular = np.full((1, N_VIEWS), 2.0)
     assert brightness_of(specular + 0.1).floor[0, 0] == pytest.approx(2.1, rel=0.05)
     assert brightness_of(specular + 0.1, specular=specular).floor[0, 0] < 0.3
 
 
-def test_what_every_photo_clips_reaches_the_highest_bound() -> None:
+def test_a_patch_clipped_in_every_photo_takes_the_highest_bound() -> None:
     exposures = np.array([1.0, 0.5, 2.0])
     seen = brightness_of(np.full((1, 3), 50.0), exposures)
     assert seen.floor[0] == pytest.approx(2.0)
@@ -63,7 +63,7 @@ def test_what_every_photo_clips_reaches_the_highest_bound() -> None:
     assert np.isnan(seen.measured[0]).all()
 
 
-def test_one_short_exposure_shows_how_bright_a_clipped_wall_really_is() -> None:
+def test_one_unclipped_view_limits_the_brightness_of_a_clipped_wall() -> None:
     """Eleven photos in which the wall is white, one in which it is not: it needs a reflectance below 1."""
     exposures = np.array([0.5] + [8.0] * 11)
     seen = brightness_of(np.array([0.6, 6.0])[:, None] * np.ones(12), exposures)
@@ -71,7 +71,7 @@ def test_one_short_exposure_shows_how_bright_a_clipped_wall_really_is() -> None:
     assert needed[0] < 1.0 < 2.4 < needed[1]
 
 
-def test_emitting_faces_shine_all_over() -> None:
+def test_a_face_emits_only_if_nearly_all_its_pixels_do() -> None:
     sample_face = np.repeat([0, 1, 2], [10, 10, 10]).astype(np.int32)
     passed = np.zeros(30, bool)
     passed[:10] = True  # a lamp
@@ -106,7 +106,7 @@ def test_the_unseen_side_of_a_lamp_belongs_to_it() -> None:
     assert [faces.tolist() for faces in emitters] == [[0, 1, 2, 3]]
 
 
-def test_a_few_pixels_are_no_lamp_and_degenerate_faces_do_not_shine() -> None:
+def test_few_pixels_are_no_lamp_and_degenerate_faces_do_not_emit() -> None:
     mesh = assemble([quad([k, 0, 0], [0.5, 0, 0], [0, 0.5, 0]) for k in range(2)], [0, 1])
     assert mesh.regions is not None
     areas = np.array([1.0, 0.0, 1.0, 1.0])
@@ -116,7 +116,7 @@ def test_a_few_pixels_are_no_lamp_and_degenerate_faces_do_not_shine() -> None:
     assert [faces.tolist() for faces in emitters] == [[0]]
 
 
-def test_twins_are_tied_and_others_are_not() -> None:
+def test_only_copies_of_one_lamp_are_tied() -> None:
     areas = np.array([1, 1, 1, 1, 1, 1, 1, 1, 3.0, 1, 1, 1])
     emitters = [np.array([0, 1, 2]), np.array([3, 4, 5]), np.array([6, 7, 8]), np.array([9, 10])]
     label = tie_fixtures(emitters, areas)
@@ -126,7 +126,7 @@ def test_twins_are_tied_and_others_are_not() -> None:
     assert len(tie_fixtures([], areas)) == 0
 
 
-def test_a_pane_goes_on_in_its_plane_and_not_around_its_edge() -> None:
+def test_a_pane_continues_in_its_plane_and_not_around_its_edge() -> None:
     """A row of four faces and one apart; the first is certain."""
     adjacency = np.array([0, 1, 2]), np.array([1, 2, 3])
     up, side = [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]

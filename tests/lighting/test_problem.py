@@ -1,4 +1,4 @@
-"""What is known of the light of a room, and what a user is told of it."""
+"""The solution of the lighting problem: its warnings and its checkpoint."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ def test_a_room_without_light_is_reported() -> None:
     assert lights(0, outside=1.0).warnings == () and lights(1).warnings == ()
 
 
-def test_more_lamps_than_are_told_apart_are_reported() -> None:
+def test_reaching_the_limit_of_lamps_is_reported() -> None:
     assert str(MAX_LAMPS) in lights(MAX_LAMPS).warnings[0]
     assert lights(MAX_LAMPS - 1).warnings == ()
 
 
-def test_lights_come_back_from_a_checkpoint() -> None:
+def test_lights_survive_a_checkpoint() -> None:
     before = lights(3, outside=2.0)
     after = Lights.from_arrays(before.arrays())
     assert [faces.tolist() for faces in after.emitters] == [[0], [1], [2]]

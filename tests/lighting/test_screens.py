@@ -1,4 +1,4 @@
-"""A screen is a lamp because its picture changes; paint, paper in the light and highlights are none."""
+"""Screens are found by their changing picture; paint, lit paper and highlights are none."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from iris_addon.base.progress import Progress
+from iris_addon.decide import Decisions
 from iris_addon.lighting import screens
 from iris_addon.lighting.problem import LightProblem, Lights
-from iris_addon.lighting.screens import BRIGHT, Shown, find_screens, with_screens
+from iris_addon.lighting.screens import SCREEN_MIN_REFLECTANCE, Shown, find_screens, with_screens
 from iris_addon.rays.tracer import Tracer
 from iris_addon.response.radiance import GroupRadiance, radiance_itself
 from tests.engine_room import assemble, quad
@@ -39,7 +40,8 @@ def problem() -> LightProblem:
         samples=SimpleNamespace(face=np.arange(N)),
         tracer=TRACER,
         regions=REGIONS,
-        given=None,
+        given_emitters=None,
+        decisions=Decisions(),
     )
 
 
@@ -83,12 +85,12 @@ def with_pictures(of_view: list[np.ndarray], where: np.ndarray = ON_SCREEN) -> n
 CHANGING = [WHITE, CYAN] * (VIEWS // 2)
 
 
-def test_a_surface_whose_picture_changes_and_is_too_bright_for_paint_is_a_screen() -> None:
+def test_a_surface_that_changes_and_is_too_bright_to_reflect_is_a_screen() -> None:
     (faces,) = find_screens(problem(), lit(), shown(with_pictures(CHANGING)))
     assert np.array_equal(faces, np.flatnonzero(ON_SCREEN))
 
 
-def test_dark_places_of_a_picture_belong_to_the_screen() -> None:
+def test_dark_areas_of_a_picture_belong_to_the_screen() -> None:
     dark = ON_SCREEN & (np.abs(MIDDLE[:, 0] - 1.4) < 0.05)
     radiance = with_pictures(CHANGING)
     radiance[dark] = 0.02
@@ -109,21 +111,21 @@ def test_steady_light_pages_highlights_and_rare_reflections_are_no_screen(of_vie
     assert find_screens(problem(), lit(), shown(with_pictures(of_view))) == [], what
 
 
-def test_what_a_mirror_shows_is_not_its_own_light() -> None:
+def test_a_mirror_image_is_no_screen() -> None:
     radiance = with_pictures(CHANGING)
     mirrored = radiance - 0.3
     assert find_screens(problem(), lit(), shown(radiance, np.where(ON_SCREEN[:, None, None], mirrored, 0.0))) == []
 
 
-def test_specks_far_apart_or_out_of_plane_are_no_screen() -> None:
+def test_specks_far_apart_or_off_a_plane_are_no_screen() -> None:
     rng = np.random.default_rng(1)
     specks = ~ON_SCREEN & (rng.random(N) < 0.01)
-    assert specks.sum() > screens.MIN_PATCHES
+    assert specks.sum() > screens.SCREEN_MIN_PATCHES
     assert find_screens(problem(), lit(), shown(with_pictures(CHANGING, specks))) == []
 
 
 def test_a_drift_of_white_balance_makes_no_screens() -> None:
-    """Every photo has a tint of its own: what is bright changes as everything does."""
+    """Every photo has a tint of its own, so bright surfaces change as everything does."""
     tint = np.exp(np.random.default_rng(2).normal(0, 0.3, (VIEWS, 3)))
     radiance = with_pictures([WHITE] * VIEWS) * tint
     assert find_screens(problem(), lit(), shown(radiance)) == []
@@ -131,19 +133,19 @@ def test_a_drift_of_white_balance_makes_no_screens() -> None:
     assert len(find_screens(problem(), lit(), shown(radiance))) == 1
 
 
-def test_a_lamp_is_not_found_a_second_time() -> None:
+def test_a_known_lamp_is_not_found_again_as_a_screen() -> None:
     lights = replace(lit(), mask=ON_SCREEN)
     assert find_screens(problem(), lights, shown(with_pictures(CHANGING))) == []
 
 
 @pytest.mark.parametrize(("loss", "stays"), [(1.001, True), (1.02, False)])
-def test_a_screen_stays_unless_the_light_of_the_room_speaks_against_it(
+def test_a_screen_is_kept_unless_it_raises_the_held_out_loss(
     monkeypatch: pytest.MonkeyPatch, loss: float, stays: bool
 ) -> None:
-    asked = []
+    weights = []
 
     def solve(_problem, _observed, emitters, before, _progress, _factors, fit, *_args, **_kwargs):
-        asked.append(fit.weight)
+        weights.append(fit.weight)
         held_out = loss if len(emitters) else 1.0
         return replace(before, emitters=emitters, held_out=held_out)
 
@@ -154,13 +156,13 @@ def test_a_screen_stays_unless_the_light_of_the_room_speaks_against_it(
     picture = shown(with_pictures(CHANGING))
     found = with_screens(problem(), observed, lit(), picture, weight, np.ones((N, 3)), Progress())
     assert len(found.emitters) == stays
-    for say in asked:  # the same patches with and without it, and none of its own
-        assert np.array_equal(say, np.where(ON_SCREEN, 0.0, 1.0))
+    for weight in weights:  # the same patches with and without the screen, and none on it
+        assert np.array_equal(weight, np.where(ON_SCREEN, 0.0, 1.0))
 
 
 def test_a_screen_is_brighter_than_paint_in_a_quarter_of_the_views() -> None:
-    """A reflectance of BRIGHT in the brightest channel of a quarter of the views."""
-    picture = CYAN * BRIGHT / CYAN.max()
+    """A reflectance of SCREEN_MIN_REFLECTANCE in the brightest channel of a quarter of the views."""
+    picture = CYAN * SCREEN_MIN_REFLECTANCE / CYAN.max()
     for factor, found in ((1.15, 1), (0.85, 0)):
         views = [factor * picture] * (VIEWS // 2) + [RED] * (VIEWS // 2)
         assert len(find_screens(problem(), lit(), shown(with_pictures(views)))) == found

@@ -12,10 +12,10 @@ from threadpoolctl import threadpool_limits
 
 from iris_addon.base.progress import Progress
 from iris_addon.lighting.hidden import dodecahedron
-from iris_addon.lighting.lamp_radiance import TURNED, say_of
+from iris_addon.lighting.lamp_radiance import NORMAL_SENSITIVITY, patch_weight
 from iris_addon.lighting.problem import Lights
 from iris_addon.lighting.search import choose_outside, find_lights, reconsider_lamps
-from iris_addon.lighting.selection import NEGLIGIBLE_POWER, needed_lamps, solved
+from iris_addon.lighting.selection import LAMP_MIN_POWER, needed_lamps, solved
 from tests.engine_room import SIZE, box, quad
 from tests.light_room import CEILING_LAMP, WALL_PANEL, LitRoom, Panel, light_room, panels
 
@@ -38,7 +38,7 @@ def search(room: LitRoom) -> Lights:
 
 def reconsider(room: LitRoom, lights: Lights) -> Lights:
     """The lamps tested again, as between rounds of gloss."""
-    weight = say_of(room.problem, room.observed)
+    weight = patch_weight(room.problem, room.observed)
     return reconsider_lamps(room.problem, room.observed, lights, weight, room.observed.radiance, Progress())
 
 
@@ -49,7 +49,7 @@ def needed(room: LitRoom, lights: Lights) -> list[set[int]]:
 
 
 def brightness(room: LitRoom, lights: Lights, region: int) -> float:
-    """Radiance of the lamp of a region."""
+    """Radiance of the lamp that a region is."""
     (k,) = (k for k, faces in enumerate(lights.emitters) if np.isin(room.faces(region), faces).any())
     return float(lights.radiance[k].mean())
 
@@ -59,19 +59,19 @@ def lamp_and_panel(emission: dict[int, float], **photos: object) -> LitRoom:
     return light_room(*panels(CEILING_LAMP, WALL_PANEL, albedo=0.85), emission, **photos)  # type: ignore[arg-type]
 
 
-# ---- what photos say of a surface ----------------------------------------------------------------------------------
+# ---- evidence of the photos --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("shown", "lamps"), [(1.0, {LAMP}), (3.0, {LAMP, PANEL})])
-def test_glare_is_no_lamp_before_no_reflectance_explains_it(shown: float, lamps: set[int]) -> None:
+def test_glare_is_a_lamp_only_if_no_reflectance_explains_it(shown: float, lamps: set[int]) -> None:
     """A strip as bright as by a reflectance of two may be a caustic; of six it cannot be."""
     room = light_room(*panels(CEILING_LAMP, STRIP, albedo=0.85), {LAMP: 10.0}, shown={PANEL: shown})
     assert room.lamps(search(room)) == lamps
 
 
 @pytest.mark.parametrize(("emits", "lamps"), [(4.0, {LAMP, PANEL}), (0.0, {LAMP})])
-def test_a_clipped_surface_is_a_lamp_if_the_room_has_its_light(emits: float, lamps: set[int]) -> None:
-    """Every photo clips it at a radiance that it could nearly reflect. Only the light on the walls tells."""
+def test_a_clipped_surface_is_a_lamp_only_if_the_walls_show_its_light(emits: float, lamps: set[int]) -> None:
+    """Every photo clips it at a radiance that it could nearly reflect. Only the light on the walls distinguishes."""
     emission = {LAMP: 10.0, PANEL: emits} if emits else {LAMP: 10.0}
     room = lamp_and_panel(emission, clip=1.0, shown=None if emits else {PANEL: 1.0})
     lights = search(room)
@@ -80,7 +80,7 @@ def test_a_clipped_surface_is_a_lamp_if_the_room_has_its_light(emits: float, lam
         assert brightness(room, lights, PANEL) == pytest.approx(emits, rel=0.1)
 
 
-def test_a_lamp_that_every_photo_clips_stays_as_bright_as_its_light() -> None:
+def test_a_lamp_clipped_in_every_photo_keeps_the_radiance_of_its_light() -> None:
     """Photos show 0.5 or more where the irradiance / pi is 0.55: by that alone it might be paper."""
     room = lamp_and_panel({LAMP: 10.0, PANEL: 4.0}, clip=0.5)
     lights = search(room)
@@ -90,33 +90,33 @@ def test_a_lamp_that_every_photo_clips_stays_as_bright_as_its_light() -> None:
     assert brightness(room, again, PANEL) == pytest.approx(4.0, rel=0.1)
 
 
-def test_a_lamp_that_photos_show_to_be_dim_is_none() -> None:
+def test_a_lamp_measured_to_be_dim_is_dropped() -> None:
     room = lamp_and_panel({LAMP: 10.0}, shown={PANEL: 0.5})
     assert room.lamps(reconsider(room, room.lights({LAMP: 10.0, PANEL: 4.0}))) == {LAMP}
 
 
 def test_rounds_of_gloss_bring_no_new_lamps() -> None:
-    """What seems to glow once its highlight is taken off, and did not when the room was searched, was never a lamp."""
+    """A surface that seems to emit only after its highlight was subtracted is no lamp."""
     room = lamp_and_panel({LAMP: 10.0, PANEL: 4.0})
     assert room.lamps(search(room)) == {LAMP, PANEL}
     assert room.lamps(reconsider(room, room.lights({LAMP: 10.0}))) == {LAMP}
 
 
 @pytest.mark.parametrize("taken_for", [2.5, 4.0])
-def test_bars_taken_for_lamps_do_not_explain_the_window_behind_them_away(taken_for: float) -> None:
-    """Under the light that the bars are taken to cast the window needs a reflectance below one, without it of two."""
+def test_bars_mistaken_for_lamps_do_not_hide_the_window_behind_them(taken_for: float) -> None:
+    """With the light attributed to the bars the window needs a reflectance below one, without it of two."""
     window, bars = 6, 8
     pieces, regions, albedo = panels(([0.03, 0.8, 0.8], [0, 1.4, 0], [0, 0, 1.2]), CEILING_LAMP)
     pieces += [quad([0.12, 0.85 + 0.36 * k, 0.8], [0, 0.18, 0], [0, 0, 1.2], 0.25) for k in range(4)]
     albedo = np.concatenate([albedo, np.full((1, 3), 0.3)])
     room = light_room(pieces, regions + [bars] * 4, albedo, {window: 1.2, 7: 10.0}, shown={bars: 0.2})
-    given = room.lights({window: 1.2, 7: 10.0, bars: taken_for})
+    assumed = room.lights({window: 1.2, 7: 10.0, bars: taken_for})
     behind = room.patches(window)
-    assert np.median(room.observed.radiance[behind] / given.irradiance[behind]) < 1.0
-    assert room.lamps(reconsider(room, given)) == {window, 7}
+    assert np.median(room.observed.radiance[behind] / assumed.irradiance[behind]) < 1.0
+    assert room.lamps(reconsider(room, assumed)) == {window, 7}
 
 
-# ---- what the room says of a lamp ----------------------------------------------------------------------------------
+# ---- evidence of the room ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("share", "lamps"), [(0.0, {LAMP, PANEL}), (0.5, {LAMP, PANEL}), (1.0, {LAMP})])
@@ -127,7 +127,7 @@ def test_pixels_beside_something_as_bright_are_no_evidence_of_a_lamp(share: floa
 
 
 def test_the_only_lamp_of_a_closed_room_stays() -> None:
-    """By its pixels it is not certain: they ask for a reflectance of 2.5."""
+    """By its pixels, which need a reflectance of 2.5, it is not certain."""
     room = light_room(*panels(CEILING_LAMP), {LAMP: 10.0}, clip=0.5)
     lights = search(room)
     assert room.lamps(lights) == {LAMP}
@@ -135,14 +135,14 @@ def test_the_only_lamp_of_a_closed_room_stays() -> None:
 
 
 @pytest.mark.parametrize(("share", "stays"), [(0.0, True), (0.95, True), (1.05, False)])
-def test_a_lamp_is_negligible_beside_light_from_outside_too(share: float, stays: bool) -> None:
-    """Under a sky that leaves the strip NEGLIGIBLE_POWER of all light, and 5 % on either side."""
+def test_light_from_outside_counts_in_the_power_below_which_a_lamp_is_dropped(share: float, stays: bool) -> None:
+    """Under a sky that leaves the strip LAMP_MIN_POWER of all light, and 5 % on either side."""
     pieces, regions, albedo = panels(STRIP)
     inside = [k for k, region in enumerate(regions) if region != EAST_WALL]
     room = light_room([pieces[k] for k in inside], [regions[k] for k in inside], albedo, {6: 4.0})
     hidden, areas = room.problem.hidden.with_directions(1), room.problem.tracer.areas
     per_sky = areas.sum() * hidden.irradiance(np.ones((1, 3)), room.problem.transport.kappa).mean()
-    sky = share * areas[room.faces(6)].sum() * 4.0 * (1 / NEGLIGIBLE_POWER - 1) / per_sky
+    sky = share * areas[room.faces(6)].sum() * 4.0 * (1 / LAMP_MIN_POWER - 1) / per_sky
     room = replace(room, problem=replace(room.problem, hidden=hidden))
     lights = replace(room.lights({6: 4.0}), hidden_radiance=np.full((1, 3), sky))
     assert needed(room, lights) == ([{6}] if stays else [])
@@ -159,18 +159,18 @@ def cove_room(emission: dict[int, float], **photos: object) -> tuple[LitRoom, in
 
 
 @pytest.mark.parametrize(("emits", "kept"), [(0.0, [{LAMP}]), (3.0, [{PANEL}, {LAMP}])])
-def test_a_bright_surface_gives_way_to_the_lamp_that_no_photo_shows(emits: float, kept: list[set[int]]) -> None:
+def test_a_bright_surface_gives_way_to_a_hidden_emitter(emits: float, kept: list[set[int]]) -> None:
     """Photos clip the panel. Where it only reflects, the lamp in the cove is enough for the room."""
     emission = {LAMP: 20.0, PANEL: emits} if emits else {LAMP: 20.0}
     room, _ = cove_room(emission, clip=0.3, shown=None if emits else {PANEL: 0.3}, noise=0.1)
     assert needed(room, room.solved(PANEL, LAMP)) == kept
 
 
-def test_a_lamp_that_was_left_out_does_not_shine_on_by_way_of_the_ledge_before_it() -> None:
+def test_light_of_a_dropped_lamp_is_removed_from_unseen_surfaces() -> None:
     """No photo shows the inside of the cove: how bright it is follows from the lamps that are left."""
     room, cove = cove_room({LAMP: 20.0, PANEL: 4.0})
     both = room.solved(PANEL, LAMP)
-    without = solved(room.problem, room.observed, [room.faces(PANEL)], both, Progress(), near=True)
+    without = solved(room.problem, room.observed, [room.faces(PANEL)], both, Progress(), warm_start=True)
     n = room.problem.transport.n_seen
     inside = n + np.flatnonzero(room.problem.transport.region[n:] == cove)
     assert without.patch_radiance[inside].mean() < 0.5 * both.patch_radiance[inside].mean()
@@ -179,7 +179,7 @@ def test_a_lamp_that_was_left_out_does_not_shine_on_by_way_of_the_ledge_before_i
 # ---- the shape of a lamp -------------------------------------------------------------------------------------------
 
 
-def test_of_a_lamp_with_sharp_edges_only_the_sides_that_shine_are_kept() -> None:
+def test_only_the_emitting_sides_of_an_angular_lamp_are_kept() -> None:
     """Both sides of an angle are clipped, one of them shines."""
     angle = ([1.5, 1.0, 1.6], [0, 1.0, 0], [0, 0, 0.8])
     room = light_room(*panels(CEILING_LAMP, angle), {LAMP: 10.0}, clip=0.4, shown={PANEL: 0.4}, join={PANEL: LAMP})
@@ -212,7 +212,7 @@ SUN = 3 * np.maximum(0, dodecahedron() @ [0.6, -0.7, 0.4])
 
 
 @pytest.mark.parametrize(("sky", "directions"), [(0.0, {0}), (1.0, {1, 12}), (SUN, {12})])
-def test_a_room_has_the_light_from_outside_that_its_walls_show(sky: float | np.ndarray, directions: set[int]) -> None:
+def test_chosen_light_from_outside_is_that_on_the_walls(sky: float | np.ndarray, directions: set[int]) -> None:
     """Nothing from the dark; from an even sky, or one with a sun, what arrives at the patches."""
     room = open_room(sky)
     problem, lights = choose_outside(room.problem, room.observed, Progress())
@@ -224,7 +224,7 @@ def test_a_room_has_the_light_from_outside_that_its_walls_show(sky: float | np.n
     assert np.linalg.norm(found - true) <= 0.1 * np.linalg.norm(true)
 
 
-def test_light_from_outside_is_chosen_anew_without_a_search_for_lamps_that_are_known() -> None:
+def test_light_from_outside_is_chosen_again_without_a_search_for_known_lamps() -> None:
     room = lamp_and_panel({LAMP: 10.0, PANEL: 4.0})
     known = room.lights({LAMP: 10.0})
     _, lights = choose_outside(room.problem, room.observed, Progress(), known=known)
@@ -234,12 +234,12 @@ def test_light_from_outside_is_chosen_anew_without_a_search_for_lamps_that_are_k
 # ---- weights -------------------------------------------------------------------------------------------------------
 
 
-def test_a_patch_weighs_less_in_the_balance_the_less_its_normal_is_known() -> None:
+def test_weight_of_a_patch_falls_with_the_spread_of_its_normals() -> None:
     """Where light is off by as much as the balance scatters anyway, the variance is twice that of a plane."""
     room = light_room(*panels(CEILING_LAMP), {LAMP: 10.0})
     surface = room.problem.surface
     weights = []
-    for spread in (0.0, room.problem.robust_log / TURNED):
+    for spread in (0.0, room.problem.robust_log / NORMAL_SENSITIVITY):
         turned = replace(surface, spread=np.full_like(surface.spread, spread))
-        weights.append(say_of(replace(room.problem, surface=turned), room.observed))
+        weights.append(patch_weight(replace(room.problem, surface=turned), room.observed))
     np.testing.assert_allclose(weights[1], 0.5 * weights[0], rtol=1e-5)

@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from iris_addon.materials.view_dependence import mirrored_radiance, turning
+from iris_addon.materials.view_dependence import mirrored_radiance, on_curved_surface
 from iris_addon.model import response as curve
 from iris_addon.response.observations import Observations
 from iris_addon.response.photometry import Photometry
@@ -48,14 +48,14 @@ def _observed(turn: float) -> tuple[Observations, Linearised, PhotoSamples]:
 
 
 @pytest.mark.parametrize("turn", [0.0, 1.0, 20.0])
-def test_what_turns_is_told_by_its_normals(turn: float) -> None:
+def test_curved_surfaces_are_found_by_their_normals(turn: float) -> None:
     observations, _, photos = _observed(turn)
-    found = turning(observations, photos.samples.normal)
+    found = on_curved_surface(observations, photos.samples.normal)
     assert not found[::2].any()
     assert (found[1::2] == (turn > 5)).all()
 
 
-def test_a_curved_mirror_shows_what_its_one_pixel_shows() -> None:
+def test_radiance_on_a_curved_mirror_is_that_of_one_pixel() -> None:
     observations, linear, photos = _observed(20.0)
     observed = group_radiance(linear, observations.patch, observations.count, 2)
     exposures = np.array([1.0, 2.0, 4.0])[:, None].repeat(3, 1)

@@ -1,4 +1,4 @@
-"""Gloss from view dependence, albedo per texel, what is filled in where no photo reached."""
+"""Gloss from view dependence, albedo per texel, and the fill of texels that no photo shows."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from iris_addon.base.progress import Progress
 from iris_addon.brdf.ggx import DIELECTRIC_F0, layered_factor, specular_integrals
 from iris_addon.brdf.ggx_sampling import visible_normal_density
 from iris_addon.decide import Decisions
-from iris_addon.lighting.backdrop import Beyond
+from iris_addon.lighting.backdrop import SeenBackdrop
 from iris_addon.lighting.balance import MAX_ALBEDO
 from iris_addon.materials import gloss as gloss_module
 from iris_addon.materials.gloss import (
-    LEVELS,
-    MIN_OBSERVATIONS,
+    GLOSS_LEVELS,
+    GLOSS_MIN_OBSERVATIONS,
     Gloss,
     GlossObservations,
     RegionFits,
@@ -26,7 +26,7 @@ from iris_addon.materials.gloss import (
 )
 from iris_addon.materials.lobes import LampAim, trace_lobes
 from iris_addon.materials.lobes import Scene as LitScene
-from iris_addon.materials.specular import ROUGH, rough_lobes
+from iris_addon.materials.specular import SPECULAR_ROUGH, rough_lobes
 from iris_addon.rays.tracer import Tracer
 from iris_addon.results.maps import bilinear
 from iris_addon.surface.patches import Surface
@@ -73,7 +73,7 @@ class Scene:
             self.patch_radiance,
             self.face_emission,
             np.full(3, 0.1),
-            Beyond(None),
+            SeenBackdrop(None),
             aim or LampAim.nowhere(self.tracer),
         )
 
@@ -111,7 +111,9 @@ def scene() -> Scene:
 def fit_floor(scene: Scene, radiance: np.ndarray, rows: np.ndarray, layer: np.ndarray | None = None) -> Gloss:
     patch = scene.surface.sample_patch[rows]
     irradiance = scene.irradiance[patch]
-    lobes = [[scene.lobes(rows, level, 16, 5 + 2 * k + half) for half in (0, 1)] for k, level in enumerate(LEVELS[:-1])]
+    lobes = [
+        [scene.lobes(rows, level, 16, 5 + 2 * k + half) for half in (0, 1)] for k, level in enumerate(GLOSS_LEVELS[:-1])
+    ]
     lobes.append([rough_lobes(np.ones(len(rows)), scene.samples.cosine[rows], irradiance)] * 2)
     region = scene.room.regions[scene.samples.face[rows]]
     observed = GlossObservations(
@@ -121,7 +123,7 @@ def fit_floor(scene: Scene, radiance: np.ndarray, rows: np.ndarray, layer: np.nd
         position=scene.samples.position[rows],
         radiance=radiance,
         irradiance=irradiance,
-        diffuse=np.ones((len(LEVELS), len(rows))),
+        diffuse=np.ones((len(GLOSS_LEVELS), len(rows))),
         lobes=lobes,
         layer=layer,
     )
@@ -136,7 +138,7 @@ def rows_on(scene: Scene, region: int) -> np.ndarray:
 def seen(scene: Scene, rows: np.ndarray, color: np.ndarray, roughness: float, metallic: float) -> np.ndarray:
     """Radiance of pixels under the reflectance model, lobes by many rays of their own."""
     irradiance = scene.irradiance[scene.surface.sample_patch[rows]]
-    if roughness < ROUGH:
+    if roughness < SPECULAR_ROUGH:
         s0, s1 = scene.lobes(rows, roughness, 256, 99)
     else:
         s0, s1 = rough_lobes(np.full(len(rows), roughness), scene.samples.cosine[rows], irradiance)
@@ -175,7 +177,7 @@ def test_a_metal_wall_is_metal(scene: Scene, roughness: float) -> None:
 
 @pytest.mark.parametrize("highlight", [False, True])
 def test_sheen_alone_is_no_gloss(highlight: bool) -> None:
-    """A wide lobe that fits is believed only where a narrow one fits better than none too."""
+    """A wide lobe that fits is accepted only where a narrow one also fits better than none."""
     rng = np.random.default_rng(0)
     n = 400
     sheen, elsewhere = 0.1 * rng.random((2, n, 1)) * np.ones(3)
@@ -189,7 +191,7 @@ def test_sheen_alone_is_no_gloss(highlight: bool) -> None:
         position=zero,
         radiance=0.5 + sheen + 0.01 * rng.random((n, 3)),
         irradiance=np.ones((n, 3)),
-        diffuse=np.ones((len(LEVELS), n)),
+        diffuse=np.ones((len(GLOSS_LEVELS), n)),
         lobes=[[lobe] * 2 for lobe in lobes],
     )
     assert (fit_gloss(observed, 1, Decisions()).roughness[0] < 1) == highlight
@@ -206,7 +208,7 @@ def test_a_region_is_not_outvoted_by_neighbours_of_its_colour(odd_one_is_polishe
     region = np.repeat(np.arange(3), n)
     highlight = np.where(region == 0, 0.02, 0.1)[:, None] * (rng.random((3 * n, 1)) < 0.3) * np.ones(3)
     polished = ((region == 0) == odd_one_is_polished)[:, None]
-    lobes = [(zero, highlight) for _ in LEVELS[:-2]]
+    lobes = [(zero, highlight) for _ in GLOSS_LEVELS[:-2]]
     observed = GlossObservations(
         region=region,
         patch=np.repeat(np.arange(3 * patches), views),
@@ -214,7 +216,7 @@ def test_a_region_is_not_outvoted_by_neighbours_of_its_colour(odd_one_is_polishe
         position=zero,  # all in one place
         radiance=0.5 * (1 + 0.01 * rng.normal(size=(3 * n, 1))) + highlight * polished,
         irradiance=np.ones((3 * n, 3)),
-        diffuse=np.ones((len(LEVELS), 3 * n)),
+        diffuse=np.ones((len(GLOSS_LEVELS), 3 * n)),
         lobes=[[lobe] * 2 for lobe in (*lobes, (zero, zero), (zero, zero))],
     )
     roughness = fit_gloss(observed, 3, Decisions()).roughness
@@ -223,8 +225,8 @@ def test_a_region_is_not_outvoted_by_neighbours_of_its_colour(odd_one_is_polishe
     assert (roughness[~glossy] == 1).all()
 
 
-@pytest.mark.parametrize("kin", [True, False])
-def test_pieces_of_one_region_of_the_capture_shine_alike(kin: bool) -> None:
+@pytest.mark.parametrize("same_object", [True, False])
+def test_regions_of_one_object_of_the_file_share_their_gloss(same_object: bool) -> None:
     """A knob that mirrors nothing bright, ten metres from the drawer whose lacquer it has."""
     rng = np.random.default_rng(11)
     patches, views = np.array([60, 3]), 5
@@ -239,13 +241,13 @@ def test_pieces_of_one_region_of_the_capture_shine_alike(kin: bool) -> None:
         position=np.where(region == 0, 0.0, 10.0)[:, None] * np.ones(3),
         radiance=0.5 * (1 + 0.01 * rng.normal(size=(n, 1))) + highlight,
         irradiance=np.ones((n, 3)),
-        diffuse=np.ones((len(LEVELS), n)),
-        lobes=[[lobe] * 2 for lobe in (*((zero, highlight) for _ in LEVELS[:-2]), (zero, zero), (zero, zero))],
-        given=np.zeros(2, int) if kin else np.arange(2),
+        diffuse=np.ones((len(GLOSS_LEVELS), n)),
+        lobes=[[lobe] * 2 for lobe in (*((zero, highlight) for _ in GLOSS_LEVELS[:-2]), (zero, zero), (zero, zero))],
+        in_file=np.zeros(2, int) if same_object else np.arange(2),
     )
     roughness = fit_gloss(observed, 2, Decisions()).roughness
     assert roughness[0] < 0.6
-    assert (roughness[1] < 0.6) == kin
+    assert (roughness[1] < 0.6) == same_object
 
 
 def test_gloss_by_chance_alone_is_rare() -> None:
@@ -256,7 +258,7 @@ def test_gloss_by_chance_alone_is_rare() -> None:
     n = regions * patches * views
     zero = np.zeros((n, 3))
     light = 0.5 * (1 + 0.03 * rng.normal(size=(n, 1))) * np.ones(3)
-    lobes = [(zero, np.abs(0.005 * rng.normal(size=(n, 1))) * np.ones(3)) for _ in LEVELS[:-2]]
+    lobes = [(zero, np.abs(0.005 * rng.normal(size=(n, 1))) * np.ones(3)) for _ in GLOSS_LEVELS[:-2]]
     observed = GlossObservations(
         region=np.repeat(np.arange(regions), patches * views),
         patch=np.repeat(np.arange(regions * patches), views),
@@ -264,7 +266,7 @@ def test_gloss_by_chance_alone_is_rare() -> None:
         position=np.repeat(10.0 * np.arange(regions), patches * views)[:, None] * np.ones(3),  # none near another
         radiance=light,
         irradiance=np.ones((n, 3)),
-        diffuse=np.ones((len(LEVELS), n)),
+        diffuse=np.ones((len(GLOSS_LEVELS), n)),
         lobes=[[lobe] * 2 for lobe in (*lobes, (zero, zero), (zero, zero))],
     )
     glossy = fit_gloss(observed, regions, Decisions()).roughness < 1
@@ -285,15 +287,15 @@ def test_the_standard_error_of_a_cost_is_its_spread_over_draws() -> None:
     assert alone.standard_error(np.array([-0.2])) == pytest.approx(0.2)
 
 
-def test_regions_that_hardly_anybody_saw_keep_the_default(scene: Scene) -> None:
-    rows = rows_on(scene, FLOOR)[: MIN_OBSERVATIONS - 1]
+def test_regions_with_few_observations_keep_the_default(scene: Scene) -> None:
+    rows = rows_on(scene, FLOOR)[: GLOSS_MIN_OBSERVATIONS - 1]
     gloss = fit_floor(scene, seen(scene, rows, scene.room.albedo[FLOOR], 0.1, 0.0), rows)
     assert not gloss.decided.any()
     assert (gloss.roughness == rough_everywhere(len(gloss.roughness)).roughness).all()
 
 
 @pytest.mark.parametrize("aimed", [False, True])
-def test_lobes_of_uniform_light_are_the_integrals_of_the_model(scene: Scene, aimed: bool) -> None:
+def test_lobes_of_uniform_light_are_the_integrals_of_the_brdf(scene: Scene, aimed: bool) -> None:
     rows = rows_on(scene, WALL)[:300]
     ones, faces = np.ones_like(scene.patch_radiance), np.zeros((len(scene.room.mesh.faces), 3))
     faces[np.concatenate(scene.room.lamps())] = 1.0
@@ -324,7 +326,7 @@ def test_rays_aimed_at_lamps_find_the_same_light_with_less_noise(scene: Scene) -
     assert spread[1] < 0.2 * spread[0]
 
 
-def test_a_lamp_that_was_aimed_at_and_is_none_any_more_reflects(scene: Scene) -> None:
+def test_a_dropped_lamp_that_rays_were_aimed_at_reflects(scene: Scene) -> None:
     rows = rows_on(scene, WALL)[:300]
     dark = np.zeros((len(scene.room.mesh.faces), 3))
     lobes = []
@@ -359,13 +361,13 @@ def test_a_layer_lets_out_less_at_grazing_angles_and_the_same_on_average() -> No
 
 
 @pytest.mark.parametrize("layered", [False, True])
-def test_the_photos_tell_whether_varnish_takes_light_off_the_paint_below(scene: Scene, layered: bool) -> None:
+def test_photos_determine_whether_dielectrics_are_layered(scene: Scene, layered: bool) -> None:
     rows = rows_on(scene, FLOOR)
-    factor = layered_factor(np.array(LEVELS)[:, None], scene.samples.cosine[rows])
+    factor = layered_factor(np.array(GLOSS_LEVELS)[:, None], scene.samples.cosine[rows])
     irradiance = scene.irradiance[scene.surface.sample_patch[rows]]
     below = scene.room.albedo[WALL] * irradiance
     shown = seen(scene, rows, scene.room.albedo[WALL], 0.2, 0.0)
-    shown += (factor[LEVELS.index(0.2)][:, None] - 1) * below * layered
+    shown += (factor[GLOSS_LEVELS.index(0.2)][:, None] - 1) * below * layered
     gloss = fit_floor(scene, shown, rows, factor)
     assert gloss.layered == layered
     assert gloss.roughness[FLOOR] == pytest.approx(0.2, abs=0.08)
@@ -385,9 +387,9 @@ def test_observations_are_chosen_by_whole_patches() -> None:
     assert (count == whole).sum() >= len(chosen) - 1  # the last one may be cut
 
 
-def test_many_regions_share_what_the_memory_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_regions_share_the_limit_of_observations(monkeypatch: pytest.MonkeyPatch) -> None:
     """Small regions keep all, large ones are cut to the same size, and as much as allowed is used."""
-    monkeypatch.setattr(gloss_module, "ALL_OBSERVATIONS", 1000)
+    monkeypatch.setattr(gloss_module, "GLOSS_ALL_OBSERVATIONS", 1000)
     size = np.array([5, 30, 100, 400, 700, 900])
     region = np.repeat(np.arange(len(size)), size)
     rows = choose_observations(region, np.arange(len(region)), np.ones(len(region)), np.random.default_rng(0))

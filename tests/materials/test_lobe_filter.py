@@ -1,4 +1,4 @@
-"""Neighbouring pixels take the noise off each other's lobes, and nothing else."""
+"""The filter over neighbouring pixels removes the noise of specular lobes, and nothing else."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def filtered(camera: Camera, samples: PixelSamples, lobes: np.ndarray, roughness
 
 
 @pytest.mark.parametrize("stride", [1, 3])
-def test_noise_of_a_wide_lobe_goes_and_its_level_stays(stride: int) -> None:
+def test_the_filter_removes_noise_of_wide_lobes_and_keeps_their_mean(stride: int) -> None:
     camera, samples = floor_seen_by(WIDTH * stride, stride)
     noise = np.random.default_rng(0).exponential(1.0, (len(samples.face), 2))
     smooth = filtered(camera, samples, noise, 0.5, stride=stride)
@@ -61,7 +61,7 @@ def test_a_mirror_keeps_its_image() -> None:
     assert np.abs(filtered(camera, samples, stripes, 0.5) - stripes).mean() > 0.2
 
 
-def test_regions_keep_to_themselves() -> None:
+def test_the_filter_stops_at_borders_of_regions() -> None:
     camera, samples = floor_seen_by(WIDTH)
     region = (samples.position[:, 1] > 0).astype(np.int32)
     lobes = region[:, None].astype(np.float64)

@@ -71,7 +71,7 @@ def test_a_lamp_on_the_horizon_counts_for_its_schlick_factor() -> None:
         assert factors[1] / factors[0] == pytest.approx((1 - cosine) ** 5, rel=0.06)
 
 
-def test_uniform_radiance_arrives_with_the_mean_factor_of_both_lobes() -> None:
+def test_uniform_radiance_is_weighted_by_the_mean_of_both_lobes() -> None:
     """In a closed room of uniform radiance the rays carry the product of the lobes at both of their ends."""
     room = furnished_room()
     transport = patched(room, cameras(12), 2000, 64).transport
@@ -89,7 +89,7 @@ def test_uniform_radiance_arrives_with_the_mean_factor_of_both_lobes() -> None:
     assert 1.02 < lobed.mean() < 1.12
 
 
-def test_patches_lit_from_one_side_send_more_back_there() -> None:
+def test_patches_reflect_more_towards_the_side_of_their_light() -> None:
     """Rays back to the light and across it against Burley's exact lobe; what is no seen patch knows no side."""
     transport = patched(furnished_room(), cameras(6), 800, 64, stride=2).transport
     n, seen = transport.n_patches, transport.n_seen
@@ -147,7 +147,7 @@ def test_moments_of_light_give_burleys_lobe_from_every_side(roughness: float, ti
         assert np.abs(mean_angle / exact - 1).max() > 4 * np.abs(found / exact - 1).max()
 
 
-def test_moments_of_a_room() -> None:
+def test_moments_of_uniform_light_and_of_one_lamp_are_exact() -> None:
     """In uniform radiance those of the cosine-weighted hemisphere; under a lamp in the dark its direction."""
     room = furnished_room()
     seen_by_all = patched(room, cameras(12), 2000, 256)

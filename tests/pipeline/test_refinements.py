@@ -15,7 +15,7 @@ from iris_addon.base.progress import Progress
 from iris_addon.config import AUTO, FULL, MINIMAL, Refinements, preset
 from iris_addon.decide import Decisions
 from iris_addon.lighting.candidates import read_given_emitters
-from iris_addon.materials.gloss import LEVELS, GlossObservations, fit_gloss
+from iris_addon.materials.gloss import GLOSS_LEVELS, GlossObservations, fit_gloss
 from iris_addon.model.capture import Camera
 from iris_addon.model.response import Response, gamma
 from iris_addon.model.sphere import equirect_directions
@@ -184,7 +184,7 @@ def test_forced_gloss_is_fitted_below_the_acceptance_gain():
     s1 = 0.02 * rng.random((n, 1)) * np.ones(3)
     noise = np.exp(0.15 * rng.standard_normal((n, 1)))
     radiance = 0.5 * irradiance * noise + 2 * s1
-    lobes = [[(np.zeros((n, 3)), s1 * scale)] * 2 for scale in np.linspace(4, 0, len(LEVELS))]
+    lobes = [[(np.zeros((n, 3)), s1 * scale)] * 2 for scale in np.linspace(4, 0, len(GLOSS_LEVELS))]
     observed = GlossObservations(
         region=np.zeros(n, int),
         patch=patch,
@@ -192,7 +192,7 @@ def test_forced_gloss_is_fitted_below_the_acceptance_gain():
         position=np.zeros((n, 3)),
         radiance=radiance,
         irradiance=irradiance,
-        diffuse=np.ones((len(LEVELS), n)),
+        diffuse=np.ones((len(GLOSS_LEVELS), n)),
         lobes=lobes,
     )
     fits = [fit_gloss(observed, 1, Decisions({"gloss": forced})) for forced in (None, True, False)]

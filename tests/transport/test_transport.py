@@ -227,11 +227,11 @@ def test_surfaces_that_no_photo_sees_come_in_the_order_of_the_rays_that_meet_the
     room = furnished_room(np.inf)
     _, transport = transport_of(room)
     ceiling, furniture = WALLS.index("ceiling"), 7
-    pieces = room.regions.astype(np.int32)
-    seen = ~np.isin(pieces, [ceiling, furniture])
-    hidden = find_hidden(transport, np.zeros_like(pieces) if one_region else pieces, pieces, seen)
-    assert [np.unique(room.regions[faces]).tolist() for faces in hidden.pieces] == [[ceiling], [furniture]]
-    assert find_hidden(transport, pieces, pieces, np.ones_like(seen)).pieces == ()
+    components = room.regions.astype(np.int32)
+    seen = ~np.isin(components, [ceiling, furniture])
+    hidden = find_hidden(transport, np.zeros_like(components) if one_region else components, components, seen)
+    assert [np.unique(room.regions[faces]).tolist() for faces in hidden.surfaces] == [[ceiling], [furniture]]
+    assert find_hidden(transport, components, components, np.ones_like(seen)).surfaces == ()
 
 
 def test_a_convex_body_in_uniform_light_sees_nothing_but_it() -> None:

@@ -1,4 +1,4 @@
-"""What rays meet beyond the mesh: the texel of the backdrop in their way, or nothing; the light that it sends in."""
+"""The backdrop as escaping rays see it: the texel they meet, the light it sends into the room, its albedo."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from iris_addon.base.progress import Progress
 from iris_addon.brdf.diffuse import MEAN_SCHLICK
 from iris_addon.brdf.ggx import specular_integrals
-from iris_addon.lighting.backdrop import Beyond
+from iris_addon.lighting.backdrop import SeenBackdrop
 from iris_addon.lighting.hidden import through_holes
 from iris_addon.lighting.problem import Lights
 from iris_addon.lighting.shell_surface import as_surface
@@ -34,24 +34,24 @@ def shell(picture: np.ndarray) -> Backdrop:
     return Backdrop(corners, faces, picture.astype(np.float32))
 
 
-def test_a_ray_meets_what_is_painted_where_it_ends_and_not_where_it_points() -> None:
+def test_a_ray_meets_the_texel_at_its_end_and_not_in_its_direction() -> None:
     picture = equirect_directions(256, 128)
-    beyond = Beyond(shell(picture))
+    backdrop = SeenBackdrop(shell(picture))
     rng = np.random.default_rng(0)
     origin = rng.uniform(-1, 1, (200, 3))
     direction = rng.normal(size=(200, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     reach = ((SIDE - np.sign(direction) * origin) / np.abs(direction)).min(1)
     end = origin + reach[:, None] * direction
-    met = beyond.radiance[beyond.texels(origin, direction)]
+    met = backdrop.radiance[backdrop.texels(origin, direction)]
     assert np.abs(met - end / np.linalg.norm(end, axis=1, keepdims=True)).max() < 0.04
     assert np.abs(met - direction).max() > 0.1
 
 
-def test_without_holes_nothing_is_met() -> None:
-    beyond = Beyond(None)
-    assert len(beyond.radiance) == 0
-    assert (beyond.texels(np.zeros((3, 3)), np.eye(3)) == -1).all()
+def test_without_a_backdrop_rays_meet_nothing() -> None:
+    backdrop = SeenBackdrop(None)
+    assert len(backdrop.radiance) == 0
+    assert (backdrop.texels(np.zeros((3, 3)), np.eye(3)) == -1).all()
 
 
 @pytest.fixture(scope="module")
@@ -70,19 +70,19 @@ def floor() -> tuple[Scene, PixelSamples]:
         patch_radiance=np.zeros((n, 3)),
         face_emission=np.zeros((n_faces, 3)),
         unknown=np.zeros(3),
-        beyond=Beyond(None),
+        backdrop=SeenBackdrop(None),
         aim=LampAim.nowhere(seen.tracer),
     )
     return scene, seen.samples
 
 
 @pytest.mark.parametrize("roughness", [0.15, 0.5])
-def test_a_uniform_backdrop_is_mirrored_by_the_integrals_of_the_model(
+def test_a_uniform_backdrop_is_reflected_with_the_integrals_of_the_brdf(
     floor: tuple[Scene, PixelSamples], roughness: float
 ) -> None:
     scene, samples = floor
     rows = np.arange(0, len(samples.face), max(1, len(samples.face) // 400))
-    lit = replace(scene, beyond=Beyond(shell(np.full((8, 16, 3), 0.3))))
+    lit = replace(scene, backdrop=SeenBackdrop(shell(np.full((8, 16, 3), 0.3))))
     rays = trace_lobes(lit, samples, rows, np.full(len(rows), roughness), 128, np.random.default_rng(1))
     s0, s1 = lit.lobes(rays)
     f0, f1 = specular_integrals(np.full(len(rows), roughness), samples.cosine[rows].astype(np.float64))
@@ -93,24 +93,24 @@ def test_a_uniform_backdrop_is_mirrored_by_the_integrals_of_the_model(
 
 
 @pytest.mark.parametrize("kappa", [0.0, 0.5])
-def test_a_uniform_backdrop_lights_what_sees_nothing_else_by_the_integral_of_its_lobe(
+def test_a_uniform_backdrop_lights_an_open_floor_with_the_integral_of_its_diffuse_lobe(
     floor: tuple[Scene, PixelSamples], kappa: float
 ) -> None:
     transport = floor[0].transport
-    holes = through_holes(transport, Beyond(shell(np.full((8, 16, 3), 0.3))))
+    holes = through_holes(transport, SeenBackdrop(shell(np.full((8, 16, 3), 0.3))))
     assert holes is not None
     light = holes.irradiance(np.full(transport.n_patches, kappa))
     np.testing.assert_allclose(light.mean(0), 0.3 * (1 + kappa * MEAN_SCHLICK), rtol=0.002)
     np.testing.assert_allclose(holes.raised(2.0).irradiance(np.zeros(transport.n_patches)), 0.09, rtol=1e-3)
-    assert through_holes(transport, Beyond(None)) is None
+    assert through_holes(transport, SeenBackdrop(None)) is None
 
 
-def test_the_side_of_a_backdrop_lights_the_floor_by_the_share_of_its_sky(floor: tuple[Scene, PixelSamples]) -> None:
+def test_one_side_of_a_backdrop_lights_the_floor_with_its_form_factor(floor: tuple[Scene, PixelSamples]) -> None:
     """The floor lies in the middle plane of the cube, whose top fills four rectangles of the sky of every point."""
     transport = floor[0].transport
     directions = equirect_directions(512, 256)
     top = directions[..., 2] >= np.abs(directions[..., :2]).max(-1)
-    holes = through_holes(transport, Beyond(shell(np.where(top[..., None], 1.0, 0.0) * np.ones(3))))
+    holes = through_holes(transport, SeenBackdrop(shell(np.where(top[..., None], 1.0, 0.0) * np.ones(3))))
     assert holes is not None
     point = transport.origins.position.mean(1)[:, :2].astype(np.float64)
     expected = sum(
@@ -126,12 +126,12 @@ def corner(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return (x / a * np.arctan(y / a) + y / b * np.arctan(x / b)) / (2 * np.pi)
 
 
-def test_what_is_brighter_than_a_surface_can_be_is_seen_through_an_opening(floor: tuple[Scene, PixelSamples]) -> None:
-    """A sun of 50 on the left half of what is beyond, 0.1 on the right, around a dark floor under a light of 1."""
+def test_a_backdrop_brighter_than_a_surface_can_be_is_an_opening(floor: tuple[Scene, PixelSamples]) -> None:
+    """A radiance of 50 on the left half of the backdrop, of 0.1 on the right, and an irradiance / pi of 1."""
     scene, _ = floor
     n, n_faces = scene.transport.n_patches, len(scene.face_emission)
     left = (np.arange(256) < 128)[None, :, None] * np.ones((128, 1, 3))
-    beyond = Beyond(shell(np.where(left, 50.0, 0.1)))
+    backdrop = SeenBackdrop(shell(np.where(left, 50.0, 0.1)))
     dark = Lights(
         emitters=[],
         radiance=np.zeros((0, 3)),
@@ -143,7 +143,7 @@ def test_what_is_brighter_than_a_surface_can_be_is_seen_through_an_opening(floor
         patch_radiance=np.zeros((n, 3)),
     )
     problem = SimpleNamespace(tracer=scene.tracer, transport=scene.transport, regions=scene.regions, seed=0)
-    surface = as_surface(beyond, problem, dark, Progress())  # type: ignore[arg-type]
+    surface = as_surface(backdrop, problem, dark, Progress())  # type: ignore[arg-type]
     assert surface is not None and surface.albedo is not None
     away = np.abs(np.arange(256) - 127.5) % 128 > 8  # from the seams
     sun, wall = left[0, :, 0].astype(bool) & away, ~left[0, :, 0].astype(bool) & away

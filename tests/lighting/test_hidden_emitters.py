@@ -1,4 +1,4 @@
-"""A lamp that no photo shows, under a shade that leaves the room a ten-thousandth of its sky."""
+"""A hidden emitter under a shade that fills a ten-thousandth of the hemisphere of the room."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from iris_addon.config import preset
 from iris_addon.lighting import selection
-from iris_addon.lighting.selection import promising
+from iris_addon.lighting.selection import promising_surfaces
 from iris_addon.model.response import gamma
 from iris_addon.pipeline import solve
 from iris_addon.rays.tracer import Tracer
@@ -22,22 +22,22 @@ RADIANCE = np.array([240.0, 200.0, 150.0])
 
 def shaded_room() -> Room:
     """The walls, a box, and a lamp of 8 by 8 cm in a shade that is open below."""
-    pieces, regions = box(np.zeros(3), SIZE, 0.25), list(range(6))
-    pieces += box([0.5, 0.4, 0], [1.1, 1.2, 0.7], 0.25)
+    surfaces, regions = box(np.zeros(3), SIZE, 0.25), list(range(6))
+    surfaces += box([0.5, 0.4, 0], [1.1, 1.2, 0.7], 0.25)
     regions += [6] * 6
     shade = box([1.8, 1.3, 0.55], [2.1, 1.6, 0.85])
-    pieces += [side for k, side in enumerate(shade) if k != 4]
+    surfaces += [side for k, side in enumerate(shade) if k != 4]
     regions += [SHADE] * 5
-    pieces += [quad([1.91, 1.41, 0.75], [0.08, 0, 0], [0, 0.08, 0])]
+    surfaces += [quad([1.91, 1.41, 0.75], [0.08, 0, 0], [0, 0.08, 0])]
     albedo, emission = ALBEDO.copy(), np.zeros_like(ALBEDO)
     albedo[SHADE], albedo[LAMP], emission[LAMP] = 0.4, 0.0, RADIANCE
-    return Room(assemble(pieces, [*regions, LAMP]), albedo, emission)
+    return Room(assemble(surfaces, [*regions, LAMP]), albedo, emission)
 
 
-def test_the_first_unseen_surface_to_be_tried_is_the_lamp_under_its_shade(
+def test_the_first_unseen_surface_tried_is_the_lamp_under_its_shade(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Others that no photo shows, the undersides of a box, reach a hundred times as far."""
+    """Other unseen surfaces, the undersides of a box, meet a hundred times as many rays."""
     room = shaded_room()
     tracer, views = Tracer(room.mesh), cameras(12, 64, 48)
     lamp = np.flatnonzero(room.regions == LAMP)
@@ -48,10 +48,10 @@ def test_the_first_unseen_surface_to_be_tried_is_the_lamp_under_its_shade(
     tried: list[list[np.ndarray]] = []
 
     def spy(*args: Any) -> list[np.ndarray]:
-        tried.append(promising(*args))
-        assert len(args[0].hidden.pieces) > 1
+        tried.append(promising_surfaces(*args))
+        assert len(args[0].hidden.surfaces) > 1
         return tried[-1]
 
-    monkeypatch.setattr(selection, "promising", spy)
+    monkeypatch.setattr(selection, "promising_surfaces", spy)
     solve(capture, preset("draft", max_patches=10_000), tmp_path / "out")
     assert tried and all(np.array_equal(first[0], lamp) for first in tried)
