@@ -20,6 +20,7 @@ from .base.errors import BadInput
 from .base.files import require_own_folder
 from .base.parallel import aside, waited_for
 from .base.progress import Progress
+from .base.random_streams import stream
 from .brdf.diffuse import grazing_gain, schlick
 from .cameras.fit import fit_cameras
 from .capture.exposures import with_unit_mean
@@ -88,7 +89,9 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         capture = replace(capture, views=views)
     with progress.stage("photos"):
         tracer = Tracer(capture.mesh)
-        capture, cameras = fit_cameras(capture, tracer, config.refinements.poses, config.rng(8), progress)
+        capture, cameras = fit_cameras(
+            capture, tracer, config.refinements.poses, stream(config.seed, "cameras.points"), progress
+        )
         photos = sample_photos(capture, tracer, config.hdr is not None, progress)
     with progress.stage("surface"):
         adjacency = edge_adjacency(capture.mesh)
@@ -97,7 +100,14 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         regions, scanned = split.regions, split.scanned
     with progress.stage("transport"):
         transport = cached_transport(
-            capture, tracer, surface, regions, config.gather_rays, config.seed, config.rng(2), progress
+            capture,
+            tracer,
+            surface,
+            regions,
+            config.gather_rays,
+            config.seed,
+            stream(config.seed, "transport.gather_rays"),
+            progress,
         )
         transport = replace(transport, device=choose_device(config.device))
         hidden = nothing_hidden(transport)
@@ -107,12 +117,21 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
             hidden = find_hidden(transport, regions, pieces, photos.samples.seen_faces(len(regions)) | scanned)
     seen, widths = photos.samples, photos.small.sizes[:, 1]
     observations = observe(
-        surface.sample_patch, seen.view, seen.pixel, widths, photos.z, photos.mixed, photos.hdr, config.rng(3)
+        surface.sample_patch,
+        seen.view,
+        seen.pixel,
+        widths,
+        photos.z,
+        photos.mixed,
+        photos.hdr,
+        stream(config.seed, "response.observations"),
     )
     # Little of this runs on more than one core, and nobody needs it before there are textures.
     atlas = aside(lambda: _atlas(capture.mesh, seen, config.atlas_size))
     with progress.stage("response"):
-        measured = partial(measure_photometry, capture, config, observations, photos, config.rng(4))
+        measured = partial(
+            measure_photometry, capture, config, observations, photos, stream(config.seed, "response.overlap")
+        )
         arrays = checkpoints.stage("response", lambda: waited_for(aside(measured), progress.check).arrays())
         photometry = Photometry.from_arrays(arrays)
     pose = partial(
@@ -167,7 +186,9 @@ def _surface(
     mixed = mixed_pixels(tracer, photos.samples, regions, taken_by, photos.stride)
     brighter = outshone_by(photos.samples, photos.z, mixed, regions, taken_by, photos.stride)
     photos = replace(photos, mixed=mixed, scanned=split.scanned[photos.samples.face], outshone_by=brighter)
-    surface = build_surface(capture.mesh, photos.samples, regions, config.max_patches, config.rng(1))
+    surface = build_surface(
+        capture.mesh, photos.samples, regions, config.max_patches, stream(config.seed, "surface.patches")
+    )
     return split, photos, surface, IrradianceField.build(surface)
 
 

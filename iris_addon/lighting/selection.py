@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..base.group_by import group_medians
 from ..base.progress import Progress
+from ..base.random_streams import stream
 from ..brdf.diffuse import under_lobe
 from ..rays.sampling import Origins
 from ..response.radiance import GroupRadiance
@@ -278,7 +279,7 @@ def promising(
     usable = np.flatnonzero((say > 0) & observed.known.all(1))
     if not pieces or not len(usable):
         return []
-    rng = np.random.default_rng([problem.seed, 41])
+    rng = stream(problem.seed, "lighting.hidden_lamps")
     rows = np.sort(rng.permutation(usable)[:ASKED])
     t = problem.transport
     factors = emitter_form_factors(

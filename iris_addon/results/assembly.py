@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..base.parallel import BLOCK, filled, over_blocks, peak_memory_bytes
 from ..base.progress import Progress
+from ..base.random_streams import stream
 from ..brdf.diffuse import schlick
 from ..brdf.ggx import DIELECTRIC_F0
 from ..cameras.fit import CameraFit
@@ -70,7 +71,7 @@ def make_result(
         [view.camera for view in capture.views],
         photos.stride,
         config.specular_rays,
-        config.rng(6),
+        stream(config.seed, "results.pixel_lobes"),
         progress,
     )
     metallic = gloss.metallic[region]
@@ -85,7 +86,7 @@ def make_result(
     # The base colour of a metal is no quotient of irradiance, and a piece of a scan is what looked alike, not a thing.
     painted = gloss.metallic < 0.5
     painted[region[photos.scanned]] = False
-    held_out = config.rng(7).random(len(region)) < HELD_OUT
+    held_out = stream(config.seed, "results.held_out_pixels").random(len(region)) < HELD_OUT
     error = light_error(light.field.spread(shading.irradiance))[patch]
     textures, base_color, paint = make_textures(
         atlas,

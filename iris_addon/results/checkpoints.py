@@ -23,7 +23,7 @@ from ..config import SolveConfig
 from ..model.capture import Capture
 from .files import KINDS, preview_path
 
-FORMAT = 4
+FORMAT = 5
 Stage = Literal["response", "lights", "materials"]
 Arrays = Mapping[str, NDArray]
 

@@ -21,7 +21,7 @@ from ..surface.patches import PatchGrid, Surface
 from .gather import GatherRays
 from .transport import Transport, build_transport
 
-FORMAT = 4
+FORMAT = 5
 MAX_ENTRIES, MAX_BYTES = 6, 4 << 30
 ABANDONED_SECONDS = 3600
 
