@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
-
-if TYPE_CHECKING:
-    import numpy as np
+from typing import Literal
 
 PresetName = Literal["draft", "balanced", "final"]
 
@@ -76,12 +73,6 @@ class SolveConfig:
     specular_rays: int = 12
     atlas_size: int = 2048
     rounds: int = 2
-
-    def rng(self, stage: int) -> np.random.Generator:
-        """A generator per stage: a stage draws the same numbers whether those before it ran or were read back."""
-        import numpy as np  # Presets are named also where numpy is missing, by the command that says so.
-
-        return np.random.default_rng([self.seed, stage])
 
 
 PRESETS: dict[PresetName, SolveConfig] = {

@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_limits
 from .base.files import require_own_folder
 from .base.parallel import aside, waited_for
 from .base.progress import Progress
+from .base.random_streams import stream
 from .cameras.fit import fit_cameras
 from .capture.exposures import with_unit_mean
 from .config import SolveConfig
@@ -96,21 +97,40 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
 
     with progress.stage("photos"):
         tracer = Tracer(capture.mesh)
-        capture, cameras = fit_cameras(capture, tracer, config.rng(8), progress, decisions)
+        capture, cameras = fit_cameras(capture, tracer, stream(config.seed, "cameras.points"), progress, decisions)
         photos = sample_photos(capture, tracer, config.hdr is not None, progress)
     with progress.stage("surface"):
-        room = cancellable(lambda: trace_room(capture, tracer, photos, config.max_patches, config.rng(1)))
+        room = cancellable(
+            lambda: trace_room(capture, tracer, photos, config.max_patches, stream(config.seed, "surface.patches"))
+        )
     with progress.stage("transport"):
-        transport = cached_transport(room, config, config.rng(2), progress)
+        transport = cached_transport(room, config, stream(config.seed, "transport.gather_rays"), progress)
         hidden = nothing_hidden(transport)
         if not decisions.forbids("hidden_light"):
             hidden = find_hidden(transport, room.regions.of_face, room.smooth_components, room.surveyed)
     patch, seen, widths = room.patches.sample_patch, room.samples, photos.small.sizes[:, 1]
-    observations = observe(patch, seen.view, seen.pixel, widths, photos.z, room.mixed.mask, photos.hdr, config.rng(3))
+    observations = observe(
+        patch,
+        seen.view,
+        seen.pixel,
+        widths,
+        photos.z,
+        room.mixed.mask,
+        photos.hdr,
+        stream(config.seed, "response.observations"),
+    )
     # One core at most, and not needed before there are textures.
     atlas = aside(lambda: atlas_for_photos(capture.mesh, room.samples, config.atlas_size))
     with progress.stage("response"):
-        measure = partial(measure_photometry, capture, config, observations, photos, config.rng(4), decisions)
+        measure = partial(
+            measure_photometry,
+            capture,
+            config,
+            observations,
+            photos,
+            stream(config.seed, "response.overlap"),
+            decisions,
+        )
         arrays = stage("response", lambda: cancellable(measure).arrays())
         photometry = Photometry.from_arrays(arrays)
     with progress.stage("lights"):

@@ -16,6 +16,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.optimize import least_squares, minimize_scalar
 
 from ..base.progress import Progress
+from ..base.random_streams import stream
 from ..capture.photos import load_photo
 from ..edits.jobs import insertion_edits, new_lights_edit, one_emitter_edit
 from ..edits.scene_edit import SceneEdit
@@ -233,7 +234,7 @@ def fit_gains(radiance: FloatArray, photo: Photo, response: Response) -> FloatAr
     photos without such pixels.
     """
     usable = np.flatnonzero(photo.valid.ravel() & np.isfinite(radiance).all(-1).ravel())
-    rng = np.random.default_rng(0)
+    rng = stream(0, "evaluate.fitted_pixels")
     chosen = rng.choice(usable, min(FIT_PIXELS, len(usable)), replace=False)
     L = np.maximum(radiance.reshape(-1, 3)[chosen].astype(np.float64), 1e-9)
     z = photo.values.reshape(-1, 3)[chosen].astype(np.float64)

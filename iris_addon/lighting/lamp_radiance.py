@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.progress import Progress
+from ..base.random_streams import stream
 from ..brdf.diffuse import under_lobe
 from ..response.radiance import GroupRadiance
 from ..transport.form_factors import emitter_form_factors, emitter_of_face
@@ -207,7 +208,7 @@ def form_factors_of(
     """
     columns = _columns(emitters, known.emitters) if known else np.full(len(emitters), -1)
     fresh = [faces for faces, k in zip(emitters, columns, strict=True) if k < 0]
-    rng = np.random.default_rng([problem.seed, 17])
+    rng = stream(problem.seed, "lighting.shadow_rays")
     t = problem.transport
     samples = int(np.clip(problem.shadow_rays // max(1, len(emitters)), *limits))
     seen = emitter_form_factors(problem.tracer, t.origins, t.rays, fresh, samples, rng, progress)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..base.group_by import group_medians
 from ..base.progress import Progress
+from ..base.random_streams import stream
 from ..brdf.diffuse import under_lobe
 from ..decide import share_of_rise
 from ..rays.sampling import Origins
@@ -305,7 +306,7 @@ def promising_surfaces(
     usable = np.flatnonzero((weight > 0) & observed.known.all(1))
     if not surfaces or not len(usable):
         return []
-    rng = np.random.default_rng([problem.seed, 41])
+    rng = stream(problem.seed, "lighting.hidden_emitters")
     rows = np.sort(rng.permutation(usable)[:HIDDEN_PATCHES])
     t = problem.transport
     factors = emitter_form_factors(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..base.progress import Progress
+from ..base.random_streams import stream
 from ..model.recovered import Backdrop
 from ..model.sphere import equirect_directions
 from ..rays.sampling import Origins
@@ -97,7 +98,7 @@ def _at_shell(
         normal: (n, 3) inward unit vectors.
     """
     origins = Origins(*(column.astype(np.float32)[:, None] for column in (place, normal)))
-    rng = np.random.default_rng([problem.seed, 23])
+    rng = stream(problem.seed, "lighting.shell_irradiance")
     rays, point = gather(problem.tracer, origins, SHELL_RAYS, rng, progress)
     target = targets_of(problem.tracer, problem.transport.grid, problem.regions, rays, point)
     table = radiance_table(lights.patch_radiance, mean_radiance(lights.patch_radiance, problem))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..base.group_by import group_means
 from ..base.progress import Progress
+from ..base.random_streams import stream
 from ..brdf.diffuse import grazing_gain
 from ..brdf.ggx import layered_factor
 from ..lighting.backdrop import SeenBackdrop
@@ -196,7 +197,7 @@ def _cast_radiance(
 
 def _continued_paths(problem: MaterialProblem, gloss: Gloss, round_: int) -> GlossyBounce:
     """Light paths continued on glossy regions, under the materials of this round."""
-    rng = np.random.default_rng([problem.seed, 37, round_])
+    rng = stream(problem.seed, "materials.glossy_bounce", round_)
     light = problem.light
     passes = _glossy_regions(gloss)
     return trace_glossy_bounce(
@@ -206,7 +207,7 @@ def _continued_paths(problem: MaterialProblem, gloss: Gloss, round_: int) -> Glo
 
 def _aimed_rays(problem: MaterialProblem, lights: Lights, round_: int) -> SparseRays | None:
     """Rays to patches that are bright under ``lights``; None if there are none."""
-    rng = np.random.default_rng([problem.seed, 41, round_])
+    rng = stream(problem.seed, "materials.aimed_rays", round_)
     light, cast = problem.light, lights.patch_radiance
     return aim_at_bright(light.tracer, light.transport, light.regions, cast, lights.irradiance, lights.mask, rng)
 
@@ -226,7 +227,7 @@ def _observed_specular(
     problem: MaterialProblem, lights: Lights, shading: Shading, gloss: Gloss, round_: int, progress: Progress
 ) -> NDArray[np.float32]:
     """(M, 3) specular radiance of every observation."""
-    rng = np.random.default_rng([problem.seed, 31, round_])
+    rng = stream(problem.seed, "materials.specular_lobes", round_)
     ls0, ls1 = specular_lobes(
         problem.scene(lights),
         problem.light.samples,
@@ -256,7 +257,7 @@ class _GlossFit:
     def prepare(problem: MaterialProblem, lights: Lights) -> _GlossFit:
         """Choose observations off the lamps and trace their rays, once for all rounds."""
         o, light = problem.observations, problem.light
-        rng = np.random.default_rng([problem.seed, 29])
+        rng = stream(problem.seed, "materials.gloss")
         usable = problem.linear.unclipped.all(1) & ~lights.mask[light.samples.face[o.sample]]
         rows = choose_observations(problem.region, o.patch, np.where(usable, o.count, 0), rng)
         scene, at = problem.scene(lights), o.sample[rows]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..base.parallel import BLOCK, filled, over_blocks, peak_memory_bytes
 from ..base.progress import Progress
+from ..base.random_streams import stream
 from ..brdf.diffuse import schlick
 from ..brdf.ggx import DIELECTRIC_F0
 from ..cameras.fit import CameraFit
@@ -74,7 +75,7 @@ def make_result(
         gloss.roughness[region],
         irradiance,
         config.specular_rays,
-        config.rng(6),
+        stream(config.seed, "results.pixel_lobes"),
         progress,
     )
     metallic = gloss.metallic[region]
@@ -91,7 +92,7 @@ def make_result(
     # The base colour of a metal is no quotient of irradiance, and a region of a scan need not be one object.
     painted = gloss.metallic < 0.5
     painted[region[room.scanned_pixels]] = False
-    held_out = config.rng(7).random(len(region)) < HELD_OUT_SHARE
+    held_out = stream(config.seed, "results.held_out_pixels").random(len(region)) < HELD_OUT_SHARE
     error = light_error(light.field.spread(shading.irradiance))[patch]
     pixels = PixelAlbedo(albedo, weight * ~held_out[:, None], error)
     textures, base_color, paint = make_textures(atlas, light.regions, lights.mask, gloss, samples, pixels, painted)

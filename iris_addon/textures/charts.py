@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.random_streams import stream
 from ..model.capture import DEGENERATE_AREA, Mesh
 from ..surface.primary_rays import PixelSamples
 from ..surface.topology import component_labels, edge_adjacency
@@ -121,7 +122,7 @@ def build_atlas(mesh: Mesh, texel_density: NDArray[np.floating], size: int) -> N
     faces = _Faces(corners, cross[kept] / (2 * areas[:, None]), areas, wanted)
     pairs = edge_adjacency(Mesh(mesh.vertices, mesh.faces[kept]))
     texels = wanted * (EXPECTED_FILL * size**2 / wanted.sum())
-    chart = merge_faces(faces.corners, texels, pairs, np.random.default_rng(0))
+    chart = merge_faces(faces.corners, texels, pairs, stream(0, "textures.charts"))
     crowded = chart.max() >= size**2 * MOST_CHARTS
     if crowded:
         chart = pool_grains(chart, faces.corners, texels, size)

@@ -22,7 +22,7 @@ from ..surface.traced_room import TracedRoom
 from .gather import GatherRays
 from .transport import Transport, build_transport, choose_device
 
-FORMAT = 4
+FORMAT = 5
 MAX_ENTRIES, MAX_BYTES = 6, 4 << 30
 """Files kept, and bytes of all of them."""
 ABANDONED_SECONDS = 3600
