@@ -52,9 +52,6 @@ def _any_region_painted(make: Callable[..., Any]) -> Callable[..., Any]:
 
 
 MECHANISMS: Mapping[str, tuple[Replaced, ...]] = {
-    "regions: coplanar ones across a gap joined": (
-        Replaced("surface.regions", "joined_in_plane", lambda regions, *_: regions),
-    ),
     "regions: a scan's rejoined under its light": (Replaced("materials.rounds", "joined_regions", _own_labels),),
     "regions: a scan split by colour": (Replaced("surface.regions", "split_scan", lambda regions, *_: regions),),
     "regions: split at creases": (

@@ -6,8 +6,7 @@ so that it is only a hint that surfaces have one gloss (:mod:`iris_addon.materia
 
 - large components of a modelled surface between sharp edges become regions: the shell of a room is often one
   component, though its floor and its walls are of different materials (:func:`split_creases`);
-- scans, which have no sharp edges, are split along edges of colour (:func:`split_scan`);
-- flat regions of one plane that look alike across a gap are joined (:func:`joined_in_plane`).
+- scans, which have no sharp edges, are split along edges of colour (:func:`split_scan`).
 
 Once the light is about known, :func:`joined_regions` finds regions of a scan that a shadow or a highlight split.
 """
@@ -18,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from ..base.group_by import group_equal, group_means, group_medians, group_sums
 from ..model.capture import Mesh
@@ -46,14 +44,6 @@ SCAN_UNSEEN_STEP = 0.15
 """Log-colour step assumed between faces of a scan that no photo shows."""
 SCAN_CREASE_STEP = 0.3
 """Log-colour step that a right angle between faces of a scan counts as."""
-COPLANAR_MAX_GAP = 0.5
-"""Metres between flat regions of one wall, at most."""
-COPLANAR_MAX_OFFSET = 1e-3
-"""Metres between two planes that are taken for one."""
-COPLANAR_MAX_STEP = 0.15
-"""Log-colour step across a gap up to which both sides look alike: one paint, and what is left of shading."""
-COPLANAR_BORDER = 20
-"""Pairs of faces along a gap, the closest, whose colours are compared."""
 REJOIN_MAX_STEP = 0.06
 """Step of log albedo across a border up to which both sides are one material."""
 REJOIN_MAX_DIFFERENCE = 0.25
@@ -99,12 +89,11 @@ def split_regions(
         within = mesh.regions[a] == mesh.regions[b]
         regions = component_labels(len(mesh.faces), a[within], b[within])
     regions = split_creases(regions, adjacency, normals, samples, scanned)
-    log_colour = np.log(group_means(z, samples.face, len(mesh.faces)) + COLOUR_FLOOR)
     if scanned.any():
+        log_colour = np.log(group_means(z, samples.face, len(mesh.faces)) + COLOUR_FLOOR)
         regions = split_scan(regions, adjacency, normals, samples, log_colour, scanned)
     if mesh.regions is None:
-        regions = joined_in_plane(regions, mesh, normals, samples, log_colour, REGION_MIN_SHARE)
-        return Regions(np.unique(regions, return_inverse=True)[1].astype(np.int32), scanned, None)
+        return Regions(regions, scanned, None)
     in_file = np.empty(int(regions.max()) + 1, np.int32)
     in_file[regions] = mesh.regions
     return Regions(regions, scanned, in_file)
@@ -220,74 +209,6 @@ def _merge(n: int, a: NDArray[np.int64], b: NDArray[np.int64], step: NDArray[np.
         if i != j and min(size[i], size[j]) < SCAN_MIN_REGION:
             join(i, j)
     return np.array([find(i) for i in range(n)])
-
-
-def joined_in_plane(
-    regions: NDArray[np.int32],
-    mesh: Mesh,
-    normals: NDArray[np.floating],
-    samples: PixelSamples,
-    log_colour: NDArray[np.floating],
-    least_share: float,
-) -> NDArray[np.int32]:
-    """(F,) regions with flat ones joined to larger ones of their plane that look alike across a gap.
-
-    Such are parts of a wall that a door interrupts. Their colours are compared where they are closest, since light is
-    about the same there.
-
-    Args:
-        regions: (F,) region of each face.
-        normals: (F, 3) unit.
-        log_colour: (F, 3) log display value of each face that photos show.
-        least_share: of all pixels, which the larger of two regions must have.
-    """
-    n = int(regions.max()) + 1
-    pixels = np.bincount(samples.face, minlength=len(regions))
-    share = np.bincount(regions, pixels, n) / len(samples.face)
-    middle = mesh.vertices[mesh.faces].mean(1)
-    normal, height, flat = _planes(regions, middle, normals, n)
-    seen = np.flatnonzero(pixels > 0)
-    seen = seen[np.argsort(regions[seen], kind="stable")]
-    start = np.searchsorted(regions[seen], np.arange(n + 1))
-    label = np.arange(n, dtype=np.int32)
-    for large in np.argsort(-share, kind="stable")[: (share >= least_share).sum()]:
-        in_plane = (
-            flat
-            & flat[large]
-            & (normal @ normal[large] > FLAT_COSINE)
-            & (np.abs(height - height[large]) < COPLANAR_MAX_OFFSET)
-        )
-        smaller = np.flatnonzero(in_plane & (share > 0) & (share < share[large]))
-        if not len(smaller):
-            continue
-        there = seen[start[large] : start[large + 1]]
-        wall = cKDTree(middle[there])
-        for region in smaller:
-            here = seen[start[region] : start[region + 1]]
-            distance, nearest = wall.query(middle[here], distance_upper_bound=COPLANAR_MAX_GAP)
-            border = np.argsort(distance, kind="stable")[: min(COPLANAR_BORDER, np.isfinite(distance).sum())]
-            step = np.abs(log_colour[here[border]] - log_colour[there[nearest[border]]]).max(1)
-            if len(border) and np.median(step) < COPLANAR_MAX_STEP:
-                label[region] = label[large]
-    return label[regions]
-
-
-def _planes(
-    regions: NDArray[np.int32], middle: NDArray[np.floating], normals: NDArray[np.floating], n: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Mean normal (n, 3) of each of ``n`` regions, its distance (n,) from the origin along it, and whether it is flat.
-
-    Args:
-        regions: (F,) region of each face.
-        middle: (F, 3) centroid of each face, metres.
-        normals: (F, 3) unit.
-    """
-    normal = group_means(np.asarray(normals, np.float64), regions, n)
-    height = np.einsum("fk,fk->f", middle, normal[regions])
-    mean_height = group_means(height[:, None], regions, n)[:, 0]
-    flat = np.linalg.norm(normal, axis=1) > FLAT_COSINE
-    flat &= np.bincount(regions, np.abs(height - mean_height[regions]) > COPLANAR_MAX_OFFSET, n) == 0
-    return normal, mean_height, flat
 
 
 def joined_regions(

@@ -105,33 +105,3 @@ def test_regions_of_the_file_are_split_into_components():
 def _purity(regions: NDArray[np.integer], side: NDArray[np.bool_]) -> float:
     """Share of the faces that lie on the side on which most of their region does."""
     return float(np.maximum(np.bincount(regions, side), np.bincount(regions, ~side)).sum() / len(regions))
-
-
-@pytest.mark.parametrize(
-    ("gap", "step_back", "brighter", "one"),
-    [(0.3, 0.0, 1.05, True), (0.3, 0.0, 1.5, False), (0.3, 0.005, 1.0, False), (0.7, 0.0, 1.0, False)],
-)
-def test_coplanar_regions_that_look_alike_across_a_gap_are_joined(
-    gap: float, step_back: float, brighter: float, one: bool
-) -> None:
-    """A wall of a metre and a piece of it beyond a strip that the mesh lacks."""
-    wall = _strip(0.0, 1.0, 0.0)
-    piece = _strip(1.0 + gap, 1.2 + gap, step_back)
-    mesh = Mesh(np.vstack([wall.vertices, piece.vertices]), np.vstack([wall.faces, piece.faces + len(wall.vertices)]))
-    samples, z = _seen(mesh)
-    beyond = mesh.vertices[mesh.faces].mean(1)[samples.face, 0] > 1
-    z = np.where(beyond[:, None], 0.4 * brighter, 0.4) * np.random.default_rng(2).normal(1, 0.02, z.shape)
-    split = split_regions(mesh, edge_adjacency(mesh), Tracer(mesh).normals, samples, z.astype(np.float32))
-    assert len(np.unique(split.of_face)) == (1 if one else 2)
-    told = Mesh(mesh.vertices, mesh.faces, regions=(mesh.vertices[mesh.faces].mean(1)[:, 0] > 1).astype(np.int32))
-    split = split_regions(told, edge_adjacency(told), Tracer(told).normals, samples, z.astype(np.float32))
-    assert len(np.unique(split.of_face)) == 2
-
-
-def _strip(start: float, end: float, height: float) -> Mesh:
-    """A metre high, from ``start`` to ``end`` in x, in triangles of 5 cm."""
-    x, y = np.meshgrid(np.linspace(start, end, round((end - start) / 0.05) + 1), np.linspace(0, 1, 21), indexing="ij")
-    corner = np.arange(x.size).reshape(x.shape)
-    a, b, c, d = corner[:-1, :-1].ravel(), corner[1:, :-1].ravel(), corner[1:, 1:].ravel(), corner[:-1, 1:].ravel()
-    vertices = np.stack([x, y, np.full_like(x, height)], -1).reshape(-1, 3)
-    return Mesh(vertices, np.concatenate([np.c_[a, b, c], np.c_[a, c, d]]))
