@@ -236,6 +236,35 @@ def paired_error(smaller: NDArray[np.floating], larger: NDArray[np.floating], we
     return float(np.sqrt(off @ off)) / norm
 
 
+@dataclass(frozen=True)
+class HeldOutLosses:
+    """Losses of n held-out observations under one model.
+
+    Attributes:
+        observation: (n,) what each is a loss of, the same number under any model.
+        loss, weight: (n,) of each; the held-out loss is their weighted mean.
+        independent: observations that err independently, at most: neighbouring patches err together.
+    """
+
+    observation: NDArray[np.integer]
+    loss: NDArray[np.floating]
+    weight: NDArray[np.floating]
+    independent: int
+
+    @staticmethod
+    def none() -> HeldOutLosses:
+        """Of a model that no observation was held out from."""
+        return HeldOutLosses(np.zeros(0, np.int64), np.zeros(0), np.zeros(0), 1)
+
+    def paired_error(self, larger: HeldOutLosses) -> float:
+        """:func:`paired_error` over the observations that both have; 0 where they have none in common."""
+        common, here, there = np.intersect1d(self.observation, larger.observation, return_indices=True)
+        if not len(common):
+            return 0.0
+        error = paired_error(self.loss[here], larger.loss[there], self.weight[here])
+        return error * float(np.sqrt(len(common) / min(len(common), self.independent)))
+
+
 class Decisions:
     """What a solve decided, in order, and what its configuration decided for it.
 

@@ -10,7 +10,7 @@ import pytest
 
 from iris_addon import decide
 from iris_addon.config import Refinements
-from iris_addon.decide import REFINEMENTS, Decisions, accept, paired_error
+from iris_addon.decide import REFINEMENTS, Decisions, HeldOutLosses, accept, paired_error
 
 EXPERIMENTS = Path(__file__).resolve().parents[1] / "docs" / "experiments"
 
@@ -50,6 +50,16 @@ def test_the_paired_error_counts_observations_by_their_weight() -> None:
     twice = np.repeat(np.arange(100), 2)
     half = paired_error(smaller[twice], larger[twice], np.ones(200)) * np.sqrt(2)
     assert paired_error(smaller, larger, np.full(100, 3.0)) == pytest.approx(half)
+
+
+def test_losses_are_paired_by_observation_and_count_no_more_than_err_independently() -> None:
+    rng = np.random.default_rng(2)
+    n, ids = 900, np.arange(900)
+    common = rng.normal(0, 3.0, n)
+    smaller = HeldOutLosses(ids, common, np.ones(n), 100)
+    larger = HeldOutLosses(ids[300:], common[300:] + rng.normal(0, 0.1, 600), np.ones(600), 100)
+    assert smaller.paired_error(larger) == pytest.approx(0.1 / np.sqrt(100), rel=0.1)
+    assert smaller.paired_error(HeldOutLosses.none()) == 0.0
 
 
 def test_what_is_forced_is_taken_and_what_is_forbidden_is_not_and_both_are_written_down() -> None:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from ..base.group_by import group_sums
+from ..decide import HeldOutLosses
 
 MIN_PATCHES_PER_REGION = 12
 """Patches below which a region is left out of the balance."""
@@ -69,6 +70,7 @@ class Balance:
         region_ids: (n,) regions that took part.
         region_albedo: (n, 3) of these regions.
         held_out: mean robust loss of the held-out patches.
+        losses: of each of them, by its row among the patches given.
     """
 
     radiance: NDArray[np.float64]
@@ -76,6 +78,7 @@ class Balance:
     region_ids: NDArray[np.int64]
     region_albedo: NDArray[np.float64]
     held_out: float
+    losses: HeldOutLosses
 
 
 @dataclass(frozen=True)
@@ -133,12 +136,16 @@ def solve_balance(
     guess = _first_guess(problem, log_start, GUESS_LEVELS[:1] if warm_start else GUESS_LEVELS)
     unknowns = _minimise(problem, guess, ITERATIONS)
     log_e, log_albedo = problem.split(unknowns)
+    held_out = whole.restrict(tested)
     return Balance(
         radiance=np.exp(log_e)[evidence.tie],
         log_std=problem.log_std(log_e)[evidence.tie],
         region_ids=region_ids,
         region_albedo=np.exp(log_albedo),
-        held_out=whole.restrict(tested).shading_loss(log_e, log_albedo),
+        held_out=held_out.shading_loss(log_e, log_albedo),
+        losses=HeldOutLosses(
+            rows[tested], held_out.shading_losses(log_e, log_albedo), held_out.weight, EFFECTIVE_PATCHES
+        ),
     )
 
 
@@ -230,6 +237,10 @@ class _Problem:
         """Robust deviation of log albedo from one value per region, mean over patches."""
         r = self.deviation(self.incoming(log_e), albedo)
         return float((np.log1p(r**2) @ self.weight).sum())
+
+    def shading_losses(self, log_e: NDArray[np.float64], albedo: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(P,) loss of each patch, of which :meth:`shading_loss` is the weighted mean."""
+        return np.log1p(self.deviation(self.incoming(log_e), albedo) ** 2).sum(0)
 
     @cached_property
     def share(self) -> NDArray[np.float64]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,6 +135,7 @@ def solve_lights(
         patch_radiance=radiance,
         region_albedo=albedo,
         held_out=balance.held_out,
+        losses=replace(balance.losses, observation=rows[balance.losses.observation]),
     )
 
 

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..decide import Decisions
+from ..decide import Decisions, HeldOutLosses
 from ..rays.tracer import Tracer
 from ..surface.irradiance import IrradianceField
 from ..surface.patches import Surface
@@ -36,6 +36,7 @@ class Lights:
         patch_radiance: (N, 3) reflected radiance of every patch, observed or inferred.
         region_albedo: (3,) albedo per region id, from the balance.
         held_out: robust loss of the balance on patches it was not fitted to.
+        losses: of each of these patches; not part of a checkpoint, because no later stage compares with it.
     """
 
     emitters: list[NDArray[np.int64]]
@@ -48,6 +49,7 @@ class Lights:
     patch_radiance: NDArray[np.float64]
     region_albedo: dict[int, NDArray[np.float64]] = field(default_factory=dict)
     held_out: float = np.inf
+    losses: HeldOutLosses = field(default_factory=HeldOutLosses.none)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -79,7 +81,11 @@ class Lights:
         emitters = np.split(a.pop("faces"), np.cumsum(a.pop("sizes")))[:-1]
         albedo = dict(zip(a.pop("region_ids").tolist(), a.pop("region_albedo"), strict=True))
         held_out = float(a.pop("held_out"))
-        return Lights(emitters=emitters, region_albedo=albedo, held_out=held_out, **a)
+        return Lights(emitters=emitters, region_albedo=albedo, held_out=held_out, **a)  # type: ignore[arg-type]
+
+    def paired_error(self, larger: Lights) -> float:
+        """Standard error of the difference in held-out loss to the light under a larger model."""
+        return self.losses.paired_error(larger.losses)
 
     def face_emission(self, n_faces: int) -> NDArray[np.float64]:
         """(F, 3) radiance each face emits."""

@@ -95,7 +95,7 @@ def with_screens(
     for screen in screens:
         tried = solved([*best.emitters, screen], best)
         subject = f"screen of {len(screen)} faces"
-        if problem.decisions.accept("screen", best.held_out, tried.held_out, subject=subject):
+        if problem.decisions.accept("screen", best.held_out, tried.held_out, best.paired_error(tried), subject=subject):
             best = tried
     return best if len(best.emitters) > len(lights.emitters) else lights
 

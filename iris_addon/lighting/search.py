@@ -113,14 +113,16 @@ def choose_outside(
             continue
         alone = bool(best[1].hidden_radiance.any()) and not best[1].emitters
         name = "directions_without_lamps" if alone else "outside_light"
-        if decisions.accept(name, best[1].held_out, lights.held_out, subject=f"{count} directions"):
+        error, subject = best[1].paired_error(lights), f"{count} directions"
+        if decisions.accept(name, best[1].held_out, lights.held_out, error, subject=subject):
             best = tried, lights
     assert best is not None
     if problem.hidden.holes is not None and not forced:
         shown = replace(problem, hidden=problem.hidden.as_shown())
         lights = _with_outside(shown, observed, best[1], progress)
         name = "outside_light" if len(best[0].hidden.directions) == 0 else "light_through_holes"
-        if decisions.accept(name, best[1].held_out, lights.held_out, subject="as photos show it"):
+        error = best[1].paired_error(lights)
+        if decisions.accept(name, best[1].held_out, lights.held_out, error, subject="as photos show it"):
             best = shown, lights
     return best
 

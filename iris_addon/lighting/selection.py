@@ -89,7 +89,7 @@ def with_unconstrained(problem: LightProblem, observed: GroupRadiance, lights: L
         name = "unconstrained_lamp" if len(apart) == len(base.emitters) else "unconstrained_lamp_in_place"
         tried = with_lamps([*apart, faces], base)
         if _glows(problem, tried, faces) and problem.decisions.accept(
-            name, base.held_out, tried.held_out, subject=_named(faces)
+            name, base.held_out, tried.held_out, base.paired_error(tried), subject=_named(faces)
         ):
             base = tried
     return base
@@ -190,7 +190,9 @@ def _without_idle(
 
     def idle(tried: Lights, subject: str, stops: float = 1.0) -> bool:
         share = share_of_rise("lamp", stops)
-        return not problem.decisions.accept("lamp", tried.held_out, lights.held_out, share=share, subject=subject)
+        return not problem.decisions.accept(
+            "lamp", tried.held_out, lights.held_out, tried.paired_error(lights), share, subject
+        )
 
     if sure and left and idle(tried := without(left), f"{len(left)} together"):
         return tried
