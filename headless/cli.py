@@ -137,50 +137,68 @@ def make_parser() -> _Parser:
 def _add_solving(add: Add) -> None:
     """From photos to a result and its files."""
     demo = add("demo", "everything on the bundled capture: solve, .blend, relit, inserted, report")
-    demo.add_argument("--out", type=Path, default=Path("out/demo"))
+    demo.add_argument("--out", type=Path, default=Path("out/demo"), help="folder for everything; out/demo if left out")
 
     solve = add("solve", "capture folder (or file) to result folder")
-    solve.add_argument("capture", type=Path)
-    solve.add_argument("--out", type=Path, required=True)
-    solve.add_argument("--preset", choices=list(PRESETS), default="balanced")
-    solve.add_argument("--device", choices=["auto", "cpu", "cuda"], default="auto")
-    solve.add_argument("--response", type=_word_or_path("auto", "gamma"), default="auto", metavar="auto|gamma|FILE")
-    solve.add_argument("--exposures", type=_word_or_path("auto", "none"), default="auto", metavar="auto|none|FILE")
+    solve.add_argument("capture", type=Path, help="folder of the capture, or its transforms.json")
+    solve.add_argument("--out", type=Path, required=True, help="folder of the result")
+    solve.add_argument("--preset", choices=list(PRESETS), default="balanced", help="time against accuracy")
+    solve.add_argument("--device", choices=["auto", "cpu", "cuda"], default="auto", help="where torch runs")
+    solve.add_argument(
+        "--response",
+        type=_word_or_path("auto", "gamma"),
+        default="auto",
+        metavar="auto|gamma|FILE",
+        help="estimate it, take z = x^(1/2.2), or read a curve",
+    )
+    solve.add_argument(
+        "--exposures",
+        type=_word_or_path("auto", "none"),
+        default="auto",
+        metavar="auto|none|FILE",
+        help="those of the capture, unknown, or of a file",
+    )
     solve.add_argument("--hdr", type=Path, metavar="DIR", help="one EXR of radiance per photo, in place of the photos")
     solve.add_argument("--resume", action="store_true", help="go on from the last finished stage")
-    solve.add_argument("--seed", type=_whole, default=0)
+    solve.add_argument("--seed", type=_whole, default=0, help="of all randomness")
 
     inspect = add("inspect", "measure a capture: clipping, exposure, alignment of photos and mesh")
-    inspect.add_argument("capture", type=Path)
-    inspect.add_argument("--out", type=Path, required=True)
-    inspect.add_argument("--exposures", type=_word_or_path("auto", "none"), default="auto", metavar="auto|none|FILE")
+    inspect.add_argument("capture", type=Path, help="folder of the capture, or its transforms.json")
+    inspect.add_argument("--out", type=Path, required=True, help="folder for what was measured")
+    inspect.add_argument(
+        "--exposures",
+        type=_word_or_path("auto", "none"),
+        default="auto",
+        metavar="auto|none|FILE",
+        help="those of the capture, unknown, or of a file",
+    )
 
     apply = add("apply", "Principled materials and emissive lights as a .blend")
-    apply.add_argument("result", type=Path)
-    apply.add_argument("--blend", type=Path, required=True)
-    apply.add_argument("--glb", type=Path)
-    apply.add_argument("--usd", type=Path)
+    apply.add_argument("result", type=Path, help="folder of a result")
+    apply.add_argument("--blend", type=Path, required=True, help="the .blend to write")
+    apply.add_argument("--glb", type=Path, help="a .glb beside it")
+    apply.add_argument("--usd", type=Path, help="a .usd beside it")
     apply.add_argument("--views", type=Path, metavar="CAPTURE", help="add the cameras of a transforms.json or capture")
 
     batch = add("batch", "many jobs, one summary; a job that fails does not stop the rest")
-    batch.add_argument("jobs", type=Path, metavar="JOBS.toml")
+    batch.add_argument("jobs", type=Path, metavar="JOBS.toml", help="one table per solve")
 
 
 def _add_rendering(add: Add) -> None:
     """From a result to pictures."""
     render = add("render", "novel views in Cycles, as the photo's camera would see them, or linear EXR")
     relight = add("relight", "recovered lights off, scaled or recoloured, new lights added")
-    relight.add_argument("--lights", type=Path, required=True, metavar="FILE")
+    relight.add_argument("--lights", type=Path, required=True, metavar="FILE", help="JSON of the changed lights")
     insert = add("insert", "objects lit by the recovered light")
-    insert.add_argument("--objects", type=Path, required=True, metavar="FILE")
+    insert.add_argument("--objects", type=Path, required=True, metavar="FILE", help="JSON of the objects")
     insert.add_argument("--onto-photos", action="store_true", help="differential rendering onto the views' photos")
     render.add_argument("--light-shares", action="store_true", help="one EXR per view with the share of every light")
     relight.add_argument("--shares", type=Path, metavar="DIR", help="mix what render --light-shares wrote; no render")
     for command, exposure in ((render, "photo"), (relight, "auto"), (insert, "photo")):
-        command.add_argument("result", type=Path)
-        command.add_argument("--views", type=Path, required=True, metavar="transforms.json")
+        command.add_argument("result", type=Path, help="folder of a result")
+        command.add_argument("--views", type=Path, required=True, metavar="transforms.json", help="cameras to render")
         command.add_argument("--only", nargs="+", metavar="NAME", help="only these views; jobs count them from 0")
-        command.add_argument("--out", type=Path, required=True)
+        command.add_argument("--out", type=Path, required=True, help="folder of the pictures")
         command.add_argument("--linear", action="store_true", help="write EXR of radiance instead of PNG")
         command.add_argument(
             "--exposure",
@@ -196,26 +214,28 @@ def _add_rendering(add: Add) -> None:
         command.add_argument("--gpu", action="store_true", help="render on a GPU where Cycles finds one")
 
     composite = add("composite", "what was added to the solved room of a .blend, onto the photo of its camera")
-    composite.add_argument("blend", type=Path, metavar="SCENE.blend")
+    composite.add_argument("blend", type=Path, metavar="SCENE.blend", help="a solved room with additions")
     composite.add_argument("--result", type=Path, required=True, help="folder of the result that was applied")
     composite.add_argument(
         "--photo", type=Path, required=True, metavar="FILE", help="undistorted, as the camera saw it"
     )
     composite.add_argument("--view", required=True, metavar="NAME", help="of the photo, for its exposure")
-    composite.add_argument("--out", type=Path, required=True, metavar="FILE.png")
+    composite.add_argument("--out", type=Path, required=True, metavar="FILE.png", help="the picture to write")
     _add_sampling(composite)
     composite.add_argument("--gpu", action="store_true", help="render on a GPU where Cycles finds one")
 
     camera = add("camera", "response, exposures and white balance as .cube tables and an OpenColorIO configuration")
-    camera.add_argument("result", type=Path)
-    camera.add_argument("--out", type=Path, required=True)
+    camera.add_argument("result", type=Path, help="folder of a result")
+    camera.add_argument("--out", type=Path, required=True, help="folder of the tables")
 
 
 def _add_scoring(add: Add, common: _Parser) -> None:
     """Ground truth made and used."""
     evaluate = add("evaluate", "the metrics of a result against ground truth or held-out photos", common)
-    evaluate.add_argument("result", type=Path)
-    evaluate.add_argument("--gt", type=Path, required=True, metavar="CAPTURE")
+    evaluate.add_argument("result", type=Path, help="folder of a result")
+    evaluate.add_argument(
+        "--gt", type=Path, required=True, metavar="CAPTURE", help="with ground truth or held-out photos"
+    )
     evaluate.add_argument("--no-render", action="store_true", help="leave out what Cycles renders; needs no Blender")
     evaluate.add_argument(
         "--json", nargs="?", const=True, type=Path, metavar="FILE", help="write FILE; without it JSON lines on stdout"
@@ -223,11 +243,11 @@ def _add_scoring(add: Add, common: _Parser) -> None:
     _add_sampling(evaluate)
 
     synth = add("synth", "posed LDR capture with ground truth out of a Blender scene")
-    synth.add_argument("scene", type=Path, metavar="SCENE.blend")
-    synth.add_argument("--out", type=Path, required=True)
+    synth.add_argument("scene", type=Path, metavar="SCENE.blend", help="the scene to photograph")
+    synth.add_argument("--out", type=Path, required=True, help="folder of the capture")
     synth.add_argument("--cameras", nargs="+", metavar="NAME", help="camera objects to use; all without it")
-    synth.add_argument("--resolution", type=_resolution, default=(320, 240), metavar="WxH")
-    synth.add_argument("--response", default="film", metavar="film|gamma|linear|FILE")
+    synth.add_argument("--resolution", type=_resolution, default=(320, 240), metavar="WxH", help="of the photos")
+    synth.add_argument("--response", default="film", metavar="film|gamma|linear|FILE", help="of the camera")
     synth.add_argument("--compact", action="store_true", help="leave out what no metric needs, compress with loss")
     _add_sampling(synth, default=256)
 
@@ -257,7 +277,7 @@ class FrameRange:
 
 def _add_sampling(parser: argparse.ArgumentParser, default: int = 64) -> None:
     parser.add_argument("--samples", type=_positive, default=default, help="per pixel")
-    parser.add_argument("--seed", type=_whole, default=0)
+    parser.add_argument("--seed", type=_whole, default=0, help="of all randomness")
 
 
 def _whole(text: str) -> int:
