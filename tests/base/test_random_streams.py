@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 import iris_addon
-from iris_addon.base.random_streams import stream
+from iris_addon.base.random_streams import STREAMS, stream
 
 PACKAGE = Path(iris_addon.__file__).parent
 ENGINE = [
@@ -32,19 +32,24 @@ def calls(name: str) -> Iterator[tuple[str, ast.Call]]:
 
 
 def test_the_same_seed_name_and_indices_give_the_same_numbers():
-    for arguments in ((0, "a.b"), (7, "a.b", 3), (2**70, "a.b", 1, 2)):
+    for arguments in ((0, "surface.patches"), (7, "materials.aimed_rays", 3), (2**70, "materials.gloss", 1, 2)):
         assert np.array_equal(stream(*arguments).random(8), stream(*arguments).random(8))
 
 
 def test_numbers_do_not_change_between_processes_and_versions():
-    assert stream(0, "surface.patches").integers(1 << 32, size=3).tolist() == [128569, 4081956590, 1014314133]
+    assert stream(0, "surface.patches").integers(1 << 32, size=3).tolist() == [2242647589, 3821399010, 4264680396]
 
 
 def test_different_seeds_names_or_indices_give_different_streams():
-    indexed = [(0, "a.b"), (0, "a.b", 0), (0, "a.b", 0, 0), (0, "a.b", 1), (0, "a.b", 1, 0), (0, "a.b", 10)]
-    arguments = [*indexed, (1, "a.b"), (2**32, "a.b"), (0, "a.c"), (0, "a.b, 0"), (0, "a.b', 0")]
-    drawn = [stream(*each).random(4) for each in arguments]
+    rounds = [(seed, "materials.aimed_rays", k) for seed in (0, 1, 2**32) for k in range(3)]
+    names = [(seed, name) for seed in (0, 1) for name in STREAMS if name != "materials.aimed_rays"]
+    drawn = [stream(*each).random(4) for each in [*rounds, *names]]
     assert all(not np.isclose(one, other).any() for one, other in combinations(drawn, 2))
+
+
+def test_every_name_has_a_number_of_its_own_and_is_used():
+    assert len(set(STREAMS.values())) == len(STREAMS)
+    assert {call.args[1].value for _, call in calls("stream") if isinstance(call.args[1], ast.Constant)} == set(STREAMS)
 
 
 def test_every_stream_of_the_engine_has_a_name_of_its_own():
