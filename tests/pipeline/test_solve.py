@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
@@ -13,6 +14,7 @@ from iris_addon.base.errors import BadInput, Cancelled
 from iris_addon.base.images import read_image, write_exr, write_png
 from iris_addon.base.progress import Progress, ProgressEvent
 from iris_addon.config import SolveConfig, preset
+from iris_addon.decide import accept
 from iris_addon.lighting.balance import MAX_ALBEDO
 from iris_addon.model.capture import Camera, Capture
 from iris_addon.model.response import gamma, srgb
@@ -111,6 +113,15 @@ def test_response_and_held_out_pixels_are_recovered(found: Result) -> None:
     assert found.textures.base_color.max() <= np.float16(MAX_ALBEDO)  # as stored
     assert found.report["rays_traced"] < 1e8
     assert found.report["n_patches"] <= 1.5 * TINY.max_patches
+
+
+def test_every_decision_is_reported_with_the_losses_that_it_follows_from(found: Result) -> None:
+    decisions = found.report["decisions"]
+    once = {entry["refinement"]: entry for entry in decisions if "subjects" not in entry}
+    assert {"channel_curves", "burley", "metal"} <= {entry["refinement"] for entry in decisions}
+    for name in ("channel_curves", "burley"):
+        entry = once[name]
+        assert entry["accepted"] == accept(name, entry["smaller"], entry["larger"], entry["error"])
 
 
 def test_previews_show_albedo_light_and_error_of_one_photo(shoot: Shoot) -> None:
@@ -272,6 +283,8 @@ def test_a_killed_solve_resumes_to_the_same_result(shoot: Shoot, reference: Path
     assert (out / "checkpoints" / f"{finished}.npz").is_file()
     solve(shoot.capture(), FAST, out, resume=True)
     assert same_results(reference, out)
+    reports = [json.loads((folder / "report.json").read_text(encoding="utf-8")) for folder in (reference, out)]
+    assert reports[0]["decisions"] == reports[1]["decisions"]
     assert not (out / "checkpoints").exists()
 
 
