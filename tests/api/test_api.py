@@ -112,10 +112,14 @@ def test_the_examples_of_the_docstrings_run_as_they_stand(tmp_path: Path, monkey
 
 
 def test_ctrl_c_cancels_and_is_put_back(nerfstudio_room) -> None:
-    before = signal.getsignal(signal.SIGINT)
-    with pytest.raises(iris.Cancelled):
-        iris.inspect(iris.read_capture(nerfstudio_room.root), progress=_Interrupted())
-    assert signal.getsignal(signal.SIGINT) is before
+    """Under the handler that Python starts with: a shell may have started the tests with Ctrl-C ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(iris.Cancelled):
+            iris.inspect(iris.read_capture(nerfstudio_room.root), progress=_Interrupted())
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 class _Interrupted(iris.Progress):
