@@ -17,7 +17,8 @@ from pathlib import Path
 from iris_addon.base.progress import Progress, console
 from iris_addon.config import PRESETS
 
-from .ablation_worker import NOTHING, variants
+from .ablation_section import NOTHING
+from .ablation_worker import variants
 from .records import OUT, read_records
 from .runs import capture_folder, captures, relative, run_each
 

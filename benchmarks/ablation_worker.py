@@ -26,9 +26,8 @@ from iris_addon.config import PresetName, preset
 from iris_addon.evaluate.evaluation import evaluate
 
 from . import machine
+from .ablation_section import NOTHING
 from .records import Record, write_record
-
-NOTHING = "nothing"
 
 
 class Replaced(NamedTuple):
