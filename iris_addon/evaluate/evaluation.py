@@ -27,8 +27,8 @@ from .pictures import (
 
 RENDERED = ("nvs_psnr", "nvs_ssim", "relight_psnr", "relight_ssim", "insert_psnr", "insert_psnr_around")
 MAPPED = (
-    "kd_psnr", "kd_psnr_all", "a_psnr", "a_lobe_psnr", "roughness_psnr", "metallic_l2", "emission_iou",
-    "emission_log_l2",
+    "kd_psnr", "kd_psnr_8x8", "kd_psnr_all", "kd_psnr_all_8x8", "a_psnr", "a_psnr_8x8", "a_lobe_psnr",
+    "a_lobe_psnr_8x8", "roughness_psnr", "metallic_l2", "emission_iou", "emission_log_l2",
 )  # fmt: skip
 LIGHT_AND_CAMERA = ("crf_l2", "exposure_log2_rmse")
 

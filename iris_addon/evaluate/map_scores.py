@@ -1,7 +1,8 @@
 """Scores of material and emission maps over the training views, as IRIS and FIPT evaluate them.
 
 Emitter pixels of the truth are zeroed on both sides and stay in the denominator. Beside each number, ``*_valid`` is the
-error over surface pixels only, and ``*_si`` allows one least-squares factor over all images of that metric.
+error over surface pixels only, ``*_8x8`` compares means over blocks of 8 x 8 pixels, and ``*_si`` allows one
+least-squares factor over all images of that metric.
 Values are means over images of the per-image value.
 """
 
@@ -117,6 +118,8 @@ def _albedo_scores(pair: AlbedoPair, hit: Mask, factor: float) -> dict[str, floa
             image = metrics.quantise8(pair.image * scale)
             scores[f"{pair.metric}{suffix}"] = metrics.psnr(image * keep, truth * keep)
             scores[f"{pair.metric}_valid{suffix}"] = metrics.psnr(image, truth, pair.mask & hit)
+            scores[f"{pair.metric}_8x8{suffix}"] = metrics.block_psnr(image * keep, truth * keep)
+            scores[f"{pair.metric}_valid_8x8{suffix}"] = metrics.block_psnr(image, truth, pair.mask & hit)
     return scores
 
 

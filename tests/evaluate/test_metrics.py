@@ -19,6 +19,25 @@ def test_psnr_is_minus_ten_log_of_the_mean_square():
     assert metrics.psnr(image, truth, mask) == pytest.approx(40.0)
 
 
+def test_texture_finer_than_a_block_drops_out_of_the_block_metric():
+    """An error whose mean over each block is d scores as d everywhere, cut blocks and masks included."""
+    rows, columns = np.mgrid[:20, :36]
+    checkers = 0.2 * (-1.0) ** (rows + columns)[..., None] * np.ones(3)
+    truth = np.full((20, 36, 3), 0.5)
+    assert metrics.psnr(truth + checkers, truth) < 15
+    assert metrics.block_psnr(truth + checkers + 0.01, truth) == pytest.approx(40.0)
+    mask = np.zeros((20, 36), bool)
+    assert np.isnan(metrics.block_psnr(truth, truth, mask))
+    mask[:4, :6] = True
+    assert metrics.block_psnr(np.where(mask[..., None], truth + 0.1, 0), truth, mask) == pytest.approx(20.0)
+    # A block of which the mask leaves eight pixels counts a sixteenth of two whole ones.
+    mask[:] = False
+    mask[:8, :16] = mask[8, :8] = True
+    error = np.zeros((20, 36))
+    error[8] = 0.1
+    assert metrics.block_psnr(error, np.zeros((20, 36)), mask) == pytest.approx(-10 * np.log10(0.1**2 / 17))
+
+
 def test_zeroed_pixels_stay_in_the_denominator():
     """An error of d on a share s of the pixels costs −10 log10(s d²)."""
     image, truth = np.zeros((10, 10)), np.zeros((10, 10))
