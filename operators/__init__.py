@@ -4,8 +4,21 @@ from __future__ import annotations
 
 import bpy
 
-from . import apply, check, compositing, environment, export, import_capture, onto_photo, place, review, run_job, solve
-from .ui import panels, preferences, settings, solve_preview
+from . import (
+    apply,
+    check,
+    compositing,
+    environment,
+    export,
+    import_capture,
+    onto_photo,
+    place,
+    relight,
+    review,
+    run_job,
+    solve,
+)
+from .ui import lamp_highlight, panels, preferences, settings, solve_preview
 
 CLASSES = (
     preferences.IrisPreferences,
@@ -29,6 +42,11 @@ CLASSES = (
     review.IRIS_OT_confidence,
     apply.IRIS_OT_apply,
     apply.IRIS_OT_restore,
+    relight.IRIS_OT_look,
+    relight.IRIS_OT_solo,
+    relight.IRIS_OT_anchor,
+    relight.IRIS_OT_hide_lights,
+    relight.IRIS_OT_preview,
     compositing.IRIS_OT_match_photo,
     compositing.IRIS_OT_mix_lights,
     place.IRIS_OT_place,
@@ -42,6 +60,7 @@ CLASSES = (
     panels.IRIS_PT_solve,
     panels.IRIS_PT_review,
     panels.IRIS_PT_relight,
+    panels.IRIS_PT_insert,
     panels.IRIS_PT_export,
 )
 
@@ -53,6 +72,7 @@ def register() -> None:
     bpy.types.Scene.iris = bpy.props.PointerProperty(type=settings.IrisSettings)
     bpy.types.Camera.iris_exposure = settings.EXPOSURE
     solve_preview.register()
+    lamp_highlight.register()
     import_capture.register()
     run_job.register()
 
@@ -61,6 +81,7 @@ def unregister() -> None:
     """Stop all jobs and unregister everything."""
     run_job.unregister()
     import_capture.unregister()
+    lamp_highlight.unregister()
     solve_preview.unregister()
     del bpy.types.Scene.iris, bpy.types.Camera.iris_exposure
     for cls in reversed(CLASSES):

@@ -12,6 +12,7 @@ from ..iris_addon.blender.scene_in.capture_objects import show_instead
 from ..iris_addon.blender.scene_in.scene_capture import read_face_runs, whole_object
 from ..iris_addon.blender.scene_out.lights import lamp_materials
 from ..iris_addon.blender.scene_out.materials import LAMP_ID
+from ..iris_addon.edits.light_units import flux
 from ..iris_addon.results.folder import load_result
 from ..iris_addon.results.result import Result
 from .editors import view_shadings
@@ -107,12 +108,16 @@ def show_room(context: bpy.types.Context) -> None:
 
 
 def list_lamps(scene: bpy.types.Scene, result: Result) -> None:
-    """Fill the list of lamps from the materials of the scene."""
+    """Fill the list of lamps from the materials of the scene, those that give most light first."""
     emitters = {emitter.id: emitter for emitter in result.emitters}
+    shown = [(material, emitters.get(material[LAMP_ID])) for material in lamp_materials(scene.objects)]
     scene.iris.lamps.clear()
-    for material in lamp_materials(scene.objects):
+    for material, emitter in sorted(
+        shown, key=lambda lamp: 0.0 if lamp[1] is None else -flux(lamp[1].radiance, lamp[1].area)
+    ):
         item = scene.iris.lamps.add()
         item.name, item.material = material.name, material
-        emitter = emitters.get(material[LAMP_ID])
         if emitter is not None:
             item.area, item.confidence = emitter.area, emitter.confidence
+    scene.iris.lamp_index = 0
+    scene.iris.lumens_per_unit = 0.0

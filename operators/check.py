@@ -27,7 +27,8 @@ class IRIS_OT_check(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blender's 
         return super().poll(context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Start the check."""
+        """Start the check; an import that failed is forgotten."""
+        context.scene.iris.importing = ""
         return start_import(self, context)
 
 

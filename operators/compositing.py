@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..iris_addon.base.errors import IrisError
-from ..iris_addon.blender.apply.camera_look import MATCHED, match_photo, stop_matching
+from ..iris_addon.blender.apply.camera_look import MATCHED, kept_look, match_photo, stop_matching
 from ..iris_addon.blender.render.light_mixing import start_mixing, stop_mixing
 from ..iris_addon.model.response import Response
-from ..iris_addon.results.records import read_response
 from .editors import show_in_editor
-from .folders import folder
 from .polls import NeedsApplied
 
 
@@ -76,7 +74,7 @@ class IRIS_OT_mix_lights(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
 
 
 def current_look(scene: bpy.types.Scene) -> tuple[Response, dict[str, NDArray[np.float64]], str]:
-    """Response, exposures and name of the current photo of ``scene``; raises BadInput without a response."""
-    response, exposures, _local = read_response(folder(scene))
+    """Response, exposures and name of the current photo of ``scene``; raises BadInput without one."""
+    response, exposures = kept_look(scene)
     views = scene.iris.views
     return response, exposures, views[scene.iris.view_index].name if views else ""

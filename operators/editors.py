@@ -43,6 +43,7 @@ def look_at_photo(context: bpy.types.Context, index: int) -> None:
     if camera is None or camera.name not in scene.objects:
         return
     scene.camera = camera
+    show_cameras(context)
     image = photo_of(camera)
     if scene.iris.source == "CAPTURE" and image is not None and image.size[0]:
         width, height = image.size
@@ -51,6 +52,19 @@ def look_at_photo(context: bpy.types.Context, index: int) -> None:
         if area.type == "VIEW_3D":
             area.spaces.active.region_3d.view_perspective = "CAMERA"
             area.tag_redraw()
+
+
+def show_cameras(context: bpy.types.Context) -> None:
+    """Show the camera of the current photo in 3D views and hide those of the others, unless all are to be seen.
+
+    Cameras of the artist's own scene stay as they are.
+    """
+    settings, present = context.scene.iris, context.view_layer.objects
+    if settings.source != "CAPTURE":
+        return
+    for view in settings.views:
+        if view.camera is not None and view.camera.name in present:
+            view.camera.hide_set(not settings.all_cameras and view.camera != context.scene.camera)
 
 
 def view_shadings(context: bpy.types.Context) -> list[bpy.types.View3DShading]:

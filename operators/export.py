@@ -20,7 +20,7 @@ FORMATS = (
     ("BLEND", ".blend", "Room, lamps and world with textures packed"),
     ("GLB", ".glb", "glTF with KHR_materials_emissive_strength"),
     ("USD", ".usdc", "USD with its textures beside it"),
-    ("TEXTURES", "Textures", "Base colour and emission as EXR; roughness, metallic and confidence as 16-bit PNG"),
+    ("TEXTURES", "Textures", "Base color and emission as EXR; roughness, metallic and confidence as 16-bit PNG"),
 )
 SUFFIX = {"BLEND": ".blend", "GLB": ".glb", "USD": ".usdc", "TEXTURES": ""}
 

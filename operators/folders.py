@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from hashlib import sha256
 from pathlib import Path
 
 import bpy
@@ -29,12 +30,17 @@ def folder(scene: bpy.types.Scene) -> Path:
     if settings.source == "CAPTURE" and settings.capture:
         capture = capture_path(scene)
         assert capture is not None
-        capture = capture if capture.is_dir() else capture.parent
-        return capture.with_name(f"{capture.name}-iris")
+        return folder_beside(capture)
     name = bpy.path.clean_name(scene.name)  # "Day/Night" names a scene, but cannot name a folder
     if bpy.data.filepath:
         return Path(f"{Path(bpy.data.filepath).with_suffix('')}.{name}-iris")
     return Path(bpy.utils.extension_path_user(ROOT_PACKAGE, path=f"unsaved/{name}"))
+
+
+def folder_beside(capture: Path) -> Path:
+    """The folder for the result of ``capture`` where none was chosen."""
+    capture = capture if capture.is_dir() else capture.parent
+    return capture.with_name(f"{capture.name}-iris")
 
 
 def own_folder(scene: bpy.types.Scene) -> Path:
@@ -45,8 +51,17 @@ def own_folder(scene: bpy.types.Scene) -> Path:
 
 
 def inspection_folder(scene: bpy.types.Scene) -> Path:
-    """The folder of the check of the capture."""
+    """Where the check of the capture lies, with the photos that the cameras show."""
     return folder(scene) / "inspection"
+
+
+def check_folder(scene: bpy.types.Scene) -> Path:
+    """The folder of the job that checks: of the capture that is being imported, else of the present one.
+
+    It is the user's and not the capture's, so that nothing is left beside a folder that turns out to be no capture.
+    """
+    checked = scene.iris.importing or str(capture_path(scene) or folder(scene))
+    return Path(bpy.utils.extension_path_user(ROOT_PACKAGE, path=f"checks/{sha256(checked.encode()).hexdigest()[:16]}"))
 
 
 def result_key(scene: bpy.types.Scene) -> str:
@@ -93,4 +108,4 @@ def job_folder(name: str, context: bpy.types.Context) -> Path:
     """The folder of the job ``name`` for the current scene or, for jobs on the environment, for the preferences."""
     if name in ("environment", "test"):
         return environment_folder()
-    return inspection_folder(context.scene) if name == "inspect" else folder(context.scene)
+    return check_folder(context.scene) if name == "inspect" else folder(context.scene)

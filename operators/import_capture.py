@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
@@ -17,13 +18,24 @@ from ..iris_addon.blender.scene_in.capture_objects import (
     COLLECTION,
     Inspected,
     add_capture,
+    hide_startup_objects,
     read_inspected,
     refresh_capture,
 )
 from ..iris_addon.blender.scene_in.scene_capture import read_view_cameras, write_scene_capture
 from ..iris_addon.blender.worker import jobs
 from ..iris_addon.blender.worker.jobs import ADDON, inspect_command
-from .folders import ROOT_PACKAGE, capture_path, folder, inspection_folder, own_folder, solver_python
+from .editors import show_cameras
+from .folders import (
+    ROOT_PACKAGE,
+    capture_path,
+    check_folder,
+    folder,
+    folder_beside,
+    inspection_folder,
+    own_folder,
+    solver_python,
+)
 from .polls import NeedsReader
 from .run_job import run
 
@@ -61,9 +73,7 @@ class IRIS_OT_import_capture(NeedsReader, bpy.types.Operator):  # noqa: N801 - B
             path = path.parent.parent if path.parent.name == "train" else path.parent
         elif path.name in COLMAP_FILES:
             path = path.parent
-        settings = context.scene.iris
-        choose_capture(settings, path)
-        return start_import(self, context)
+        return import_from(self, context, path)
 
 
 class IRIS_OT_import_demo(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -75,10 +85,7 @@ class IRIS_OT_import_demo(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blen
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Import it; results go to the user's folder, never to the extension's."""
-        settings = context.scene.iris
-        choose_capture(settings, DEMO)
-        settings.result = settings.result or bpy.utils.extension_path_user(ROOT_PACKAGE, path="demo_room-iris")
-        return start_import(self, context)
+        return import_from(self, context, DEMO, bpy.utils.extension_path_user(ROOT_PACKAGE, path="demo_room-iris"))
 
 
 class IRIS_OT_use_scene(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -94,6 +101,7 @@ class IRIS_OT_use_scene(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blende
         if settings.source == "SCENE":
             return start_import(self, context)
         before = {name: getattr(settings, name) for name in ("source", "capture", "room", "result")}
+        settings.importing = ""
         if settings.views:  # that folder belongs to the imported capture
             settings.result = ""
         settings.source, settings.capture, settings.room = "SCENE", "", None
@@ -126,6 +134,8 @@ class IRIS_OT_add_capture(bpy.types.Operator):  # noqa: N801 - Blender's naming
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         _fill(settings, inspected, cameras)
+        context.view_layer.update()  # hides only what it knows
+        show_cameras(context)
         self.report({"INFO"}, f"{inspected.name}: {len(inspected.views)} photos")
         return {"FINISHED"}
 
@@ -140,6 +150,9 @@ class IRIS_OT_add_capture(bpy.types.Operator):  # noqa: N801 - Blender's naming
                 _hide_capture(settings.room)
             settings.room, cameras = add_capture(inspected, scene)
             settings.room[CAPTURE] = settings.capture
+            hidden = hide_startup_objects(scene)
+            if hidden:
+                self.report({"INFO"}, f"Hidden, they would stand in the room: {', '.join(hidden)} of the start-up file")
             return [*cameras]
         present = {view.name: view.camera for view in settings.views if view.camera is not None}
         present = {name: camera for name, camera in present.items() if camera.name in scene.objects}
@@ -149,14 +162,28 @@ class IRIS_OT_add_capture(bpy.types.Operator):  # noqa: N801 - Blender's naming
         return [*cameras]
 
 
-def choose_capture(settings: bpy.types.PropertyGroup, path: Path) -> None:
-    """Make ``path`` the capture of the scene, without the result folder of another capture.
+def import_from(operator: bpy.types.Operator, context: bpy.types.Context, path: Path, result: str = "") -> set[str]:
+    """Let the worker read ``path``, and make it the capture of the scene once it has been read.
 
-    Room and photos of the other one stay until this one has been read, since ``path`` may be no capture.
+    Until then, and where it cannot be read, the scene keeps its capture, room and result.
+
+    Args:
+        result: the folder for its result; empty: beside it.
     """
-    if (settings.source, settings.capture) not in (("CAPTURE", str(path)), ("CAPTURE", "")):
-        settings.result = ""
-    settings.source, settings.capture = "CAPTURE", str(path)
+    settings = context.scene.iris
+    if (settings.source, settings.capture) == ("CAPTURE", str(path)):
+        settings.importing = ""
+        return start_check(operator, context)
+    if settings.source == "CAPTURE" and not settings.capture:  # a folder that was chosen before the capture
+        result = settings.result or result
+    settings.importing = str(path)
+
+    def commit(settings: bpy.types.PropertyGroup) -> None:
+        settings.source, settings.capture, settings.result, settings.importing = "CAPTURE", str(path), result, ""
+
+    absolute = Path(bpy.path.abspath(str(path))).resolve()
+    out = Path(bpy.path.abspath(result)).resolve() if result else folder_beside(absolute)
+    return _start_inspection(operator, context, absolute, out / "inspection", commit)
 
 
 def _shows(room: bpy.types.Object | None, capture: str, scene: bpy.types.Scene) -> bool:
@@ -177,27 +204,43 @@ def start_import(operator: bpy.types.Operator, context: bpy.types.Context) -> se
 
 def start_check(operator: bpy.types.Operator, context: bpy.types.Context) -> set[str]:
     """Let the worker read and check the capture of the scene, then add it; returns the result of the operator."""
-    scene, name = context.scene, context.scene.name
-    target = inspection_folder(scene)
+    capture = capture_path(context.scene)
+    assert capture is not None
+    return _start_inspection(operator, context, capture, inspection_folder(context.scene), lambda settings: None)
+
+
+def _start_inspection(
+    operator: bpy.types.Operator,
+    context: bpy.types.Context,
+    capture: Path,
+    target: Path,
+    commit: Callable[[bpy.types.PropertyGroup], None],
+) -> set[str]:
+    """Inspect ``capture`` into ``target``, then ``commit`` it to the settings of the scene and add it."""
+    name, job = context.scene.name, check_folder(context.scene)
 
     def ended(record: jobs.Record) -> None:
         # Another file may be open by now; it finds the check by its folder.
         scene = bpy.data.scenes.get(name) if record.state == "done" else None
-        if scene is not None and inspection_folder(scene) == target:
-            try:
-                with bpy.context.temp_override(**_window_of(scene)):
-                    bpy.ops.iris.add_capture("EXEC_DEFAULT", True)
-            except RuntimeError as error:  # Blender raises what an operator reports
-                raise IrisError(str(error).strip().removeprefix("Error: "), "check the capture again") from error
+        if scene is None or check_folder(scene) != job:
+            return
+        settings = scene.iris
+        before = {name: getattr(settings, name) for name in ("source", "capture", "result", "importing")}
+        commit(settings)
+        try:
+            with bpy.context.temp_override(**_window_of(scene)):
+                bpy.ops.iris.add_capture("EXEC_DEFAULT", True)
+        except RuntimeError as error:  # Blender raises what an operator reports
+            for key, value in before.items():
+                setattr(settings, key, value)
+            raise IrisError(str(error).strip().removeprefix("Error: "), "check the capture again") from error
 
-    capture = capture_path(scene)
-    assert capture is not None
     try:
         require_own_folder(target)
     except IrisError as error:
         operator.report({"ERROR"}, str(error))
         return {"CANCELLED"}
-    return run(operator, "inspect", target, inspect_command(solver_python(context), capture, target), ended)
+    return run(operator, "inspect", job, inspect_command(solver_python(context), capture, target), ended)
 
 
 def write_scene(operator: bpy.types.Operator, context: bpy.types.Context) -> bool:

@@ -6,7 +6,7 @@ import bpy
 
 from ..iris_addon.blender.apply.on_objects import APPLIED
 from ..iris_addon.blender.worker import jobs
-from .folders import inspection_folder, result_key, solver_python
+from .folders import check_folder, result_key, solver_python
 
 
 class NeedsReader:
@@ -18,7 +18,7 @@ class NeedsReader:
         if not solver_python(context):
             cls.poll_message_set("Set the solver's Python in the preferences of IRIS first")  # type: ignore[attr-defined]
             return False
-        return jobs.running("inspect", inspection_folder(context.scene)) is None
+        return jobs.running("inspect", check_folder(context.scene)) is None
 
 
 class NeedsResult:

@@ -9,16 +9,22 @@ import bpy
 from ...iris_addon.base.errors import IrisError
 from ...iris_addon.base.files import read_json
 from ...iris_addon.blender.apply.camera_look import MATCHED
+from ...iris_addon.blender.apply.looks import LOOKS, is_solo, outside_light
 from ...iris_addon.blender.apply.on_objects import APPLIED
 from ...iris_addon.blender.apply.review import model_lines
 from ...iris_addon.blender.render import light_mixing
 from ...iris_addon.blender.scene_out import lights as lamps
 from ...iris_addon.blender.worker import jobs
+from ...iris_addon.edits.light_units import flux, kelvin
 from ...iris_addon.results.files import REPORT, result_file
 from ..folders import ROOT_PACKAGE, folder, result_key, solver_python
+from ..relight import BEFORE_PREVIEW, chosen_lamp, other_lights
 from . import steps
 from .steps import ICONS, Step
 from .widgets import job_box, paragraph, preview_box
+
+UNSURE = 0.2
+"""Lamps of lower confidence are folded away."""
 
 StepOf = Callable[[bpy.types.Scene], Step]
 
@@ -85,6 +91,10 @@ class IRIS_PT_data(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
             column.label(text=f"{len(settings.views)} photos; exposures: {exposures}")
             if settings.room is not None:
                 column.label(text=f"{len(settings.room.data.polygons)} faces in {settings.room.name}")
+            if settings.source == "CAPTURE":
+                shown = layout.row()
+                shown.enabled = False
+                shown.prop(settings, "capture", text="")
         camera = context.scene.camera
         if settings.source == "SCENE" and camera is not None and camera.type == "CAMERA":
             layout.prop(camera.data, "iris_exposure", text=f"Exposure of {camera.name}")
@@ -108,7 +118,9 @@ class IRIS_PT_check(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         index = min(settings.view_index, len(settings.views) - 1)
         row.operator("iris.step_photo", text=f"{settings.views[index].name}  {index + 1}/{len(settings.views)}").by = 0
         row.operator("iris.step_photo", text="", icon="TRIA_RIGHT").by = 1
-        layout.prop(settings, "overlay", slider=True)
+        row = layout.row(align=True)
+        row.prop(settings, "overlay", slider=True)
+        row.prop(settings, "all_cameras", text="", icon="OUTLINER_OB_CAMERA")
         layout.template_list("IRIS_UL_views", "", settings, "views", settings, "view_index", rows=4)
         view = settings.views[index]
         column = layout.column(align=True)
@@ -168,77 +180,104 @@ class IRIS_PT_review(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
     step = staticmethod(steps.review_step)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw buttons for pictures, the figures of the model, and Apply."""
+        """Draw Apply, buttons for pictures and the figures of the model; what undoes an applied result at any time."""
         layout, scene = self.layout, context.scene
         if not result_key(scene):
             layout.label(text="No result yet", icon="INFO")
-            return
-        grid = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
-        for kind, text in (("photo", "Photo"), ("render", "Re-render"), ("error", "Error"), ("curve", "Response")):
-            grid.operator("iris.review", text=text).kind = kind
-        try:
-            report = read_json(result_file(folder(scene), REPORT))
-        except IrisError as error:
-            paragraph(layout, str(error), context, "ERROR")
-            return
-        header, body = layout.panel("IRIS_PT_model", default_closed=True)
-        psnr = report.get("holdout_psnr")
-        header.label(text="Model" if psnr is None else f"Model: {psnr:.1f} dB on held-out pixels")
-        if body is not None:
-            column = body.column(align=True)
-            for label, text in model_lines(report):
-                split = column.split(factor=0.6)
-                split.label(text=label)
-                split.label(text=text)
-        for warning in report.get("warnings") or ():
-            paragraph(layout, str(warning), context, "ERROR")
-        layout.operator("iris.apply", icon="MATERIAL")
+        else:
+            grid = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
+            for kind, text in (("photo", "Photo"), ("render", "Re-render"), ("error", "Error"), ("curve", "Response")):
+                grid.operator("iris.review", text=text).kind = kind
+            layout.operator("iris.apply", icon="MATERIAL")
         if APPLIED in scene:
             row = layout.row(align=True)
             row.operator("iris.confidence", text="Show Confidence").on = True
             row.operator("iris.confidence", text="Hide").on = False
             layout.operator("iris.restore", icon="LOOP_BACK")
+        if result_key(scene):
+            _figures(layout, context)
+
+
+def _figures(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Draw what the report says of the model, and its warnings."""
+    try:
+        report = read_json(result_file(folder(context.scene), REPORT))
+    except IrisError as error:
+        paragraph(layout, str(error), context, "ERROR")
+        return
+    for warning in report.get("warnings") or ():
+        paragraph(layout, str(warning), context, "ERROR")
+    header, body = layout.panel("IRIS_PT_model", default_closed=True)
+    psnr = report.get("holdout_psnr")
+    header.label(text="Model" if psnr is None else f"Model: {psnr:.1f} dB on held-out pixels")
+    if body is not None:
+        column = body.column(align=True)
+        for label, text in model_lines(report):
+            split = column.split(factor=0.6)
+            split.label(text=label)
+            split.label(text=text)
 
 
 class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
     """The recovered lamps."""
 
-    bl_label = "Relight / Insert"
+    bl_label = "Relight"
     step = staticmethod(steps.relight_step)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw the lamps with switch, colour and strength, and buttons to insert objects."""
+        """Draw looks, the lamps with switch, color and strength, and how renders are shown."""
         layout, scene = self.layout, context.scene
         settings = scene.iris
         if APPLIED not in scene:
             layout.label(text="Apply a result first", icon="INFO")
             return
+        shown = context.space_data.shading.type == "RENDERED" and BEFORE_PREVIEW in context.screen
+        layout.operator("iris.preview", icon="SHADING_RENDERED", depress=shown)
+        grid = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
+        for key, look in LOOKS.items():
+            grid.operator("iris.look", text=look.label).look = key
         layout.template_list("IRIS_UL_lamps", "", settings, "lamps", settings, "lamp_index", rows=4)
-        if settings.lamps:
-            lamp = settings.lamps[min(settings.lamp_index, len(settings.lamps) - 1)]
-            layout.label(text=f"{lamp.area:.2g} m², confidence {lamp.confidence:.0%}")
-        world = scene.world
-        background = world.node_tree.nodes.get("Background") if world is not None and world.node_tree else None
+        _chosen_lamp(layout, scene)
+        background = outside_light(scene)
         if background is not None:
             layout.prop(background.inputs["Strength"], "default_value", text="Light from Outside")
-        lights = [thing.name for thing in scene.objects if thing.type == "LIGHT" and not thing.hide_render]
+        lights = [thing.name for thing in other_lights(scene)]
         if lights:
-            paragraph(layout, f"Other lights: {', '.join(lights[:3])}", context, "INFO")
+            row = layout.row()
+            row.label(text=f"{lights[0]}{' and others shine' if lights[1:] else ' shines'} as well", icon="LIGHT")
+            row.operator("iris.hide_lights", text="Hide")
         matched = MATCHED in scene
         text = "Renders Match the Photo" if matched else "Match Photo"
         layout.operator("iris.match_photo", text=text, icon="CAMERA_DATA", depress=matched).on = not matched
         _mixing(layout, scene)
-        row = layout.row(align=True)
-        row.prop(settings, "placed", text="")
-        row.operator("iris.place", text="Place", icon="MESH_UVSPHERE").thing = settings.placed
-        if settings.views:
-            name = settings.views[min(settings.view_index, len(settings.views) - 1)].name
-            layout.operator("iris.onto_photo", text=f"Put Onto Photo {name}", icon="IMAGE_RGB_ALPHA")
-            job_box(layout, "composite", context)
+
+
+def _chosen_lamp(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    """Draw what the chosen lamp is: its share of the light or its lumens, color temperature, area, confidence."""
+    lamp, settings = chosen_lamp(scene), scene.iris
+    unsure = sum(other.confidence < UNSURE for other in settings.lamps)
+    if unsure:
+        layout.prop(settings, "show_unsure", text=f"Show {unsure} Unsure Lamps")
+    if lamp is None:
+        return
+    row = layout.row(align=True)
+    row.prop(lamp.material, "name", text="")
+    row.operator("iris.solo", depress=is_solo(scene, lamp.material))
+    row.operator("iris.anchor")
+    fluxes = {
+        other.name: flux([other.strength * channel for channel in other.color], other.area) for other in settings.lamps
+    }
+    scale, total = settings.lumens_per_unit, sum(fluxes.values())
+    share = (
+        f"{scale * fluxes[lamp.name]:.0f} lm" if scale else f"{fluxes[lamp.name] / max(total, 1e-12):.0%} of the light"
+    )
+    temperature = kelvin(lamp.color)
+    tint = "" if temperature is None else f", {round(temperature, -1):.0f} K"
+    layout.label(text=f"{share}{tint}, {lamp.area:.2g} m², {lamp.confidence:.0%} sure")
 
 
 def _mixing(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
-    """Draw the switch, and a slider and a colour per light of the finished render."""
+    """Draw the switch, and a slider and a color per light of the finished render."""
     node = light_mixing.mixer(scene)
     text = "Mix Lights" if node is None else "Lights Are Mixed"
     layout.operator("iris.mix_lights", text=text, icon="NODE_COMPOSITING", depress=node is not None).on = node is None
@@ -261,7 +300,7 @@ class IRIS_UL_lamps(bpy.types.UIList):  # noqa: N801 - Blender's naming
         split = layout.split(factor=0.5, align=True)
         row = split.row(align=True)
         row.prop(item, "on", text="", icon="OUTLINER_OB_LIGHT" if item.on else "LIGHT", emboss=False)
-        row.label(text=item.name)
+        row.label(text=item.name if item.material is None else item.material.name)
         row = split.row(align=True)
         if not lamps.is_plain(item.material):
             row.label(text="edited by hand")
@@ -269,6 +308,33 @@ class IRIS_UL_lamps(bpy.types.UIList):  # noqa: N801 - Blender's naming
         row.active = item.on
         row.prop(item, "color", text="")
         row.prop(item, "strength", text="")
+
+    def filter_items(self, _context, data, name) -> tuple[list[int], list[int]]:  # noqa: ANN001 - Blender's
+        """Hide lamps of low confidence, unless they are to be listed, or are all there are."""
+        items = getattr(data, name)
+        sure = [data.show_unsure or item.confidence >= UNSURE for item in items]
+        return [self.bitflag_filter_item if shown or not any(sure) else 0 for shown in sure], []
+
+
+class IRIS_PT_insert(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
+    """Objects put into the room."""
+
+    bl_label = "Insert"
+    step = staticmethod(steps.relight_step)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw what can be placed, and the button that puts it onto the photo."""
+        layout, settings = self.layout, context.scene.iris
+        if APPLIED not in context.scene:
+            layout.label(text="Apply a result first", icon="INFO")
+            return
+        row = layout.row(align=True)
+        row.prop(settings, "placed", text="")
+        row.operator("iris.place", text="Place", icon="MESH_UVSPHERE").thing = settings.placed
+        if settings.views:
+            name = settings.views[min(settings.view_index, len(settings.views) - 1)].name
+            layout.operator("iris.onto_photo", text=f"Put Onto Photo {name}", icon="IMAGE_RGB_ALPHA")
+            job_box(layout, "composite", context)
 
 
 class IRIS_PT_export(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming

@@ -44,7 +44,7 @@ def _draw_job(layout: bpy.types.UILayout, name: jobs.JobName, title: str) -> Non
         row.operator("iris.cancel", text="", icon="CANCEL").job = name
     elif record.state == "failed":
         layout.label(text=f"{title}: {record.what}", icon="ERROR")
-        layout.label(text=f"Fix: {record.fix}", icon="BLANK1")
+        layout.label(text=f"Try: {record.fix}", icon="BLANK1")
         layout.operator("iris.copy_error", icon="COPYDOWN").job = name
     elif record.state in ("done", "cancelled", "interrupted"):
         icon = "CHECKMARK" if record.state == "done" else "INFO"

@@ -10,8 +10,9 @@ from typing import Any
 import bpy
 
 from ...iris_addon.blender.scene_out import lights as lamps
-from ..editors import look_at_photo
+from ..editors import look_at_photo, show_cameras
 from ..place import PLACEABLE
+from .lamp_highlight import highlight
 
 # ---- callbacks -----------------------------------------------------------------------------------------------------
 
@@ -26,6 +27,15 @@ def _set(write: Callable[[bpy.types.Material | None, Any], None]) -> Callable[[b
 
 def _look(settings: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
     look_at_photo(context, settings.view_index)
+
+
+def _show_cameras(_settings: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
+    show_cameras(context)
+
+
+def _show_lamp(settings: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
+    if 0 <= settings.lamp_index < len(settings.lamps) and settings.lamps[settings.lamp_index].material is not None:
+        highlight(context.scene, settings.lamps[settings.lamp_index].material)
 
 
 def _set_overlay(settings: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
@@ -90,7 +100,7 @@ class IrisLamp(bpy.types.PropertyGroup):
         set=_set(lamps.set_strength),
     )
     color: bpy.props.FloatVectorProperty(
-        name="Colour",
+        name="Color",
         subtype="COLOR",
         size=3,
         min=0.0,
@@ -113,6 +123,11 @@ class IrisSettings(bpy.types.PropertyGroup):
     )
     capture: bpy.props.StringProperty(
         name="Capture", description="Folder with photos, poses and mesh of the room", subtype="DIR_PATH"
+    )
+    importing: bpy.props.StringProperty(
+        name="Importing",
+        description="Capture that is being read, or could not be read; it replaces the present one once it has been",
+        subtype="DIR_PATH",
     )
     result: bpy.props.StringProperty(
         name="Result", description="Folder for checks and results; empty: beside the capture", subtype="DIR_PATH"
@@ -139,7 +154,7 @@ class IrisSettings(bpy.types.PropertyGroup):
         name="Preview",
         description="Picture of the room shown during the solve",
         items=(
-            ("albedo", "Albedo", "Colour of the surfaces; lamps are black"),
+            ("albedo", "Albedo", "Color of the surfaces; lamps are black"),
             ("light", "Light", "Light that the surfaces receive; lamps are white"),
             (
                 "error",
@@ -153,8 +168,19 @@ class IrisSettings(bpy.types.PropertyGroup):
     warnings: bpy.props.StringProperty(description="Warnings of the check, one per line")
     views: bpy.props.CollectionProperty(type=IrisView)
     view_index: bpy.props.IntProperty(update=_look)
+    all_cameras: bpy.props.BoolProperty(
+        name="All Cameras",
+        description="Show the cameras of all photos in 3D views, not only that of the current one",
+        update=_show_cameras,
+    )
     lamps: bpy.props.CollectionProperty(type=IrisLamp)
-    lamp_index: bpy.props.IntProperty()
+    lamp_index: bpy.props.IntProperty(name="Lamp", update=_show_lamp)
+    show_unsure: bpy.props.BoolProperty(
+        name="Unsure Lamps", description="List lamps too whose light explains little of what the photos show"
+    )
+    lumens_per_unit: bpy.props.FloatProperty(
+        description="Lumens per unit of radiance times square metre; 0 while no lamp's lumens are known", min=0.0
+    )
     placed: bpy.props.EnumProperty(name="Object", description="The object that Place adds", items=PLACEABLE)
     overlay: bpy.props.FloatProperty(
         name="Photo",

@@ -9,7 +9,7 @@ import bpy
 from ...iris_addon.blender.apply.on_objects import APPLIED
 from ...iris_addon.blender.worker import jobs
 from ...iris_addon.results.files import REPORT, result_file
-from ..folders import capture_changed, capture_path, folder, inspection_folder, result_key
+from ..folders import capture_changed, capture_path, check_folder, folder, result_key
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ ICONS = {
 
 def data_step(scene: bpy.types.Scene) -> Step:
     """Whether photos, poses and mesh are in the scene."""
-    if jobs.running("inspect", inspection_folder(scene)):
+    if jobs.running("inspect", check_folder(scene)):
         return Step("running", "Reading the capture")
     if scene.iris.views:
         return Step("done")
@@ -42,7 +42,7 @@ def data_step(scene: bpy.types.Scene) -> Step:
 def check_step(scene: bpy.types.Scene) -> Step:
     """Whether the capture was checked."""
     settings = scene.iris
-    record = jobs.record("inspect", inspection_folder(scene))
+    record = jobs.record("inspect", check_folder(scene))
     if record.state == "running":
         return Step("running", "Measuring the photos")
     if record.state in ("failed", "interrupted"):

@@ -38,7 +38,7 @@ def job_box(layout: bpy.types.UILayout, name: jobs.JobName, context: bpy.types.C
     if record.state in ("failed", "interrupted"):
         box = layout.box()
         paragraph(box, record.what, context, "ERROR")
-        paragraph(box, f"Fix: {record.fix}", context, "INFO")
+        paragraph(box, f"Try: {record.fix}", context, "INFO")
         row = box.row(align=True)
         row.operator("iris.copy_error", icon="COPYDOWN").job = name
         row.operator("iris.show_log", icon="TEXT").job = name

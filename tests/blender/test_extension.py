@@ -455,6 +455,80 @@ def test_checking_again_imports_changes_of_the_capture(package, tmp_path, worker
     in_blender(package, tmp_path, body)
 
 
+def test_a_failed_import_leaves_the_capture_and_the_disk_as_they_were(package, tmp_path, worker, nerfstudio_room):
+    body = f"""
+    preferences.python = {str(worker)!r}
+    capture = {str(nerfstudio_room.root)!r}
+    bpy.ops.iris.import_capture(filepath=capture)
+    assert scene.objects["Cube"].hide_render and scene.objects["Light"].hide_viewport  # they stood in the room
+    shown = [view.camera for view in scene.iris.views if not view.camera.hide_get()]
+    assert shown == [scene.camera]
+    scene.iris.all_cameras = True
+    assert not any(view.camera.hide_get() for view in scene.iris.views)
+    before = [getattr(scene.iris, name) for name in ("source", "capture", "room", "result")], len(scene.iris.views)
+    wrong = home / "holiday"
+    wrong.mkdir()
+    (wrong / "transforms.json").write_text("{{}}")
+    fails(bpy.ops.iris.import_capture, "", filepath=str(wrong / "transforms.json"))
+    now = [getattr(scene.iris, name) for name in ("source", "capture", "room", "result")], len(scene.iris.views)
+    assert now == before and scene.iris.importing == str(wrong)
+    assert sorted(path.name for path in home.iterdir() if "holiday" in path.name) == ["holiday"]
+    assert list(wrong.iterdir()) == [wrong / "transforms.json"]
+    from importlib import import_module
+    steps = import_module(KEY + ".operators.ui.steps")
+    assert steps.check_step(scene).state == "failed"  # the panel says why
+    bpy.ops.iris.solve()
+    assert Path(capture + "-iris", "report.json").is_file()
+    bpy.ops.iris.check()
+    assert not scene.iris.importing and steps.check_step(scene).state == "done"
+    """
+    in_blender(package, tmp_path, body)
+
+
+def test_what_was_applied_is_undone_and_matched_without_the_result_folder(package, tmp_path, worker, nerfstudio_room):
+    body = f"""
+    preferences.python = {str(worker)!r}
+    bpy.ops.iris.import_capture(filepath={str(nerfstudio_room.root)!r})
+    bpy.ops.iris.solve()
+    bpy.ops.iris.apply()
+    shutil.rmtree({str(nerfstudio_room.root)!r} + "-iris")
+    assert not bpy.ops.iris.apply.poll()
+    assert bpy.ops.iris.match_photo(on=True) == {{"FINISHED"}} and "iris_matched" in scene
+    assert bpy.ops.iris.match_photo(on=False) == {{"FINISHED"}} and "iris_matched" not in scene
+    assert bpy.ops.iris.confidence(on=True) == {{"FINISHED"}} and bpy.ops.iris.confidence(on=False) == {{"FINISHED"}}
+    assert bpy.ops.iris.restore() == {{"FINISHED"}} and "iris_applied" not in scene
+    """
+    in_blender(package, tmp_path, body)
+
+
+def test_looks_solo_and_known_lumens(package, tmp_path, worker, nerfstudio_room):
+    body = f"""
+    import math
+    preferences.python = {str(worker)!r}
+    bpy.ops.iris.import_capture(filepath={str(nerfstudio_room.root)!r})
+    assert not bpy.ops.iris.look.poll() and not bpy.ops.iris.solo.poll()
+    bpy.ops.iris.solve()
+    bpy.ops.iris.apply()
+    lamp = scene.iris.lamps[0]
+    outside = scene.world.node_tree.nodes["Background"].inputs["Strength"]
+    lamp.strength, lamp.color = 3, (0, 1, 0)
+    for look, on, share in (("LAMPS", True, 0), ("DAY", False, 1), ("BLACKOUT", False, 0), ("PHOTOGRAPHED", True, 1)):
+        bpy.ops.iris.look(look=look)
+        assert (lamp.on, outside.default_value) == (on, share), look
+    assert lamp.strength == 12 and all(abs(c - v / 12) < 1e-6 for c, v in zip(lamp.color, (12, 10, 8)))
+    bpy.ops.iris.anchor(lumens=800)
+    flux = math.pi * 4 * (0.2126 * 12 + 0.7152 * 10 + 0.0722 * 8)
+    assert abs(scene.iris.lumens_per_unit * flux / 800 - 1) < 1e-5
+    sun = bpy.data.objects.new("my sun", bpy.data.lights.new("my sun", "SUN"))
+    scene.collection.objects.link(sun)
+    bpy.ops.iris.hide_lights()
+    assert sun.hide_render and sun.hide_viewport
+    bpy.ops.iris.solo()
+    assert lamp.on
+    """
+    in_blender(package, tmp_path, body)
+
+
 # ---- what goes wrong -----------------------------------------------------------------------------------------------
 
 

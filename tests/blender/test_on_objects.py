@@ -8,6 +8,8 @@ import pytest
 from mathutils import Matrix
 
 from iris_addon.base.errors import BadInput
+from iris_addon.base.images import read_exr
+from iris_addon.blender.apply.camera_look import LOOK, kept_look
 from iris_addon.blender.apply.on_objects import apply_to_objects, restore
 from iris_addon.blender.apply.review import show_confidence
 from iris_addon.blender.scene_in.scene_capture import read_scene_mesh, whole_object
@@ -264,6 +266,52 @@ def test_a_linked_object_is_refused_with_a_fix(tmp_path):
     result, runs = solve()
     with pytest.raises(BadInput, match="linked from another file — make it local"):
         apply_to_objects(result, runs, bpy.context.scene, "key")
+
+
+def test_what_openings_show_dims_with_the_light_through_them(tmp_path):
+    """The picture of the backdrop, rendered, follows the strength of the world."""
+    scene = bpy.context.scene
+    cube("box")
+    result, runs = solve()
+    result = with_backdrop(result)
+    assert result.backdrop is not None
+    result = replace(
+        result,
+        outside=None,
+        backdrop=replace(result.backdrop, picture=np.full((8, 16, 3), 2.0, np.float32), albedo=None),
+    )
+    apply_to_objects(result, runs, scene, "key")
+    camera = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
+    camera.location, camera.rotation_euler = (-3, -3, -3), (0.5, 0, 0)  # inside the shell, away from the box
+    scene.collection.objects.link(camera)
+    scene.camera, scene.cycles.samples = camera, 1
+    scene.render.resolution_x = scene.render.resolution_y = 4
+    scene.render.image_settings.file_format = "OPEN_EXR"
+
+    def seen(strength: float) -> np.ndarray:
+        scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = strength
+        scene.render.filepath = str(tmp_path / f"{strength}.exr")
+        bpy.ops.render.render(write_still=True)
+        return read_exr(tmp_path / f"{strength}.exr")
+
+    full = seen(1.0)[..., :3]
+    np.testing.assert_allclose(full, 2.0, rtol=1e-2)
+    np.testing.assert_allclose(seen(0.25)[..., :3], 0.25 * full, rtol=1e-2)
+    assert not seen(0.0)[..., :3].any()
+
+
+def test_a_scene_keeps_its_camera_when_the_result_is_gone():
+    cube("box")
+    result, runs = solve()
+    scene = bpy.context.scene
+    with pytest.raises(BadInput, match="no recovered camera"):
+        kept_look(scene)
+    apply_to_objects(result, runs, scene, "key")
+    response, exposures = kept_look(scene)
+    np.testing.assert_array_equal(response.samples, result.response.samples)
+    assert exposures.keys() == result.exposures.keys()
+    restore(scene)
+    assert LOOK not in scene
 
 
 def scatter(thing: bpy.types.Object, leaf: bpy.types.Object) -> None:

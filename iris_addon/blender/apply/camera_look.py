@@ -16,6 +16,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...base.errors import BadInput
 from ...model.response import Response
 from ...results.records import exposure_of
 from ..render.light_groups import group_lights, mixed_picture
@@ -133,6 +134,30 @@ def _lay_out(tree: bpy.types.NodeTree) -> None:
 
 MATCHED = "iris_matched"
 """Custom property of a scene whose renders pass through the recovered camera: its compositing before that."""
+LOOK = "iris_look"
+"""Custom property of a scene with an applied result: the recovered camera, which the result folder may not outlive."""
+
+
+def keep_look(scene: bpy.types.Scene, response: Response, exposures: Mapping[str, NDArray[np.floating]]) -> None:
+    """Store the recovered camera on ``scene``: its response, and (3,) exposure × white balance by photo."""
+    samples = response.samples[:1] if (response.samples == response.samples[0]).all() else response.samples
+    scene[LOOK] = json.dumps(
+        {
+            "family": response.family,
+            "samples": samples.tolist(),
+            "exposures": {name: exposure.tolist() for name, exposure in exposures.items()},
+        }
+    )
+
+
+def kept_look(scene: bpy.types.Scene) -> tuple[Response, dict[str, NDArray[np.float64]]]:
+    """What :func:`keep_look` stored on ``scene``; raises BadInput where nothing was."""
+    if LOOK not in scene:
+        raise BadInput("this scene has no recovered camera", "apply the result again")
+    kept = json.loads(scene[LOOK])
+    samples = np.array(kept["samples"])
+    response = Response(np.repeat(samples, 3 // len(samples), axis=0), kept["family"])
+    return response, {name: np.array(exposure) for name, exposure in kept["exposures"].items()}
 
 
 def match_photo(

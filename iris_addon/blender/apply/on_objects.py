@@ -23,12 +23,12 @@ from ...edits.scene_edit import SceneEdit
 from ...model.capture import Mesh
 from ...results.result import Result
 from ..render.light_mixing import has_separated_lamps, stop_mixing
-from ..scene_out.backdrop import add_backdrop
+from ..scene_out.backdrop import add_backdrop, follow_world
 from ..scene_out.build import face_materials, plain_mesh
 from ..scene_out.materials import UV_MAP, add_confidence
 from ..scene_out.scene_state import forget_scene, keep_scene, require_object_mode, restore_scene, show_like_the_photos
 from ..scene_out.world import make_world
-from .camera_look import stop_matching
+from .camera_look import LOOK, keep_look, stop_matching
 from .photo_cameras import restore_given_poses
 
 ORIGINAL_MESH, ORIGINAL, SLOT, MADE = "iris_original_mesh", "iris_original", "iris_slot_", "iris_made"
@@ -85,7 +85,9 @@ def apply_to_objects(result: Result, runs: Sequence[FaceRun], scene: bpy.types.S
         shell = add_backdrop(result.backdrop, 1.0, scene.collection)
         shell.matrix_world = Matrix(to_blender.tolist()) @ Matrix.Translation(shell.location)
         shell[MADE] = shell.data[MADE] = True
+        follow_world(shell, scene.world)
     show_like_the_photos(result, scene)
+    keep_look(scene, result.response, result.exposures)
     images = set(bpy.data.images) - before
     for image in images:  # those of world and backdrop too: unpacked images are black after undo and reload
         image.pack()
@@ -119,7 +121,8 @@ def restore(scene: bpy.types.Scene) -> int:
     if APPLIED in scene:
         restore_scene(scene)
         forget_scene(scene)
-        del scene[APPLIED]
+        for name in (APPLIED, LOOK):
+            scene.pop(name, None)
     _remove_made(scene)
     return len(kept)
 

@@ -130,6 +130,29 @@ def add_capture(inspected: Inspected, scene: bpy.types.Scene) -> tuple[bpy.types
     return room, cameras
 
 
+STARTUP_LIGHT = (4.076245, 1.005454, 5.903862)
+
+
+def hide_startup_objects(scene: bpy.types.Scene) -> list[str]:
+    """Hide the cube and the light of Blender's start-up file where nobody has touched them; returns their names."""
+    hidden = []
+    for thing in (scene.objects.get("Cube"), scene.objects.get("Light")):
+        if thing is not None and not thing.hide_render and _as_at_startup(thing):
+            thing.hide_viewport = thing.hide_render = True
+            hidden.append(thing.name)
+    return hidden
+
+
+def _as_at_startup(thing: bpy.types.Object) -> bool:
+    if thing.type == "LIGHT":
+        place = np.abs(np.subtract(thing.location, STARTUP_LIGHT)).max()
+        return bool(thing.data.type == "POINT" and thing.data.energy == 1000.0 and place < 1e-4)
+    if thing.type != "MESH" or not thing.matrix_world.is_identity or len(thing.modifiers):
+        return False
+    corners = [abs(coordinate) for vertex in thing.data.vertices for coordinate in vertex.co]
+    return len(thing.data.vertices) == 8 and np.allclose(corners, 1.0)
+
+
 def refresh_capture(
     inspected: Inspected, scene: bpy.types.Scene, room: bpy.types.Object, present: Mapping[str, bpy.types.Object]
 ) -> list[bpy.types.Object]:

@@ -38,6 +38,18 @@ def add_backdrop(backdrop: Backdrop, scale: float, collection: bpy.types.Collect
     return shell
 
 
+def follow_world(shell: bpy.types.Object, world: bpy.types.World) -> None:
+    """Let the strength of the backdrop be that of ``world``: what openings show dims with the light through them."""
+    material = shell.data.materials[0]
+    emission = next(node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeEmission")
+    background = next(node for node in world.node_tree.nodes if node.bl_idname == "ShaderNodeBackground")
+    driver = emission.inputs["Strength"].driver_add("default_value").driver
+    driver.type = "SUM"  # no Python expression, which Blender would not run in a file from a stranger
+    source = driver.variables.new().targets[0]
+    source.id_type, source.id = "WORLD", world
+    source.data_path = f'node_tree.nodes["{background.name}"].inputs["Strength"].default_value'
+
+
 def is_backdrop(thing: bpy.types.Object) -> bool:
     """Whether :func:`add_backdrop` made ``thing``."""
     return KEY in thing

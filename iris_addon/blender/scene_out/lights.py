@@ -148,6 +148,16 @@ def set_color(material: bpy.types.Material | None, value: Sequence[float]) -> No
         shader.inputs["Emission Color"].default_value = (*value, 1.0)
 
 
+def reset(material: bpy.types.Material) -> None:
+    """Let a lamp emit what was recovered; does nothing where the artist has rebuilt it."""
+    shader = _shader(material)
+    if shader is None or RECOVERED not in material:
+        return
+    radiance = [float(value) for value in material[RECOVERED]]
+    shader.inputs["Emission Strength"].default_value = max(radiance)
+    shader.inputs["Emission Color"].default_value = (*(value / max(radiance) for value in radiance), 1.0)
+
+
 @contextmanager
 def as_recovered(materials: Iterable[bpy.types.Material]) -> Iterator[None]:
     """Inside, lamps emit what was recovered; materials that the artist has rebuilt stay as they are."""
@@ -158,9 +168,7 @@ def as_recovered(materials: Iterable[bpy.types.Material]) -> Iterator[None]:
             continue
         tint, level = shader.inputs["Emission Color"], shader.inputs["Emission Strength"]
         before.append((tint, tuple(tint.default_value), level, level.default_value))
-        radiance = [float(value) for value in material[RECOVERED]]
-        level.default_value = max(radiance)
-        tint.default_value = (*(value / max(radiance) for value in radiance), 1.0)
+        reset(material)
     try:
         yield
     finally:

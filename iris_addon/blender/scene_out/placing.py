@@ -87,7 +87,9 @@ def add_object(
     for layer in collection.id_data.view_layers if isinstance(collection.id_data, bpy.types.Scene) else ():
         layer.update()
     anchor = bpy.data.objects.new(name, None)
-    anchor.matrix_world = placement_matrix(thing.placement, room, corners_of(objects))
+    corners = corners_of(objects)
+    anchor.matrix_world = placement_matrix(thing.placement, room, corners)
+    anchor.empty_display_size = max(0.5 * float(np.ptp(corners, axis=0).max()), 1e-3)  # as wide as what it holds
     collection.objects.link(anchor)
     for child in objects:
         if child.parent is None:

@@ -1,0 +1,137 @@
+"""Relight the room that is applied: looks, one lamp alone, a known bulb, and a preview in the 3D view."""
+# Blender declares properties as annotations.
+# pyright: reportInvalidTypeForm=false
+
+from __future__ import annotations
+
+import bpy
+
+from ..iris_addon.blender.apply.looks import LOOKS, set_look, solo
+from ..iris_addon.blender.apply.on_objects import MADE
+from ..iris_addon.edits.light_units import flux
+from .polls import NeedsApplied
+
+PREVIEW_SAMPLES = 64
+BEFORE_PREVIEW = "iris_before_preview"
+"""Custom property of a screen with a preview: shading and overlays of its 3D view before it."""
+
+
+class IRIS_OT_look(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Switch and dim all lamps and the light from outside"""
+
+    bl_idname = "iris.look"
+    bl_label = "Look"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
+
+    look: bpy.props.EnumProperty(name="Look", items=[(key, look.label, look.tooltip) for key, look in LOOKS.items()])
+
+    @classmethod
+    def description(cls, _context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
+        """The tooltip is that of the look."""
+        return LOOKS[properties.look].tooltip
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Set the look."""
+        set_look(context.scene, self.look)
+        return {"FINISHED"}
+
+
+class _OfLamp(NeedsApplied):
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """A result was applied, and a lamp is chosen."""
+        return super().poll(context) and chosen_lamp(context.scene) is not None
+
+
+class IRIS_OT_solo(_OfLamp, bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Switch all other lamps off; pressed again, all on"""
+
+    bl_idname = "iris.solo"
+    bl_label = "Solo"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Leave the chosen lamp alone."""
+        lamp = chosen_lamp(context.scene)
+        assert lamp is not None  # by poll
+        solo(context.scene, lamp.material)
+        return {"FINISHED"}
+
+
+class IRIS_OT_anchor(_OfLamp, bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Give the lumens of this lamp as they stand on its box: those of all others follow, because photos show ratios"""
+
+    bl_idname = "iris.anchor"
+    bl_label = "Set Lumens"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
+
+    lumens: bpy.props.FloatProperty(name="Lumens", description="Of the whole lamp", default=800.0, min=1.0)
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        """Ask for the lumens."""
+        return context.window_manager.invoke_props_dialog(self)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Set the scale of the scene's radiance."""
+        lamp = chosen_lamp(context.scene)
+        assert lamp is not None  # by poll
+        emitted = flux([lamp.strength * channel for channel in lamp.color], lamp.area)
+        if emitted <= 0:
+            self.report({"ERROR"}, f"{lamp.material.name} emits nothing — choose a lamp that shines")
+            return {"CANCELLED"}
+        context.scene.iris.lumens_per_unit = self.lumens / emitted
+        return {"FINISHED"}
+
+
+class IRIS_OT_hide_lights(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Hide the lights of this scene that are not the result's, in views and in renders"""
+
+    bl_idname = "iris.hide_lights"
+    bl_label = "Hide Other Lights"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Hide them."""
+        for thing in other_lights(context.scene):
+            thing.hide_viewport = thing.hide_render = True
+        return {"FINISHED"}
+
+
+class IRIS_OT_preview(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Render in this 3D view, denoised and without overlays; pressed again, back to how it was"""
+
+    bl_idname = "iris.preview"
+    bl_label = "Preview"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """A result was applied, and this is a 3D view."""
+        return super().poll(context) and context.area is not None and context.area.type == "VIEW_3D"
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Change the shading of the view."""
+        space, scene = context.area.spaces.active, context.scene
+        before = context.screen.get(BEFORE_PREVIEW)
+        if before is not None and space.shading.type == "RENDERED":
+            space.shading.type, space.overlay.show_overlays = before[0], before[1] == "on"
+            del context.screen[BEFORE_PREVIEW]
+            return {"FINISHED"}
+        context.screen[BEFORE_PREVIEW] = [space.shading.type, "on" if space.overlay.show_overlays else "off"]
+        scene.render.engine = "CYCLES"
+        scene.cycles.preview_samples = PREVIEW_SAMPLES
+        scene.cycles.use_preview_denoising = True
+        space.overlay.show_overlays = False
+        space.shading.type = "RENDERED"
+        return {"FINISHED"}
+
+
+def chosen_lamp(scene: bpy.types.Scene) -> bpy.types.PropertyGroup | None:
+    """The lamp that is chosen in the list, if its material still exists."""
+    lamps = scene.iris.lamps
+    lamp = lamps[scene.iris.lamp_index] if 0 <= scene.iris.lamp_index < len(lamps) else None
+    return None if lamp is None or lamp.material is None else lamp
+
+
+def other_lights(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """Lights that render and are not the result's."""
+    return [thing for thing in scene.objects if thing.type == "LIGHT" and not thing.hide_render and MADE not in thing]

@@ -1,0 +1,95 @@
+"""The lamp that is chosen in the list, drawn over the 3D view for a moment."""
+
+from __future__ import annotations
+
+import time
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+SECONDS = 2.0
+COLOR = (1.0, 0.6, 0.1, 0.6)
+
+
+class _Shown:
+    """What is drawn now; there is one list of lamps, and so one highlight."""
+
+    triangles: NDArray[np.float32] | None = None
+    until = 0.0
+    handler: object = None
+
+
+def highlight(scene: bpy.types.Scene, lamp: bpy.types.Material) -> None:
+    """Draw the faces of ``lamp`` for some seconds. Does nothing in background."""
+    if bpy.app.background:
+        return
+    _Shown.triangles, _Shown.until = lamp_triangles(scene, lamp), time.monotonic() + SECONDS
+    _redraw()
+    if not bpy.app.timers.is_registered(_end):
+        bpy.app.timers.register(_end, first_interval=SECONDS)
+
+
+def lamp_triangles(scene: bpy.types.Scene, lamp: bpy.types.Material) -> NDArray[np.float32]:
+    """(n, 3) corners in world space, three per triangle, of all faces in ``scene`` with the material ``lamp``."""
+    found = [np.zeros((0, 3), np.float32)]
+    for thing in scene.objects:
+        if thing.type != "MESH" or lamp.name not in thing.data.materials:
+            continue
+        data, slot = thing.data, thing.data.materials.find(lamp.name)
+        n = len(data.loop_triangles)
+        corners, polygon = np.empty(3 * n, np.int32), np.empty(n, np.int32)
+        slots, points = np.empty(len(data.polygons), np.int32), np.empty(3 * len(data.vertices), np.float32)
+        data.loop_triangles.foreach_get("vertices", corners)
+        data.loop_triangles.foreach_get("polygon_index", polygon)
+        data.polygons.foreach_get("material_index", slots)
+        data.vertices.foreach_get("co", points)
+        used = corners.reshape(n, 3)[slots[polygon] == slot].ravel()
+        matrix = np.array(thing.matrix_world, np.float32)
+        found.append(points.reshape(-1, 3)[used] @ matrix[:3, :3].T + matrix[:3, 3])
+    return np.concatenate(found)
+
+
+def _draw() -> None:
+    if _Shown.triangles is None or time.monotonic() > _Shown.until:
+        return
+    import gpu  # absent where Blender draws nothing
+    from gpu_extras.batch import batch_for_shader
+
+    shader = gpu.shader.from_builtin("UNIFORM_COLOR")
+    batch = batch_for_shader(shader, "TRIS", {"pos": _Shown.triangles})
+    gpu.state.blend_set("ALPHA")
+    shader.uniform_float("color", COLOR)
+    batch.draw(shader)
+    gpu.state.blend_set("NONE")
+
+
+def _end() -> float | None:
+    left = _Shown.until - time.monotonic()
+    if left > 0:  # another lamp was chosen meanwhile
+        return left
+    _Shown.triangles = None
+    _redraw()
+    return None
+
+
+def _redraw() -> None:
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+
+
+def register() -> None:
+    """Start to draw."""
+    if not bpy.app.background:
+        _Shown.handler = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_VIEW")
+
+
+def unregister() -> None:
+    """Stop drawing."""
+    if bpy.app.timers.is_registered(_end):
+        bpy.app.timers.unregister(_end)
+    if _Shown.handler is not None:
+        bpy.types.SpaceView3D.draw_handler_remove(_Shown.handler, "WINDOW")
+        _Shown.handler = None
