@@ -284,7 +284,7 @@ def test_what_openings_show_dims_with_the_light_through_them(tmp_path):
     camera = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
     camera.location, camera.rotation_euler = (-3, -3, -3), (0.5, 0, 0)  # inside the shell, away from the box
     scene.collection.objects.link(camera)
-    scene.camera, scene.cycles.samples = camera, 1
+    scene.camera, scene.cycles.samples, scene.cycles.use_denoising = camera, 1, False
     scene.render.resolution_x = scene.render.resolution_y = 4
     scene.render.image_settings.file_format = "OPEN_EXR"
 
