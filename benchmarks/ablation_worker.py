@@ -101,11 +101,31 @@ def left_out(name: str) -> Iterator[None]:
         yield
 
 
+@contextmanager
+def accepted_refinements() -> Iterator[set[str]]:
+    """Inside, collects the refinements that are accepted, for any subject."""
+    names: set[str] = set()
+    decide_as_before = decide.accept
+
+    def noted(name: str, *losses: float, **more: float) -> bool:
+        accepted = decide_as_before(name, *losses, **more)
+        if accepted:
+            names.add(name)
+        return accepted
+
+    with patch.object(decide, "accept", noted):
+        yield names
+
+
 def measure(capture: Path, name: str, preset_name: PresetName) -> Record:
     """Solve ``capture`` without ``name`` and score its maps. Raises IrisError where it cannot be solved."""
     from iris_addon.pipeline import solve
 
-    with tempfile.TemporaryDirectory(prefix="iris-ablation-") as scratch, left_out(name):
+    with (
+        tempfile.TemporaryDirectory(prefix="iris-ablation-") as scratch,
+        left_out(name),
+        accepted_refinements() as accepted,
+    ):
         os.environ["IRIS_CACHE"] = str(Path(scratch) / "cache")
         start = time.monotonic()
         result = solve(read_capture(capture), preset(preset_name), Path(scratch) / "result")
@@ -116,6 +136,7 @@ def measure(capture: Path, name: str, preset_name: PresetName) -> Record:
         "run": {"capture": str(capture), "left_out": name, "preset": preset_name},
         "machine": machine.describe(),
         "seconds_total": seconds,
+        "accepted": sorted(accepted),
         "metrics": {**metrics, "holdout_psnr": result.report["holdout_psnr"]},
     }
 

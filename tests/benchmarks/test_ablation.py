@@ -7,7 +7,7 @@ import importlib
 import pytest
 
 from benchmarks.ablation_section import NOTHING, describe
-from benchmarks.ablation_worker import MECHANISMS, left_out, variants
+from benchmarks.ablation_worker import MECHANISMS, accepted_refinements, left_out, variants
 from iris_addon import decide
 
 
@@ -33,6 +33,14 @@ def test_a_refinement_that_is_left_out_earns_nothing_whatever_it_gains(name: str
     with left_out(name):
         assert not decide.accept(name, 1.0, -10.0)
     assert decide.accept(name, 1.0, -10.0)
+
+
+def test_what_was_accepted_is_collected() -> None:
+    with accepted_refinements() as names:
+        decide.accept("metal", 1.0, 2.0)
+        decide.Decisions().accept("burley", 1.0, 0.1)
+    decide.accept("gloss", 1.0, 0.1)
+    assert names == {"burley"}
 
 
 def test_nothing_is_the_first_variant_and_changes_nothing() -> None:
