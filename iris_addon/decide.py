@@ -58,6 +58,14 @@ REFINEMENTS: Mapping[str, Refinement] = {
         gain=0.2,
         experiment="0038-does-each-photo-need-its-own-pose",
     ),
+    # ---- surface
+    # Nothing of it is fitted to photos. What would be flattened away would take their texture to other places.
+    "scan_surface": Refinement(
+        "the smooth surface behind a scan in place of its triangles",
+        "disagreement of local contrast between photos, over points behind the same pixels",
+        gain=-0.02,
+        experiment="0110-what-is-lost-on-scans",
+    ),
     # ---- response
     "channel_curves": Refinement(
         "a response curve per colour channel", OVERLAP, gain=0.03, experiment="0004-which-family-for-the-response"

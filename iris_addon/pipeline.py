@@ -29,7 +29,6 @@ from .materials.first_lights import FirstLights, find_first_lights, pose_problem
 from .materials.rounds import solve_materials
 from .materials.solution import Solution
 from .model.capture import Capture
-from .rays.tracer import Tracer
 from .response.observations import observe
 from .response.photometry import Photometry, measure_photometry
 from .results.assembly import make_result, with_figures
@@ -40,6 +39,7 @@ from .results.preview import write_previews
 from .results.report import write_report
 from .results.result import Result
 from .surface.photo_samples import sample_photos
+from .surface.scan_surface import choose_surface
 from .surface.traced_room import trace_room
 from .textures.charts import atlas_for_photos
 from .transport.cache import cached_transport
@@ -96,12 +96,14 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         return arrays
 
     with progress.stage("photos"):
-        tracer = Tracer(capture.mesh)
+        surface, tracer = choose_surface(capture, stream(config.seed, "surface.scan"), progress, decisions)
         capture, cameras = fit_cameras(capture, tracer, stream(config.seed, "cameras.points"), progress, decisions)
         photos = sample_photos(capture, tracer, config.hdr is not None, progress)
     with progress.stage("surface"):
         room = cancellable(
-            lambda: trace_room(capture, tracer, photos, config.max_patches, stream(config.seed, "surface.patches"))
+            lambda: trace_room(
+                capture, surface, tracer, photos, config.max_patches, stream(config.seed, "surface.patches")
+            )
         )
     with progress.stage("transport"):
         transport = cached_transport(room, config, stream(config.seed, "transport.gather_rays"), progress)

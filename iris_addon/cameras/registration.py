@@ -132,6 +132,21 @@ def register(
     return replace(capture, views=views), Registration(PoseCorrections.between(given, found), gain)
 
 
+def photo_disagreement(capture: Capture, tracer: Tracer, rng: np.random.Generator, progress: Progress) -> float:
+    """Mean Cauchy loss of the local contrast that photos show at points of the surface around their mean.
+
+    Args:
+        tracer: of the surface; the same ``rng`` puts points behind the same pixels whatever the surface.
+
+    Raises:
+        BadInput: a photo cannot be read.
+    """
+    cameras = [view.camera for view in capture.views]
+    pictures = _pictures(_brightness(capture.views, progress), WIDTHS[-1])
+    points = SurfacePoints.of(cameras, tracer, N_POINTS, rng)
+    return _Sightings.of(points, cameras, tracer, rng).disagreement(pictures, cameras)
+
+
 def _brightness(views: Sequence[View], progress: Progress) -> list[NDArray[np.floating]]:
     """Per photo (h, w, 2) log brightness and the usable share of each pixel, at the finest width."""
 

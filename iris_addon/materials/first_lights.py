@@ -163,7 +163,7 @@ def find_first_lights(
     """
     exponent = 1.0
     light, lights = choose_outside(problem.light, problem.observed, progress)
-    material = problem.materials_under(lights, room.regions.scanned)
+    material = problem.materials_under(lights, room.regions.scanned, room.surface.pieces)
     if (material != problem.light.material).any():
         problem = problem.with_materials(material)
         light, lights = choose_outside(problem.light, problem.observed, progress, lights)

@@ -96,11 +96,14 @@ class MaterialProblem:
         light = replace(self.light, transport=transport.with_lobes(kappa, moments))
         return replace(self, light=light, diffuse=self.diffuse.under(gloss.layered))
 
-    def materials_under(self, lights: Lights, scanned: NDArray[np.bool_]) -> NDArray[np.int32]:
+    def materials_under(
+        self, lights: Lights, scanned: NDArray[np.bool_], pieces: NDArray[np.int32]
+    ) -> NDArray[np.int32]:
         """(n_regions,) label of each region, the same for regions that are one material under ``lights``.
 
         Args:
             scanned: (F,) bool, faces of scans; other regions keep their label.
+            pieces: (F,) smooth piece of the surface of each face.
         """
         light, seen = self.light, self.observed
         if not scanned.any():
@@ -111,7 +114,7 @@ class MaterialProblem:
         known = seen.known.all(1)[patch]
         log_albedo = group_means(np.log(albedo)[patch[known]], face[known], n_faces)
         pixels = np.bincount(face[known], minlength=n_faces)
-        return joined_regions(light.regions, light.adjacency, log_albedo, pixels, scanned)
+        return joined_regions(light.regions, light.adjacency, log_albedo, pixels, scanned, pieces)
 
     def with_materials(self, material: NDArray[np.int32]) -> MaterialProblem:
         """The same problem with patches and observations in regions of one ``material`` (n_regions,) joined."""

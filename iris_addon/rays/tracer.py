@@ -46,11 +46,17 @@ class Tracer:
     Attributes:
         rays_traced: rays cast since construction.
         epsilon: metres to move an origin off its surface.
-        normals: (F, 3) float32 unit geometric normals, zero for degenerate faces.
+        normals: (F, 3) float32 unit normals, zero for degenerate faces.
         areas: (F,) square metres.
     """
 
-    def __init__(self, mesh: Mesh) -> None:
+    def __init__(self, mesh: Mesh, normals: NDArray[np.floating] | None = None, noise: float = 0.0) -> None:
+        """The tracer of ``mesh``.
+
+        Args:
+            normals: (F, 3) unit normals of the surface behind its faces, by default those of the faces themselves.
+            noise: standard deviation of its places, metres: rays start above the bumps that it leaves.
+        """
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
 
@@ -59,10 +65,11 @@ class Tracer:
         length = np.linalg.norm(cross, axis=1)
         self.areas = 0.5 * length
         unit = cross / np.maximum(length, 1e-300)[:, None]
-        self.normals = np.where(length[:, None] > 2 * DEGENERATE_AREA, unit, 0.0).astype(np.float32)
+        known = unit if normals is None else normals
+        self.normals = np.where(length[:, None] > 2 * DEGENERATE_AREA, known, 0.0).astype(np.float32)
         self._kept = np.flatnonzero(self.areas > DEGENERATE_AREA).astype(np.int32)
         self.corners = corners
-        self.epsilon = 2e-5 * _size(corners[self._kept])
+        self.epsilon = max(2e-5 * _size(corners[self._kept]), noise)
         self.rays_traced = 0
         self._scene = EmbreeScene()
         self._geometry = TriangleMesh(self._scene, corners[self._kept].astype(np.float32))

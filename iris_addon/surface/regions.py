@@ -6,13 +6,15 @@ so that it is only a hint that surfaces have one gloss (:mod:`iris_addon.materia
 
 - large components of a modelled surface between sharp edges become regions: the shell of a room is often one
   component, though its floor and its walls are of different materials (:func:`split_creases`);
-- scans, which have no sharp edges, are split along edges of colour (:func:`split_scan`).
+- scans are split between the planes and smooth pieces of their surface, and along edges of colour
+  (:func:`split_scan`).
 
 Once the light is about known, :func:`joined_regions` finds regions of a scan that a shadow or a highlight split.
 """
 
 from __future__ import annotations
 
+from heapq import heappop, heappush
 from typing import NamedTuple
 
 import numpy as np
@@ -21,33 +23,27 @@ from numpy.typing import NDArray
 from ..base.group_by import group_equal, group_means, group_medians, group_sums
 from ..model.capture import Mesh
 from .primary_rays import PixelSamples
-from .topology import component_labels, smooth_components, smooth_edges
+from .scan_surface import ScanSurface
+from .topology import component_labels, smooth_components
 
-FLAT_COSINE = 0.9999
-"""Cosine between normals from which on they are those of one plane."""
 REGION_MIN_SHARE = 0.01
 """Share of all pixels from which on a component between sharp edges is a region of its own."""
 COLOUR_FLOOR = 0.03
 """Display value added before the logarithm of a colour is taken."""
-SCAN_MIN_FACES = 20_000
-"""Faces from which on a component may be a scan, not a modelled object."""
-SCAN_MIN_SHARE = 0.3
-"""Share of all pixels from which on a component may be a scan."""
-SCAN_MAX_FLAT_EDGES = 0.5
-"""Share of flat edges below which a component may be a scan: a modelled wall cut fine stays flat, a scanned one is
-rough."""
 SCAN_GRANULARITY = 0.6
 """Log-colour step times face count up to which a small region of a scan joins a neighbour."""
 SCAN_MIN_REGION = 60
 """Faces of a region of a scan, below which it joins a neighbour at any step."""
 SCAN_UNSEEN_STEP = 0.15
 """Log-colour step assumed between faces of a scan that no photo shows."""
-SCAN_CREASE_STEP = 0.3
-"""Log-colour step that a right angle between faces of a scan counts as."""
-REJOIN_MAX_STEP = 0.06
-"""Step of log albedo across a border up to which both sides are one material."""
-REJOIN_MAX_DIFFERENCE = 0.25
-"""Difference of mean log albedo below which regions are one material; small steps may add up to more."""
+SCAN_CREASE_STEP = 1.0
+"""Log-colour step that the border between two pieces of the surface counts as."""
+REJOIN_STEP = 0.06
+"""Standard deviation of the step of log albedo across a border inside one material without texture."""
+REJOIN_DIFFERENCE = 0.25
+"""Standard deviation of the difference of mean log albedo inside one: light is wrong by as much from end to end."""
+REJOIN_TEXTURE = 1.0
+"""Share of the texture of either side in both: planks of a floor differ as much as the grain of each does."""
 REJOIN_MIN_BORDER = 5
 """Edges of the mesh that a border must have for its step to count."""
 
@@ -68,22 +64,19 @@ class Regions(NamedTuple):
 
 def split_regions(
     mesh: Mesh,
-    adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
-    normals: NDArray[np.floating],
+    surface: ScanSurface,
     samples: PixelSamples,
     z: NDArray[np.floating],
 ) -> Regions:
     """Divide the faces of ``mesh`` into regions, before anything is known of the light.
 
     Args:
-        adjacency: pairs of faces that share an edge, two (k,).
-        normals: (F, 3) unit.
+        surface: behind the mesh.
         samples: the n pixels on the mesh.
         z: (n, 3) display values of the pixels.
     """
-    components = component_labels(len(mesh.faces), *adjacency)
-    scanned = scanned_faces(components, adjacency, normals, samples)
-    regions = components
+    adjacency, normals, scanned = surface.adjacency, surface.normals, surface.scanned
+    regions = component_labels(len(mesh.faces), *adjacency)
     if mesh.regions is not None:
         a, b = adjacency
         within = mesh.regions[a] == mesh.regions[b]
@@ -91,32 +84,12 @@ def split_regions(
     regions = split_creases(regions, adjacency, normals, samples, scanned)
     if scanned.any():
         log_colour = np.log(group_means(z, samples.face, len(mesh.faces)) + COLOUR_FLOOR)
-        regions = split_scan(regions, adjacency, normals, samples, log_colour, scanned)
+        regions = split_scan(regions, surface, samples, log_colour)
     if mesh.regions is None:
         return Regions(regions, scanned, None)
     in_file = np.empty(int(regions.max()) + 1, np.int32)
     in_file[regions] = mesh.regions
     return Regions(regions, scanned, in_file)
-
-
-def scanned_faces(
-    regions: NDArray[np.int32],
-    adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
-    normals: NDArray[np.floating],
-    samples: PixelSamples,
-) -> NDArray[np.bool_]:
-    """(F,) faces of components that were scanned: many faces, a large share of the photos, and hardly a flat edge.
-
-    Args:
-        regions: (F,) connected component of each face.
-        normals: (F, 3) unit.
-    """
-    size = np.bincount(regions)
-    share = np.bincount(regions[samples.face], minlength=len(size)) / len(samples.face)
-    edges_of = regions[adjacency[0]]
-    flat = np.bincount(edges_of, smooth_edges(normals, adjacency, FLAT_COSINE), len(size))
-    rough = flat < SCAN_MAX_FLAT_EDGES * np.bincount(edges_of, minlength=len(size))
-    return ((size >= SCAN_MIN_FACES) & (share >= SCAN_MIN_SHARE) & rough)[regions]
 
 
 def split_creases(
@@ -142,13 +115,12 @@ def split_creases(
 
 def split_scan(
     regions: NDArray[np.int32],
-    adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
-    normals: NDArray[np.floating],
+    surface: ScanSurface,
     samples: PixelSamples,
     log_colour: NDArray[np.floating],
-    scanned: NDArray[np.bool_],
 ) -> NDArray[np.int32]:
-    """(F,) regions with those of scans split along edges of colour; modelled objects stay as they are.
+    """(F,) regions with those of scans split between pieces of the surface and along edges of colour; modelled objects
+    stay as they are.
 
     Graph segmentation after Felzenszwalb and Huttenlocher (IJCV 2004): neighbouring faces join while the step between
     them is no larger than the steps inside the regions they belong to. Shading changes slowly over a surface and stays
@@ -156,19 +128,16 @@ def split_scan(
 
     Args:
         regions: (F,) region of each face.
-        normals: (F, 3) unit.
         log_colour: (F, 3) log display value of each face that photos show.
-        scanned: (F,) faces of scans.
     """
-    n_faces = len(regions)
+    n_faces, scanned, piece = len(regions), surface.scanned, surface.pieces
     seen = samples.seen_faces(n_faces)
-    a, b = adjacency
+    a, b = surface.adjacency
     inside = scanned[a] & scanned[b] & (regions[a] == regions[b])
     a, b = a[inside], b[inside]
-    step = np.abs(log_colour[a] - log_colour[b]).max(1) + SCAN_CREASE_STEP * (
-        1 - np.abs((normals[a] * normals[b]).sum(1))
-    )
+    step = np.abs(log_colour[a] - log_colour[b]).max(1)
     step[~(seen[a] & seen[b])] = SCAN_UNSEEN_STEP
+    step += SCAN_CREASE_STEP * (piece[a] != piece[b])
     label = _merge(n_faces, a, b, step)
     # Labels of scans follow those of the other regions.
     label = np.where(scanned, int(regions.max()) + 1 + label, regions)
@@ -217,39 +186,101 @@ def joined_regions(
     log_albedo: NDArray[np.float64],
     pixels: NDArray[np.integer],
     scanned: NDArray[np.bool_],
+    pieces: NDArray[np.int32],
 ) -> NDArray[np.int32]:
-    """(n_regions,) material of each region: one label for regions of a scan across whose borders albedo has no step.
+    """(n_regions,) material of each region: one label for regions of a scan that differ no more than each varies.
 
-    A scan is split where the colour of its photos steps, at the edge of a shadow or highlight as well as at that of a
-    paint. Once light is divided out, both sides of a shadow's edge are the same.
+    A scan is split where the colour of its photos steps: at the edge of a shadow or highlight, and between the planks
+    of a floor, as well as between paints. Once light is divided out, both sides of a shadow's edge are the same; and
+    planks differ from each other as each does from end to end. Pairs of neighbours are joined in order of
+
+        max(step² / (REJOIN_STEP² + texture²), difference² / (REJOIN_DIFFERENCE² + texture²))
+
+    up to 1, the step being the median across their border and the texture that of both.
 
     Args:
         regions: (F,) region of each face.
         log_albedo: (F, 3) of each face that has ``pixels`` (F,).
         scanned: (F,) faces of a scan; the regions of all others stay apart.
+        pieces: (F,) smooth piece of the surface of each face; regions of different pieces stay apart.
     """
     n = int(regions.max()) + 1
-    a, b = adjacency
     known = scanned & (pixels > 0)
-    border = known[a] & known[b] & (regions[a] != regions[b])
+    weight = np.where(known, pixels, 0)[:, None].astype(np.float64)
+    value = np.where(known[:, None], log_albedo, 0.0)
+    moments = group_sums(np.concatenate([weight, weight * value, weight * value**2], 1), regions, n)
+    a, b = adjacency
+    border = known[a] & known[b] & (regions[a] != regions[b]) & (pieces[a] == pieces[b])
     a, b = a[border], b[border]
     swap = regions[a] > regions[b]
     a, b = np.where(swap, b, a), np.where(swap, a, b)
     groups = group_equal(regions[a].astype(np.int64) * n + regions[b])
-    step = np.abs(group_medians(log_albedo[a] - log_albedo[b], groups.group, len(groups.keys))).max(1)
-    step[groups.count < REJOIN_MIN_BORDER] = np.inf
-    weight = np.where(known, pixels, 0)[:, None].astype(np.float64)
-    total, sums = (
-        group_sums(weight, regions, n),
-        group_sums(weight * np.where(known[:, None], log_albedo, 0.0), regions, n),
-    )
-    label = np.arange(n, dtype=np.int32)
-    for k in np.argsort(step, kind="stable"):
-        if step[k] > REJOIN_MAX_STEP:
-            break
-        one, other = label[groups.keys[k] // n], label[groups.keys[k] % n]
-        if one != other and np.abs(sums[one] / total[one] - sums[other] / total[other]).max() < REJOIN_MAX_DIFFERENCE:
-            sums[one] += sums[other]
-            total[one] += total[other]
-            label[label == other] = one
-    return label
+    step = group_medians(log_albedo[a] - log_albedo[b], groups.group, len(groups.keys))
+    borders: list[dict[int, NDArray[np.float64]]] = [{} for _ in range(n)]
+    for key, count, value in zip(groups.keys.tolist(), groups.count.tolist(), step, strict=True):
+        if count >= REJOIN_MIN_BORDER:
+            one, other = divmod(key, n)
+            # The number of edges, and the step towards the other side times that number.
+            borders[one][other] = np.append(count, count * value)
+            borders[other][one] = np.append(count, -count * value)
+    return _Joining(moments, borders).labels()
+
+
+class _Joining:
+    """Agglomeration of n regions.
+
+    Args:
+        moments: (n, 7) weight of each, and weighted sums of its log albedo and of that squared.
+        borders: per region, the neighbours and (4,) edges shared and the sum of their steps.
+    """
+
+    def __init__(self, moments: NDArray[np.float64], borders: list[dict[int, NDArray[np.float64]]]) -> None:
+        self._moments, self._borders = moments.copy(), borders
+        self._label = np.arange(len(moments), dtype=np.int32)
+        self._version = [0] * len(moments)
+
+    def labels(self) -> NDArray[np.int32]:
+        """(n,) label of each region after the last pair that belongs together was joined."""
+        queue: list[tuple[float, int, int, int, int]] = []
+        for one, others in enumerate(self._borders):
+            for other in others:
+                if one < other:
+                    self._propose(queue, one, other)
+        while queue:
+            _, one, other, version, version_of_other = heappop(queue)
+            if (self._version[one], self._version[other]) == (version, version_of_other):
+                self._join(one, other)
+                for third in self._borders[one]:
+                    self._propose(queue, min(one, third), max(one, third))
+        while (self._label[self._label] != self._label).any():
+            self._label = self._label[self._label]
+        return self._label
+
+    def _propose(self, queue: list[tuple[float, int, int, int, int]], one: int, other: int) -> None:
+        """Put a pair on the ``queue`` if it is no further apart than it may be."""
+        first, second = self._moments[one], self._moments[other]
+        mean, mean_of_other = first[1:4] / first[0], second[1:4] / second[0]
+        texture = (
+            REJOIN_TEXTURE
+            * 0.5
+            * (np.maximum(first[4:] / first[0] - mean**2, 0) + np.maximum(second[4:] / second[0] - mean_of_other**2, 0))
+        )
+        edges = self._borders[one][other]
+        step = (edges[1:] / edges[0]) ** 2 / (REJOIN_STEP**2 + texture)
+        apart = (mean - mean_of_other) ** 2 / (REJOIN_DIFFERENCE**2 + texture)
+        worst = float(max(step.max(), apart.max()))
+        if worst <= 1:
+            heappush(queue, (worst, one, other, self._version[one], self._version[other]))
+
+    def _join(self, one: int, other: int) -> None:
+        """Make ``other`` a part of ``one``."""
+        self._label[other] = one
+        self._moments[one] += self._moments[other]
+        self._version[one] += 1
+        self._version[other] = -1
+        for third, edges in self._borders[other].items():
+            del self._borders[third][other]
+            if third != one:
+                self._borders[one][third] = self._borders[one].get(third, 0) + edges
+                self._borders[third][one] = self._borders[third].get(one, 0) + edges * np.array([1, -1, -1, -1])
+        self._borders[other] = {}

@@ -16,7 +16,8 @@ from .patches import Surface, build_surface
 from .photo_samples import PhotoSamples
 from .primary_rays import PixelSamples
 from .regions import Regions, split_regions
-from .topology import edge_adjacency, smooth_components
+from .scan_surface import ScanSurface
+from .topology import smooth_components
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,8 @@ class TracedRoom:
 
     Attributes:
         capture: with cameras as they fit the mesh.
-        tracer: of the capture's mesh.
+        surface: behind the capture's mesh.
+        tracer: of the surface behind the capture's mesh.
         photos: the n pixels that show the mesh.
         adjacency: pairs of faces that share an edge, two (k,).
         regions: the F faces in regions.
@@ -35,6 +37,7 @@ class TracedRoom:
     """
 
     capture: Capture
+    surface: ScanSurface
     tracer: Tracer
     photos: PhotoSamples
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]]
@@ -75,15 +78,25 @@ class TracedRoom:
 
 
 def trace_room(
-    capture: Capture, tracer: Tracer, photos: PhotoSamples, max_patches: int, rng: np.random.Generator
+    capture: Capture,
+    surface: ScanSurface,
+    tracer: Tracer,
+    photos: PhotoSamples,
+    max_patches: int,
+    rng: np.random.Generator,
 ) -> TracedRoom:
-    """Split the mesh into regions, find the pixels that mix them, and cover what photos see with patches."""
-    adjacency = edge_adjacency(capture.mesh)
-    regions = split_regions(capture.mesh, adjacency, tracer.normals, photos.samples, photos.z)
+    """Split the mesh into regions, find the pixels that mix them, and cover what photos see with patches.
+
+    Args:
+        surface: behind the capture's mesh, which ``tracer`` traces.
+    """
+    adjacency = surface.adjacency
+    regions = split_regions(capture.mesh, surface, photos.samples, photos.z)
     cameras = [view.camera for view in capture.views]
     patches = build_surface(capture.mesh, photos.samples, regions.of_face, max_patches, rng)
     return TracedRoom(
         capture=capture,
+        surface=surface,
         tracer=tracer,
         photos=photos,
         adjacency=adjacency,

@@ -67,10 +67,10 @@ def _cached(room: TracedRoom, config: SolveConfig, rng: np.random.Generator, pro
 
 
 def _key(room: TracedRoom, config: SolveConfig) -> str:
-    mesh, patches = room.capture.mesh, room.patches
+    tracer, patches = room.tracer, room.patches
     numbers = FORMAT, config.gather_rays, config.seed, len(patches.region), patches.pixels_per_patch
     digest = hashlib.sha256(repr(numbers).encode())
-    arrays = mesh.vertices, mesh.faces, room.regions.of_face, patches.grid.cell_keys, patches.origins.position
+    arrays = tracer.corners, tracer.normals, room.regions.of_face, patches.grid.cell_keys, patches.origins.position
     for array in arrays:
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()[:32]

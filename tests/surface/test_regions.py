@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from iris_addon.model.capture import Mesh
 from iris_addon.rays.tracer import Tracer
 from iris_addon.surface.primary_rays import PixelSamples
-from iris_addon.surface.regions import SCAN_MIN_FACES, split_regions
-from iris_addon.surface.topology import edge_adjacency
+from iris_addon.surface.regions import split_regions
+from iris_addon.surface.scan_surface import SCAN_MIN_FACES, surface_behind
 
 SIDE = 110
 assert 2 * (SIDE - 1) ** 2 > SCAN_MIN_FACES
@@ -52,16 +52,15 @@ def _seen(mesh: Mesh) -> tuple[PixelSamples, NDArray[np.float32]]:
 
 
 @pytest.mark.parametrize("roughness", [0.0, 0.0015])
-def test_a_model_is_split_at_its_folds_and_a_scan_at_its_colours(roughness: float):
+def test_a_model_is_split_at_its_folds_and_a_scan_at_its_colours_too(roughness: float):
     mesh = _sheet(roughness)
     samples, z = _seen(mesh)
-    regions, scanned, in_file = split_regions(mesh, edge_adjacency(mesh), Tracer(mesh).normals, samples, z)
+    regions, scanned, in_file = split_regions(mesh, surface_behind(mesh), samples, z)
     assert (scanned == (roughness > 0)).all() and in_file is None
     center = mesh.vertices[mesh.faces].mean(1)
     upright, light = center[:, 2] > 0.005, center[:, 1] > 0.5
-    assert _purity(regions, upright if roughness == 0 else light) > 0.97
-    if roughness == 0:
-        assert _purity(regions, light) < 0.6
+    assert _purity(regions, upright) > 0.97
+    assert _purity(regions, light) < 0.6 if roughness == 0 else _purity(regions, light) > 0.97
 
 
 def test_a_scan_is_split_within_the_pages_of_its_texture():
@@ -70,12 +69,12 @@ def test_a_scan_is_split_within_the_pages_of_its_texture():
     page, light = (center[:, 0] > 0.25).astype(np.int32), center[:, 1] > 0.5
     paged = Mesh(mesh.vertices, mesh.faces, regions=page)
     samples, z = _seen(mesh)
-    regions, scanned, in_file = split_regions(paged, edge_adjacency(mesh), Tracer(mesh).normals, samples, z)
+    regions, scanned, in_file = split_regions(paged, surface_behind(paged), samples, z)
     assert scanned.all() and _purity(regions, light) > 0.97 and _purity(regions, page == 1) == 1
     assert in_file is not None and np.array_equal(in_file[regions], page)
     flat = _sheet(0.0)
     modelled = Mesh(flat.vertices, flat.faces, regions=page)
-    regions, scanned, in_file = split_regions(modelled, edge_adjacency(flat), Tracer(flat).normals, *_seen(flat))
+    regions, scanned, in_file = split_regions(modelled, surface_behind(modelled), *_seen(flat))
     assert not scanned.any() and in_file is not None and np.array_equal(in_file[regions], page)
     upright = flat.vertices[flat.faces].mean(1)[:, 2] > 0.005
     assert _purity(regions, upright) > 0.97, "one of the pages is folded"
@@ -93,7 +92,7 @@ def test_regions_of_the_file_are_split_into_components():
     )
     samples, z = _seen(mesh)
     unseen = samples.take(np.flatnonzero(samples.face < 10))  # no piece between folds is large in the photos
-    split = split_regions(mesh, edge_adjacency(mesh), Tracer(mesh).normals, unseen, z[: len(unseen.face)])
+    split = split_regions(mesh, surface_behind(mesh), unseen, z[: len(unseen.face)])
     assert mesh.regions is not None and split.in_file is not None
     assert np.array_equal(split.in_file[split.of_face], mesh.regions)
     sheets = np.repeat(np.arange(3), faces)

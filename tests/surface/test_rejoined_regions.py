@@ -13,7 +13,7 @@ from iris_addon.materials.rounds import MaterialProblem
 from iris_addon.model.response import gamma
 from iris_addon.pipeline import solve
 from iris_addon.rays.tracer import Tracer
-from iris_addon.surface.regions import REJOIN_MAX_DIFFERENCE, REJOIN_MAX_STEP, Regions, joined_regions
+from iris_addon.surface.regions import REJOIN_DIFFERENCE, REJOIN_STEP, Regions, joined_regions
 from iris_addon.surface.topology import edge_adjacency
 from tests.engine_room import SIZE, assemble, cameras, furnished_room, photograph, quad, render
 
@@ -26,12 +26,18 @@ REGIONS = MESH.regions
 ADJACENCY = edge_adjacency(MESH)
 SCANNED = np.ones(len(REGIONS), bool)
 PIXELS = np.full(len(REGIONS), 9)
+ONE_PIECE = np.zeros(len(REGIONS), np.int32)
 MIDDLE = MESH.vertices[MESH.faces].mean(1)
 
 
-def joined(log_albedo: np.ndarray, scanned: np.ndarray = SCANNED, pixels: np.ndarray = PIXELS) -> list[list[int]]:
+def joined(
+    log_albedo: np.ndarray,
+    scanned: np.ndarray = SCANNED,
+    pixels: np.ndarray = PIXELS,
+    pieces: np.ndarray = ONE_PIECE,
+) -> list[list[int]]:
     """Strips of each material, for log albedo (F,) alike in all channels."""
-    label = joined_regions(REGIONS, ADJACENCY, log_albedo[:, None].repeat(3, 1), pixels, scanned)
+    label = joined_regions(REGIONS, ADJACENCY, log_albedo[:, None].repeat(3, 1), pixels, scanned, pieces)
     return sorted(np.flatnonzero(label == k).tolist() for k in np.unique(label))
 
 
@@ -40,22 +46,35 @@ def test_strips_of_one_paint_under_uneven_light_are_one_material() -> None:
     assert joined(np.log(0.4) + grain) == [list(range(STRIPS))]
 
 
-@pytest.mark.parametrize(("step", "apart"), [(0.5 * REJOIN_MAX_STEP, False), (2 * REJOIN_MAX_STEP, True)])
+@pytest.mark.parametrize(("step", "apart"), [(0.5 * REJOIN_STEP, False), (2 * REJOIN_STEP, True)])
 def test_a_step_of_paint_keeps_both_sides_apart(step: float, apart: bool) -> None:
     found = joined(np.where(REGIONS < 2, 0.0, step) + np.log(0.3))
     assert found == ([[0, 1], [2, 3, 4, 5]] if apart else [list(range(STRIPS))])
 
 
+def test_planks_that_differ_as_each_varies_are_one_floor() -> None:
+    """Planks with a grain of 0.2 and as much between them; a white strip beside them is another material."""
+    rng = np.random.default_rng(1)
+    planks = np.append(rng.normal(0, 0.15, STRIPS - 1), 1.2)[REGIONS] + rng.normal(0, 0.2, len(REGIONS))
+    assert joined(planks) == [list(range(STRIPS - 1)), [STRIPS - 1]]
+    even = np.append(rng.normal(0, 0.15, STRIPS - 1), 1.2)[REGIONS]
+    assert len(joined(even)) > 2, "strips of even paints are not planks"
+
+
+def test_materials_end_where_the_surface_bends() -> None:
+    assert joined(np.zeros(len(REGIONS)), pieces=REGIONS // 2) == [[0, 1], [2, 3], [4, 5]]
+
+
 def test_a_step_in_one_channel_is_a_step() -> None:
     log_albedo = np.zeros((len(REGIONS), 3))
     log_albedo[REGIONS >= 3, 2] = 0.3
-    label = joined_regions(REGIONS, ADJACENCY, log_albedo, PIXELS, SCANNED)
+    label = joined_regions(REGIONS, ADJACENCY, log_albedo, PIXELS, SCANNED, ONE_PIECE)
     assert len(np.unique(label)) == 2 and label[2] != label[3]
 
 
 def test_small_steps_do_not_add_up_to_another_paint() -> None:
     """Every strip is as bright as the next at their border, but the last is far from the first."""
-    slope = 0.8 * REJOIN_MAX_DIFFERENCE / WIDTH
+    slope = 0.9 * REJOIN_DIFFERENCE / WIDTH
     found = joined(slope * MIDDLE[:, 0])
     assert len(found) > 1
     assert all(len(strips) <= 3 for strips in found)
