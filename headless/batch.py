@@ -130,7 +130,7 @@ def solve_job(job: Job, progress: Progress) -> Result:
     from iris_addon.capture.reader import read_capture
     from iris_addon.pipeline import solve
 
-    capture = read_capture(job.capture, exposures=job.config.exposures, hdr=job.config.hdr)
+    capture = read_capture(job.capture, exposures=job.config.exposures, hdr=job.config.hdr, check=progress.check)
     return solve(capture, job.config, job.out, progress)
 
 

@@ -63,11 +63,13 @@ def solve(
     """Recover response, exposures, lights and materials; write the result folder ``out``.
 
     Raises:
-        BadInput: a photo cannot be read, all photos are clipped, another process is solving into ``out``, or a link
-            there leads elsewhere.
+        BadInput: photos and mesh do not belong together, a photo cannot be read, all photos are clipped, another
+            process is solving into ``out``, or a link there leads elsewhere.
         Cancelled: finished stages stay in ``out`` for ``resume``.
         IrisError: the disk is full.
     """
+    if capture.mismatch is not None:
+        raise capture.mismatch
     # Matrices are narrow: threads of the linear algebra library would only take cores from those of the solve.
     with sole_writer(out), threadpool_limits(1, "blas"):
         require_no_links(out)  # before hours of work; saving checks again

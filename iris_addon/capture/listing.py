@@ -27,6 +27,12 @@ MAX_ARRAY_BYTES = 16 * 1024 * 1024
 MIN_UP_LENGTH = 0.1
 """Length of the mean of unit up vectors below which the mean has no direction."""
 
+Z_UP = (0.0, 0.0, 1.0)
+UPRIGHT_COSINE = 0.5
+"""Cosine between +z and the mean up, or backward, direction of the photos above which +z is up."""
+AXIS_COSINE = 0.9
+"""Cosine between an axis and that mean from which the axis is up."""
+
 MAX_FIELD_OF_VIEW = math.radians(170.0)
 RIGID_TOLERANCE = 1e-3
 """Deviation from a rotation matrix; files keep three decimals at least."""
@@ -186,6 +192,23 @@ def mean_up(views: Sequence[View]) -> tuple[float, float, float] | None:
     if length < MIN_UP_LENGTH:
         return None
     x, y, z = (up / length).tolist()
+    return (x, y, z)
+
+
+def upright(views: Sequence[View]) -> tuple[float, float, float]:
+    """+z, unless photos clearly lie on their side under it; then an axis, or their mean up.
+
+    RGB-D recorders take their axes from the first photo, with y down. An axis near the mean is more likely than the
+    mean itself, which leans where all photos look down in one direction.
+    """
+    mean = mean_up(views)
+    down = float(np.mean([view.camera.c2w[:3, 2] for view in views], axis=0) @ Z_UP)
+    if mean is None or max(float(np.dot(mean, Z_UP)), down) > UPRIGHT_COSINE:  # upright, or looking down from above
+        return Z_UP
+    axis = np.rint(mean) + 0.0  # no negative zeros
+    if float(axis @ mean) < AXIS_COSINE or np.abs(axis).sum() != 1:
+        return mean
+    x, y, z = axis.tolist()
     return (x, y, z)
 
 

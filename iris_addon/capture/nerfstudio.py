@@ -23,21 +23,15 @@ from .listing import (
     frames_of,
     inside,
     is_point_cloud,
-    mean_up,
     number,
     only_mesh,
     read_camera,
     read_distortion,
     read_json_object,
     up_axis,
+    upright,
     view_names,
 )
-
-UP = (0.0, 0.0, 1.0)
-UPRIGHT_COSINE = 0.5
-"""Cosine between +z and the mean up, or backward, direction of the photos above which +z is up."""
-AXIS_COSINE = 0.9
-"""Cosine between an axis and that mean from which the axis is up."""
 
 
 def read_nerfstudio(transforms: Path) -> Listing:
@@ -59,7 +53,7 @@ def read_nerfstudio(transforms: Path) -> Listing:
         views=tuple(view for view in views if view.split == "train"),
         val_views=tuple(view for view in views if view.split == "val"),
         mesh_file=mesh_file,
-        up=up_axis(root, _up(views)),
+        up=up_axis(root, upright(views)),
         warnings=tuple(warnings),
     )
 
@@ -69,23 +63,6 @@ def read_nerfstudio_views(transforms: Path) -> tuple[View, ...]:
     meta = read_json_object(transforms)
     views = _views(meta, frames_of(meta, transforms), transforms.parent, transforms, photos=False)
     return tuple(view for view in views if view is not None)
-
-
-def _up(views: Sequence[View]) -> tuple[float, float, float]:
-    """+z, as the format has it, unless photos clearly lie on their side under it; then an axis, or their mean up.
-
-    RGB-D recorders take their axes from the first photo, with y down. An axis near the mean is more likely than the
-    mean itself, which leans where all photos look down in one direction.
-    """
-    mean = mean_up(views)
-    down = float(np.mean([view.camera.c2w[:3, 2] for view in views], axis=0) @ UP)
-    if mean is None or max(float(np.dot(mean, UP)), down) > UPRIGHT_COSINE:  # upright, or looking down from above
-        return UP
-    axis = np.rint(mean) + 0.0  # no negative zeros
-    if float(axis @ mean) < AXIS_COSINE or np.abs(axis).sum() != 1:
-        return mean
-    x, y, z = axis.tolist()
-    return (x, y, z)
 
 
 # ---- Frames ---------------------------------------------------------------------------------------------------------

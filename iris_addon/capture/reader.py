@@ -6,7 +6,7 @@ one unit.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,9 +17,10 @@ from ..base.images import HDR_SUFFIXES, check_image
 from ..model.capture import Capture, FloatArray, Mesh, View
 from ..rays.tracer import Tracer
 from .colmap import colmap_model, read_colmap, read_colmap_views
+from .common_frame import OURS, bring_together, extent
 from .exposures import apply_file, from_exif
 from .fipt import PhotoSet, fipt_root, read_fipt, read_fipt_views
-from .listing import Listing
+from .listing import Listing, up_axis, upright
 from .mesh_files import read_mesh
 from .nerfstudio import read_nerfstudio, read_nerfstudio_views
 from .photos import check_photo_size
@@ -40,9 +41,17 @@ steps would be felt beyond."""
 
 
 def read_capture(
-    path: Path | str, *, exposures: str | Path = "auto", hdr: Path | None = None, photos: PhotoSet = "Image"
+    path: Path | str,
+    *,
+    exposures: str | Path = "auto",
+    hdr: Path | None = None,
+    photos: PhotoSet = "Image",
+    check: Callable[[], None] = lambda: None,
 ) -> Capture:
     """Read and check a capture.
+
+    Photos and mesh are brought into one frame where the mend is clear, which a warning then says. Where they do not fit
+    and no mend is clear, the capture has a ``mismatch``: it can be inspected and not solved.
 
     Args:
         path: a nerfstudio transforms.json or its folder, a folder in FIPT layout, or one with a COLMAP model.
@@ -50,6 +59,7 @@ def read_capture(
             photos; anything else is a JSON, CSV or .npy file.
         hdr: folder with an EXR of linear radiance for each training photo, matched by file name.
         photos: which set of a FIPT-layout capture, varying or constant exposure.
+        check: called often; may raise, as for a cancel.
 
     Raises:
         BadInput: the capture cannot be used as it is.
@@ -69,17 +79,24 @@ def read_capture(
         warnings.append(f"{unknown} of {len(views)} photos have no exposure time: all exposures are estimated")
 
     mesh, mesh_warnings = read_mesh(listing.mesh_file)
-    check_units(views, mesh, listing.mesh_file)
+    check_origin(views, mesh, listing.mesh_file)
     mesh, turned = _turn_glb(mesh, views, listing)
-    warnings += [*mesh_warnings, *turned, *check_sees_mesh(views, mesh, listing.mesh_file)]
+    together = bring_together(views, val_views, mesh, check)
+    warnings += [*mesh_warnings, *turned, *([together.warning] if together.warning else [])]
+    check_units(together.views, together.mesh, listing.mesh_file)
+    warnings += check_sees_mesh(together.views, together.mesh, listing.mesh_file)
+    up = listing.up
+    if together.mend.convention is not OURS:
+        up = up_axis(listing.root, upright(together.views))
     return Capture(
         name=listing.name,
         root=listing.root,
-        views=tuple(views),
-        val_views=tuple(val_views),
-        mesh=mesh,
-        up=listing.up,
+        views=together.views,
+        val_views=together.val_views,
+        mesh=together.mesh,
+        up=up,
         warnings=tuple(warnings),
+        mismatch=None if together.mismatch is None else BadInput(*together.mismatch, listing.mesh_file),
     )
 
 
@@ -186,34 +203,34 @@ def check_photos(views: Sequence[View]) -> None:
 
 
 def check_units(views: Sequence[View], mesh: Mesh, path: Path) -> None:
-    """Raise BadInput when the mesh ``path`` and the poses cannot be in one unit, or lie too far from the origin.
-
-    The extent of the mesh is the median distance of its vertices from their median, without a far backdrop.
-    A camera path below half a metre counts as half a metre, because cameras that only turn on the spot have no path.
+    """Raise BadInput when the mesh ``path`` and the poses cannot be in one unit. A camera path below half a metre
+    counts as half a metre, because cameras that only turn on the spot have no path.
     """
-    center = np.median(mesh.vertices, axis=0)
-    extent = float(np.median(np.linalg.norm(mesh.vertices - center, axis=1)))
+    size = extent(mesh)
     positions = np.array([view.camera.position for view in views])
     spread = float(np.linalg.norm(np.ptp(positions, axis=0)))
-    ratio = extent / max(spread, 0.5)
+    ratio = size / max(spread, 0.5)
     if ratio > MAX_UNIT_RATIO:
         raise BadInput(
             f"is {ratio:.0f} times as large as the path of the cameras: millimetres against metres?",
             f"scale the mesh to metres (by {_nearest_unit(1 / ratio):g}) or bring the poses to its unit",
             path,
         )
-    if spread > MAX_UNIT_RATIO * max(extent, 1e-9):
+    if spread > MAX_UNIT_RATIO * max(size, 1e-9):
         raise BadInput(
-            f"is {spread / max(extent, 1e-9):.0f} times smaller than the path of the cameras: poses in millimetres?",
+            f"is {spread / max(size, 1e-9):.0f} times smaller than the path of the cameras: poses in millimetres?",
             "bring mesh and poses to metres",
             path,
         )
-    _check_origin(center, np.median(positions, axis=0), extent, path)
 
 
-def _check_origin(center: FloatArray, camera: FloatArray, extent: float, path: Path) -> None:
+def check_origin(views: Sequence[View], mesh: Mesh, path: Path) -> None:
+    """Raise BadInput when the mesh ``path`` or the cameras lie too far from the origin for single precision."""
+    center = np.median(mesh.vertices, axis=0)
+    camera = np.median([view.camera.position for view in views], axis=0)
+    size = extent(mesh)
     distance = float(min(np.linalg.norm(center), np.linalg.norm(camera)))
-    times = distance / max(extent, 1e-9)
+    times = distance / max(size, 1e-9)
     if times > MAX_ORIGIN_RATIO:
         shift = ", ".join(f"{-round(value):d}" for value in center.tolist())
         raise BadInput(

@@ -14,6 +14,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.errors import BadInput
+
 FloatArray = NDArray[np.floating]
 
 Split = Literal["train", "val"]
@@ -152,6 +154,7 @@ class Capture:
         val_views: held-out photos; the solver never opens them.
         up: unit vector that points away from the floor; (0, 0, 1) where the capture does not give it.
         warnings: what a user should know before waiting for a solve.
+        mismatch: what a solve raises, where photos and mesh do not belong together.
     """
 
     name: str
@@ -161,6 +164,7 @@ class Capture:
     mesh: Mesh
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     warnings: tuple[str, ...] = field(default=())
+    mismatch: BadInput | None = None
 
     @property
     def exposures_known(self) -> bool:

@@ -9,7 +9,8 @@ import pytest
 from iris_addon.base.errors import Cancelled
 from iris_addon.base.images import write_png
 from iris_addon.base.progress import Progress
-from iris_addon.capture.inspection import align, geometry_edges, inspect
+from iris_addon.capture.alignment import align, geometry_edges
+from iris_addon.capture.inspection import inspect
 from iris_addon.capture.reader import read_capture
 from iris_addon.model.capture import Camera, Mesh
 from iris_addon.rays.tracer import Tracer
