@@ -37,6 +37,8 @@ MIN_SHARED = 1000
 """Sightings of cells that two photos show; fewer do not determine five numbers."""
 OUTLIER_LOG = 0.2
 """Log brightness by which a photo differs from the others where it starts to count as an outlier."""
+MIN_VALID = 0.5
+"""Share of a filtered pixel that must be picture."""
 BRIGHTNESS_FLOOR = 0.05
 """Display value added before the logarithm, because shadows are noise."""
 SIMPLEX_STEP = np.array([0.03, 0.01, 0.01, 0.02, 0.02])
@@ -121,7 +123,7 @@ class _Lattice:
 
     Attributes:
         i, j: (n,) pixel coordinates, the same in every photo, fractions of the width and of the height.
-        brightness: (V, n) log of the mean display value over the lattice's step.
+        brightness: (V, n) log of the mean display value over the lattice's step, NaN where the photo shows nothing.
     """
 
     i: NDArray[np.float64]
@@ -135,9 +137,12 @@ class _Lattice:
         brightness = np.empty((len(views), len(i)))
 
         def read(index: int) -> None:
-            values = load_photo(views[index]).values.mean(-1)
-            height, width = values.shape
-            smooth = uniform_filter(values, max(1, height // side))
+            photo = load_photo(views[index])
+            height, width = photo.valid.shape
+            step = max(1, height // side)
+            share = uniform_filter(photo.valid.astype(np.float32), step)
+            smooth = uniform_filter(photo.values.mean(-1) * photo.valid, step) / np.maximum(share, MIN_VALID)
+            smooth[share < MIN_VALID] = np.nan
             brightness[index] = np.log(smooth[(j * height).astype(int), (i * width).astype(int)] + BRIGHTNESS_FLOOR)
 
         at_once = photos_at_once(views)
@@ -150,7 +155,7 @@ class _Lattice:
         direction = np.concatenate([self._directions(camera) for camera in cameras])
         origin = np.repeat(np.array([camera.position for camera in cameras], np.float32), len(self.i), axis=0)
         hits = tracer.closest(origin, direction)
-        on = np.flatnonzero(hits.face >= 0)
+        on = np.flatnonzero((hits.face >= 0) & np.isfinite(self.brightness.ravel()))
         point = origin[on] + direction[on] * hits.distance[on, None]
         cell = _cells(point, tracer.normals[hits.face[on]], direction[on])
         return _spread(cell, on // len(self.i), self.brightness.ravel()[on], len(views))

@@ -22,6 +22,7 @@ from ..base.parallel import over_each
 from ..model.capture import Camera, FloatArray, Mesh, View
 from ..rays.tracer import Tracer
 from .alignment import ALIGN_WIDTH, band, correlation, geometry_edges, near_no_shift, seen_geometry, shown_edges
+from .photo_files import SIDEWAYS, UPRIGHT, read_orientation
 from .photos import load_photo, photos_at_once
 
 FRAME_PHOTOS = 16
@@ -311,6 +312,8 @@ def bring_together(
     fit = meter.fit()
     if fit.peak >= CLEAR_PEAK:
         return given
+    if (shown := _as_shown(given, mesh, fit, check)) is not None:
+        return shown
     found = search(meter, fit, views, mesh)
     if found is not None and found[1].photos >= MIN_PHOTOS and is_clear(found[1], fit):
         mend, mended = found
@@ -329,6 +332,28 @@ def bring_together(
         "under no usual choice of axes, unit and pose convention"
     )
     return replace(given, mismatch=(what, advice))
+
+
+def _as_shown(given: Together, mesh: Mesh, fit: FrameFit, check: Callable[[], None]) -> Together | None:
+    """The views with their photos turned as EXIF says, if that is clearly right: not all programs turn them."""
+    views, val_views = ([_turned(view) for view in group] for group in (given.views, given.val_views))
+    if all(view is before for view, before in zip(views, given.views, strict=True)):
+        return None
+    mended = FrameMeter(views, mesh, check).fit()
+    if not is_clear(mended, fit):
+        return None
+    warning = (
+        f"the photos are turned as their EXIF orientation says: they then fit the mesh by {mended.peak:.1f} instead of "
+        f"{fit.peak:.1f}"
+    )
+    return replace(given, views=tuple(views), val_views=tuple(val_views), warning=warning)
+
+
+def _turned(view: View) -> View:
+    if view.photo is None or view.orientation != UPRIGHT:
+        return view
+    orientation = read_orientation(view.photo)
+    return view if orientation in SIDEWAYS else replace(view, orientation=orientation)
 
 
 def _apply(mend: Mend, given: Together, warning: str) -> Together:

@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import ExifTags, Image
+from PIL import ExifTags
 
 from ..base.errors import BadInput
 from ..base.images import HDR_SUFFIXES
 from ..model.capture import View
 from .listing import load_array, number, read_json_object
+from .photo_files import read_exif
 
 MAX_CSV_BYTES = 16 * 1024 * 1024
 
@@ -61,27 +62,52 @@ def with_unit_mean(views: Sequence[View]) -> tuple[tuple[View, ...], float]:
 
 # ---- EXIF -----------------------------------------------------------------------------------------------------------
 
-_TAGS = {"seconds": ExifTags.Base.ExposureTime, "f_number": ExifTags.Base.FNumber, "iso": ExifTags.Base.ISOSpeedRatings}
+_ISO = {
+    "speed": ExifTags.Base.ISOSpeedRatings,
+    "recommended": ExifTags.Base.RecommendedExposureIndex,
+    "standard": ExifTags.Base.StandardOutputSensitivity,
+    "iso_speed": ExifTags.Base.ISOSpeed,
+}
+"""Places where cameras write the ISO. The first is one number of 16 bits, full where the ISO is larger."""
+ISO_OVERFLOW = 65535
+MAX_EXIF = 1e7
+"""Largest magnitude of a setting."""
 
 
 def exif_settings(photo: Path) -> dict[str, float]:
-    """Those of "seconds", "f_number" and "iso" that the EXIF block of ``photo`` gives as positive numbers."""
-    settings = {}
-    try:
-        with Image.open(photo, formats=("PNG", "JPEG")) as image:
-            block = image.getexif().get_ifd(ExifTags.IFD.Exif)
-    except (OSError, SyntaxError, ValueError):  # a damaged EXIF block counts as none; pixels are checked elsewhere
+    """Those of "seconds", "f_number" and "iso" that the EXIF block of ``photo`` gives, in any of its spellings.
+
+    Times and f-numbers may be given as APEX values alone: 2^-Tv seconds, N = 2^(Av/2).
+    """
+    exif = read_exif(photo)
+    if exif is None:
         return {}
-    for name, tag in _TAGS.items():
-        value = block.get(tag)
-        value = value[0] if isinstance(value, tuple) and value else value
-        try:
-            number_ = float(value)  # type: ignore[arg-type]
-        except (TypeError, ValueError, ZeroDivisionError):
-            continue
-        if np.isfinite(number_) and number_ > 0:
-            settings[name] = number_
-    return settings
+    block = exif.get_ifd(ExifTags.IFD.Exif) or exif  # camera raw files have their settings in the first directory
+    time = _positive(block.get(ExifTags.Base.ExposureTime))
+    if time is None and (apex := _finite(block.get(ExifTags.Base.ShutterSpeedValue))) is not None:
+        time = 2.0**-apex
+    f_number = _positive(block.get(ExifTags.Base.FNumber))
+    if f_number is None and (apex := _finite(block.get(ExifTags.Base.ApertureValue))) is not None:
+        f_number = 2.0 ** (apex / 2)
+    isos = [_positive(block.get(tag)) for tag in _ISO.values()]
+    iso = next((value for value in isos if value is not None and value != ISO_OVERFLOW), None)
+    found = {"seconds": time, "f_number": f_number, "iso": iso}
+    return {name: value for name, value in found.items() if value is not None}
+
+
+def _finite(value: Any) -> float | None:
+    """An EXIF value as a number; None for nonsense, as the rationals 1/0 and 0/0."""
+    value = value[0] if isinstance(value, tuple) and value else value
+    try:
+        number_ = float(value)
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return number_ if np.isfinite(number_) and abs(number_) < MAX_EXIF else None
+
+
+def _positive(value: Any) -> float | None:
+    number_ = _finite(value)
+    return number_ if number_ is not None and number_ > 0 else None
 
 
 def from_exif(photos: Mapping[str, Path]) -> dict[str, float]:

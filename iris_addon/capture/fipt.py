@@ -13,7 +13,6 @@ from typing import Any, Literal
 import numpy as np
 
 from ..base.errors import BadInput
-from ..base.images import check_image
 from ..model.capture import Split, View
 from .exposures import checked
 from .listing import (
@@ -32,6 +31,7 @@ from .listing import (
     safe_name,
     up_axis,
 )
+from .photo_files import check_photo
 
 UP = (0.0, 1.0, 0.0)
 
@@ -83,7 +83,7 @@ def read_fipt_views(root: Path, split: Split, photos: PhotoSet = "Image") -> tup
         values = {**meta, **frame}
         values["transform_matrix"] = read_pose(frame.get("transform_matrix"), name, source) @ LEFT_UP_FORWARD
         if size is None and not ("w" in values and "h" in values) and photo is not None:
-            size = check_image(photo)
+            size = check_photo(photo)
         views.append(
             View(
                 name=name,

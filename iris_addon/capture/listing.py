@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from ..base.errors import BadInput
 from ..base.files import read_json
-from ..base.images import IMAGE_SUFFIXES, MAX_PIXELS
+from ..base.images import MAX_PIXELS
 from ..model.capture import Camera, Distortion, FloatArray, View
 from .mesh_files import MESH_SUFFIXES, ply_counts
+from .photo_files import PHOTO_SUFFIXES, UPRIGHT, read_orientation, shown_up
 
 MAX_JSON_BYTES = 64 * 1024 * 1024
 MAX_ARRAY_BYTES = 16 * 1024 * 1024
@@ -117,15 +118,15 @@ def find_image(root: Path, named: str, source: Path) -> Path | None:
         BadInput: it is outside ``root``, or of a format that is not read.
     """
     path = inside(root, named, source)
-    if path.suffix.lower() in IMAGE_SUFFIXES:
+    if path.suffix.lower() in PHOTO_SUFFIXES:
         return path if path.is_file() else None
-    for suffix in IMAGE_SUFFIXES:
+    for suffix in PHOTO_SUFFIXES:
         for candidate in (suffix, suffix.upper()):
             with_suffix = path.with_name(path.name + candidate)
             if with_suffix.is_file():
                 return inside(root, str(with_suffix.relative_to(root)), source)
     if path.suffix and path.is_file():
-        raise BadInput("is no PNG, JPEG or EXR", "save it as one of them", path)
+        raise BadInput("is of no format that is read", "save it as PNG, JPEG, TIFF, WebP, AVIF, HEIC, EXR or DNG", path)
     return None
 
 
@@ -186,8 +187,11 @@ def is_point_cloud(path: Path) -> bool:
 
 
 def mean_up(views: Sequence[View]) -> tuple[float, float, float] | None:
-    """Unit mean of the up directions of photos, which people hold upright; None where those cancel out."""
-    up = np.mean([view.camera.c2w[:3, 1] for view in views], axis=0)
+    """Unit mean of the up directions of photos, which people hold upright; None where those cancel out.
+
+    A photo stored on its side, as EXIF tells, has its up there too.
+    """
+    up = np.mean([view.camera.c2w[:3, :3] @ _up_in_camera(view) for view in views], axis=0)
     length = float(np.linalg.norm(up))
     if length < MIN_UP_LENGTH:
         return None
@@ -210,6 +214,11 @@ def upright(views: Sequence[View]) -> tuple[float, float, float]:
         return mean
     x, y, z = axis.tolist()
     return (x, y, z)
+
+
+def _up_in_camera(view: View) -> FloatArray:
+    held = view.photo is not None and view.photo.is_file() and view.orientation == UPRIGHT
+    return np.array(shown_up(read_orientation(view.photo) if held and view.photo is not None else UPRIGHT))
 
 
 def up_axis(root: Path, default: tuple[float, float, float]) -> tuple[float, float, float]:

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from ..base.errors import BadInput
-from ..base.images import check_image
 from ..model.capture import Split, View
 from .exposures import from_frame
 from .listing import (
@@ -32,6 +31,7 @@ from .listing import (
     upright,
     view_names,
 )
+from .photo_files import check_photo
 
 
 def read_nerfstudio(transforms: Path) -> Listing:
@@ -42,8 +42,6 @@ def read_nerfstudio(transforms: Path) -> Listing:
     warnings = []
     if len(views) < len(frames):
         warnings.append(f"{len(frames) - len(views)} frames are in no split and are left out")
-    if any("mask_path" in frame for frame in frames):
-        warnings.append("masks (mask_path) are not used")
     mesh_file, mesh_named = _mesh_file(meta, root, transforms)
     warnings += _check_applied(meta, mesh_named, transforms)
     return Listing(
@@ -86,15 +84,25 @@ def _views(
         sized = "w" in values and "h" in values
         view = View(
             name=name,
-            camera=read_camera(values, None if sized or photo is None else check_image(photo), name, source),
+            camera=read_camera(values, None if sized or photo is None else check_photo(photo), name, source),
             photo=photo,
             exposure=from_frame(frame, name, source),
             distortion=read_distortion(values, name, source),
             split=split or "train",
+            mask=_mask(frame, name, root, source) if photos else None,
         )
         views.append(view if split is not None else None)
     check_unique([view for view in views if view is not None], source)
     return views
+
+
+def _mask(frame: Mapping[str, Any], name: str, root: Path, source: Path) -> Path | None:
+    if not frame.get("mask_path"):
+        return None
+    mask = find_image(root, str(frame["mask_path"]), source)
+    if mask is None:
+        raise BadInput(f"{name}: mask {frame['mask_path']!r} is missing", "add it or remove its key", source)
+    return mask
 
 
 def _view_names(frames: Sequence[Mapping[str, Any]], source: Path) -> list[str]:

@@ -8,17 +8,21 @@ pinhole needs, so nothing has to be inverted. k4 of the perspective model multip
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates, zoom
 
 from ..base.errors import BadInput
-from ..base.images import HDR_SUFFIXES, read_exr, read_image
 from ..model.capture import Camera, Distortion, FloatArray, Photo, View
+from .photo_files import UPRIGHT, read_orientation, read_photo
 
 PIXELS_AT_ONCE = 50_000_000
 """Over all photos that are decoded at one time; undistortion takes some 125 bytes per pixel."""
+
+MASKED = 0.5
+"""Value of a mask from which its photo may be used."""
 
 
 def photos_at_once(views: Sequence[View]) -> int:
@@ -30,38 +34,52 @@ def photos_at_once(views: Sequence[View]) -> int:
 def load_photo(view: View) -> Photo:
     """Decode and undistort the photo of ``view``.
 
-    8-bit photos come as bytes / 255 (the response adds half a quantisation step), EXR as linear radiance
+    8-bit photos come as codes / 255 (the response adds half a quantisation step), EXR as linear radiance
     with negative values set to zero.
 
     Raises:
-        BadInput: the file is missing, damaged, not RGB, or its size is not that of the camera.
+        BadInput: the file or its mask is missing, damaged, not RGB, or its size is not that of the camera.
         ValueError: the view has no photo.
     """
     if view.photo is None:
         raise ValueError(f"view {view.name} has no photo")
-    hdr = view.photo.suffix.lower() in HDR_SUFFIXES
-    pixels = read_exr(view.photo)[..., :3] if hdr else read_image(view.photo)
-    if pixels.shape[2] != 3:
-        raise BadInput("has one channel", "save the photo as RGB", view.photo)
-    check_photo_size(view, (pixels.shape[1], pixels.shape[0]))
-
-    values = pixels.astype(np.float32) if hdr else pixels.astype(np.float32) / np.float32(255)
-    valid: NDArray[np.bool_] = np.isfinite(values).all(axis=-1, keepdims=True)[..., 0]
-    values = np.maximum(np.where(valid[..., None], values, 0), 0).astype(np.float32)
+    pixels = read_photo(view.photo).turned(view.orientation)
+    values, valid = pixels.values, pixels.valid
+    check_photo_size(view, (values.shape[1], values.shape[0]))
+    if view.mask is not None:
+        valid = valid & _mask(view, view.mask)
+    # What is no picture is often black, which would mix into its neighbours and read as an edge.
+    values = np.where(valid[..., None], values, 0)
     if view.distortion is not None:
         values, valid = undistort(values, valid, view.camera, view.distortion)
-    return Photo(values, valid, hdr)
+    return Photo(values, valid, pixels.hdr)
+
+
+def _mask(view: View, path: Path) -> NDArray[np.bool_]:
+    """(H, W) where the mask of ``view`` lets the photo be used."""
+    mask = read_photo(path).turned(view.orientation).values
+    if mask.shape[:2] != (view.camera.height, view.camera.width):
+        raise BadInput(
+            f"is {mask.shape[1]}x{mask.shape[0]} pixels, its photo is {view.camera.width}x{view.camera.height}",
+            "give the mask the size of its photo",
+            path,
+        )
+    return mask[..., 0] > MASKED
 
 
 def check_photo_size(view: View, size: tuple[int, int]) -> None:
-    """Raise BadInput unless ``size`` (width, height) of the file is that of the camera."""
+    """Raise BadInput unless ``size`` (width, height) of the photo, as turned for the view, is that of the camera."""
     camera = view.camera
-    if size != (camera.width, camera.height):
-        raise BadInput(
-            f"is {size[0]}x{size[1]} pixels, the intrinsics are for {camera.width}x{camera.height}",
-            "scale the intrinsics or the photo, so that both have one size",
-            view.photo,
-        )
+    if size == (camera.width, camera.height):
+        return
+    fix = "scale the intrinsics or the photo, so that both have one size"
+    if view.photo is not None and size == (camera.height, camera.width):
+        held = read_orientation(view.photo) != UPRIGHT
+        fix = "its EXIF orientation was applied to one of the two: " if held else "the photo or its pose was turned: "
+        fix += "export photos and poses from one program"
+    raise BadInput(
+        f"is {size[0]}x{size[1]} pixels, the intrinsics are for {camera.width}x{camera.height}", fix, view.photo
+    )
 
 
 def undistort(

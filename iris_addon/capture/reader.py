@@ -6,6 +6,7 @@ one unit.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ..base.errors import BadInput
-from ..base.images import HDR_SUFFIXES, check_image
+from ..base.images import HDR_SUFFIXES
 from ..model.capture import Capture, FloatArray, Mesh, View
 from ..rays.tracer import Tracer
 from .colmap import colmap_model, read_colmap, read_colmap_views
@@ -23,6 +24,7 @@ from .fipt import PhotoSet, fipt_root, read_fipt, read_fipt_views
 from .listing import Listing, up_axis, upright
 from .mesh_files import read_mesh
 from .nerfstudio import read_nerfstudio, read_nerfstudio_views
+from .photo_files import SIDEWAYS, UPRIGHT, check_photo, read_device, read_orientation
 from .photos import check_photo_size
 
 Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -72,7 +74,8 @@ def read_capture(
     warnings = list(listing.warnings)
     if hdr is not None:
         views = _with_radiance(views, Path(hdr))
-    check_photos(views)
+    views, turned = check_photos(views)
+    warnings += [*turned, *_two_devices(views)]
     views, val_views = _with_exposures(views, val_views, exposures)
     unknown = sum(view.exposure is None for view in views)
     if 0 < unknown < len(views):
@@ -86,7 +89,7 @@ def read_capture(
     check_units(together.views, together.mesh, listing.mesh_file)
     warnings += check_sees_mesh(together.views, together.mesh, listing.mesh_file)
     up = listing.up
-    if together.mend.convention is not OURS:
+    if together.mend.convention is not OURS or together.views[0].orientation != UPRIGHT:
         up = up_axis(listing.root, upright(together.views))
     return Capture(
         name=listing.name,
@@ -188,18 +191,55 @@ def _turn_glb(mesh: Mesh, views: Sequence[View], listing: Listing) -> tuple[Mesh
 # ---- Checks of the whole capture ------------------------------------------------------------------------------------
 
 
-def check_photos(views: Sequence[View]) -> None:
-    """Every photo opens, has the size of its camera, and all are LDR or all HDR; raises BadInput."""
+def check_photos(views: Sequence[View]) -> tuple[list[View], list[str]]:
+    """Every photo opens, has the size of its camera, and all are LDR or all HDR.
+
+    Returns:
+        The views, with the orientation of those photos that have to be turned as EXIF says to fit their cameras, and a
+        warning about them.
+
+    Raises:
+        BadInput: a photo that does not.
+    """
     kinds: dict[bool, View] = {}
-    for view in views:
+    fitting = []
+    for given in views:
+        view = given if given.photo is None else _turned_to_fit(given, check_photo(given.photo))
+        fitting.append(view)
         if view.photo is None:
             continue
-        check_photo_size(view, check_image(view.photo))
         kinds.setdefault(view.photo.suffix.lower() in HDR_SUFFIXES, view)
     if len(kinds) == 2:
         raise BadInput(
             f"is EXR while {kinds[False].photo} is not", "give all training photos as EXR or none", kinds[True].photo
         )
+    turned = [view.name for view in fitting if view.orientation != UPRIGHT]
+    if not turned:
+        return fitting, []
+    return fitting, [f"{len(turned)} photos are turned as their EXIF orientation says, to fit their intrinsics"]
+
+
+def _turned_to_fit(view: View, size: tuple[int, int]) -> View:
+    """The view, its photo turned by its EXIF orientation where only that gives it the size of its camera."""
+    camera = view.camera
+    if view.photo is not None and size != (camera.width, camera.height) and size[::-1] == (camera.width, camera.height):
+        orientation = read_orientation(view.photo)
+        if orientation in SIDEWAYS:
+            return replace(view, orientation=orientation)
+    check_photo_size(view, size)
+    return view
+
+
+def _two_devices(views: Sequence[View]) -> list[str]:
+    """A warning where photos come from several cameras, each with a curve of its own."""
+    devices = Counter(read_device(view.photo) for view in views if view.photo is not None)
+    if len(devices) < 2:
+        return []
+    names = ", ".join(f"{name or 'unknown'} ({count})" for name, count in devices.most_common())
+    return [
+        f"the photos come from {len(devices)} cameras, and one response is fitted to all: {names}. Colours and gloss "
+        "suffer; solve the photos of one camera alone"
+    ]
 
 
 def check_units(views: Sequence[View], mesh: Mesh, path: Path) -> None:

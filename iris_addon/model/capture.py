@@ -99,6 +99,8 @@ class View:
         exposure: factor from scene radiance to the argument of the response, ``z = f(radiance * exposure)``; None when
             unknown.
         distortion: of the file on disk; :func:`iris_addon.capture.photos.load_photo` removes it.
+        orientation: EXIF's, under which the stored photo is turned to fit its camera; 1 where it is taken as stored.
+        mask: picture of the same size, above the middle grey where the photo may be used.
     """
 
     name: str
@@ -107,6 +109,8 @@ class View:
     exposure: float | None = None
     distortion: Distortion | None = None
     split: Split = "train"
+    orientation: int = 1
+    mask: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,8 @@ class Photo:
 
     Attributes:
         values: (H, W, 3) float32; display values z in [0, 1] for LDR, linear radiance for HDR.
-        valid: (H, W) bool; False where undistortion saw past the border or a pixel is not finite.
+        valid: (H, W) bool; False where undistortion saw past the border, or a pixel is transparent, masked or not
+            finite.
         hdr: whether ``values`` are linear radiance.
     """
 

@@ -141,9 +141,7 @@ def other_room(demo: DemoCapture) -> DemoCapture:
     boxes = [trimesh.creation.box(bounds=(low, high))]
     for corner in rng.uniform(low, high - 0.8, (12, 3)):
         boxes.append(trimesh.creation.box(bounds=(corner, corner + rng.uniform(0.2, 0.8, 3))))
-    mesh = trimesh.util.concatenate(boxes).apply_transform(
-        trimesh.transformations.random_rotation_matrix((0.3, 0.6, 0.1))
-    )
+    mesh = trimesh.util.concatenate(boxes).apply_transform(trimesh.transformations.euler_matrix(0.3, 0.6, 0.1))
     demo.vertices, demo.faces = np.array(mesh.vertices), np.array(mesh.faces)
     return demo
 
