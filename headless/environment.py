@@ -19,20 +19,20 @@ from iris_addon.blender.worker.process import worker_environment
 from .cancellation import restore_handlers
 
 _IMAGES = ("numpy", "OpenEXR", "PIL")
-_SOLVER = (*_IMAGES, "torch", "scipy", "trimesh", "embreex", "filelock", "numba", "threadpoolctl")
+_SOLVER = (*_IMAGES, "torch", "scipy", "trimesh", "embreex", "filelock", "numba", "threadpoolctl", "mapbox_earcut")
 NEEDS = {
     "demo": (*_SOLVER, "bpy"),
     "solve": _SOLVER,
-    "inspect": (*_IMAGES, "scipy", "trimesh", "embreex"),
+    "inspect": (*_IMAGES, "scipy", "trimesh", "embreex", "mapbox_earcut"),
     "batch": _SOLVER,
     "apply": ("numpy", "bpy"),
-    "render": (*_IMAGES, "scipy", "trimesh", "bpy"),
-    "relight": (*_IMAGES, "scipy", "trimesh", "bpy"),
-    "insert": (*_IMAGES, "scipy", "trimesh", "bpy"),
+    "render": (*_IMAGES, "scipy", "trimesh", "mapbox_earcut", "bpy"),
+    "relight": (*_IMAGES, "scipy", "trimesh", "mapbox_earcut", "bpy"),
+    "insert": (*_IMAGES, "scipy", "trimesh", "mapbox_earcut", "bpy"),
     "composite": ("numpy", "bpy"),
     "camera": (*_IMAGES, "trimesh"),
     "synth": (*_IMAGES, "bpy"),
-    "evaluate": (*_IMAGES, "scipy", "trimesh", "embreex"),
+    "evaluate": (*_IMAGES, "scipy", "trimesh", "embreex", "mapbox_earcut"),
 }
 RUN = Path(__file__).with_name("run.py")
 

@@ -1,11 +1,15 @@
 """The mesh of a room from a PLY, OBJ or GLB file, faces in file order.
 
-PLY and GLB are read by trimesh. OBJ is read here, because general readers sort faces by material.
+GLB is read by trimesh, Draco's compression by DracoPy. OBJ and PLY are read here, because general readers sort faces by
+material, and cut concave polygons to fans.
 """
 
 from __future__ import annotations
 
+import json
+import struct
 from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +19,18 @@ from numpy.typing import NDArray
 from ..base.errors import BadInput
 from ..model.capture import DEGENERATE_AREA, FloatArray, Mesh
 from ..rays.tracer import Tracer
+from .ply_files import read_ply
+from .polygons import triangulate
 
 MESH_SUFFIXES = (".ply", ".obj", ".glb")
+_GLB_HEAD, _JSON_CHUNK = struct.Struct("<4sIIII"), 0x4E4F534A
+READ_EXTENSIONS = {
+    "KHR_draco_mesh_compression", "KHR_mesh_quantization", "KHR_texture_transform", "KHR_materials_unlit",
+    "KHR_texture_basisu", "EXT_texture_webp", "KHR_lights_punctual",
+}  # fmt: skip
+"""Extensions of glTF that are read, or that do not change the geometry."""
+CHANGES_GEOMETRY = {"EXT_mesh_gpu_instancing", "EXT_meshopt_compression"}
+"""Extensions without which other geometry is read, whether or not they are required."""
 MAX_MESH_BYTES = 2 << 30
 MAX_FACES = 20_000_000
 UV_TOLERANCE = 1e-4
@@ -36,7 +50,7 @@ def read_mesh(path: Path) -> tuple[Mesh, tuple[str, ...]]:
     """
     _check_file(path)
     try:
-        mesh = read_obj(path) if path.suffix.lower() == ".obj" else _read_with_trimesh(path)
+        mesh = {".obj": read_obj, ".ply": read_ply, ".glb": _read_glb}[path.suffix.lower()](path)
     except BadInput:
         raise
     except Exception as error:  # parsers of three formats fail in as many ways as a file can be damaged
@@ -46,7 +60,10 @@ def read_mesh(path: Path) -> tuple[Mesh, tuple[str, ...]]:
     _check_geometry(mesh, path)
 
     warnings = []
-    if excess := non_manifold_edges(mesh.faces):
+    mesh, doubled = without_doubles(mesh)
+    if doubled:
+        warnings.append(f"{path.name}: {doubled} faces lie twice in one place; each counts once")
+    if excess := non_manifold_edges(mesh.faces[mesh.faces[:, 0] != mesh.faces[:, 1]]):
         warnings.append(f"{path.name}: {excess} edges are shared by more than two faces")
     if mesh.uv is not None and (reason := unusable_uv(mesh.uv)):
         warnings.append(f"{path.name}: its UVs {reason}; a new atlas is made")
@@ -77,13 +94,30 @@ def ply_counts(path: Path) -> dict[str, int]:
 # ---- PLY and GLB ----------------------------------------------------------------------------------------------------
 
 
-def _read_with_trimesh(path: Path) -> Mesh:
+def _read_glb(path: Path) -> Mesh:
+    _check_extensions(path)
     loaded = trimesh.load(path, process=False, maintain_order=True)
     if isinstance(loaded, trimesh.Scene):
         return _concatenate_nodes(loaded)
     if not isinstance(loaded, trimesh.Trimesh):
         raise BadInput("has points and no faces", "export a mesh with faces", path)
     return _convert(loaded, np.eye(4))
+
+
+def _check_extensions(path: Path) -> None:
+    """Raise BadInput for a GLB that needs what is not read: its geometry would come as zeros."""
+    with path.open("rb") as file:
+        magic, _, _, length, kind = _GLB_HEAD.unpack(file.read(_GLB_HEAD.size))
+        if magic != b"glTF" or kind != _JSON_CHUNK:
+            raise ValueError("no binary glTF 2.0")
+        document = json.loads(file.read(length))
+    required, used = (set(document.get(key, ())) for key in ("extensionsRequired", "extensionsUsed"))
+    if "KHR_draco_mesh_compression" in required and find_spec("DracoPy") is None:
+        raise BadInput("is Draco-compressed", "export it without compression, or install the package DracoPy", path)
+    needed = sorted((required - READ_EXTENSIONS) | (used & CHANGES_GEOMETRY))
+    if needed:
+        what = "is compressed with meshopt" if "EXT_meshopt_compression" in needed else f"needs {', '.join(needed)}"
+        raise BadInput(what, "export it without this extension, or as PLY", path)
 
 
 def _concatenate_nodes(scene: trimesh.Scene) -> Mesh:
@@ -141,6 +175,28 @@ def face_areas(mesh: Mesh) -> FloatArray:
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
+def without_doubles(mesh: Mesh) -> tuple[Mesh, int]:
+    """``mesh`` with all but the first of faces with the same three corners made degenerate, and how many these are.
+
+    Double-sided exports hold every face twice, back and front. Faces keep their numbers, and rays meet none without
+    area.
+    """
+    places = np.ascontiguousarray(mesh.vertices + 0.0).view(np.dtype((np.void, 24))).ravel()  # -0 as 0
+    place = np.unique(places, return_inverse=True)[1].reshape(-1)
+    corners = np.sort(place[mesh.faces], axis=1)
+    whole = np.flatnonzero((corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2]))
+    n = int(place.max()) + 1
+    key = (corners[whole, 0] * n + corners[whole, 1]).astype(np.int64)
+    order = np.lexsort((whole, corners[whole, 2], key))
+    same = (np.diff(key[order]) == 0) & (np.diff(corners[whole, 2][order]) == 0)
+    double = whole[order[1:][same]]
+    if not len(double):
+        return mesh, 0
+    faces = mesh.faces.copy()
+    faces[double] = faces[double, :1]
+    return replace(mesh, faces=faces), len(double)
+
+
 def non_manifold_edges(faces: NDArray[np.int64]) -> int:
     """How many edges of ``faces`` (F, 3) belong to more than two faces."""
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
@@ -190,27 +246,27 @@ def uv_overlap(uv: NDArray[np.float32], side: int = 256) -> float:
 
 @dataclass
 class _Lines:
-    """Tables of an OBJ file as they grow line by line; ``faces`` and ``face_uv`` are triangles of table indices."""
+    """Tables of an OBJ file as they grow line by line; ``corners`` and ``corner_uv`` are table indices, polygon after
+    polygon."""
 
     vertices: list[tuple[float, float, float]] = field(default_factory=list)
     uv: list[tuple[float, float]] = field(default_factory=list)
-    faces: list[tuple[int, int, int]] = field(default_factory=list)
-    face_uv: list[tuple[int, int, int]] = field(default_factory=list)
+    corners: list[int] = field(default_factory=list)
+    corner_uv: list[int] = field(default_factory=list)
+    counts: list[int] = field(default_factory=list)
     groups: list[str] = field(default_factory=list)
     materials: list[str] = field(default_factory=list)
 
     def add_face(self, corners: list[str], group: str, material: str) -> None:
-        """Add a polygon as a fan; an absent texture index is -1."""
-        points, texels = [], []
+        """Add a polygon; an absent texture index is -1."""
         for corner in corners:
             indices = corner.split("/")
-            points.append(_index(indices[0], len(self.vertices)))
-            texels.append(_index(indices[1], len(self.uv)) if len(indices) > 1 and indices[1] else -1)
-        for k in range(1, len(points) - 1):
-            self.faces.append((points[0], points[k], points[k + 1]))
-            self.face_uv.append((texels[0], texels[k], texels[k + 1]))
-            self.groups.append(group)
-            self.materials.append(material)
+            self.corners.append(_index(indices[0], len(self.vertices)))
+            self.corner_uv.append(_index(indices[1], len(self.uv)) if len(indices) > 1 and indices[1] else -1)
+        self.counts.append(len(corners))
+        made = max(len(corners) - 2, 0)
+        self.groups += [group] * made
+        self.materials += [material] * made
 
 
 def _index(text: str, count: int) -> int:
@@ -242,14 +298,18 @@ def read_obj(path: Path) -> Mesh:
             elif keyword == "usemtl":
                 material = rest.strip()
 
-    corners = np.array(lines.face_uv, np.int64).reshape(-1, 3)
+    vertices = np.array(lines.vertices, np.float64).reshape(-1, 3)
+    corners, corner_uv = np.array(lines.corners, np.int64), np.array(lines.corner_uv, np.int64)
+    if len(corners) and (corners.min() < 0 or corners.max() >= len(vertices)):
+        raise IndexError("faces name vertices that it does not have")
+    at = triangulate(vertices, corners, np.array(lines.counts, np.int64))
     uv = None
-    if len(corners) and lines.uv and corners.min() >= 0:
-        uv = np.array(lines.uv, np.float32)[corners]
+    if len(corner_uv) and lines.uv and corner_uv.min() >= 0:
+        uv = np.array(lines.uv, np.float32)[corner_uv[at]]
     labels = lines.materials if len(set(lines.materials)) > 1 else lines.groups
     return Mesh(
-        np.array(lines.vertices, np.float64).reshape(-1, 3),
-        np.array(lines.faces, np.int64).reshape(-1, 3),
+        vertices,
+        corners[at],
         uv,
         region_labels(labels),
     )
