@@ -138,12 +138,15 @@ class Mesh:
         faces: (F, 3) int64.
         uv: (F, 3, 2) float32 per corner in [0, 1], or None.
         regions: (F,) int32 region label per face when the file has regions (objects, materials), or None.
+        normals: (F, 3) float32 unit normals by which faces are shaded, where they are not the faces' own: those of the
+            surface behind a scan.
     """
 
     vertices: FloatArray
     faces: NDArray[np.int64]
     uv: NDArray[np.float32] | None = None
     regions: NDArray[np.int32] | None = None
+    normals: NDArray[np.float32] | None = None
 
     def with_uv(self, uv: NDArray[np.float32]) -> Mesh:
         """The same mesh with other texture coordinates."""

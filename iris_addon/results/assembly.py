@@ -109,6 +109,8 @@ def make_result(
     paints = {"paints": paint.paints, "parts_of_one_colour": paint.plain_regions}
     report = {"holdout_psnr": float(psnr), "model": {"residual_light": round(float(residual), 4), **paints}}
     mesh = capture.mesh.with_uv(atlas.uv)
+    if room.surface.scanned.any():
+        mesh = replace(mesh, normals=room.surface.normals)
     exposures = {view.name: photometry.exposures[k] for k, view in enumerate(capture.views)}
     result = Result(
         mesh=mesh,

@@ -2,7 +2,8 @@
 
 Other programs see an unindexed primitive: corner k of face f is vertex 3 f + k, so that face order and UV seams survive
 every importer; a node matrix rotates the capture's up axis to glTF's +Y. Buffer views named by ``extras.iris`` of the
-mesh hold what glTF cannot express: the shared vertices in float64, the faces, the region labels. Reading takes topology
+mesh hold what glTF cannot express: the shared vertices in float64, the faces, the region labels, and of a
+scan the normals by which faces are shaded. Reading takes topology
 from there, and UVs from TEXCOORD_0.
 
 https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
@@ -45,6 +46,8 @@ def encode_glb(mesh: Mesh, regions: NDArray[np.int32], up: Up) -> bytes:
     }
     if mesh.regions is not None:
         arrays["file_parts"] = mesh.regions.astype("<i4")
+    if mesh.normals is not None:
+        arrays["normals"] = np.rint(32767 * mesh.normals).astype("<i2")
     names = list(arrays)
     blob, views = bytearray(), []
     for name, array in arrays.items():
@@ -116,19 +119,27 @@ def read_glb(path: Path) -> tuple[Mesh, NDArray[np.int32], Up]:
         uv = array(uv_view, "<f4", 2).astype(np.float64)
         regions = array(extras["parts"], "<i4", 1)[:, 0].copy()
         file_parts = array(extras["file_parts"], "<i4", 1)[:, 0].copy() if "file_parts" in extras else None
+        normals = array(extras["normals"], "<i2", 3) / np.float32(32767) if "normals" in extras else None
         up = tuple(float(x) for x in extras["up"])
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         raise _damaged(path, str(error)) from error
     n = len(faces)
-    labels = [regions] if file_parts is None else [regions, file_parts]
-    if len(uv) != 3 * n or any(len(label) != n for label in labels) or len(up) != 3:
-        raise _damaged(path, "faces, UVs and regions differ in number")
+    of_faces = [each for each in (regions, file_parts, normals) if each is not None]
+    if len(uv) != 3 * n or any(len(each) != n for each in of_faces) or len(up) != 3:
+        raise _damaged(path, "faces, UVs, regions and normals differ in number")
     if n and faces.max() >= len(vertices):
         raise _damaged(path, "a face refers to a vertex that does not exist")
     if not (np.isfinite(vertices).all() and np.isfinite(uv).all() and np.isfinite(up).all()):
         raise _damaged(path, "positions or UVs are not finite")
     uv[:, 1] = 1.0 - uv[:, 1]
-    return Mesh(vertices, faces, uv.astype(np.float32).reshape(n, 3, 2), file_parts), regions, up
+    mesh = Mesh(
+        vertices=vertices,
+        faces=faces,
+        uv=uv.astype(np.float32).reshape(n, 3, 2),
+        regions=file_parts,
+        normals=normals,
+    )
+    return mesh, regions, up
 
 
 def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:

@@ -280,3 +280,20 @@ def test_the_renderer_keeps_nothing_of_a_removed_scene():
     """
     ran = subprocess.run([sys.executable, "-c", KEPT], capture_output=True, text=True, check=True, cwd=ROOT)
     assert json.loads(ran.stdout.splitlines()[-1]) > 30
+
+
+def test_a_scan_is_shaded_by_the_surface_behind_it():
+    """Every triangle of the box tilts; its normals are those of the box without the tilt."""
+    mesh = box()
+    tilted = replace(mesh, vertices=mesh.vertices + np.random.default_rng(0).normal(0, 0.05, mesh.vertices.shape))
+    corners = mesh.vertices[mesh.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
+    for given, expected in ((replace(tilted, normals=normals), normals), (tilted, None)):
+        data = build_scene(room(mesh=given)).room.data
+        shaded = np.empty(9 * len(mesh.faces), np.float32)
+        data.corner_normals.foreach_get("vector", shaded)
+        own = np.empty(3 * len(mesh.faces), np.float32)
+        data.polygons.foreach_get("normal", own)
+        wanted = own.reshape(-1, 3) if expected is None else expected
+        assert np.allclose(shaded.reshape(-1, 3, 3), wanted[:, None], atol=2e-3)

@@ -113,6 +113,16 @@ def test_channels_of_the_response_and_regions_of_the_file_survive(tmp_path):
     assert np.array_equal(loaded.mesh.regions, result.mesh.regions)
 
 
+def test_normals_of_the_surface_behind_a_scan_survive(tmp_path):
+    normals = np.random.default_rng(0).normal(size=(12, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    result = room()
+    save_result(replace(result, mesh=replace(result.mesh, normals=normals.astype(np.float32))), tmp_path)
+    assert np.allclose(load_result(tmp_path).mesh.normals, normals, atol=1e-4)
+    save_result(result, tmp_path)
+    assert load_result(tmp_path).mesh.normals is None
+
+
 def test_other_programs_read_the_glb_with_faces_in_order_and_y_up(saved):
     mesh = trimesh.load(saved / "materials" / "mesh.glb", process=False).to_geometry()
     result = room()

@@ -94,7 +94,7 @@ def build_scene(result: Result, edit: SceneEdit | None = None, *, lamps_apart: b
 def add_room(
     result: Result, edit: SceneEdit, collection: bpy.types.Collection, *, lamps_apart: bool = False
 ) -> list[bpy.types.Object]:
-    """The room as a mesh object named "IRIS Room Mesh": UV map "IRIS", flat shaded, a material slot per lamp.
+    """The room as a mesh object named "IRIS Room Mesh": UV map "IRIS", a material slot per lamp.
 
     With ``lamps_apart`` the recovered lamps are objects "IRIS Lamp 00" … of their own, children of that one.
     """
@@ -120,11 +120,12 @@ def _submesh(mesh: Mesh, faces: NDArray[np.integer]) -> Mesh:
     """Some ``faces`` of ``mesh`` with the vertices they use."""
     used, corners = np.unique(mesh.faces[faces], return_inverse=True)
     uv = None if mesh.uv is None else mesh.uv[faces]
-    return Mesh(mesh.vertices[used], corners.reshape(-1, 3), uv)
+    normals = None if mesh.normals is None else mesh.normals[faces]
+    return Mesh(vertices=mesh.vertices[used], faces=corners.reshape(-1, 3), uv=uv, normals=normals)
 
 
 def room_mesh(mesh: Mesh, name: str) -> bpy.types.Mesh:
-    """``mesh`` as a flat-shaded Blender mesh with face order kept and ``mesh.uv`` as UV map "IRIS"."""
+    """``mesh`` as a Blender mesh with face order kept, ``mesh.uv`` as UV map "IRIS", shaded flat or by its normals."""
     if mesh.uv is None:
         raise ValueError("the mesh of a result must have UVs")
     return plain_mesh(mesh, name)
@@ -145,7 +146,11 @@ def plain_mesh(mesh: Mesh, name: str) -> bpy.types.Mesh:
         layer = data.uv_layers.new(name=UV_MAP, do_init=False)
         layer.uv.foreach_set("vector", np.ascontiguousarray(mesh.uv, np.float32).ravel())
     data.update(calc_edges=True)
-    data.shade_flat()
+    if mesh.normals is None:
+        data.shade_flat()
+    else:
+        data.shade_smooth()  # flat faces ignore normals of their own
+        data.normals_split_custom_set(np.repeat(mesh.normals, 3, axis=0))
     return data
 
 
