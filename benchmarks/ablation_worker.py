@@ -56,8 +56,10 @@ MECHANISMS: Mapping[str, tuple[Replaced, ...]] = {
     "regions: split at creases": (
         Replaced("surface.regions", "split_creases", lambda regions, *_: np.unique(regions, return_inverse=True)[1]),
     ),
-    "gloss: pooled over regions of one object of the file": (Replaced("materials.gloss", "POOL_ALBEDO_IN_FILE", 1e-6),),
-    "gloss: pooled over near regions of like albedo": (Replaced("materials.gloss", "POOL_ALBEDO", 1e-6),),
+    "gloss: pooled over regions of one object of the file": (
+        Replaced("materials.region_costs", "POOL_ALBEDO_IN_FILE", 1e-6),
+    ),
+    "gloss: pooled over near regions of like albedo": (Replaced("materials.region_costs", "POOL_ALBEDO", 1e-6),),
     "gloss: metals seen by few observations must gain more": (
         Replaced("materials.gloss", "GLOSS_FEW_OBSERVATIONS", 0),
     ),

@@ -101,6 +101,7 @@ def pose_problem(
         seed=config.seed,
         backdrop=backdrop,
         in_file=room.regions.in_file,
+        scanned=room.regions.scans,
     )
 
 

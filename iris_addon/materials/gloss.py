@@ -16,24 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from ..base.compiled import kernel
-from ..base.group_by import group_medians
+from ..base.group_by import MAD, group_medians
 from ..base.parallel import over_each
 from ..brdf.ggx import DIELECTRIC_F0
 from ..decide import Decisions
+from .region_costs import POOL_MAX_OBSERVATIONS, RegionCosts
 
-POOL_MAX_OBSERVATIONS = 2000
-"""Observations that all other regions together contribute to the pooled cost of a region, at most."""
-POOL_DISTANCE = 1.0
-"""Standard deviation in metres of the weight by distance, for regions of like albedo."""
-POOL_ALBEDO = 0.05
-"""Standard deviation of the weight by difference in log albedo."""
-POOL_ALBEDO_IN_FILE = 0.1
-"""The same for regions of one object of the file, at any distance; the albedo of small regions is off by as much."""
-POOL_NEIGHBOURS = 24
-"""Nearest regions that are pooled, and best observed regions of the same object, at most."""
 COST_SPATIAL_WEIGHT = 0.35
 """Weight of "the albedo is even over the region" relative to "the albedo is the same from every view"."""
 COST_ROBUST = 0.15
@@ -64,78 +54,6 @@ METAL_MAX_COLOUR = 0.95
 """Largest specular colour of a metal."""
 LobeHalves = Sequence[tuple[NDArray[np.floating], NDArray[np.floating]]]
 """(Ls0, Ls1) from two independent sets of rays; a single entry where they are free of noise."""
-
-
-@dataclass(frozen=True)
-class RegionCosts:
-    """Costs of k regions at every level of roughness, and what indicates which of them are one material.
-
-    Attributes:
-        ids: (k,) region ids.
-        rough: (k,) cost of the rough dielectric.
-        plastic, metal: (k, levels) costs relative to ``rough``.
-        error: (k, levels) standard error of the difference between ``plastic`` and the rough dielectric.
-        colour: (k, levels, 3) specular colour of the metal.
-        count: (k,) observations.
-        centre: (k, 3) metres.
-        log_albedo: (k, 3).
-        in_file: (k,) object of the mesh file that each region lies in.
-    """
-
-    ids: NDArray[np.integer]
-    rough: NDArray[np.float64]
-    plastic: NDArray[np.float64]
-    metal: NDArray[np.float64]
-    error: NDArray[np.float64]
-    colour: NDArray[np.float64]
-    count: NDArray[np.float64]
-    centre: NDArray[np.float64]
-    log_albedo: NDArray[np.float64]
-    in_file: NDArray[np.integer]
-
-    def pooled(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Costs of every region averaged with those of other regions by the weights of equation (25).
-
-        Returns:
-            Plastic and metal costs (k, levels), the standard error (k, levels) of the former, and the observations (k,)
-            behind them.
-        """
-        near, first = self._candidates()
-        own = near == np.arange(len(near))[:, None]
-        same_object = self.in_file[near] == self.in_file[:, None]
-        distance = np.linalg.norm(self.centre[near] - self.centre[:, None], axis=-1) / POOL_DISTANCE
-        unlike = np.abs(self.log_albedo[near] - self.log_albedo[:, None]).max(-1)
-        apart = np.where(same_object, (unlike / POOL_ALBEDO_IN_FILE) ** 2, distance**2 + (unlike / POOL_ALBEDO) ** 2)
-        weight = np.where(first & ~own, self.count[near] * np.exp(-0.5 * apart), 0.0)
-        # A region that is well observed itself must not be outvoted by the others, however many they are.
-        weight *= np.minimum(1.0, POOL_MAX_OBSERVATIONS / np.maximum(weight.sum(1, keepdims=True), 1e-9))
-        weight += (first & own) * self.count[:, None]
-        total = weight.sum(1)
-        weight /= total[:, None]
-        return (
-            np.einsum("kn,knl->kl", weight, self.plastic[near]),
-            np.einsum("kn,knl->kl", weight, self.metal[near]),
-            np.sqrt(np.einsum("kn,knl->kl", weight**2, self.error[near] ** 2)),
-            total,
-        )
-
-    def _candidates(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Regions (k, m) that may be of one material with each region, and whether (k, m) an entry is the first of its
-        region in the row.
-
-        They are the nearest regions, itself included, and the best observed regions of the same object of the file.
-        """
-        n = len(self.ids)
-        near = cKDTree(self.centre).query(self.centre, k=min(POOL_NEIGHBOURS, n))[1].reshape(n, -1)
-        best = np.lexsort((-self.count, self.in_file))
-        rank = np.arange(n) - np.searchsorted(self.in_file[best], self.in_file[best])
-        most = min(POOL_NEIGHBOURS, int(rank.max()) + 1)  # one where the file names no objects
-        listed = rank < most
-        of_object = np.full((int(self.in_file.max()) + 1, most), -1)
-        of_object[self.in_file[best[listed]], rank[listed]] = best[listed]
-        same_object = of_object[self.in_file]
-        other = (same_object >= 0) & ~(same_object[:, :, None] == near[:, None]).any(-1)
-        return np.concatenate([near, same_object], 1), np.concatenate([np.ones(near.shape, bool), other], 1)
 
 
 # ---- The cost of a gloss, equation (24) -----------------------------------------------------------------------------
@@ -392,6 +310,7 @@ class GlossObservations:
         layer: (levels, m) further view factor if dielectrics take the light they reflect off the diffuse light below;
             None where the diffuse lobe is Burley's, whose model has no such layer.
         in_file: (n_regions,) object of the mesh file that each region lies in; None if the file names none.
+        scanned: (n_regions,) bool, regions of a scan; None without one.
     """
 
     region: NDArray[np.integer]
@@ -404,6 +323,7 @@ class GlossObservations:
     lobes: Sequence[LobeHalves]
     layer: NDArray[np.floating] | None = None
     in_file: NDArray[np.integer] | None = None
+    scanned: NDArray[np.bool_] | None = None
 
 
 def fit_gloss(observed: GlossObservations, n_regions: int, decisions: Decisions) -> Gloss:
@@ -470,6 +390,12 @@ def _region_costs(observed: GlossObservations) -> list[RegionCosts]:
     metal, colour = np.stack([fits.mean(cost) for cost, _ in metals], 1), np.stack([colour for _, colour in metals], 1)
     centre = np.stack([o.position[own].mean(0) for own in per_region])
     log_albedo = np.log(np.maximum(o.radiance, 1e-4) / np.maximum(o.irradiance, 1e-4))
+    off = [np.abs(log_albedo[own] - np.median(log_albedo[own], axis=0)) for own in per_region]
+    texture = MAD * np.array([np.median(each.max(1)) for each in off])
+    if o.scanned is None:
+        texture[:] = 0
+    else:
+        texture[~o.scanned[ids[enough]]] = 0
     log_albedo = np.stack([np.median(log_albedo[own], axis=0) for own in per_region])
     in_file = np.arange(int(ids.max()) + 1) if o.in_file is None else o.in_file
 
@@ -489,6 +415,7 @@ def _region_costs(observed: GlossObservations) -> list[RegionCosts]:
             centre=centre,
             log_albedo=log_albedo,
             in_file=in_file[ids[enough]],
+            texture=texture,
         )
 
     return [with_diffuse(o.diffuse), *([] if o.layer is None else [with_diffuse(o.diffuse * o.layer)])]

@@ -58,6 +58,7 @@ class MaterialProblem:
         specular_rays: reflected rays per observation.
         backdrop: what photos show where the mesh has holes.
         in_file: (n_regions,) object of the mesh file that each region lies in; None if the file names none.
+        scanned: (n_regions,) bool, regions of a scan; None without one.
     """
 
     light: LightProblem
@@ -72,6 +73,7 @@ class MaterialProblem:
     seed: int
     backdrop: SeenBackdrop
     in_file: NDArray[np.int32] | None = None
+    scanned: NDArray[np.bool_] | None = None
 
     def shading(self, lights: Lights) -> Shading:
         """The irradiance of ``lights`` at the seen patches."""
@@ -109,7 +111,9 @@ class MaterialProblem:
         if not scanned.any():
             return light.material
         n, n_faces = len(seen.radiance), len(light.regions)
-        albedo = np.maximum(seen.radiance, 1e-6) / np.maximum(lights.irradiance[:n], 1e-6)
+        # Few views show a highlight: the radiance that nearly all of them reach is that of the paint.
+        least = np.minimum(seen.radiance, light.brightness.floor)
+        albedo = np.maximum(least, 1e-6) / np.maximum(lights.irradiance[:n], 1e-6)
         patch, face = light.surface.sample_patch, light.samples.face
         known = seen.known.all(1)[patch]
         log_albedo = group_means(np.log(albedo)[patch[known]], face[known], n_faces)
@@ -294,6 +298,7 @@ class _GlossFit:
             lobes=lobes,
             layer=None if lobe == "burley" else layered_factor(levels, samples.cosine[at]),
             in_file=problem.in_file,
+            scanned=problem.scanned,
         )
         material = problem.light.material
         return fit_gloss(observed, len(material), problem.light.decisions).of_regions(material)

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from ..base.compiled import Integer, inlined, kernel
 from ..base.parallel import BLOCK, over_blocks, over_each
@@ -23,6 +24,10 @@ from .primary_rays import NEIGHBOURS, NO_PIXEL, Lattice, PixelSamples, trace_vie
 
 CREASE_COSINE = 0.7
 """Cosine between the normals of neighbouring pixels below which there is a crease between them."""
+OUTLINE_STEP = 2.0
+"""Distance of a neighbour off a pixel's plane, in errors of the outline, from which on there is an outline between."""
+OUTLINE_MAX_PIXELS = 12
+"""Pixels of the lattice over which an outline is uncertain, at most."""
 NEIGHBOUR_BRIGHTNESS = 0.98
 """Brightness of a neighbour over that of a mixed pixel from which on all light of the pixel may come from there."""
 
@@ -42,11 +47,21 @@ class MixedPixels:
 
     @staticmethod
     def of(
-        tracer: Tracer, photos: PhotoSamples, regions: NDArray[np.integer], cameras: Sequence[Camera]
+        tracer: Tracer,
+        photos: PhotoSamples,
+        regions: NDArray[np.integer],
+        cameras: Sequence[Camera],
+        outline_error: float = 0.0,
     ) -> MixedPixels:
-        """The mixed pixels among those of ``photos``, taken by ``cameras``, on faces of ``regions`` (F,)."""
+        """The mixed pixels among those of ``photos``, taken by ``cameras``, on faces of ``regions`` (F,).
+
+        Args:
+            outline_error: distance in metres by which outlines of the mesh may be beside those of the photos.
+        """
         samples, stride = photos.samples, photos.stride
         mask = mixed_pixels(tracer, samples, regions, cameras, stride)
+        if outline_error > 0:
+            mask |= beside_outlines(samples, cameras, stride, outline_error)
         return MixedPixels(mask, brighter_neighbours(samples, photos.z, mask, regions, cameras, stride))
 
 
@@ -106,6 +121,72 @@ def _beside_others(
 
     over_blocks(len(mixed), BLOCK, work)
     return mixed
+
+
+def beside_outlines(
+    samples: PixelSamples, cameras: Sequence[Camera], stride: int, outline_error: float
+) -> NDArray[np.bool_]:
+    """(n,) pixels that may show what is on the other side of an outline, which lies up to ``outline_error`` metres
+    beside its place.
+
+    An outline runs where the next pixel shows a surface well off the plane of this one. The error is that of the nearer
+    side, and spans more pixels the nearer that is.
+    """
+    lattice = Lattice.of(samples.view, samples.pixel, cameras, stride, margin=1)
+    width = np.empty(len(samples.view), np.float32)
+
+    def work(block: slice) -> None:
+        places = lattice.slot[block], lattice.pitch[block], lattice.occupant
+        surface = samples.position, samples.normal, samples.footprint
+        _measure_outlines(block.start, *places, *surface, stride, outline_error, width[block])
+
+    over_blocks(len(width), BLOCK, work)
+    mask = np.zeros(len(width), bool)
+    ends = np.searchsorted(samples.view, np.arange(len(cameras) + 1))
+
+    def widen(index: int) -> None:
+        rows, camera = slice(ends[index], ends[index + 1]), cameras[index]
+        row, column = np.divmod(samples.pixel[rows], camera.width)
+        widths = np.zeros((-(-camera.height // stride), -(-camera.width // stride)), np.float32)
+        widths[row // stride, column // stride] = np.minimum(width[rows], OUTLINE_MAX_PIXELS)
+        reached = widths >= 0.5
+        for pixels in range(1, int(widths.max()) + 1):
+            reached |= np.asarray(distance_transform_edt(widths < pixels)) <= pixels
+        mask[rows] = reached[row // stride, column // stride]
+
+    over_each(range(len(cameras)), widen)
+    return mask
+
+
+@kernel
+def _measure_outlines(
+    first: int,
+    slot: NDArray[np.int64],
+    pitch: NDArray[np.int64],
+    occupant: NDArray[np.int32],
+    position: NDArray[np.float32],
+    normal: NDArray[np.float32],
+    footprint: NDArray[np.float32],
+    stride: int,
+    outline_error: float,
+    width: NDArray[np.float32],
+) -> None:
+    """Fill ``width`` with the error of the outlines beside each pixel, in pixels of the lattice; 0 without one."""
+    for k in range(len(slot)):
+        own, widest = first + k, 0.0
+        for down in range(-1, 2):
+            for across in range(-1, 2):
+                near = occupant[slot[k] + down * pitch[k] + across]
+                if near < 0 or near == own:
+                    continue
+                above = below = 0.0
+                for axis in range(3):
+                    step = position[near, axis] - position[own, axis]
+                    above += step * normal[own, axis]
+                    below += step * normal[near, axis]
+                if min(abs(above), abs(below)) > OUTLINE_STEP * outline_error:
+                    widest = max(widest, outline_error / (stride * min(footprint[own], footprint[near])))
+        width[k] = widest
 
 
 class _Surface(NamedTuple):

@@ -61,6 +61,15 @@ class Regions(NamedTuple):
     scanned: NDArray[np.bool_]
     in_file: NDArray[np.int32] | None
 
+    @property
+    def scans(self) -> NDArray[np.bool_] | None:
+        """(n_regions,) regions of scans; None without a scan."""
+        if not self.scanned.any():
+            return None
+        of_region = np.zeros(int(self.of_face.max()) + 1, bool)
+        of_region[self.of_face[self.scanned]] = True
+        return of_region
+
 
 def split_regions(
     mesh: Mesh,
@@ -210,7 +219,8 @@ def joined_regions(
     value = np.where(known[:, None], log_albedo, 0.0)
     moments = group_sums(np.concatenate([weight, weight * value, weight * value**2], 1), regions, n)
     a, b = adjacency
-    border = known[a] & known[b] & (regions[a] != regions[b]) & (pieces[a] == pieces[b])
+    piece = _most_common(regions, pieces)
+    border = known[a] & known[b] & (regions[a] != regions[b]) & (piece[regions[a]] == piece[regions[b]])
     a, b = a[border], b[border]
     swap = regions[a] > regions[b]
     a, b = np.where(swap, b, a), np.where(swap, a, b)
@@ -224,6 +234,15 @@ def joined_regions(
             borders[one][other] = np.append(count, count * value)
             borders[other][one] = np.append(count, -count * value)
     return _Joining(moments, borders).labels()
+
+
+def _most_common(regions: NDArray[np.int32], pieces: NDArray[np.int32]) -> NDArray[np.int32]:
+    """(n_regions,) piece that most faces of each region lie on; a few may lie on another."""
+    both = group_equal(regions.astype(np.int64) << 32 | pieces)
+    order = np.argsort(both.count, kind="stable")
+    piece = np.empty(int(regions.max()) + 1, np.int32)
+    piece[both.keys[order] >> 32] = both.keys[order] & 0xFFFFFFFF  # the last of several stays
+    return piece
 
 
 class _Joining:

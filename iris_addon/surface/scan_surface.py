@@ -84,6 +84,13 @@ class ScanSurface:
     noise: float
 
     @property
+    def outline_error(self) -> float:
+        """How far the outline of a scanned thing may be off, metres: a triangle's edge; 0 where nothing was scanned."""
+        if not self.scanned.any():
+            return 0.0
+        return edge_length(face_normals(self.mesh.vertices, self.mesh.faces)[1][self.scanned])
+
+    @property
     def pieces(self) -> NDArray[np.int32]:
         """(F,) smooth piece of the surface that each face lies on: a plane, or what lies between planes and creases."""
         return smooth_components(self.normals, self.adjacency, self.plane)

@@ -250,6 +250,31 @@ def test_regions_of_one_object_of_the_file_share_their_gloss(same_object: bool) 
     assert (roughness[1] < 0.6) == same_object
 
 
+@pytest.mark.parametrize("scanned", [True, False])
+def test_treads_of_a_scan_that_differ_as_their_grain_share_their_gloss(scanned: bool) -> None:
+    """A tread that mirrors nothing bright beside a lighter one of the same varnished wood."""
+    rng = np.random.default_rng(12)
+    patches, views = np.array([60, 12]), 5
+    region, patch = np.repeat([0, 1], patches * views), np.repeat(np.arange(patches.sum()), views)
+    n = len(region)
+    zero = np.zeros((n, 3))
+    wood = np.exp(rng.normal(0, 0.3, patches.sum()))[patch] * np.where(region == 0, 0.5, 0.33)
+    highlight = np.where(region == 0, 0.1, 0.0)[:, None] * (rng.random((n, 1)) < 0.3) * np.ones(3)
+    observed = GlossObservations(
+        region=region,
+        patch=patch,
+        weight=np.ones(n),
+        position=zero,
+        radiance=wood[:, None] * (1 + 0.01 * rng.normal(size=(n, 1))) + highlight,
+        irradiance=np.ones((n, 3)),
+        diffuse=np.ones((len(GLOSS_LEVELS), n)),
+        lobes=[[lobe] * 2 for lobe in (*((zero, highlight) for _ in GLOSS_LEVELS[:-2]), (zero, zero), (zero, zero))],
+        scanned=np.full(2, scanned),
+    )
+    roughness = fit_gloss(observed, 2, Decisions()).roughness
+    assert roughness[0] < 0.6 and (roughness[1] < 0.6) == scanned
+
+
 def test_gloss_by_chance_alone_is_rare() -> None:
     """Lobes that have nothing to do with what was seen are found in about the share of regions that 1.5 standard errors
     of a normal distribution leave (7 %), for each of the four levels that are traced; not in a third of them."""

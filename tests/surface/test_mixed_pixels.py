@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import distance_transform_edt
 
 from iris_addon.base.progress import Progress
 from iris_addon.model.capture import Camera
 from iris_addon.rays.tracer import Tracer
 from iris_addon.response.observations import observe
-from iris_addon.surface.mixed_pixels import brighter_neighbours, mixed_pixels
+from iris_addon.surface.mixed_pixels import beside_outlines, brighter_neighbours, mixed_pixels
 from iris_addon.surface.primary_rays import trace_pixels
 from iris_addon.textures.bake import TexelAlbedo, pixel_weight
 from iris_addon.textures.principled import EXPECTED_WEIGHT, with_expected
@@ -49,6 +50,27 @@ def beside_another(region: np.ndarray) -> np.ndarray:
 
 
 WIDE_WALL = quad([-3, -3, 0], [6, 0, 0], [0, 6, 0])
+
+
+@pytest.mark.parametrize(("stride", "pixels"), [(1, 4), (2, 2)])
+def test_the_outline_of_a_scanned_thing_is_as_wide_as_it_may_be_off(stride: int, pixels: int) -> None:
+    """A table 1 m before a wall, 2 m from the camera, where 13 cm are four pixels; the wall's fold is no outline."""
+    table = quad([-0.5, -0.4, 1.0], [1, 0, 0], [0, 0.8, 0])
+    mesh = assemble(
+        [quad([-3, -3, 0], [6, 0, 0], [0, 5, 0]), quad([-3, 2, 0], [6, 0, 0], [0, 1, 0.5]), table], [0, 0, 1]
+    )
+    camera = Camera(
+        width=60, height=60, fx=60, fy=60, cx=30, cy=30, c2w=look_at(np.array([0, -1e-3, 3.0]), np.zeros(3))
+    )
+    samples = trace_pixels(Tracer(mesh), [camera], stride, Progress())
+    assert mesh.regions is not None
+    on_table, found = np.zeros((2, 60, 60), bool)
+    on_table.flat[samples.pixel] = mesh.regions[samples.face] == TABLE
+    found.flat[samples.pixel] = beside_outlines(samples, [camera], stride, 0.13)
+    on_table, found = on_table[::stride, ::stride], found[::stride, ::stride]
+    outside, inside = distance_transform_edt(~on_table), distance_transform_edt(on_table)
+    assert found[(outside > 0) & (outside < pixels) | (inside > 0) & (inside < pixels)].all()
+    assert not found[(outside > pixels + 1.5) | (inside > pixels + 1.5)].any()
 
 
 @pytest.mark.parametrize("height", [0.5, 1e-4])

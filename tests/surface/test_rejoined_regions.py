@@ -65,6 +65,12 @@ def test_materials_end_where_the_surface_bends() -> None:
     assert joined(np.zeros(len(REGIONS)), pieces=REGIONS // 2) == [[0, 1], [2, 3], [4, 5]]
 
 
+def test_a_few_faces_on_the_next_piece_lead_nowhere() -> None:
+    """The last faces of each strip lie on the piece of the next."""
+    strip = REGIONS + ((MIDDLE[:, 0] % WIDTH) > WIDTH - CELL)
+    assert joined(np.zeros(len(REGIONS)), pieces=strip.astype(np.int32)) == [[k] for k in range(STRIPS)]
+
+
 def test_a_step_in_one_channel_is_a_step() -> None:
     log_albedo = np.zeros((len(REGIONS), 3))
     log_albedo[REGIONS >= 3, 2] = 0.3
