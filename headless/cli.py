@@ -159,6 +159,7 @@ def _add_solving(add: Add) -> None:
         help="those of the capture, unknown, or of a file",
     )
     solve.add_argument("--hdr", type=Path, metavar="DIR", help="one EXR of radiance per photo, in place of the photos")
+    solve.add_argument("--strict", action="store_true", help="refuse a capture that lacks photos or poses")
     solve.add_argument("--resume", action="store_true", help="go on from the last finished stage")
     solve.add_argument("--seed", type=_whole, default=0, help="of all randomness")
 
@@ -171,6 +172,10 @@ def _add_solving(add: Add) -> None:
         default="auto",
         metavar="auto|none|FILE",
         help="those of the capture, unknown, or of a file",
+    )
+
+    inspect.add_argument(
+        "--strict", action="store_true", help="refuse a capture that lacks some of its photos or poses"
     )
 
     apply = add("apply", "Principled materials and emissive lights as a .blend")

@@ -28,9 +28,10 @@ from .listing import (
     view_names,
 )
 from .mesh_files import MESH_SUFFIXES
+from .photo_files import PHOTO_SUFFIXES
 
-MODEL_FOLDERS = (".", "sparse/0", "sparse", "colmap/sparse/0")
-"""Where a sparse model may lie below a capture."""
+MODEL_FOLDERS = (".", "sparse", "sparse/*", "colmap/sparse", "colmap/sparse/*")
+"""Where sparse models may lie below a capture. COLMAP writes one for each group of photos that it could connect."""
 MAX_ENTRIES = 100_000
 MAX_NAME = 4096
 MAX_TEXT_BYTES = 1 << 30
@@ -42,8 +43,13 @@ PARAMETERS = {
     "RADIAL": (*_FOCAL, "k1", "k2"),
     "OPENCV": (*_FOCALS, "k1", "k2", "p1", "p2"),
     "OPENCV_FISHEYE": (*_FOCALS, "k1", "k2", "k3", "k4"),
+    "FULL_OPENCV": (*_FOCALS, "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "FOV": (),
+    "SIMPLE_RADIAL_FISHEYE": (*_FOCAL, "k1"),
+    "RADIAL_FISHEYE": (*_FOCAL, "k1", "k2"),
+    "THIN_PRISM_FISHEYE": (*_FOCALS, "k1", "k2", "p1", "p2", "k3", "k4", "sx1", "sy1"),
 }
-"""Parameters of each camera model in COLMAP's order, by the names of a transforms file."""
+"""Parameters of each camera model in COLMAP's order, by the names of a transforms file; none: it is not supported."""
 MODEL_NAMES = tuple(PARAMETERS)
 """By the number in a binary file; higher numbers are models that are not supported."""
 DOWN_FORWARD = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -56,20 +62,49 @@ Posed = tuple[str, int, tuple[float, ...]]
 
 
 def colmap_model(path: Path) -> Path | None:
-    """The folder of the sparse model in or under ``path``, None where there is none."""
-    for folder in (path / name for name in MODEL_FOLDERS):
-        if any(all((folder / f"{part}.{kind}").is_file() for part in ("cameras", "images")) for kind in ("bin", "txt")):
-            return folder
-    return None
+    """The folder of the sparse model in or under ``path`` with most photos, None where there is none."""
+    return max(_models(path), key=_count_images, default=None)
+
+
+def _models(path: Path) -> list[Path]:
+    """The folders of all sparse models in or under ``path``."""
+    if not path.is_dir():
+        return []
+    places = [
+        folder for name in MODEL_FOLDERS for folder in (sorted(path.glob(name)) if "*" in name else [path / name])
+    ]
+    return [folder for folder in places if _is_model(folder)]
+
+
+def _is_model(folder: Path) -> bool:
+    return any(all((folder / f"{part}.{kind}").is_file() for part in ("cameras", "images")) for kind in ("bin", "txt"))
+
+
+def _count_images(model: Path) -> int:
+    """Photos of a model; 0 for one that cannot be read."""
+    source = _source(model)
+    try:
+        if source.suffix == ".txt":
+            return len(_text_images(source))
+        with source.open("rb") as file:
+            return _count(file)
+    except (BadInput, OSError, ValueError, struct.error):
+        return 0
 
 
 def read_colmap(path: Path, model: Path) -> Listing:
     """List the capture ``path`` whose sparse model lies in ``model``; raises BadInput."""
     root, source = _root(path), _source(model)
     views = read_colmap_views(path, model)
-    for view in views:
-        if view.photo is None:
-            raise BadInput(f"{view.name}: its photo is missing", f"put the photos into {root.name}/images", source)
+    warnings = ["a COLMAP model has no unit: one unit of it is taken as one metre"]
+    others = [other for other in _models(path) if other != model]
+    if others:
+        counts = ", ".join(f"{other.relative_to(path).as_posix()} has {_count_images(other)}" for other in others)
+        warnings.append(
+            f"{model.relative_to(path).as_posix()} is used, with {len(views)} photos, as the largest of "
+            f"{len(others) + 1} models ({counts}): what COLMAP could not connect is left out"
+        )
+    warnings += _unregistered(root, views)
     return Listing(
         name=root.resolve().name or "capture",
         root=root,
@@ -78,8 +113,22 @@ def read_colmap(path: Path, model: Path) -> Listing:
         val_views=(),
         mesh_file=_mesh_file(root, source),
         up=up_axis(root, mean_up(views) or (0.0, 0.0, 1.0)),
-        warnings=("a COLMAP model has no unit: one unit of it is taken as one metre",),
+        warnings=tuple(warnings),
     )
+
+
+def _unregistered(root: Path, views: Sequence[View]) -> list[str]:
+    """A warning for photos in the folder that the model has no pose of."""
+    folder = root / "images"
+    if not folder.is_dir():
+        return []
+    used = {view.photo.resolve() for view in views if view.photo is not None}
+    photos = [path for path in folder.rglob("*") if path.suffix.lower() in PHOTO_SUFFIXES]
+    left = sorted(path.name for path in photos if path.resolve() not in used)
+    if not left:
+        return []
+    names = ", ".join(left[:5]) + (" …" if len(left) > 5 else "")
+    return [f"{len(left)} of {len(photos)} photos have no pose in the model and are left out: {names}"]
 
 
 def read_colmap_views(path: Path, model: Path) -> tuple[View, ...]:
@@ -144,8 +193,8 @@ def _camera_to_world(pose: Sequence[float], name: str, source: Path) -> np.ndarr
 
 def _camera(model: str, width: int, height: int, parameters: Sequence[float], path: Path) -> dict[str, Any]:
     names = PARAMETERS.get(model)
-    if names is None:
-        known = ", ".join(PARAMETERS)
+    if not names:
+        known = ", ".join(name for name, listed in PARAMETERS.items() if listed)
         raise BadInput(f"camera model {model} is not supported", f"undistort the photos, or use {known}", path)
     if len(parameters) != len(names):
         raise BadInput(f"camera model {model} has {len(parameters)} parameters", "export the model again", path)
@@ -183,16 +232,26 @@ def _text_cameras(path: Path) -> Cameras:
 
 
 def _text_images(path: Path) -> list[Posed]:
-    """Two lines per image; the second, its points, may be empty."""
+    """Two lines per image; the second, its points, may be empty, and some programs leave it out."""
     images: list[Posed] = []
-    lines = _lines(path)
+    after_image = False
     with _damage_reported(path):
-        for line in lines:
-            if line.strip():
-                word = line.split(maxsplit=9)
+        for line in _lines(path):
+            word = line.split(maxsplit=9)
+            if after_image and not (len(word) == 10 and not _is_number(word[9].split()[-1])):
+                after_image = False
+            elif word:
                 images.append((word[9].strip(), int(word[8]), tuple(float(x) for x in word[1:8])))
-                next(lines, None)
+                after_image = True
     return images
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 # ---- Binary ---------------------------------------------------------------------------------------------------------

@@ -12,7 +12,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..base.errors import BadInput
 from ..model.capture import Split, View
 from .exposures import checked
 from .listing import (
@@ -53,9 +52,6 @@ def read_fipt(root: Path, photos: PhotoSet = "Image") -> Listing:
     """List the capture in ``root``; ``photos`` picks the set with varying or constant exposure. Raises BadInput."""
     source = root / "train" / "transforms.json"
     views = read_fipt_views(root, "train", photos)
-    for view in views:
-        if view.photo is None:
-            raise BadInput(f"{view.name}: no photo in train/{photos}", "add the photo or remove its frame", source)
     has_val = (root / "val" / "transforms.json").is_file()
     named = [root / f"scene{suffix}" for suffix in (".ply", ".obj", ".glb")]
     mesh_file = next((path for path in named if path.is_file()), None)
@@ -76,14 +72,15 @@ def read_fipt_views(root: Path, split: Split, photos: PhotoSet = "Image") -> tup
     meta = read_json_object(source)
     frames = frames_of(meta, source)
     exposures = _exposures(root, split, photos, len(frames))
+    found = [_photo(frame, index, root, source, photos) for index, frame in enumerate(frames)]
+    any_photo = next((photo for _, photo in found if photo is not None), None)
     size: tuple[int, int] | None = None
     views = []
-    for index, frame in enumerate(frames):
-        name, photo = _photo(frame, index, root, source, photos)
+    for index, (frame, (name, photo)) in enumerate(zip(frames, found, strict=True)):
         values = {**meta, **frame}
         values["transform_matrix"] = read_pose(frame.get("transform_matrix"), name, source) @ LEFT_UP_FORWARD
-        if size is None and not ("w" in values and "h" in values) and photo is not None:
-            size = check_photo(photo)
+        if size is None and not ("w" in values and "h" in values) and any_photo is not None:
+            size = check_photo(any_photo)
         views.append(
             View(
                 name=name,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -38,8 +39,10 @@ MAX_FIELD_OF_VIEW = math.radians(170.0)
 RIGID_TOLERANCE = 1e-3
 """Deviation from a rotation matrix; files keep three decimals at least."""
 
-PERSPECTIVE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
-FISHEYE_MODELS = ("OPENCV_FISHEYE",)
+PERSPECTIVE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "FULL_OPENCV")
+FISHEYE_MODELS = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE")
+DENOMINATOR = {"k4": "d1", "k5": "d2", "k6": "d3"}
+"""Our names of OpenCV's coefficients in the denominator."""
 
 LEFT_UP_FORWARD = np.diag([-1.0, 1.0, -1.0, 1.0])
 """Turns a FIPT/Mitsuba pose, with columns x left, y up, z forward, into one of ours: x right, y up, z backward."""
@@ -55,6 +58,7 @@ class Listing:
         views, val_views: training and held-out photos.
         mesh_file: the mesh to read.
         up: unit vector that points away from the floor.
+        unposed: names of photos that the file lists without a pose.
     """
 
     name: str
@@ -65,6 +69,7 @@ class Listing:
     mesh_file: Path
     up: tuple[float, float, float]
     warnings: tuple[str, ...] = ()
+    unposed: tuple[str, ...] = ()
 
 
 # ---- Values and paths -----------------------------------------------------------------------------------------------
@@ -94,21 +99,54 @@ def number(values: Mapping[str, Any], key: str, path: Path) -> float:
 
 
 def inside(root: Path, named: str, source: Path) -> Path:
-    """The file that ``source`` calls ``named``, relative to ``root``.
+    """The file that ``source`` calls ``named``, relative to ``root`` or absolute below it.
+
+    A name that differs from the file's in case or Unicode's normal form is matched if one file fits: folders come from
+    systems that take these for the same.
 
     Raises:
-        BadInput: the path is absolute or leaves the capture folder, by ".." or through a symbolic link.
+        BadInput: the path leaves the capture folder, by ".." or through a symbolic link.
     """
     relative = Path(named.replace("\\", "/"))
     path = root / relative
     try:
-        escapes = relative.is_absolute() or not path.resolve().is_relative_to(root.resolve())
+        escapes = not path.resolve().is_relative_to(root.resolve())
         path.with_name(path.name + ".jpeg").is_file()  # the longest name anybody will look for
     except (OSError, ValueError, RuntimeError) as error:  # over-long name, NUL byte, loop of links
         raise BadInput(f"names {named[:80]!r}, which is not a usable path", "correct the path", source) from error
     if escapes:
         raise BadInput(f"names {named[:80]!r}, outside the capture folder", "move the file into the folder", source)
-    return path
+    return path if path.exists() else _spelled_on_disk(root, path)
+
+
+def _spelled_on_disk(root: Path, path: Path) -> Path:
+    """``path`` below ``root`` with each part as the disk spells it, where one entry fits; else ``path`` as it is."""
+    try:
+        parts = path.resolve().relative_to(root.resolve()).parts
+    except ValueError:
+        return path
+    found = root
+    for part in parts:
+        if not (found / part).exists():
+            names = _entries(found).get(_folded(part), [])
+            if len(names) != 1:
+                return path
+            part = names[0]
+        found /= part
+    return found if found.resolve().is_relative_to(root.resolve()) else path
+
+
+def _folded(name: str) -> str:
+    return unicodedata.normalize("NFC", name).casefold()
+
+
+def _entries(folder: Path) -> dict[str, list[str]]:
+    """Names in a folder by their folded form."""
+    entries: dict[str, list[str]] = {}
+    if folder.is_dir():
+        for entry in folder.iterdir():
+            entries.setdefault(_folded(entry.name), []).append(entry.name)
+    return entries
 
 
 def find_image(root: Path, named: str, source: Path) -> Path | None:
@@ -205,6 +243,8 @@ def upright(views: Sequence[View]) -> tuple[float, float, float]:
     RGB-D recorders take their axes from the first photo, with y down. An axis near the mean is more likely than the
     mean itself, which leans where all photos look down in one direction.
     """
+    if not views:
+        return Z_UP
     mean = mean_up(views)
     down = float(np.mean([view.camera.c2w[:3, 2] for view in views], axis=0) @ Z_UP)
     if mean is None or max(float(np.dot(mean, Z_UP)), down) > UPRIGHT_COSINE:  # upright, or looking down from above
@@ -313,6 +353,14 @@ def _check_intrinsics(
             )
 
 
+def has_pose(matrix: Any) -> bool:
+    """Whether there is a matrix, right or wrong, and not a frame that was never posed: none, NaN or infinite."""
+    try:
+        return matrix is not None and bool(np.isfinite(np.array(matrix, np.float64)).all())
+    except (TypeError, ValueError):
+        return True
+
+
 def read_pose(matrix: Any, label: str, path: Path) -> FloatArray:
     """(4, 4) rigid camera-to-world matrix from nested lists, (4, 4) or (3, 4); raises BadInput."""
     try:
@@ -343,8 +391,17 @@ def read_distortion(values: Mapping[str, Any], label: str, path: Path) -> Distor
         known = ", ".join(PERSPECTIVE_MODELS + FISHEYE_MODELS)
         raise BadInput(f"{label}: camera model {model} is not supported", f"undistort the photos, or use {known}", path)
     fisheye = model in FISHEYE_MODELS or values.get("is_fisheye") is True
-    keys = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "k3", "k4", "p1", "p2")
+    keys = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "sx1", "sy1")
+    if model == "OPENCV_FISHEYE":
+        keys = keys[:4]
     coefficients = {key: number(values, key, path) for key in keys if key in values}
+    rational = model == "FULL_OPENCV" or coefficients.get("k5") or coefficients.get("k6")
+    if rational and fisheye:
+        raise BadInput(f"{label}: a fisheye with k5 or k6 is not supported", "undistort the photos", path)
+    names = DENOMINATOR if rational else {}
+    coefficients = {
+        names.get(key, key): coefficients[key] for key in coefficients if key in names or key[1] not in "56"
+    }
     if not fisheye and not any(coefficients.values()):
         return None
     return Distortion(**coefficients, fisheye=fisheye)

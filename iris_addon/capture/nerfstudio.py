@@ -20,6 +20,7 @@ from .listing import (
     check_unique,
     find_image,
     frames_of,
+    has_pose,
     inside,
     is_point_cloud,
     number,
@@ -38,10 +39,11 @@ def read_nerfstudio(transforms: Path) -> Listing:
     """List the capture around ``transforms``; raises BadInput."""
     meta, root = read_json_object(transforms), transforms.parent
     frames = frames_of(meta, transforms)
-    views = [view for view in _views(meta, frames, root, transforms, photos=True) if view is not None]
+    listed, unposed = _views(meta, frames, root, transforms, photos=True)
+    views = [view for view in listed if view is not None]
     warnings = []
-    if len(views) < len(frames):
-        warnings.append(f"{len(frames) - len(views)} frames are in no split and are left out")
+    if len(views) < len(listed):
+        warnings.append(f"{len(listed) - len(views)} frames are in no split and are left out")
     mesh_file, mesh_named = _mesh_file(meta, root, transforms)
     warnings += _check_applied(meta, mesh_named, transforms)
     return Listing(
@@ -52,6 +54,7 @@ def read_nerfstudio(transforms: Path) -> Listing:
         val_views=tuple(view for view in views if view.split == "val"),
         mesh_file=mesh_file,
         up=up_axis(root, upright(views)),
+        unposed=tuple(unposed),
         warnings=tuple(warnings),
     )
 
@@ -59,7 +62,7 @@ def read_nerfstudio(transforms: Path) -> Listing:
 def read_nerfstudio_views(transforms: Path) -> tuple[View, ...]:
     """Every view of ``transforms``, whatever its split, photo or not: cameras to render from; raises BadInput."""
     meta = read_json_object(transforms)
-    views = _views(meta, frames_of(meta, transforms), transforms.parent, transforms, photos=False)
+    views, _ = _views(meta, frames_of(meta, transforms), transforms.parent, transforms, photos=False)
     return tuple(view for view in views if view is not None)
 
 
@@ -68,18 +71,21 @@ def read_nerfstudio_views(transforms: Path) -> tuple[View, ...]:
 
 def _views(
     meta: Mapping[str, Any], frames: Sequence[Mapping[str, Any]], root: Path, source: Path, *, photos: bool
-) -> list[View | None]:
-    """One view per frame, None where the file's split lists leave it out. ``photos`` demands that all photos exist."""
+) -> tuple[list[View | None], list[str]]:
+    """One view per frame, None where the file's split lists leave it out; and frames without a pose.
+
+    With ``photos`` these are left out, as recorders write them where they lost track; without, they are an error.
+    """
     names = _view_names(frames, source)
     split_of = _split_lists(meta, source)
     views: list[View | None] = []
+    unposed: list[str] = []
     for frame, name in zip(frames, names, strict=True):
         split = _split(frame, name, split_of, source)
         photo = find_image(root, str(frame["file_path"]), source)
-        if photo is None and photos:
-            raise BadInput(
-                f"{name}: photo {frame['file_path']!r} is missing", "add the photo or remove its frame", source
-            )
+        if photos and not has_pose(frame.get("transform_matrix")):
+            unposed.append(name)
+            continue
         values = {**meta, **frame}
         sized = "w" in values and "h" in values
         view = View(
@@ -93,7 +99,7 @@ def _views(
         )
         views.append(view if split is not None else None)
     check_unique([view for view in views if view is not None], source)
-    return views
+    return views, unposed
 
 
 def _mask(frame: Mapping[str, Any], name: str, root: Path, source: Path) -> Path | None:

@@ -2,7 +2,8 @@
 
 The distortion models are OpenCV's (https://docs.opencv.org/4.x/d9/d0c/group__calib3d.html and, for the fisheye,
 group__calib3d__fisheye.html). Both map a pinhole direction to its place in the photo, which is what resampling onto the
-pinhole needs, so nothing has to be inverted. k4 of the perspective model multiplies r^8, as in nerfstudio.
+pinhole needs, so nothing has to be inverted. k4 of the perspective model multiplies r^8, as in nerfstudio, unless there
+are k5 and k6: then the three are OpenCV's, of the denominator.
 """
 
 from __future__ import annotations
@@ -118,26 +119,27 @@ def distort(x: FloatArray, y: FloatArray, lens: Distortion) -> tuple[FloatArray,
     """
     r = np.hypot(x, y)
     if lens.fisheye:
+        # The angle takes the place of the radius, in the direction of the pixel.
         angle = np.arctan(r)
-        distorted_angle = _odd_polynomial(angle, lens)
-        scale = np.where(r > 1e-9, distorted_angle / np.maximum(r, 1e-9), 1.0)
-        return x * scale, y * scale, angle < _turning_point(lens, np.pi / 2)
-    radial = np.where(r > 1e-9, _odd_polynomial(r, lens) / np.maximum(r, 1e-9), 1.0)
-    x_distorted = x * radial + 2 * lens.p1 * x * y + lens.p2 * (r**2 + 2 * x**2)
-    y_distorted = y * radial + lens.p1 * (r**2 + 2 * y**2) + 2 * lens.p2 * x * y
-    return x_distorted, y_distorted, r < _turning_point(lens, float(r.max()) + 1.0)
+        scale = np.where(r > 1e-9, angle / np.maximum(r, 1e-9), 1.0)
+        x, y, r = x * scale, y * scale, angle
+    radial = np.where(r > 1e-9, _radial(r, lens) / np.maximum(r, 1e-9), 1.0)
+    x_distorted = x * radial + 2 * lens.p1 * x * y + lens.p2 * (r**2 + 2 * x**2) + lens.sx1 * r**2
+    y_distorted = y * radial + lens.p1 * (r**2 + 2 * y**2) + 2 * lens.p2 * x * y + lens.sy1 * r**2
+    return x_distorted, y_distorted, r < _turning_point(lens, np.pi / 2 if lens.fisheye else float(r.max()) + 1.0)
 
 
-def _odd_polynomial(t: FloatArray, lens: Distortion) -> FloatArray:
-    """t + k1 t^3 + k2 t^5 + k3 t^7 + k4 t^9: the radius for the perspective model, the angle for the fisheye."""
+def _radial(t: FloatArray, lens: Distortion) -> FloatArray:
+    """t (1 + k1 t² + k2 t⁴ + k3 t⁶ + k4 t⁸) / (1 + d1 t² + d2 t⁴ + d3 t⁶), t the radius, or the angle of a fisheye."""
     t2 = t * t
-    return t * (1 + t2 * (lens.k1 + t2 * (lens.k2 + t2 * (lens.k3 + t2 * lens.k4))))
+    numerator = 1 + t2 * (lens.k1 + t2 * (lens.k2 + t2 * (lens.k3 + t2 * lens.k4)))
+    return t * numerator / (1 + t2 * (lens.d1 + t2 * (lens.d2 + t2 * lens.d3)))
 
 
 def _turning_point(lens: Distortion, limit: float) -> float:
     """First t in (0, limit] where the radial mapping stops growing; a little beyond ``limit`` when it never does."""
     t = np.linspace(0, limit, 4097)
-    falling = np.flatnonzero(np.diff(_odd_polynomial(t, lens)) <= 0)
+    falling = np.flatnonzero(np.diff(_radial(t, lens)) <= 0)
     return float(t[falling[0]]) if len(falling) else limit * (1 + 1e-9)
 
 

@@ -35,6 +35,8 @@ SEEN_GRID = 16
 """Rays in a row and in a column through each view that measure how much of the mesh it sees."""
 MIN_SEEN_SHARE = 0.05
 """Of those rays that meet the mesh; a photo below is warned about."""
+MAX_LOST_SHARE = 1 / 3
+"""Of the photos, that may be missing or without a pose."""
 MAX_UNIT_RATIO = 100.0
 """Between the extents of mesh and camera path; beyond, they are in different units."""
 MAX_ORIGIN_RATIO = 50.0
@@ -48,6 +50,7 @@ def read_capture(
     exposures: str | Path = "auto",
     hdr: Path | None = None,
     photos: PhotoSet = "Image",
+    strict: bool = False,
     check: Callable[[], None] = lambda: None,
 ) -> Capture:
     """Read and check a capture.
@@ -61,6 +64,7 @@ def read_capture(
             photos; anything else is a JSON, CSV or .npy file.
         hdr: folder with an EXR of linear radiance for each training photo, matched by file name.
         photos: which set of a FIPT-layout capture, varying or constant exposure.
+        strict: refuse a capture that lacks photos or poses; otherwise up to a third of them are left out and listed.
         check: called often; may raise, as for a cancel.
 
     Raises:
@@ -72,6 +76,9 @@ def read_capture(
         raise BadInput("has no training photos", 'give some frames the split "train"', listing.source)
     views, val_views = list(listing.views), list(listing.val_views)
     warnings = list(listing.warnings)
+    if hdr is None:
+        views, skipped = _photographed(views, listing, strict)
+        warnings += skipped
     if hdr is not None:
         views = _with_radiance(views, Path(hdr))
     views, turned = check_photos(views)
@@ -136,6 +143,27 @@ def _list(path: Path, photos: PhotoSet) -> Listing:
             path,
         )
     return read_colmap(path, model)
+
+
+def _photographed(views: Sequence[View], listing: Listing, strict: bool) -> tuple[list[View], list[str]]:
+    """The views that have photos, and a warning that names the others and those without a pose.
+
+    Raises:
+        BadInput: more than a third is missing, or any and ``strict``.
+    """
+    missing = [view.name for view in views if view.photo is None]
+    lost = [f"{name} (no photo)" for name in missing] + [f"{name} (no pose)" for name in listing.unposed]
+    if not lost:
+        return list(views), []
+    names = ", ".join(lost[:5]) + (" …" if len(lost) > 5 else "")
+    total = len(views) + len(listing.unposed)
+    if strict or len(lost) > MAX_LOST_SHARE * total:
+        raise BadInput(
+            f"{len(lost)} of {total} photos are missing or have no pose: {names}",
+            "put the photos into the folder, or take their entries out of the file",
+            listing.source,
+        )
+    return [view for view in views if view.photo is not None], [f"{len(lost)} of {total} photos are left out: {names}"]
 
 
 def _with_radiance(views: Sequence[View], folder: Path) -> list[View]:

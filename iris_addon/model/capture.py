@@ -78,7 +78,14 @@ class Camera:
 
 @dataclass(frozen=True)
 class Distortion:
-    """OpenCV radial-tangential lens distortion of the photo on disk; the camera describes the undistorted photo."""
+    """Lens distortion of the photo on disk, by the models of OpenCV and COLMAP; the camera is that without it.
+
+    Attributes:
+        k1, k2, k3, k4: radial, of r², r⁴, r⁶, r⁸; of the angle for a fisheye.
+        p1, p2: tangential.
+        d1, d2, d3: of r², r⁴, r⁶ in the denominator of the radial factor (OpenCV's k4, k5, k6).
+        sx1, sy1: thin prism, of r².
+    """
 
     k1: float = 0.0
     k2: float = 0.0
@@ -86,6 +93,11 @@ class Distortion:
     p2: float = 0.0
     k3: float = 0.0
     k4: float = 0.0
+    d1: float = 0.0
+    d2: float = 0.0
+    d3: float = 0.0
+    sx1: float = 0.0
+    sy1: float = 0.0
     fisheye: bool = False
 
 

@@ -51,7 +51,39 @@ def centroid(image: np.ndarray) -> tuple[float, float]:
     return (i * image).sum() / image.sum(), (j * image).sum() / image.sum()
 
 
-@pytest.mark.parametrize(("lens", "project"), [(LENS, opencv), (FISHEYE, opencv_fisheye)])
+RATIONAL = Distortion(k1=0.3, k2=0.1, k3=0.02, p1=0.002, p2=-0.001, d1=0.45, d2=0.12, d3=0.01)
+THIN_PRISM = Distortion(k1=-0.03, k2=0.008, p1=0.003, p2=-0.002, sx1=0.004, sy1=-0.003, fisheye=True)
+
+
+def opencv_rational(x: float, y: float, lens: Distortion) -> tuple[float, float]:
+    """cv::projectPoints with k4, k5 and k6, which we call d1, d2 and d3."""
+    r2 = x * x + y * y
+    radial = (1 + lens.k1 * r2 + lens.k2 * r2**2 + lens.k3 * r2**3) / (
+        1 + lens.d1 * r2 + lens.d2 * r2**2 + lens.d3 * r2**3
+    )
+    return (
+        x * radial + 2 * lens.p1 * x * y + lens.p2 * (r2 + 2 * x * x),
+        y * radial + lens.p1 * (r2 + 2 * y * y) + 2 * lens.p2 * x * y,
+    )
+
+
+def colmap_thin_prism(x: float, y: float, lens: Distortion) -> tuple[float, float]:
+    """THIN_PRISM_FISHEYE of COLMAP's models.h: thin prism and tangential terms on the fisheye's coordinates."""
+    r = np.hypot(x, y)
+    theta = np.arctan(r)
+    u, v = (x, y) if r == 0 else (x * theta / r, y * theta / r)
+    t2 = theta**2
+    radial = lens.k1 * t2 + lens.k2 * t2**2 + lens.k3 * t2**3 + lens.k4 * t2**4
+    return (
+        u + u * radial + 2 * lens.p1 * u * v + lens.p2 * (t2 + 2 * u * u) + lens.sx1 * t2,
+        v + v * radial + 2 * lens.p2 * u * v + lens.p1 * (t2 + 2 * v * v) + lens.sy1 * t2,
+    )
+
+
+@pytest.mark.parametrize(
+    ("lens", "project"),
+    [(LENS, opencv), (FISHEYE, opencv_fisheye), (RATIONAL, opencv_rational), (THIN_PRISM, colmap_thin_prism)],
+)
 @pytest.mark.parametrize("marker", MARKERS)
 def test_marker_returns_to_its_pinhole_position(tmp_path: Path, lens, project, marker) -> None:
     x, y = project((marker[0] - CAMERA.cx) / CAMERA.fx, (marker[1] - CAMERA.cy) / CAMERA.fy, lens)
@@ -91,6 +123,12 @@ def test_coefficients_of_the_file_reach_the_view(nerfstudio_room: RoomCapture) -
     first, second, *_ = read_capture(nerfstudio_room.save()).views
     assert first.distortion == Distortion(k1=-0.1, k2=0.02, p1=0.001, p2=-0.002)
     assert second.distortion is not None and second.distortion.k1 == -0.2
+
+
+def test_k5_and_k6_make_the_model_rational(nerfstudio_room: RoomCapture) -> None:
+    nerfstudio_room.meta.update({"k1": 0.1, "k4": 0.4, "k5": 0.5, "k6": 0.6})
+    lens = read_capture(nerfstudio_room.save()).views[0].distortion
+    assert lens == Distortion(k1=0.1, d1=0.4, d2=0.5, d3=0.6)
 
 
 def test_zero_coefficients_are_a_pinhole(nerfstudio_room: RoomCapture) -> None:
