@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from iris_addon.base.errors import BadInput, IrisError
-from iris_addon.base.files import plain, read_json, write_json
+from iris_addon.base.files import plain, read_json, replace_when_free, write_json
 from iris_addon.base.progress import Progress
 from iris_addon.edits.motion import at_time, camera_at
 from iris_addon.edits.parsing import json_map, whole
@@ -239,5 +239,5 @@ def write_film(frames: Frames, fps: float) -> Path | None:
         unfinished.unlink(missing_ok=True)
         said = (ran.stderr.strip().splitlines() or ["no message"])[-1]
         raise IrisError(f"ffmpeg failed ({said})", "the frames are finished: make the film by hand", film)
-    os.replace(unfinished, film)
+    replace_when_free(unfinished, film)
     return film

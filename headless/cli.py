@@ -11,6 +11,7 @@ then ``{"type": "done", "result": ...}`` or ``{"type": "error", "what": ..., "fi
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import sys
 import traceback
@@ -44,6 +45,7 @@ def main(arguments: list[str] | None = None) -> int:
     Returns:
         The exit code.
     """
+    _never_fail_to_print()
     argv = _own_arguments(sys.argv) if arguments is None else arguments
     try:
         args = make_parser().parse_args(argv)
@@ -82,6 +84,13 @@ def main(arguments: list[str] | None = None) -> int:
     else:
         print(outcome.text, flush=True)
     return outcome.exit_code
+
+
+def _never_fail_to_print() -> None:
+    """Escape what the encoding of a redirected output lacks: on Windows it has 256 characters."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _own_arguments(argv: list[str]) -> list[str]:

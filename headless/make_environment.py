@@ -10,19 +10,26 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import signal
 import subprocess
 import sys
 import tempfile
 import threading
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any, NoReturn
 
 HERE = Path(__file__).resolve().parent
 REQUIREMENTS = HERE / "solver_requirements.txt"
+OPTIONAL = HERE / "optional_requirements.txt"
+"""Decoders of single formats, which not every system has: what fails to install is missed when such a file is read."""
+LONGEST_MEMBER = 170
+"""Characters of the longest path within site-packages that the pinned packages install (torch's licences)."""
+WINDOWS_PATH = 259
+"""Characters of a path that Windows takes by default."""
 IMPORTS = (
     *("numpy", "scipy", "torch", "trimesh", "embreex.rtcore_scene", "OpenEXR", "PIL.Image", "numba"),
-    *("filelock", "threadpoolctl"),
+    *("filelock", "threadpoolctl", "mapbox_earcut"),
 )
 FAILED, CANCELLED = 1, 130
 
@@ -56,6 +63,9 @@ def main(arguments: list[str]) -> None:
 def make(folder: Path) -> None:
     """Create the virtual environment, install the packages and test them."""
     venv = folder / "venv"
+    check_platform(sys.platform, platform.machine())
+    if os.name == "nt" and not windows_takes_long_paths():
+        check_length(PureWindowsPath(venv))
     python = venv / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
     progress("making the environment", 0.0)
     # A Blender without ensurepip fails here, which has its own message.
@@ -69,7 +79,42 @@ def make(folder: Path) -> None:
     pip = [str(python), "-I", "-m", "pip", "install", "--disable-pip-version-check", "--no-input"]
     if call([*pip, "--only-binary", ":all:", "--progress-bar", "off", "-r", str(REQUIREMENTS)]):
         fail("pip could not install the solver's packages", "read the log: mostly the network, the disk, or a proxy")
+    for line in OPTIONAL.read_text(encoding="utf-8").splitlines():
+        if line and not line.startswith("#"):
+            call([*pip, "--only-binary", ":all:", "--progress-bar", "off", line])
     test(str(python), 0.9)
+
+
+def check_platform(system: str, machine: str) -> None:
+    """Fail on a system for which the pinned torch has no build; it would be pip's riddle."""
+    if system == "darwin" and machine == "x86_64":
+        fail(
+            "PyTorch, which the solver needs, has no build for Intel Macs any more",
+            "solve on another computer and apply the result folder here; on a Mac with Apple silicon use the Blender "
+            "made for it",
+        )
+
+
+def check_length(venv: PureWindowsPath) -> None:
+    """Fail if files of the packages would have longer paths than Windows takes."""
+    longest = len(str(venv / "Lib" / "site-packages")) + 1 + LONGEST_MEMBER
+    if longest > WINDOWS_PATH:
+        fail(
+            f"{venv} is too long a path: files in it would have {longest} characters, Windows takes {WINDOWS_PATH}",
+            "enable long paths in Windows (LongPathsEnabled), or make an environment in a shorter folder by hand as "
+            "the manual says, and name its Python here",
+        )
+
+
+def windows_takes_long_paths() -> bool:
+    """Whether this Windows has its limit of 260 characters switched off."""
+    import winreg
+
+    try:
+        with winreg.OpenKey(winreg.HKEY_LOCAL_MACHINE, r"SYSTEM\CurrentControlSet\Control\FileSystem") as key:  # type: ignore[attr-defined]
+            return bool(winreg.QueryValueEx(key, "LongPathsEnabled")[0])  # type: ignore[attr-defined]
+    except OSError:
+        return False
 
 
 def test(python: str, at: float = 0.0) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from hashlib import sha256
 from pathlib import Path
 
 import bpy
 
+from ..iris_addon.base.files import user_folder
 from ..iris_addon.blender.worker import jobs
 from ..iris_addon.results.files import REPORT, result_file
 
@@ -85,7 +87,13 @@ def capture_changed(capture: Path, result: Path) -> bool:
 
 
 def environment_folder() -> Path:
-    """The folder for an environment created here; this does not create it."""
+    """The folder for an environment created here; this does not create it.
+
+    On Windows it is a short one: below the extension's own, files of torch have more than the 260 characters that
+    Windows takes.
+    """
+    if sys.platform == "win32":
+        return user_folder() / "environment"
     return Path(bpy.utils.extension_path_user(ROOT_PACKAGE, path="environment"))
 
 

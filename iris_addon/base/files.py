@@ -15,6 +15,7 @@ import json
 import os
 import stat
 import sys
+import time
 import uuid
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
@@ -26,6 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import BadInput, IrisError
+
+REPLACE_SECONDS, REPLACE_PAUSE = 1.0, 0.02
+"""How long a file that another program holds is waited for, and how long between two attempts."""
 
 
 def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
@@ -40,7 +44,7 @@ def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write(temporary)
-        os.replace(temporary, path)
+        replace_when_free(temporary, path)
     except OSError as error:
         fix = "free some space and run again" if error.errno == errno.ENOSPC else "check the folder and its permissions"
         raise IrisError(f"cannot be written ({error.strerror or error})", fix, path) from error
@@ -50,6 +54,25 @@ def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
             temporary.unlink(missing_ok=True)
         except OSError:
             pass
+
+
+def replace_when_free(source: Path, target: Path) -> None:
+    """:func:`os.replace`, tried again for a second while another program holds the target.
+
+    On Windows a virus scanner, OneDrive, or a viewer that reads the file makes it fail for milliseconds.
+
+    Raises:
+        OSError: as :func:`os.replace`.
+    """
+    end = time.monotonic() + REPLACE_SECONDS
+    while True:
+        try:
+            os.replace(source, target)
+            return
+        except PermissionError:
+            if time.monotonic() > end:
+                raise
+            time.sleep(REPLACE_PAUSE)
 
 
 def abandoned(path: Path) -> Iterator[Path]:
@@ -174,10 +197,15 @@ def from_ranges(value: object, n_faces: int, what: str, path: Path) -> NDArray[n
 # ---- Cache folder ---------------------------------------------------------------------------------------------------
 
 
+def user_folder() -> Path:
+    """Folder of this program in the user's own files that stay on one computer, on Windows."""
+    return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "iris"
+
+
 def user_cache() -> Path:
     """Folder for files that can be made again, by the convention of each system."""
     if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "iris" / "cache"
+        return user_folder() / "cache"
     if sys.platform == "darwin":
         return Path.home() / "Library" / "Caches" / "iris"
     return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "iris"

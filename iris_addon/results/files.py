@@ -7,11 +7,10 @@ Readers move nothing: the folder may be read-only or foreign, and a solve may be
 
 from __future__ import annotations
 
-import os
 import shutil
 from pathlib import Path
 
-from ..base.files import is_own_file, is_own_folder, require_own_folder
+from ..base.files import is_own_file, is_own_folder, replace_when_free, require_own_folder
 
 WHOLE = ".whole"
 """Folder of a result that is completely written and not yet moved in place."""
@@ -54,7 +53,7 @@ def complete_save(folder: Path) -> None:
         if EMITTERS in waiting and name not in waiting:
             (folder / name).unlink(missing_ok=True)  # of the previous result
     for name in waiting:
-        os.replace(folder / WHOLE / name, folder / name)
+        replace_when_free(folder / WHOLE / name, folder / name)
     shutil.rmtree(folder / WHOLE)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import os
 import shutil
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import IrisError
-from ..base.files import dump_json
+from ..base.files import dump_json, replace_when_free
 from ..base.parallel import cores
 from .files import (
     BACKDROP,
@@ -61,7 +60,7 @@ def save_result(result: Result, folder: Path) -> None:
             shutil.rmtree(abandoned, ignore_errors=True)
         staging = Path(tempfile.mkdtemp(prefix=".tmp-", dir=folder))
         _write_all(result, staging)
-        os.replace(staging, folder / WHOLE)
+        replace_when_free(staging, folder / WHOLE)
         complete_save(folder)
     except OSError as error:
         fix = "free some space and run again" if error.errno == errno.ENOSPC else "check the folder and its permissions"

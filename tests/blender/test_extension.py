@@ -85,7 +85,9 @@ def test_the_package_is_valid_and_has_nothing_else_in_it(package):
 
 def test_what_is_downloaded_is_what_is_pinned():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    pinned = project["dependencies"] + project["optional-dependencies"]["formats"]
+    pinned, formats = project["dependencies"], project["optional-dependencies"]["formats"]
+    optional = (ROOT / "headless" / "optional_requirements.txt").read_text().splitlines()
+    assert [line for line in optional if not line.startswith("#")] == formats
     lines = (ROOT / "headless" / "solver_requirements.txt").read_text().splitlines()
     assert [line for line in lines if not line.startswith("#")] == [p for p in pinned if not p.startswith("bpy")]
 

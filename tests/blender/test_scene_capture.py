@@ -98,17 +98,126 @@ def test_photos_of_cameras_with_similar_names_stay_apart_and_are_never_written_t
         assert [(tmp_path / f"{number}.png").read_bytes() for number in range(3)] == list(own.values())
 
 
-def test_objects_disabled_in_viewports_are_named(tmp_path):
-    box("room")
-    box("ceiling")
+def camera_with_photo(tmp_path):
     scene = bpy.context.scene
-    scene.objects["ceiling"].hide_viewport = True
     eye = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
     scene.collection.objects.link(eye)
-    scene.render.resolution_x, scene.render.resolution_y = 400, 300
-    eye.data.background_images.new().image = bpy.data.images.load(str(photo(tmp_path / "a.png")))
-    (warning,) = write_scene_capture(scene, bpy.context.evaluated_depsgraph_get(), tmp_path / "job")
-    assert "ceiling" in warning
+    scene.render.resolution_x, scene.render.resolution_y = 40, 30
+    behind = eye.data.background_images.new()
+    behind.image = bpy.data.images.load(str(photo(tmp_path / "a.png")))
+    return scene, eye, behind
+
+
+def in_collection(name, things):
+    collection = bpy.data.collections.new(name)
+    bpy.context.scene.collection.children.link(collection)
+    for thing in things:
+        collection.objects.link(thing)
+        bpy.context.scene.collection.objects.unlink(thing)
+    return collection, bpy.context.view_layer.layer_collection.children[name]
+
+
+def hidden_with_h(thing):
+    thing.hide_set(True)
+
+
+def disabled_in_viewports(thing):
+    thing.hide_viewport = True
+
+
+def in_a_hidden_collection(thing):
+    in_collection("more", [thing])[1].hide_viewport = True
+
+
+def in_a_collection_disabled_in_viewports(thing):
+    in_collection("more", [thing])[0].hide_viewport = True
+
+
+def written_faces(tmp_path):
+    bpy.context.view_layer.update()
+    warnings = write_scene_capture(bpy.context.scene, bpy.context.evaluated_depsgraph_get(), tmp_path / "job")
+    return sum(run.stop - run.start for run in read_face_runs(tmp_path / "job")), warnings
+
+
+@pytest.mark.parametrize(
+    "hide", [hidden_with_h, disabled_in_viewports, in_a_hidden_collection, in_a_collection_disabled_in_viewports]
+)
+def test_what_renders_is_the_room_whatever_the_viewport_hides(hide, tmp_path):
+    box("room")
+    box("ceiling")
+    camera_with_photo(tmp_path)
+    bpy.context.view_layer.update()
+    ceiling = bpy.data.objects["ceiling"]
+    hide(ceiling)
+    bpy.context.view_layer.update()
+    before = ceiling.visible_get()
+    assert written_faces(tmp_path) == (24, [])
+    bpy.context.view_layer.update()
+    assert ceiling.visible_get() == before, "the viewport is what it was"
+
+
+def disabled_for_renders(thing):
+    thing.hide_render = True
+
+
+def in_a_collection_disabled_for_renders(thing):
+    in_collection("more", [thing])[0].hide_render = True
+
+
+def in_an_excluded_collection(thing):
+    in_collection("more", [thing])[1].exclude = True
+
+
+def as_a_holdout(thing):
+    thing.is_holdout = True
+
+
+@pytest.mark.parametrize(
+    ("hide", "reason"),
+    [
+        (disabled_for_renders, "disabled for renders"),
+        (in_a_collection_disabled_for_renders, "their collection is disabled for renders"),
+        (in_an_excluded_collection, "their collection is excluded"),
+        (as_a_holdout, "a holdout"),
+    ],
+)
+def test_what_does_not_render_is_left_out_and_listed(hide, reason, tmp_path):
+    box("room")
+    box("ceiling")
+    camera_with_photo(tmp_path)
+    hide(bpy.data.objects["ceiling"])
+    faces, (warning,) = written_faces(tmp_path)
+    assert faces == 12 and reason in warning and "ceiling" in warning
+
+
+def written_view(tmp_path):
+    bpy.context.view_layer.update()
+    write_scene_capture(bpy.context.scene, bpy.context.evaluated_depsgraph_get(), tmp_path / "job")
+    (view,) = read_capture(tmp_path / "job" / "capture").views
+    return view.camera
+
+
+def test_a_photo_moved_and_scaled_behind_the_camera_has_its_own_principal_point_and_focal_length(tmp_path):
+    """A point of the frame lies at offset + scale times its place in the photo, counted from the middle, in widths."""
+    box("room")
+    _, eye, behind = camera_with_photo(tmp_path)
+    eye.data.shift_x = 0.05
+    plain = written_view(tmp_path)
+    behind.offset, behind.scale = (0.2, 0.1), 1.5
+    moved = written_view(tmp_path)
+    # The frame is 40 x 30 pixels as the photo is. Where the photo's pixel (7, 9) lies in the frame:
+    in_frame = np.array([20 + 0.2 * 40 + 1.5 * (7 - 20), 15 - 0.1 * 40 + 1.5 * (9 - 15)])
+    expected = (in_frame - (plain.cx, plain.cy)) / plain.fx
+    np.testing.assert_allclose(([7, 9] - np.array([moved.cx, moved.cy])) / moved.fx, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(("name", "value", "said"), [("rotation", 0.3, "rotated"), ("use_flip_x", True, "flipped")])
+def test_a_photo_rotated_or_flipped_behind_the_camera_is_refused(name, value, said, tmp_path):
+    box("room")
+    _, _, behind = camera_with_photo(tmp_path)
+    setattr(behind, name, value)
+    with pytest.raises(BadInput, match=f"camera 'eye' is {said} behind it"):
+        written_view(tmp_path)
 
 
 def test_a_scene_without_usable_photos_is_refused(tmp_path):

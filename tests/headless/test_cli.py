@@ -82,6 +82,14 @@ def test_bad_input_is_one_line_and_exits_3(tmp_path):
     assert done.stderr.count("\n") == 1 and not (tmp_path / "out").exists()
 
 
+def test_output_that_is_redirected_on_windows_escapes_what_it_lacks(nerfstudio_room, tmp_path):
+    """A code page of 256 characters has no Cyrillic: the work is done, and its summary is printed."""
+    folder = nerfstudio_room.root.rename(nerfstudio_room.root.with_name("Кухня"))
+    done = run("inspect", folder, "--out", tmp_path / "out", PYTHONIOENCODING="cp1252")
+    assert done.returncode == 0, done.stderr
+    assert "Looked at \\u041a" in done.stdout
+
+
 def test_debug_adds_a_traceback(tmp_path):
     assert "Traceback" in run("solve", tmp_path / "nothing", "--out", tmp_path / "out", "--debug").stderr
 

@@ -7,7 +7,6 @@ files lamps are UsdLux lights: meshes that shine as their material glows.
 
 from __future__ import annotations
 
-import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -21,6 +20,7 @@ import numpy as np
 from mathutils import Vector
 
 from ...base.errors import IrisError
+from ...base.files import replace_when_free
 from ...edits.scene_edit import SceneEdit
 from ...model.capture import View
 from ...model.render_settings import RenderSettings
@@ -225,7 +225,7 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
             for file in sorted(made, key=lambda file: file.name == path.name):  # the file itself last
                 target = path.parent / file.relative_to(folder)
                 target.parent.mkdir(exist_ok=True)
-                os.replace(file, target)
+                replace_when_free(file, target)
     except (RuntimeError, OSError) as error:
         what = f"cannot be written ({str(error).strip()})"
         raise IrisError(what, "free disk space or choose another place", path) from error

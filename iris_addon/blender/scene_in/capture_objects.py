@@ -229,7 +229,13 @@ def show_instead(camera: bpy.types.Object, image: bpy.types.Image | None) -> Non
 
 def photo_of(camera: bpy.types.Object) -> bpy.types.Image | None:
     """The photo that ``camera`` shows, if it shows one."""
+    behind = background_of(camera)
+    return None if behind is None else behind.image
+
+
+def background_of(camera: bpy.types.Object) -> bpy.types.CameraBackgroundImage | None:
+    """The background image of ``camera`` that is its photo."""
     if camera.type != "CAMERA":
         return None
     shown: Sequence[Any] = camera.data.background_images
-    return next((behind.image for behind in shown if behind.source == "IMAGE" and behind.image is not None), None)
+    return next((behind for behind in shown if behind.source == "IMAGE" and behind.image is not None), None)

@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,8 @@ from ..apply.on_objects import ORIGINAL_MESH, FaceRun, triangles_of
 from ..camera import read_camera
 from ..scene_out.backdrop import is_backdrop
 from ..version import compositor_tree
-from .capture_objects import photo_of
+from .capture_objects import background_of, photo_of
+from .rendered import as_rendered
 
 
 @dataclass(frozen=True)
@@ -143,7 +144,8 @@ def write_scene_capture(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, 
         IrisError: the folder cannot be written.
     """
     scale = float(scene.unit_settings.scale_length)
-    room = read_scene_mesh(depsgraph)
+    with as_rendered(scene, depsgraph) as left_out:
+        room = read_scene_mesh(depsgraph, [thing for thing in scene.objects if thing.name not in left_out])
     views = [_view(scene, camera, scale) for camera in _photo_cameras(scene)]
     if not views:
         raise BadInput(
@@ -169,7 +171,7 @@ def write_scene_capture(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, 
         raise IrisError(
             f"cannot be written ({error.strerror})", "free some disk space, or choose another folder", folder
         ) from error
-    return _warnings(scene)
+    return _warnings(scene, left_out)
 
 
 def read_face_runs(folder: Path) -> list[FaceRun]:
@@ -228,6 +230,7 @@ def _view(scene: bpy.types.Scene, thing: bpy.types.Object, scale: float) -> tupl
     width, height = image.size
     if not width:
         raise BadInput(f"the photo of camera '{thing.name}' cannot be read", "find the missing file", image.filepath)
+    frame = _behind(frame, thing)
     grow = width / frame.width
     # The camera is that of the frame; a photo of the same aspect has the same field of view.
     if abs(frame.height * grow * frame.fx / frame.fy - height) > ASPECT_PIXELS:
@@ -249,6 +252,35 @@ def _view(scene: bpy.types.Scene, thing: bpy.types.Object, scale: float) -> tupl
         c2w=c2w,
     )
     return thing.name, image, camera, float(getattr(thing.data, "iris_exposure", 0.0))
+
+
+def _behind(frame: Camera, thing: bpy.types.Object) -> Camera:
+    """The camera of the photo that was moved and scaled behind the frame of ``thing``, in the pixels of the frame.
+
+    A point q of the photo, counted from its middle, lies at offset + scale · q in the frame; the offset is counted in
+    longer sides of the frame.
+
+    Raises:
+        BadInput: the photo is rotated or mirrored.
+    """
+    behind = background_of(thing)
+    assert behind is not None
+    if behind.rotation or behind.use_flip_x or behind.use_flip_y:
+        raise BadInput(
+            f"the photo of camera '{thing.name}' is {'rotated' if behind.rotation else 'flipped'} behind it",
+            "set Rotation and Flip of the background image to none, and turn the camera instead",
+        )
+    # A pixel of the frame is as high as fx / fy of its width.
+    side = max(frame.width, frame.height * frame.fx / frame.fy)
+    right, up = (value * side for value in behind.offset)
+    s = float(behind.scale)
+    return replace(
+        frame,
+        fx=frame.fx / s,
+        fy=frame.fy / s,
+        cx=0.5 * frame.width + (frame.cx - 0.5 * frame.width - right) / s,
+        cy=0.5 * frame.height + (frame.cy - 0.5 * frame.height + up * frame.fy / frame.fx) / s,
+    )
 
 
 def _frame(stem: Path, name: str, image: bpy.types.Image, camera: Camera, exposure: float) -> dict[str, Any]:
@@ -281,11 +313,11 @@ def _link(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
 
 
-def _warnings(scene: bpy.types.Scene) -> list[str]:
+def _warnings(scene: bpy.types.Scene, left_out: Mapping[str, str]) -> list[str]:
     warnings = []
-    hidden = [thing.name for thing in scene.objects if thing.type == "MESH" and thing.hide_viewport > thing.hide_render]
-    if hidden:
-        warnings.append(f"disabled in viewports and therefore left out of the room: {', '.join(hidden[:5])}")
+    for reason in dict.fromkeys(left_out.values()):
+        names = [name for name, own in left_out.items() if own == reason]
+        warnings.append(f"left out of the room, {reason}: {', '.join(names[:5])}{' …' if len(names) > 5 else ''}")
     tree = compositor_tree(scene)
     if tree is not None and any(node.bl_idname == "CompositorNodeLensdist" for node in tree.nodes):
         warnings.append("the compositor's Lens Distortion is ignored: the photos must be undistorted")
