@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
-from scipy.optimize import minimize
 
 from ..base.group_by import group_equal, group_means
+from ..base.minimise import simplex
 from ..base.parallel import over_each
 from ..base.progress import Progress
 from ..capture.photos import load_photo, photos_at_once
@@ -43,7 +43,8 @@ BRIGHTNESS_FLOOR = 0.05
 """Display value added before the logarithm, because shadows are noise."""
 SIMPLEX_STEP = np.array([0.03, 0.01, 0.01, 0.02, 0.02])
 """Log focal length, principal point in image widths, offset in metres: first steps of Nelder and Mead's simplex."""
-MAX_EVALUATIONS = 120
+MAX_EVALUATIONS, CORRECTION_TOLERANCE = 120, 1e-3
+"""Of the disagreement, at most; and extent of the simplex, in its units, at which the search ends."""
 
 
 @dataclass(frozen=True)
@@ -104,9 +105,8 @@ def calibrate(
     if not np.isfinite(trials[1.0]) or trials[best] > TRIAL_RATIO * trials[1.0]:
         return capture, Calibration(None, 0.0)
     start[0] = np.log(best)
-    simplex = start + np.concatenate([np.zeros((1, 5)), np.diag(SIMPLEX_STEP)])
-    options = {"initial_simplex": simplex, "maxfev": MAX_EVALUATIONS, "xatol": 1e-3, "fatol": 1e-5}
-    found = correction(minimize(watched, start, method="Nelder-Mead", options=options).x)
+    corners = start + np.concatenate([np.zeros((1, 5)), np.diag(SIMPLEX_STEP)])
+    found = correction(simplex(watched, corners, CORRECTION_TOLERANCE, evaluations=MAX_EVALUATIONS)[0])
     tested = _Lattice.of(capture.views, 0.75, progress)
     before, after = (tested.disagreement(capture.views, c, tracer) for c in (CameraCorrection(float(field[0])), found))
     if not np.isfinite([before, after]).all():

@@ -13,8 +13,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
-from scipy.optimize import least_squares, minimize_scalar
 
+from ..base.minimise import simplex
 from ..base.progress import Progress
 from ..base.random_streams import stream
 from ..capture.photos import load_photo
@@ -32,6 +32,8 @@ RING_PIXELS = 20
 """How far around an inserted object its shadow and bounce are scored."""
 FIT_PIXELS = 8192
 """Pixels of a held-out photo to which its exposure and white balance are fitted."""
+GAIN_TOLERANCE = 1e-5
+"""Of the logarithm of a factor on light or exposure, at which the search for it ends."""
 MIDTONES = (0.02, 0.98)
 """Display values between which a pixel is neither black nor clipped."""
 
@@ -100,7 +102,8 @@ def light_scale(pictures: Sequence[Picture]) -> float:
     # The error has one minimum, but is flat where everything is black or clipped: a grid search finds the slope first.
     grid = np.arange(-8.0, 8.5, 0.5)
     best = grid[int(np.argmin([error(x) for x in grid]))]
-    return float(2.0 ** minimize_scalar(error, bounds=(best - 0.5, best + 0.5), method="bounded").x)
+    found, _ = simplex(lambda x: error(float(x[0])), np.array([[best], [best + 0.25]]), GAIN_TOLERANCE)
+    return float(2.0 ** found[0])
 
 
 # ---- Pictures of a capture with ground truth ------------------------------------------------------------------------
@@ -249,8 +252,12 @@ def fit_gains(radiance: FloatArray, photo: Photo, response: Response) -> FloatAr
         ]
     )
 
-    def residual(log_gains: FloatArray) -> FloatArray:
-        return (response.apply(np.multiply(L, np.exp(log_gains))) - z).ravel()
+    def error(channel: int, log_gain: float) -> float:
+        exposed = np.repeat(L[:, channel, None] * np.exp(log_gain), 3, 1)
+        return metrics.mse(response.apply(exposed)[:, channel], z[:, channel])
 
-    # The table of f is piecewise linear, so derivatives need steps that cross its knots.
-    return np.exp(least_squares(residual, start, diff_step=1e-3, method="trf").x)
+    def fitted(channel: int) -> float:
+        corners = start[channel] + np.array([[0.0], [0.1]])
+        return float(simplex(lambda x: error(channel, float(x[0])), corners, GAIN_TOLERANCE)[0][0])
+
+    return np.exp([fitted(channel) for channel in range(3)])

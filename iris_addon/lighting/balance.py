@@ -15,10 +15,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
-from scipy.optimize import minimize
+from torch import Tensor
 
-from ..base.group_by import group_sums
+from ..base.group_by import group_medians
+from ..base.minimise import lbfgs, one_thread
 from ..decide import HeldOutLosses
 
 MIN_PATCHES_PER_REGION = 12
@@ -27,8 +29,10 @@ MAX_PATCHES = 15_000
 """Patches that enter the balance at most."""
 HELD_OUT_EVERY = 8
 """One patch in so many is held out."""
-MAX_ALBEDO = 0.95
-"""Largest albedo of a region without a penalty."""
+MAX_ALBEDO, TOO_WHITE_WEIGHT = 0.95, 50.0
+"""Largest albedo of a region without a penalty, and weight of that penalty."""
+UNKNOWN_ALBEDO = 0.5
+"""Albedo from which a region without patches starts."""
 ROOM_ALBEDO, ROOM_ALBEDO_STD = 0.45, 0.5
 """Expected geometric mean of a room's albedo and its standard deviation in log: lighting is planned for ceilings of 0.7
 to 0.9, walls of 0.5 to 0.8 and floors of 0.2 to 0.4 (EN 12464-1), and furniture is darker."""
@@ -120,33 +124,39 @@ def solve_balance(
     rows, label, region_ids = _usable(radiance, patches.region, weight)
     n_tied = int(evidence.tie.max()) + 1
     first = np.array([np.flatnonzero(evidence.tie == k)[0] for k in range(n_tied)])
-    whole = _Problem(
-        log_radiance=np.ascontiguousarray(np.log(radiance[rows], dtype=np.float64).T),
-        indirect=np.ascontiguousarray(np.maximum(indirect[rows], 1e-6, dtype=np.float64).T),
-        form_factors=np.stack([form_factors[rows][:, evidence.tie == k].sum(1, np.float64) for k in range(n_tied)]),
-        weight=weight[rows],
-        region=label,
+    whole = LightBalance(
+        log_radiance=_columns(np.log(radiance[rows])),
+        indirect=_columns(np.maximum(indirect[rows], 1e-6)),
+        form_factors=_columns(
+            np.stack([form_factors[rows][:, evidence.tie == k].sum(1, np.float64) for k in range(n_tied)], 1)
+        ),
+        weight=torch.from_numpy(weight[rows].astype(np.float64)),
+        region=torch.from_numpy(label),
         n_regions=len(region_ids),
         direct=DirectEvidence.of(evidence, n_tied),
         scale=robust_log,
     )
     tested = np.arange(len(rows)) % HELD_OUT_EVERY == 0
-    problem = whole.restrict(~tested)
-    log_start = np.log(start[first])
-    guess = _first_guess(problem, log_start, GUESS_LEVELS[:1] if warm_start else GUESS_LEVELS)
-    unknowns = _minimise(problem, guess, ITERATIONS)
-    log_e, log_albedo = problem.split(unknowns)
-    held_out = whole.restrict(tested)
+    problem, held_out = (whole.restrict(torch.from_numpy(some)) for some in (~tested, tested))
+    log_start = torch.from_numpy(np.log(start[first], dtype=np.float64))
+    with one_thread():
+        guess = _first_guess(problem, log_start, GUESS_LEVELS[:1] if warm_start else GUESS_LEVELS)
+        log_e, log_albedo = problem.split(_minimise(problem, guess, ITERATIONS))
+        losses = held_out.shading_losses(log_e, log_albedo)
+        log_std = problem.log_std(log_e)
     return Balance(
-        radiance=np.exp(log_e)[evidence.tie],
-        log_std=problem.log_std(log_e)[evidence.tie],
+        radiance=log_e.exp().numpy()[evidence.tie],
+        log_std=log_std.numpy()[evidence.tie],
         region_ids=region_ids,
-        region_albedo=np.exp(log_albedo),
-        held_out=held_out.shading_loss(log_e, log_albedo),
-        losses=HeldOutLosses(
-            rows[tested], held_out.shading_losses(log_e, log_albedo), held_out.weight, EFFECTIVE_PATCHES
-        ),
+        region_albedo=log_albedo.exp().numpy(),
+        held_out=float(held_out.weight @ losses),
+        losses=HeldOutLosses(rows[tested], losses.numpy(), held_out.weight.numpy(), EFFECTIVE_PATCHES),
     )
+
+
+def _columns(rows: NDArray[np.floating]) -> Tensor:
+    """(C, n) float64 tensor of values (n, C)."""
+    return torch.from_numpy(np.ascontiguousarray(rows.T, np.float64))
 
 
 def noticeable_radiance(light: NDArray[np.floating], form_factors: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -160,55 +170,104 @@ def noticeable_radiance(light: NDArray[np.floating], form_factors: NDArray[np.fl
     return START_SHARE * light.mean(0, dtype=np.float64) / np.maximum(reach, 1e-9)
 
 
-def _first_guess(problem: _Problem, log_e: NDArray[np.float64], levels: Sequence[float]) -> NDArray[np.float64]:
+def _first_guess(problem: LightBalance, log_e: Tensor, levels: Sequence[float]) -> Tensor:
     """Unknowns to start from: of starts at several ``levels`` of light, the one with the least loss.
 
     For a lamp a hundred times too dark every patch is an outlier and the lamp's share of the light is nothing, so its
     gradient vanishes. Therefore the robust loss is wide at first, and one start is too bright. One patch in GUESS_EVERY
     is used.
     """
-    coarse = problem.restrict(np.arange(len(problem.region)) % GUESS_EVERY == 0)
+    coarse = problem.restrict(torch.arange(len(problem.region)) % GUESS_EVERY == 0)
     wide = replace(coarse, scale=GUESS_ROBUST_LOG)
-    ends = []
-    for level in levels:
-        ends.append(_minimise(wide, wide.joined(log_e + np.log(level)), GUESS_ITERATIONS))
-    return min(ends, key=lambda unknowns: coarse.loss(unknowns)[0])
+    ends = [_minimise(wide, wide.joined(log_e + float(np.log(level))), GUESS_ITERATIONS) for level in levels]
+    return min(ends, key=lambda unknowns: float(coarse.loss(unknowns)))
 
 
-def _minimise(problem: _Problem, unknowns: NDArray[np.float64], iterations: int) -> NDArray[np.float64]:
+def _minimise(problem: LightBalance, unknowns: Tensor, iterations: int) -> Tensor:
     """Unknowns at the minimum of the loss, by L-BFGS from ``unknowns``.
 
-    Each unknown is scaled by its curvature (:meth:`_Problem.units`). A wall counts far more than a book; without
+    Each unknown is scaled by its curvature (:meth:`LightBalance.units`). A wall counts far more than a book; without
     scaling L-BFGS spends hundreds of steps on the walls before it moves the books.
     """
     unit = problem.units(unknowns)
-
-    def loss(scaled: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-        value, gradient = problem.loss(scaled * unit)
-        return value, gradient * unit
-
-    options = {"maxiter": iterations, "maxcor": 20}
-    return minimize(loss, unknowns / unit, jac=True, method="L-BFGS-B", options=options).x * unit
+    return lbfgs(lambda scaled: problem.loss(scaled * unit), unknowns / unit, iterations) * unit
 
 
 @dataclass(frozen=True)
-class _Problem:
-    """The loss of equation (18) and its gradient: P patches, E' tied emitters, n regions.
+class LightBalance:
+    """The loss of equation (18): P patches, E' tied emitters, n regions. Patches run along the last axis."""
 
-    Patches run along the last axis and arrays are changed in place: the loss is evaluated thousands of times, and
-    allocating memory in each evaluation would take four times as long as the sums.
-    """
-
-    log_radiance: NDArray[np.float64]  # (3, P)
-    indirect: NDArray[np.float64]  # (3, P)
-    form_factors: NDArray[np.float64]  # (E', P)
-    weight: NDArray[np.float64]  # (P,) sums to 1
-    region: NDArray[np.int64]  # (P,)
+    log_radiance: Tensor  # (3, P)
+    indirect: Tensor  # (3, P)
+    form_factors: Tensor  # (E', P)
+    weight: Tensor  # (P,) sums to 1
+    region: Tensor  # (P,)
     n_regions: int
     direct: DirectEvidence
     scale: float
 
-    def restrict(self, keep: NDArray[np.bool_]) -> _Problem:
+    # ---- The loss, term by term ----
+
+    def loss(self, unknowns: Tensor) -> Tensor:
+        """Equation (18) at the flat vector of unknowns."""
+        log_e, log_albedo = self.split(unknowns)
+        of_priors = self.room_albedo(log_albedo) + self.direct.penalty(log_e)
+        return self.shading(log_e, log_albedo) + self.too_white(log_albedo) + of_priors / self.n_effective
+
+    def shading(self, log_e: Tensor, log_albedo: Tensor) -> Tensor:
+        """Robust deviation of log albedo from one value per region, mean over patches."""
+        return (torch.log1p(self.deviation(log_e, log_albedo).square()) @ self.weight).sum()
+
+    def shading_losses(self, log_e: Tensor, log_albedo: Tensor) -> Tensor:
+        """(P,) loss of each patch, of which :meth:`shading` is the weighted mean."""
+        return torch.log1p(self.deviation(log_e, log_albedo).square()).sum(0)
+
+    def deviation(self, log_e: Tensor, log_albedo: Tensor) -> Tensor:
+        """r (3, P): log albedo of each patch about that of its region (n, 3), over the robust scale."""
+        of_region = log_albedo.reshape(-1).index_select(0, self._entry).reshape(3, -1)
+        return (self.log_radiance - self.incoming(log_e).log() - of_region) / self.scale
+
+    def incoming(self, log_e: Tensor) -> Tensor:
+        """(3, P) irradiance / pi, equation (1), under emitters of log radiance (E', 3)."""
+        return self.indirect + log_e.exp().T @ self.form_factors
+
+    def too_white(self, log_albedo: Tensor) -> Tensor:
+        """Penalty on regions (n, 3) whiter than anything is."""
+        return TOO_WHITE_WEIGHT * (self.share @ (log_albedo - np.log(MAX_ALBEDO)).clamp(min=0).square()).sum()
+
+    def room_albedo(self, log_albedo: Tensor) -> Tensor:
+        """Squared deviation of the room's albedo from that of rooms, in standard deviations."""
+        return ((self.share @ log_albedo - np.log(ROOM_ALBEDO)) / ROOM_ALBEDO_STD).square().sum()
+
+    # ---- Unknowns ----
+
+    def split(self, unknowns: Tensor) -> tuple[Tensor, Tensor]:
+        """Log radiance (E', 3) and log albedo (n, 3) in the flat vector of unknowns."""
+        n = 3 * len(self.form_factors)
+        return unknowns[:n].clamp(-MAX_LOG_RADIANCE, MAX_LOG_RADIANCE).reshape(-1, 3), unknowns[n:].reshape(-1, 3)
+
+    def joined(self, log_e: Tensor) -> Tensor:
+        """The flat vector of unknowns: log radiance (E', 3) of the emitters and the log albedo that it implies."""
+        return torch.cat([log_e.reshape(-1), self.implied_albedo(log_e).reshape(-1)])
+
+    def implied_albedo(self, log_e: Tensor) -> Tensor:
+        """(n, 3) median log albedo of every region under emitters of log radiance (E', 3)."""
+        implied = (self.log_radiance - self.incoming(log_e).log()).T.numpy()
+        region = self.region.numpy()
+        seen = np.bincount(region, minlength=self.n_regions) > 0
+        medians = group_medians(implied, region, self.n_regions)
+        return torch.from_numpy(np.where(seen[:, None], medians, np.log(UNKNOWN_ALBEDO)))
+
+    def units(self, unknowns: Tensor) -> Tensor:
+        """Scale of each unknown: 1 / sqrt of the diagonal curvature of the loss, outliers disregarded."""
+        log_e = self.split(unknowns)[0]
+        of_evidence = self.direct.precision(log_e) * (self.scale**2 / self.n_effective)
+        of_light = self._share_of_light(log_e) + of_evidence
+        return (torch.cat([of_light.reshape(-1), self.share.repeat_interleave(3)]) + MIN_CURVATURE).rsqrt()
+
+    # ---- Patches ----
+
+    def restrict(self, keep: Tensor) -> LightBalance:
         """The problem of the patches ``keep`` (P,), their weights scaled to a sum of one."""
         return replace(
             self,
@@ -219,100 +278,35 @@ class _Problem:
             region=self.region[keep],
         )
 
-    def incoming(self, log_e: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(3, P) irradiance / pi under emitters of log radiance (E', 3)."""
-        incoming = np.exp(log_e).T @ self.form_factors
-        incoming += self.indirect
-        return incoming
+    @cached_property
+    def _entry(self) -> Tensor:
+        """(3 P,) entry of log albedo (n, 3) that each patch and channel takes.
 
-    def deviation(self, incoming: NDArray[np.float64], albedo: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(3, P) deviation of log albedo from that of the region (n, 3), over the robust scale."""
-        r = np.log(incoming)
-        np.subtract(self.log_radiance, r, out=r)
-        r -= albedo.T.take(self.region, 1)
-        r /= self.scale
-        return r
-
-    def shading_loss(self, log_e: NDArray[np.float64], albedo: NDArray[np.float64]) -> float:
-        """Robust deviation of log albedo from one value per region, mean over patches."""
-        r = self.deviation(self.incoming(log_e), albedo)
-        return float((np.log1p(r**2) @ self.weight).sum())
-
-    def shading_losses(self, log_e: NDArray[np.float64], albedo: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(P,) loss of each patch, of which :meth:`shading_loss` is the weighted mean."""
-        return np.log1p(self.deviation(self.incoming(log_e), albedo) ** 2).sum(0)
+        Gradients come back as a sum over single numbers, in this order; over rows of three it takes a hundred times as
+        long.
+        """
+        return (3 * self.region + torch.arange(3)[:, None]).reshape(-1)
 
     @cached_property
-    def share(self) -> NDArray[np.float64]:
-        """(n, 1) weight of each region."""
-        return group_sums(self.weight[:, None], self.region, self.n_regions)
+    def share(self) -> Tensor:
+        """(n,) weight of each region."""
+        return torch.zeros(self.n_regions, dtype=torch.float64).index_add_(0, self.region, self.weight)
 
     @property
     def n_effective(self) -> int:
         """Independent observations that the patches stand for."""
         return min(len(self.region), EFFECTIVE_PATCHES)
 
-    def split(self, unknowns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Log radiance (E', 3) and log albedo (n, 3) in the flat vector of unknowns."""
-        n = 3 * len(self.form_factors)
-        return np.clip(unknowns[:n], -MAX_LOG_RADIANCE, MAX_LOG_RADIANCE).reshape(-1, 3), unknowns[n:].reshape(-1, 3)
-
-    def joined(self, log_e: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The flat vector of unknowns: log radiance (E', 3) of the emitters and the log albedo that it implies."""
-        return np.concatenate([log_e.ravel(), self.implied_albedo(log_e).ravel()])
-
-    def implied_albedo(self, log_e: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n, 3) median log albedo of every region under emitters of log radiance (E', 3)."""
-        implied = (self.log_radiance - np.log(self.incoming(log_e))).T
-        order = np.argsort(self.region, kind="stable")
-        per_region = np.split(implied[order], np.cumsum(np.bincount(self.region, minlength=self.n_regions))[:-1])
-        return np.stack([np.median(rows, axis=0) if len(rows) else np.log(np.full(3, 0.5)) for rows in per_region])
-
-    def loss(self, unknowns: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-        """Robust loss and its gradient in log radiance and log albedo."""
-        log_e, albedo = self.split(unknowns)
-        incoming = self.incoming(log_e)
-        r = self.deviation(incoming, albedo)
-        square = r**2
-        value = float((np.log1p(square) @ self.weight).sum())
-        square += 1
-        r /= square
-        r *= self.weight * (2 / self.scale)  # now the derivative of the loss in log albedo, negative
-        grad_a = -group_sums(r.T, self.region, self.n_regions)
-        r /= incoming
-        grad_e = -(self.form_factors @ r.T) * np.exp(log_e)
-        too_white = np.clip(albedo - np.log(MAX_ALBEDO), 0.0, None)
-        share = self.share
-        value += 50.0 * float((share * too_white**2).sum())
-        grad_a += 100.0 * share * too_white
-        level = ((share * albedo).sum(0) - np.log(ROOM_ALBEDO)) / ROOM_ALBEDO_STD
-        value += float((level**2).sum()) / self.n_effective
-        grad_a += share * (2 / ROOM_ALBEDO_STD / self.n_effective) * level
-        penalty, grad_penalty = self.direct.penalty(log_e)
-        value += penalty / self.n_effective
-        grad_e += grad_penalty / self.n_effective
-        return value, np.concatenate([grad_e.ravel(), grad_a.ravel()])
-
-    def units(self, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Scale of each unknown: 1 / sqrt of the diagonal curvature of the loss, outliers disregarded."""
-        log_e = self.split(unknowns)[0]
-        of_evidence = self.direct.precision(log_e) * (self.scale**2 / self.n_effective)
-        of_light = self._share_of_light(log_e) + of_evidence
-        curvature = np.concatenate([of_light.ravel(), self.share.repeat(3)])
-        return 1.0 / np.sqrt(curvature + MIN_CURVATURE)
-
-    def log_std(self, log_e: NDArray[np.float64]) -> NDArray[np.float64]:
+    def log_std(self, log_e: Tensor) -> Tensor:
         """(E',) standard deviation of log radiance that the shading alone leaves, from the curvature of the loss."""
         curvature = self._share_of_light(log_e).mean(1)
-        return 1.0 / np.sqrt(np.maximum(curvature * self.n_effective / self.scale**2, 1e-6))
+        return (curvature * self.n_effective / self.scale**2).clamp(min=1e-6).rsqrt()
 
-    def _share_of_light(self, log_e: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _share_of_light(self, log_e: Tensor) -> Tensor:
         """(E', 3) mean square share of each emitter in the light of the patches."""
-        square = np.empty((len(log_e), 3))
-        for channel, incoming in enumerate(self.incoming(log_e)):
-            share = self.form_factors * np.exp(log_e[:, channel : channel + 1]) / incoming
-            square[:, channel] = share**2 @ self.weight
-        return square
+        incoming = self.incoming(log_e)
+        shares = [(self.form_factors / channel).square() @ self.weight for channel in incoming]
+        return torch.stack(shares, 1) * (2 * log_e).exp()
 
 
 def fitted_patches(radiance: NDArray[np.floating], weight: NDArray[np.floating]) -> NDArray[np.int64]:
@@ -365,9 +359,9 @@ class Evidence:
 class DirectEvidence:
     """Bounds, measurements and expectations for tied emitters, in log radiance (E', 3), with a weak prior on colour."""
 
-    log_bound: NDArray[np.float64]
-    log_measured: NDArray[np.float64]  # NaN where nothing was measured
-    log_expected: NDArray[np.float64]  # NaN where nothing is expected
+    log_bound: Tensor
+    log_measured: Tensor  # NaN where nothing was measured
+    log_expected: Tensor  # NaN where nothing is expected
 
     @staticmethod
     def of(evidence: Evidence, n_tied: int) -> DirectEvidence:
@@ -380,27 +374,26 @@ class DirectEvidence:
             have = np.isfinite(values).any(0)
             measured[k, have] = np.nanmedian(values[:, have], axis=0)
         first = np.array([np.flatnonzero(evidence.tie == k)[0] for k in range(n_tied)])
-        expected = np.log(np.maximum(evidence.expected[first], 1e-6))
-        return DirectEvidence(np.log(bound), np.log(np.maximum(measured, 1e-6)), expected)
+        values = bound, np.maximum(measured, 1e-6), np.maximum(evidence.expected[first], 1e-6)
+        return DirectEvidence(*(torch.from_numpy(np.log(value, dtype=np.float64)) for value in values))
 
-    def penalty(self, log_e: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-        """Q of equation (20), a sum of squared deviations in standard deviations, and its gradient (E', 3)."""
-        below = np.clip((self.log_bound - log_e) / LAMP_BOUND_STD, 0.0, None)
-        off = np.nan_to_num((log_e - self.log_measured) / LAMP_MEASURED_STD)
-        tint = (log_e - log_e.mean(1, keepdims=True)) / LAMP_TINT_STD
-        doubt = self._doubt
-        surprise = np.nan_to_num((log_e - self.log_expected) / doubt)
-        value = float((below**2).sum() + (off**2).sum() + (tint**2).sum() + (surprise**2).sum())
-        return value, 2 * (off / LAMP_MEASURED_STD - below / LAMP_BOUND_STD + tint / LAMP_TINT_STD + surprise / doubt)
+    def penalty(self, log_e: Tensor) -> Tensor:
+        """Q of equation (20), a sum of squared deviations in standard deviations."""
+        below = (self.log_bound - log_e).clamp(min=0) / LAMP_BOUND_STD
+        off = torch.nan_to_num(log_e - self.log_measured) / LAMP_MEASURED_STD
+        tint = (log_e - log_e.mean(1, keepdim=True)) / LAMP_TINT_STD
+        surprise = torch.nan_to_num(log_e - self.log_expected) / self._doubt
+        return sum((term.square().sum() for term in (below, off, tint, surprise)), torch.zeros(()))
 
-    def precision(self, log_e: NDArray[np.float64]) -> NDArray[np.float64]:
+    def precision(self, log_e: Tensor) -> Tensor:
         """(E', 3) inverse variance of each log radiance under all evidence: half the curvature of the penalty."""
-        below = np.where(log_e <= self.log_bound, 1 / LAMP_BOUND_STD**2, 0.0)
-        measured = np.where(np.isfinite(self.log_measured), 1 / LAMP_MEASURED_STD**2, 0.0)
-        expected = np.where(np.isfinite(self.log_expected), 1 / self._doubt**2, 0.0)
+        below = (log_e <= self.log_bound) / LAMP_BOUND_STD**2
+        measured = self.log_measured.isfinite() / LAMP_MEASURED_STD**2
+        expected = self.log_expected.isfinite() / self._doubt**2
         return below + measured + expected + 2 / 3 / LAMP_TINT_STD**2
 
     @property
-    def _doubt(self) -> NDArray[np.float64]:
+    def _doubt(self) -> Tensor:
         """(E', 3) standard deviation about the expectation."""
-        return np.where(self.log_bound > np.log(NO_BOUND), LAMP_CLIPPED_STD, OUTSIDE_EXPECTED_STD)
+        clipped = self.log_bound > np.log(NO_BOUND)
+        return torch.where(clipped, LAMP_CLIPPED_STD, OUTSIDE_EXPECTED_STD).to(torch.float64)

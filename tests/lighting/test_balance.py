@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+import torch
 
 from iris_addon.base.progress import Progress
 from iris_addon.lighting.balance import (
@@ -15,8 +16,8 @@ from iris_addon.lighting.balance import (
     Balance,
     DirectEvidence,
     Evidence,
+    LightBalance,
     ShadedPatches,
-    _Problem,
     solve_balance,
 )
 from iris_addon.rays.tracer import Tracer
@@ -134,56 +135,71 @@ def test_texture_and_outliers_hardly_change_the_lamps(shading: Shading) -> None:
     assert noisy.solve().radiance == pytest.approx(shading.truth, rel=0.15)
 
 
-def test_gradient_is_that_of_the_loss(shading: Shading) -> None:
-    rng = np.random.default_rng(2)
-    rows = rng.choice(len(shading.region), 200, replace=False)
-    ids, label = np.unique(shading.region[rows], return_inverse=True)
-    evidence = replace(shading.nothing_known, bound=shading.truth * 1.5, expected=shading.truth * 0.5)
-    evidence.measured[0] = shading.truth[0] * 1.1
-    problem = _Problem(
-        log_radiance=np.log(shading.radiance[rows]).T,
-        indirect=shading.indirect[rows].T,
-        form_factors=shading.form_factors[rows].T,
-        weight=np.full(len(rows), 1 / len(rows)),
-        region=label,
+def posed(shading: Shading, region: np.ndarray, evidence: Evidence) -> LightBalance:
+    """The loss over all patches, with regions labelled 0 to n - 1."""
+    ids, label = np.unique(region, return_inverse=True)
+    columns = (np.log(shading.radiance), shading.indirect, shading.form_factors)
+    log_radiance, indirect, form_factors = (torch.from_numpy(column.T.copy()) for column in columns)
+    return LightBalance(
+        log_radiance=log_radiance,
+        indirect=indirect,
+        form_factors=form_factors,
+        weight=torch.full((len(label),), 1 / len(label), dtype=torch.float64),
+        region=torch.from_numpy(label),
         n_regions=len(ids),
-        direct=DirectEvidence.of(evidence, 2),
+        direct=DirectEvidence.of(evidence, form_factors.shape[0]),
         scale=ROBUST_LOG,
     )
-    log_e = np.log(shading.truth) + rng.normal(0, 0.4, (2, 3))
-    albedo = problem.implied_albedo(log_e) + rng.normal(0, 0.3, (len(ids), 3))
-    albedo[0] = np.log(MAX_ALBEDO) + 0.2  # the penalty on white is in force
-    x = np.concatenate([log_e.ravel(), albedo.ravel()])
-    _, gradient = problem.loss(x)
-    h = 1e-6
-    numeric = [(problem.loss(x + h * e)[0] - problem.loss(x - h * e)[0]) / (2 * h) for e in np.eye(len(x))]
-    assert gradient == pytest.approx(np.array(numeric), rel=1e-4, abs=1e-7)
+
+
+def test_gradient_is_that_of_the_loss(shading: Shading) -> None:
+    rng = np.random.default_rng(2)
+    evidence = replace(shading.nothing_known, bound=shading.truth * 1.5, expected=shading.truth * 0.5)
+    evidence.measured[0] = shading.truth[0] * 1.1
+    problem = posed(shading, shading.region, evidence)
+    log_e = torch.from_numpy(np.log(shading.truth) + rng.normal(0, 0.4, (2, 3)))
+    log_albedo = problem.implied_albedo(log_e) + torch.from_numpy(rng.normal(0, 0.3, (problem.n_regions, 3)))
+    log_albedo[0] = np.log(MAX_ALBEDO) + 0.2  # the penalty on white is in force
+    unknowns = torch.cat([log_e.reshape(-1), log_albedo.reshape(-1)]).requires_grad_()
+    assert torch.autograd.gradcheck(problem.loss, (unknowns,))
+
+
+def test_the_loss_is_equation_18(shading: Shading) -> None:
+    """Written once more as loops over patches, regions and lamps."""
+    evidence = replace(shading.nothing_known, bound=shading.truth * 1.5, expected=shading.truth * 0.5)
+    evidence.measured[0] = shading.truth[0] * 1.1
+    problem = posed(shading, shading.region, evidence)
+    log_e = np.log(shading.truth) + 0.1 * np.arange(6).reshape(2, 3)
+    log_a = np.log(np.linspace(0.3, 1.2, 3 * problem.n_regions)).reshape(-1, 3)
+    label = np.unique(shading.region, return_inverse=True)[1]
+    share = np.bincount(label) / len(label)
+    expected, n = 0.0, min(len(label), 500)
+    for p in range(len(label)):
+        incoming = shading.indirect[p] + shading.form_factors[p] @ np.exp(log_e)
+        r = (np.log(shading.radiance[p]) - np.log(incoming) - log_a[label[p]]) / ROBUST_LOG
+        expected += np.log(1 + r**2).sum() / len(label)
+    for k, albedo in enumerate(log_a):
+        expected += 50 * share[k] * (np.maximum(albedo - np.log(0.95), 0) ** 2).sum()
+    expected += ((((share @ log_a) - np.log(0.45)) / 0.5) ** 2).sum() / n
+    for i, e in enumerate(log_e):
+        q = (np.maximum(np.log(1.5 * shading.truth[i]) - e, 0) / 0.02) ** 2 + ((e - e.mean()) / 0.25) ** 2
+        q += ((e - np.log(0.5 * shading.truth[i])) / 4) ** 2
+        q += ((e - np.log(1.1 * shading.truth[i])) / 0.03) ** 2 if i == 0 else 0.0
+        expected += q.sum() / n
+    unknowns = torch.from_numpy(np.concatenate([log_e.ravel(), log_a.ravel()]))
+    assert float(problem.loss(unknowns)) == pytest.approx(expected, rel=1e-9)
 
 
 def test_unknowns_are_scaled_to_equal_curvature(shading: Shading) -> None:
     """At the solution the loss has the same curvature in all of them, from a large wall to the smallest region."""
     rng = np.random.default_rng(8)
     region = shading.region + np.where(rng.random(len(shading.region)) < 0.03, 10, 0)  # a small piece off every wall
-    _, label = np.unique(region, return_inverse=True)
-    problem = _Problem(
-        log_radiance=np.log(shading.radiance).T,
-        indirect=shading.indirect.T,
-        form_factors=shading.form_factors.T,
-        weight=np.full(len(label), 1 / len(label)),
-        region=label,
-        n_regions=int(label.max()) + 1,
-        direct=DirectEvidence.of(shading.nothing_known, 2),
-        scale=ROBUST_LOG,
-    )
-    x = problem.joined(np.log(shading.truth))
-    unit, h = problem.units(x), 1e-4
-
-    def curvature(k: int) -> float:
-        step = h * unit[k] * np.eye(len(x))[k]
-        return ((problem.loss(x + step)[1] - problem.loss(x - step)[1]) / (2 * h))[k] * unit[k]
-
+    problem = posed(shading, region, shading.nothing_known)
+    x = problem.joined(torch.from_numpy(np.log(shading.truth)))
+    unit = problem.units(x)
+    curvature = torch.autograd.functional.hessian(problem.loss, x).diagonal() * unit**2
     # The curvature of log(1 + r^2) is 2; the rest is what is expected of lamps and rooms.
-    assert np.array([curvature(k) for k in range(len(x))]) == pytest.approx(2 / ROBUST_LOG**2, rel=0.3)
+    assert curvature.numpy() == pytest.approx(2 / ROBUST_LOG**2, rel=0.3)
     assert unit.max() > 10 * unit.min()
 
 
@@ -229,14 +245,14 @@ def test_a_measured_yellow_speck_does_not_change_the_lamps(shading: Shading) -> 
 
 
 def test_precision_is_half_the_curvature_of_the_penalty() -> None:
-    """Half the second derivative of the penalty, by central differences: bound, measured, expected, and tint alone."""
-    nan, log_e, h = np.nan, np.zeros((4, 3)), 1e-4
-    bound, measured, expected = (np.full((4, 3), value) for value in (np.log(1e-6), nan, nan))
+    """For a bound, a measurement, an expectation, and tint alone."""
+    bound, measured, expected = (
+        torch.full((4, 3), value, dtype=torch.float64) for value in (np.log(1e-6), np.nan, np.nan)
+    )
     bound[0], measured[1], expected[2] = 0.5, 0.3, -0.2
-    direct = DirectEvidence(bound, measured, expected)
-    each = np.eye(12).reshape(12, 4, 3)
-    slopes = [(direct.penalty(log_e + h * e)[1] - direct.penalty(log_e - h * e)[1])[e > 0][0] / (2 * h) for e in each]
-    assert direct.precision(log_e).ravel() == pytest.approx(np.array(slopes) / 2, rel=1e-6)
+    direct, log_e = DirectEvidence(bound, measured, expected), torch.zeros((4, 3), dtype=torch.float64)
+    curvature = torch.autograd.functional.hessian(direct.penalty, log_e).reshape(12, 12).diagonal()
+    assert direct.precision(log_e).reshape(-1).numpy() == pytest.approx(curvature.numpy() / 2)
 
 
 def test_a_measurement_attracts_the_radiance(shading: Shading) -> None:

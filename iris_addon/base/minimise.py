@@ -1,0 +1,241 @@
+"""Minimisers for the fits of the engine: over torch tensors, whose derivatives come from automatic differentiation.
+
+:func:`lbfgs` for losses of many unknowns, :func:`gauss_newton` for residuals of few, :func:`simplex` for losses without
+derivatives (rays that hit or miss, medians). All run in float64 and on one thread, so that sums are added up in the
+same order on every machine: the same start gives the same bytes.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+LBFGS_HISTORY = 20
+"""Pairs of steps and gradients from which the curvature is estimated."""
+LBFGS_TOLERANCE, LBFGS_MIN_GRADIENT = 2e-9, 1e-5
+"""Relative decrease of the loss in one iteration, and largest derivative, at which L-BFGS has converged."""
+SUFFICIENT_DECREASE, MAX_SLOPE, LINE_EVALUATIONS, LINE_GROWTH = 1e-4, 0.9, 20, 4.0
+"""Wolfe conditions of the line search, relative to the slope at its start; evaluations at most; factor of the next
+length where the loss still falls."""
+DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-12, 1e12
+"""Of Gauss-Newton: the first damping relative to the diagonal of the normal equations, and its limits."""
+MIN_CURVATURE = 1e-12
+"""Curvature assumed at least of every unknown, relative to the largest: one that no residual feels stays."""
+POOR_STEP, GOOD_STEP = 0.25, 0.75
+"""Share of the predicted decrease of the loss below and above which the damping is raised and lowered."""
+
+FloatArray = NDArray[np.float64]
+
+
+def lbfgs(loss: Callable[[Tensor], Tensor], start: Tensor, iterations: int) -> Tensor:
+    """The minimum of ``loss`` near ``start`` (n,), by L-BFGS with a strong Wolfe line search.
+
+    Algorithms 7.4, 3.5 and 3.6 of Nocedal and Wright 2006.
+
+    Args:
+        loss: of unknowns (n,), differentiable.
+        iterations: at most.
+    """
+
+    def at(x: Tensor) -> tuple[float, Tensor]:
+        x = x.detach().requires_grad_()
+        value = loss(x)
+        return value.item(), torch.autograd.grad(value, x)[0]
+
+    x, pairs = start.detach().to(torch.float64), deque[tuple[Tensor, Tensor]](maxlen=LBFGS_HISTORY)
+    with one_thread():
+        value, gradient = at(x)
+        for _ in range(iterations):
+            if float(gradient.abs().max()) < LBFGS_MIN_GRADIENT:
+                break
+            direction = -_inverse_hessian(pairs, gradient)
+            origin = _Point(0.0, value, float(gradient @ direction), gradient)
+            found = _line_search(at, x, direction, origin, 1.0 if pairs else min(1.0, 1 / float(gradient.norm())))
+            if found is origin:
+                if not pairs:
+                    break
+                pairs.clear()  # once more, straight downhill
+                continue
+            step, change = found.length * direction, found.gradient - gradient
+            if float(change @ step) > 0:
+                pairs.append((step, change))
+            decrease = value - found.value
+            x, value, gradient = x + step, found.value, found.gradient
+            if decrease <= LBFGS_TOLERANCE * max(abs(value), 1.0):
+                break
+    return x
+
+
+def _inverse_hessian(pairs: Sequence[tuple[Tensor, Tensor]], gradient: Tensor) -> Tensor:
+    """The estimated inverse Hessian times ``gradient`` (n,), from pairs of steps and changes of the gradient."""
+    result, shares = gradient.clone(), []
+    for step, change in reversed(pairs):
+        shares.append((step @ result) / (step @ change))
+        result -= shares[-1] * change
+    if pairs:
+        step, change = pairs[-1]
+        result *= (step @ change) / (change @ change)
+    for (step, change), share in zip(pairs, reversed(shares), strict=True):
+        result += (share - (change @ result) / (step @ change)) * step
+    return result
+
+
+class _Point(NamedTuple):
+    """A loss at a length along a line, with its slope along the line and its gradient (n,)."""
+
+    length: float
+    value: float
+    slope: float
+    gradient: Tensor
+
+
+def _line_search(
+    at: Callable[[Tensor], tuple[float, Tensor]], start: Tensor, direction: Tensor, origin: _Point, length: float
+) -> _Point:
+    """A point along ``direction`` that meets both Wolfe conditions, or else the lowest found.
+
+    Args:
+        at: loss and gradient of unknowns (n,).
+        origin: the point of length 0 at ``start``.
+        length: to try first.
+    """
+    low, high = origin, None
+    for _ in range(LINE_EVALUATIONS if origin.slope < 0 else 0):
+        value, gradient = at(start + length * direction)
+        point = _Point(length, value, float(gradient @ direction), gradient)
+        if not value <= origin.value + SUFFICIENT_DECREASE * length * origin.slope or value >= low.value:
+            high = point
+        elif abs(point.slope) <= -MAX_SLOPE * origin.slope:
+            return point
+        else:
+            if point.slope * (1.0 if high is None else high.length - low.length) >= 0:
+                high = low
+            low = point
+        length = LINE_GROWTH * length if high is None else _between(low, high)
+    return low
+
+
+def _between(a: _Point, b: _Point) -> float:
+    """Length at the minimum of the cubic through two points (Nocedal and Wright, 3.59), away from either."""
+    apart = b.length - a.length
+    middle = a.slope + b.slope - 3 * (b.value - a.value) / apart
+    square = middle**2 - a.slope * b.slope
+    share = 0.5
+    if np.isfinite(square) and square >= 0:
+        root = float(np.copysign(np.sqrt(square), apart))
+        below = b.slope - a.slope + 2 * root
+        share = 1 - (b.slope + root - middle) / below if below else 0.5
+    return a.length + apart * float(np.clip(share, 0.1, 0.9))
+
+
+def gauss_newton(residuals: Callable[[Tensor], Tensor], start: Tensor, steps: int, tolerance: float) -> Tensor:
+    """The minimum of the squared norm of ``residuals`` near ``start`` (n,), by Levenberg and Marquardt's method.
+
+    The trust region is that of Marquardt's damping, changed as by Madsen, Nielsen and Tingleff 2004.
+
+    Args:
+        residuals: of unknowns (n,), differentiable in forward mode; as many as there are.
+        steps: trial steps at most.
+        tolerance: relative decrease of the loss in one step at which the fit has converged.
+    """
+    x = start.detach().to(torch.float64).clone()
+    with one_thread():
+        r, jacobian = _linearised(residuals, x)
+        loss, damping = float(r @ r), DAMPING
+        for _ in range(steps):
+            gradient, normal = jacobian.T @ r, jacobian.T @ jacobian
+            diagonal = normal.diagonal().clamp(min=MIN_CURVATURE * float(normal.diagonal().max()))
+            step = -torch.linalg.solve(normal + torch.diag(damping * diagonal), gradient)
+            predicted = float(step @ (damping * diagonal * step - gradient))
+            trial = residuals(x + step)
+            decrease = loss - float(trial @ trial)
+            gain = decrease / predicted if predicted > 0 else 0.0
+            if gain > 0:
+                x = x + step
+                converged = decrease < tolerance * loss
+                if gain > GOOD_STEP:
+                    damping = max(damping / 10, MIN_DAMPING)
+                if converged:
+                    break
+                r, jacobian = _linearised(residuals, x)
+                loss = float(r @ r)
+            if not gain > POOR_STEP:
+                damping *= 5
+            if predicted < tolerance * loss * 0.01 or damping > MAX_DAMPING:
+                break
+    return x
+
+
+def _linearised(residuals: Callable[[Tensor], Tensor], x: Tensor) -> tuple[Tensor, Tensor]:
+    """Residuals (m,) at ``x`` (n,), and their Jacobian (m, n)."""
+    with torch.no_grad():
+        jacobian = torch.func.jacfwd(residuals)(x)
+        return residuals(x), jacobian
+
+
+def simplex(
+    loss: Callable[[FloatArray], float],
+    corners: FloatArray,
+    tolerance: float,
+    bounds: Sequence[tuple[float, float]] | None = None,
+    evaluations: int | None = None,
+) -> tuple[FloatArray, float]:
+    """The best unknowns (n,) found and their loss, by the simplex method of Nelder and Mead 1965.
+
+    Args:
+        loss: of unknowns (n,); needs no derivatives.
+        corners: (n + 1, n) unknowns to start from, the first the best guess.
+        tolerance: extent of the simplex in every unknown at which the search ends.
+        bounds: of each unknown; steps end there.
+        evaluations: of the loss, at most.
+    """
+    low, high = np.array(bounds).T if bounds is not None else (-np.inf, np.inf)
+    points = [np.clip(corner, low, high) for corner in np.asarray(corners, np.float64)]
+    values = [loss(point) for point in points]
+    left = (evaluations or 200 * len(points)) - len(points)
+
+    def tried(factor: float) -> tuple[float, FloatArray]:
+        """Loss and place of the worst corner moved through the centre of the others, by ``factor`` of its distance."""
+        nonlocal left
+        left -= 1
+        centre = np.mean(points[:-1], axis=0)
+        point = np.clip(centre + factor * (centre - points[-1]), low, high)
+        return loss(point), point
+
+    while True:
+        order = np.argsort(values, kind="stable")
+        points, values = [points[i] for i in order], [values[i] for i in order]
+        if left <= 0 or np.abs(np.array(points[1:]) - points[0]).max() <= tolerance:
+            return points[0], values[0]
+        best = tried(1.0)
+        if best[0] < values[0]:
+            best = min(best, tried(2.0), key=lambda trial: trial[0])
+        elif best[0] >= values[-2]:
+            outside = best[0] < values[-1]
+            inner, limit = tried(0.5 if outside else -0.5), min(best[0], values[-1])
+            if inner[0] > limit or (not outside and inner[0] == limit):
+                points[1:] = [points[0] + 0.5 * (point - points[0]) for point in points[1:]]
+                values[1:] = [loss(point) for point in points[1:]]
+                left -= len(points) - 1
+                continue
+            best = inner
+        values[-1], points[-1] = best
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Have torch work on the calling thread alone: sums in one order, and no threads that wait for a few microseconds
+    of work."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
