@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
@@ -184,12 +185,13 @@ def odd_response(root: Path, _truth: Path, deviations: float, rng: np.random.Gen
     The direction is drawn until the curve rises everywhere: a camera that does not would be no camera.
     """
     for _ in range(1000):
-        direction = rng.standard_normal(len(family.PRIOR_MEAN))
+        direction = rng.standard_normal(family.N_KNOTS)
         # Neighbouring knots of real curves move together; white directions give curves nobody would build.
         direction = gaussian_filter(direction, 1.0, mode="nearest")
-        knots = family.PRIOR_MEAN + deviations * family.PRIOR_STD * direction / np.sqrt(np.mean(direction**2))
+        away = deviations * family.PRIOR_STD * direction / np.sqrt(np.mean(direction**2))
+        knots = (family.PRIOR_MEAN + torch.from_numpy(away))[None]
         if family.downhill(knots).max() < 1e-6:
-            return _take_with(root, family.to_response([knots]), rng)
+            return _take_with(root, family.to_response(knots), rng)
     raise BadInput(f"no rising response found {deviations:g} deviations away", "ask for fewer", root)
 
 

@@ -138,46 +138,43 @@ def _between(a: _Point, b: _Point) -> float:
 def gauss_newton(residuals: Callable[[Tensor], Tensor], start: Tensor, steps: int, tolerance: float) -> Tensor:
     """The minimum of the squared norm of ``residuals`` near ``start`` (n,), by Levenberg and Marquardt's method.
 
-    The trust region is that of Marquardt's damping, changed as by Madsen, Nielsen and Tingleff 2004.
+    Roots of redescending losses flatten beyond what their derivatives tell, and steps come out half as long as they
+    should be. So a step that gains more than predicted is doubled while the loss falls, which takes no derivatives.
 
     Args:
         residuals: of unknowns (n,), differentiable in forward mode; as many as there are.
-        steps: trial steps at most.
+        steps: at most, each with one Jacobian.
         tolerance: relative decrease of the loss in one step at which the fit has converged.
     """
-    x = start.detach().to(torch.float64).clone()
-    with one_thread():
-        r, jacobian = _linearised(residuals, x)
-        loss, damping = float(r @ r), DAMPING
+
+    def loss_at(at: Tensor) -> float:
+        r = residuals(at)
+        return float(r @ r)
+
+    x, damping = start.detach().to(torch.float64), DAMPING
+    with one_thread(), torch.no_grad():
         for _ in range(steps):
-            gradient, normal = jacobian.T @ r, jacobian.T @ jacobian
-            diagonal = normal.diagonal().clamp(min=MIN_CURVATURE * float(normal.diagonal().max()))
-            step = -torch.linalg.solve(normal + torch.diag(damping * diagonal), gradient)
-            predicted = float(step @ (damping * diagonal * step - gradient))
-            trial = residuals(x + step)
-            decrease = loss - float(trial @ trial)
-            gain = decrease / predicted if predicted > 0 else 0.0
-            if gain > 0:
-                x = x + step
-                converged = decrease < tolerance * loss
-                if gain > GOOD_STEP:
-                    damping = max(damping / 10, MIN_DAMPING)
-                if converged:
+            jacobian, r = torch.func.jacfwd(residuals)(x), residuals(x)
+            loss, gradient, normal = float(r @ r), jacobian.T @ r, jacobian.T @ jacobian
+            scale = normal.diagonal().clamp(min=MIN_CURVATURE * float(normal.diagonal().max()))
+            while damping < MAX_DAMPING:
+                step = -torch.linalg.solve(normal + torch.diag(damping * scale), gradient)
+                predicted, found = float(step @ (damping * scale * step - gradient)), loss_at(x + step)
+                if predicted <= tolerance * loss / 8:
+                    return x
+                if loss - found > POOR_STEP * predicted:
                     break
-                r, jacobian = _linearised(residuals, x)
-                loss = float(r @ r)
-            if not gain > POOR_STEP:
-                damping *= 5
-            if predicted < tolerance * loss * 0.01 or damping > MAX_DAMPING:
+                damping *= 8
+            else:
+                return x
+            if loss - found > GOOD_STEP * predicted:
+                damping = max(damping / 8, MIN_DAMPING)
+            while loss - found > predicted and (longer := loss_at(x + 2 * step)) < found:
+                step, found, predicted = 2 * step, longer, 2 * predicted
+            x = x + step
+            if loss - found <= tolerance * loss:
                 break
     return x
-
-
-def _linearised(residuals: Callable[[Tensor], Tensor], x: Tensor) -> tuple[Tensor, Tensor]:
-    """Residuals (m,) at ``x`` (n,), and their Jacobian (m, n)."""
-    with torch.no_grad():
-        jacobian = torch.func.jacfwd(residuals)(x)
-        return residuals(x), jacobian
 
 
 def simplex(

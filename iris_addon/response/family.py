@@ -10,19 +10,20 @@ that scale.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from torch import Tensor
 
 from ..model.response import N_SAMPLES, Response
+from .curve_table import CurveTable
 
 FITTED = "power-spline"
 """Name of the family in a response."""
 WARP = 0.35
 """Exponent of s = x^WARP, which spaces the knots more densely near black."""
-PRIOR_MEAN = np.array([-0.25, -0.34, -0.43, -0.54, -0.67, -0.79, -0.92, -1.05, -1.28])
+PRIOR_MEAN = torch.tensor([-0.25, -0.34, -0.43, -0.54, -0.67, -0.79, -0.92, -1.05, -1.28], dtype=torch.float64)
 """Median of log P at the knots over measured camera responses."""
 PRIOR_STD, BEND_STD = 0.7, 0.25
 """Standard deviations of log P about that median, and of its second differences, over the same curves."""
@@ -30,66 +31,60 @@ MIDTONES = (0.15, 0.6)
 """Display values between which contrast is measured."""
 CONTRAST_MEAN, CONTRAST_STD = -0.41, 0.42
 """Of the log of the slope of log f over log x between the midtones, over the same curves."""
-_KNOTS = np.linspace(0.0, 1.0, len(PRIOR_MEAN))
-PRIOR_RESIDUALS, DOWNHILL_RESIDUALS = 2 * len(PRIOR_MEAN) - 2, 255
-"""Residuals of :func:`prior_residual` and of :func:`downhill`."""
+N_KNOTS, DOWNHILL_POINTS = len(PRIOR_MEAN), 256
+"""Knots of a curve, and places at which it is watched for a descent."""
 
 
-@dataclass(frozen=True)
 class Family:
-    """The curves of the family at fixed relative exposures (n,), prepared for many evaluations.
+    """The curves of the family at fixed relative exposures (n,) in [0, 1], prepared for many evaluations."""
 
-    Attributes:
-        log_x: (n,) logarithm of the exposures.
-        spline: (n, 9) values there of the natural splines that are 1 at one knot and 0 at all others.
-    """
-
-    log_x: NDArray[np.float64]
-    spline: NDArray[np.float64]
-
-    @staticmethod
-    def at(x: NDArray[np.floating]) -> Family:
-        """At exposures in [0, 1]."""
+    def __init__(self, x: NDArray[np.floating]) -> None:
         x = np.clip(x, 1e-9, 1.0)
-        return Family(np.log(x), CubicSpline(_KNOTS, np.eye(len(_KNOTS)), bc_type="natural")(x**WARP))
+        knots = np.linspace(0.0, 1.0, N_KNOTS)
+        self.log_x = torch.from_numpy(np.log(x))
+        """(n,) logarithm of the exposures."""
+        self.spline = torch.from_numpy(CubicSpline(knots, np.eye(N_KNOTS), bc_type="natural")(x**WARP).T.copy())
+        """(9, n) values there of the natural splines that are 1 at one knot and 0 at all others."""
 
-    def evaluate(self, log_knots: NDArray[np.floating]) -> NDArray[np.float64]:
-        """f(x) (n,); ``log_knots`` (9,) is log P at the knots."""
-        return np.exp(self.log_x * np.einsum("nk,k->n", self.spline, np.exp(log_knots)))
+    def evaluate(self, log_knots: Tensor) -> Tensor:
+        """f(x) = x^P(s), (C, n); ``log_knots`` (C, 9) is log P at the knots of each curve."""
+        return (self.log_x * (log_knots.exp() @ self.spline)).exp()
 
 
-def prior_residual(log_knots: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(PRIOR_RESIDUALS,) distance from the median measured response and its bends, in standard deviations."""
+def table(log_knots: Tensor) -> CurveTable:
+    """The curves with the knots (C, 9) as tables that rise from 0 to 1."""
+    inner = _TABLE.evaluate(log_knots)[:, 1:]
+    return CurveTable(torch.nn.functional.pad(inner.cummax(1).values.clamp(0.0, 1.0), (1, 0)))
+
+
+def to_response(log_knots: Tensor) -> Response:
+    """The response with the knots (3, 9) of each channel, or (1, 9) of all three."""
+    samples = table(log_knots).samples.expand(3, -1).numpy().copy()
+    return Response(samples, FITTED, tuple(log_knots.reshape(-1).tolist()))
+
+
+def prior_residual(log_knots: Tensor) -> Tensor:
+    """Distance of the knots (C, 9) from the median measured response and its bends, in standard deviations."""
     offset = log_knots - PRIOR_MEAN
-    return np.concatenate([offset / PRIOR_STD, np.diff(offset, 2) / BEND_STD])
+    return torch.cat([offset.reshape(-1) / PRIOR_STD, offset.diff(2).reshape(-1) / BEND_STD])
 
 
-def contrast_residual(response: Response) -> NDArray[np.float64]:
-    """(3,) distance of the curves' exponents in the midtones from the median measured one, in standard deviations.
+def contrast_residual(curves: CurveTable) -> Tensor:
+    """(C,) distance of the curves' exponents in the midtones from the median measured one, in standard deviations.
 
     It is the slope of log f over log x between two display values, independent of the scale of x and of a
     soft shoulder.
     """
-    low, high = np.log(np.maximum(response.invert(np.repeat(MIDTONES, 3).reshape(2, 3)), 1e-6))
-    slope = np.log(MIDTONES[1] / MIDTONES[0]) / np.maximum(high - low, 1e-3)
-    return (np.log(slope) - CONTRAST_MEAN) / CONTRAST_STD
+    midtones = torch.tensor(MIDTONES, dtype=torch.float64).expand(len(curves.samples), -1)
+    low, high = curves.inverse(midtones).clamp(min=1e-6).log().unbind(1)
+    slope = np.log(MIDTONES[1] / MIDTONES[0]) / (high - low).clamp(min=1e-3)
+    return (slope.log() - CONTRAST_MEAN) / CONTRAST_STD
 
 
-def downhill(log_knots: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(DOWNHILL_RESIDUALS,) descent of the curve from one point to the next, 0 where it rises; dense near black."""
-    return np.clip(-np.diff(_DOWNHILL.evaluate(log_knots)), 0.0, None)
+def downhill(log_knots: Tensor) -> Tensor:
+    """(C, DOWNHILL_POINTS - 1) descent of the curves (C, 9) from one point to the next, 0 where they rise."""
+    return (-_DOWNHILL.evaluate(log_knots).diff()).clamp(min=0)
 
 
-def to_response(log_knots: list[NDArray[np.float64]]) -> Response:
-    """The response with the knots (9,) of each channel, or of all three."""
-    rows = []
-    for knots in log_knots:
-        f = _TABLE.evaluate(knots)
-        f[0] = 0.0
-        rows.append(np.clip(np.maximum.accumulate(f), 0.0, 1.0))
-    samples = np.stack(rows if len(rows) == 3 else rows * 3)
-    return Response(samples, FITTED, tuple(float(v) for v in np.concatenate(log_knots)))
-
-
-_TABLE = Family.at(np.linspace(0.0, 1.0, N_SAMPLES))
-_DOWNHILL = Family.at(np.linspace(0.0, 1.0, DOWNHILL_RESIDUALS + 1) ** 2)
+_TABLE = Family(np.linspace(0.0, 1.0, N_SAMPLES))
+_DOWNHILL = Family(np.linspace(0.0, 1.0, DOWNHILL_POINTS) ** 2)  # dense near black

@@ -18,13 +18,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
-from scipy.optimize import minimize
+from torch import Tensor
 
+from ..base.minimise import simplex
 from ..decide import Decisions
 from ..model.local_exposure import UNIFORM, LocalExposure, LocalSettings, SmallPhotos
 from ..model.response import Response
 from . import family
+from .curve_table import CurveTable
 from .observations import Observations
 from .overlap_problem import MIN_EXPOSURE_SPREAD, MIN_UNKNOWN_SPREAD, OverlapProblem
 
@@ -48,9 +51,6 @@ LOCAL_TOLERANCE = 0.01
 """Change of a parameter at which the search for it ends."""
 LOCAL_CURVE_STEPS = 8
 """Steps of the curve after each search for parameters."""
-
-Knots = list[NDArray[np.float64]]
-"""Log P at the nine knots of one curve, or of three."""
 
 
 @dataclass(frozen=True)
@@ -127,11 +127,12 @@ def fit_overlap(
     index = _select(observations, rng)
     problem = OverlapProblem.build(observations, index, exposures, n_views)
     if fixed is not None:
-        return OverlapFit(fixed, problem.exposures(fixed, decisions), np.nan, False)
+        return OverlapFit(fixed, problem.exposures(CurveTable.of(fixed), decisions), np.nan, False)
     if _of_one_exposure(problem):
         # The curve is unconstrained: the most common one is taken.
-        median = family.to_response([family.PRIOR_MEAN])
-        return OverlapFit(median, problem.exposures(median, decisions), np.nan, False)
+        median = family.PRIOR_MEAN[None]
+        exposures = problem.exposures(family.table(median), decisions)
+        return OverlapFit(family.to_response(median), exposures, np.nan, False)
     held_out = rng.random(problem.n_patches) < 0.2
     training, testing = problem.restrict(~held_out), problem.restrict(held_out)
     knots, error = _fit_curves(training, testing, decisions)
@@ -147,10 +148,9 @@ def fit_overlap(
         if log_t is not None:
             problem, training, testing = (replace(p, log_t=log_t) for p in (problem, training, testing))
             knots, error = _fit_curves(training, testing, decisions)
-    response = family.to_response(knots)
     return OverlapFit(
-        response=response,
-        exposures=problem.exposures(response, decisions),
+        response=family.to_response(knots),
+        exposures=problem.exposures(family.table(knots), decisions),
         residual=error,
         per_channel=len(knots) == 3,
         local=local,
@@ -162,19 +162,17 @@ def _of_one_exposure(problem: OverlapProblem) -> bool:
     seen = replace(problem, log_t=None).exposure_spread()
     if problem.log_t is None:
         return seen < MIN_UNKNOWN_SPREAD
-    return max(float(problem.log_t.std() / np.log(2)), seen) < MIN_EXPOSURE_SPREAD
+    return max(float(problem.log_t.std(correction=0) / np.log(2)), seen) < MIN_EXPOSURE_SPREAD
 
 
-def _fit_curves(
-    training: OverlapProblem, testing: OverlapProblem, decisions: Decisions
-) -> tuple[list[NDArray[np.float64]], float]:
-    """Knots of one curve, or of three if held-out patches bear them out, and the disagreement of those patches."""
-    shared = training.minimise([_first_guess(training)], MAX_STEPS)
+def _fit_curves(training: OverlapProblem, testing: OverlapProblem, decisions: Decisions) -> tuple[Tensor, float]:
+    """Knots (C, 9) of one curve, or of three if held-out patches bear them out; and the disagreement of these."""
+    shared = training.minimise(_first_guess(training)[None], MAX_STEPS)
     error = testing.disagreement(shared)
     if decisions.forbids("channel_curves"):
         return shared, error
     leading = replace(training, highlights=False)
-    separate = leading.minimise(shared * 3, SEPARATE_STEPS)
+    separate = leading.minimise(shared.repeat(3, 1), SEPARATE_STEPS)
     # One curve is the null hypothesis: cameras apply the same curve to all channels far more often than not.
     separate_error = testing.disagreement(separate)
     if decisions.accept("channel_curves", error, separate_error):
@@ -183,21 +181,21 @@ def _fit_curves(
     return shared, error
 
 
-def _first_guess(problem: OverlapProblem) -> NDArray[np.float64]:
-    """Knots to start from: the median measured response, or a power with a lower loss on a quarter of the patches.
+def _first_guess(problem: OverlapProblem) -> Tensor:
+    """Knots (9,) to start from: the median measured response, or a power with a lower loss on a quarter of the patches.
 
     Started from the median alone, the fit of a curve that crushes the shadows ends in a poor local minimum.
     """
     coarse = replace(problem.restrict(np.arange(problem.n_patches) % START_EVERY == 0), highlights=False)
-    starts = [family.PRIOR_MEAN, *(np.full(len(family.PRIOR_MEAN), level) for level in START_LEVELS)]
-    ends = [coarse.minimise([start], START_STEPS)[0] for start in starts]
-    return min(ends, key=lambda knots: float((coarse.residual(knots, 1) ** 2).sum()))
+    starts = [family.PRIOR_MEAN, *(torch.full_like(family.PRIOR_MEAN, level) for level in START_LEVELS)]
+    ends = [coarse.minimise(start[None], START_STEPS)[0] for start in starts]
+    return min(ends, key=lambda knots: float(coarse.residual(knots).square().sum()))
 
 
 def _corrected_exposures(
-    training: OverlapProblem, testing: OverlapProblem, knots: list[NDArray[np.float64]], decisions: Decisions
-) -> NDArray[np.float64] | None:
-    """Log exposures (V, 3) in place of the recorded ones, or None where those stand.
+    training: OverlapProblem, testing: OverlapProblem, knots: Tensor, decisions: Decisions
+) -> Tensor | None:
+    """Log exposures (3, V) in place of the recorded ones, or None where those stand.
 
     Recorded exposures may be rounded, and white balance may drift. A correction per photo, then one per channel, is
     accepted where held-out patches disagree less under it.
@@ -206,7 +204,7 @@ def _corrected_exposures(
     for per_channel in (False,) if decisions.forbids("white_balance") else (False, True):
         tried, log_t = knots, training.log_t
         for round_ in range(CORRECTION_ROUNDS):
-            log_t = training.corrected_exposures(family.to_response(tried), per_channel)
+            log_t = training.corrected_exposures(family.table(tried), per_channel)
             worse = replace(testing, log_t=log_t).disagreement(tried) > best
             if round_ == 0 and worse and not decisions.forces("corrected_exposures"):
                 break
@@ -226,12 +224,12 @@ class _Fit:
     """Settings, the curve that goes with them, and the disagreement of held-out patches under both."""
 
     settings: LocalSettings
-    knots: Knots
+    knots: Tensor
     error: float
 
 
 def find_local_exposure(
-    training: OverlapProblem, testing: OverlapProblem, small: SmallPhotos, knots: Knots, decisions: Decisions
+    training: OverlapProblem, testing: OverlapProblem, small: SmallPhotos, knots: Tensor, decisions: Decisions
 ) -> LocalExposure | None:
     """The local tone mapping and vignetting that held-out patches bear out; None where they bear out neither.
 
@@ -287,29 +285,25 @@ class _Search:
             knots = self._exposed(self.training, settings, knots).minimise(knots, LOCAL_CURVE_STEPS)
         return _Fit(settings, knots, self._exposed(self.testing, settings, knots).disagreement(knots))
 
-    def _best(self, names: tuple[str, ...], start: LocalSettings, knots: Knots) -> tuple[LocalSettings, float]:
+    def _best(self, names: tuple[str, ...], start: LocalSettings, knots: Tensor) -> tuple[LocalSettings, float]:
         """The parameters at which patches agree best under a given curve, and how well."""
-        at = np.array([getattr(start, name) for name in names])
-        found = minimize(
-            lambda x: self._error(replace(start, **dict(zip(names, x.tolist(), strict=True))), knots),
-            at,
-            method="Nelder-Mead",
-            bounds=[(0.0, LOCAL_MAX[name]) for name in names],
-            options={
-                "initial_simplex": np.vstack([at, at + np.diag([LOCAL_TRIAL[name] for name in names])]),
-                "xatol": LOCAL_TOLERANCE,
-                "fatol": np.inf,  # the step size alone decides: far from the minimum errors hardly differ
-            },
-        )
-        return replace(start, **dict(zip(names, found.x.tolist(), strict=True))), float(found.fun)
 
-    def _error(self, settings: LocalSettings, knots: Knots) -> float:
+        def at(x: NDArray[np.float64]) -> LocalSettings:
+            return replace(start, **dict(zip(names, x.tolist(), strict=True)))
+
+        first = np.array([getattr(start, name) for name in names])
+        corners = first + np.vstack([np.zeros(len(names)), np.diag([LOCAL_TRIAL[name] for name in names])])
+        bounds = [(0.0, LOCAL_MAX[name]) for name in names]
+        found, error = simplex(lambda x: self._error(at(x), knots), corners, LOCAL_TOLERANCE, bounds)
+        return at(found), error
+
+    def _error(self, settings: LocalSettings, knots: Tensor) -> float:
         return self._exposed(self.training, settings, knots).disagreement(knots)
 
-    def _exposed(self, problem: OverlapProblem, settings: LocalSettings, knots: Knots) -> OverlapProblem:
+    def _exposed(self, problem: OverlapProblem, settings: LocalSettings, knots: Tensor) -> OverlapProblem:
         return with_local_exposure(problem, self.small.local_exposure(settings, family.to_response(knots)))
 
 
 def with_local_exposure(problem: OverlapProblem, local: LocalExposure) -> OverlapProblem:
     """``problem`` with the gains of ``local`` at its observations."""
-    return replace(problem, log_gain=np.log(local.at(problem.view, problem.pixel)))
+    return replace(problem, log_gain=torch.from_numpy(np.log(local.at(problem.view.numpy(), problem.pixel.numpy()))))

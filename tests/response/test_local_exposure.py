@@ -150,7 +150,7 @@ def test_no_local_exposure_is_accepted_without_held_out_patches() -> None:
     seen = wall.observations(photos, rng)
     problem = OverlapProblem.build(seen, np.arange(len(seen.patch)), EXPOSURES, N_VIEWS)
     nothing = problem.restrict(np.zeros(problem.n_patches, bool))
-    assert find_local_exposure(problem, nothing, small(photos), [family.PRIOR_MEAN], Decisions()) is None
+    assert find_local_exposure(problem, nothing, small(photos), family.PRIOR_MEAN[None], Decisions()) is None
 
 
 def test_undoing_a_tone_mapping_recovers_the_curve() -> None:

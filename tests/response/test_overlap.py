@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from iris_addon.base.images import read_image
 from iris_addon.capture.exposures import exif_settings
@@ -15,7 +16,7 @@ from iris_addon.model.response import N_SAMPLES, Response
 from iris_addon.response import family
 from iris_addon.response.observations import Observations
 from iris_addon.response.overlap import fit_overlap
-from iris_addon.response.overlap_problem import OverlapProblem
+from iris_addon.response.overlap_problem import OverlapProblem, cauchy_root, geman_mcclure_root
 from iris_addon.response.photometry import Photometry
 from tests.engine_room import observe_off_edges
 from tests.response.photographed_patches import EXPOSURES, observations_of
@@ -64,7 +65,7 @@ def crf_l2(found: Response, truth: np.ndarray) -> float:
 @pytest.mark.parametrize("seed", range(20))
 def test_curves_of_the_family_rise_from_zero_to_one(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    knots = [family.PRIOR_MEAN + rng.normal(0, 0.4) + rng.normal(0, 0.15, len(family.PRIOR_MEAN)) for _ in range(3)]
+    knots = family.PRIOR_MEAN + torch.from_numpy(rng.normal(0, 0.4, (3, 1)) + rng.normal(0, 0.15, (3, family.N_KNOTS)))
     response = family.to_response(knots)
     assert response.samples[:, 0] == pytest.approx(0)
     assert response.samples[:, -1] == pytest.approx(1)
@@ -72,13 +73,15 @@ def test_curves_of_the_family_rise_from_zero_to_one(seed: int) -> None:
 
 
 def test_the_family_contains_gamma() -> None:
-    knots = np.full(len(family.PRIOR_MEAN), np.log(1 / 2.2))
-    assert family.Family.at(X).evaluate(knots)[1:] == pytest.approx(X[1:] ** (1 / 2.2), abs=1e-6)
+    knots = torch.full((1, family.N_KNOTS), np.log(1 / 2.2), dtype=torch.float64)
+    assert family.Family(X).evaluate(knots)[0, 1:].numpy() == pytest.approx(X[1:] ** (1 / 2.2), abs=1e-6)
     assert family.downhill(knots).max() == 0
 
 
 def test_downhill_is_positive_for_a_falling_curve() -> None:
-    rising = np.linspace(np.log(0.1), np.log(4.0), len(family.PRIOR_MEAN))  # x^0.1 at the left, x^4 at the right
+    rising = torch.linspace(np.log(0.1), np.log(4.0), family.N_KNOTS, dtype=torch.float64)[
+        None
+    ]  # x^0.1 at the left, x^4 at the right
     assert family.downhill(rising).max() > 1e-3
 
 
@@ -230,16 +233,42 @@ def test_the_times_of_a_real_bracket_come_back(shared: Path) -> None:
 @pytest.mark.parametrize("curves", [1, 3])
 @pytest.mark.parametrize("known", [True, False], ids=["known exposures", "unknown exposures"])
 def test_derivatives_of_the_residuals_are_those_of_central_differences(known: bool, curves: int) -> None:
-    """Which residuals feel which knots depends on whether the channels share exposures that are looked for."""
+    """Radiance and exposures, which are eliminated, move with the curve."""
     rng = np.random.default_rng(21)
     o, _ = observations_of(response_of(film()), EXPOSURES, rng, n=80)
     every = np.arange(len(o.view))
     problem = OverlapProblem.build(doubled(o), every, EXPOSURES if known else None, len(EXPOSURES))
-    knots = np.concatenate([family.PRIOR_MEAN + rng.normal(0, 0.05, len(family.PRIOR_MEAN)) for _ in range(curves)])
-    steps = 1e-5 * np.eye(len(knots))
-    central = [(problem.residual(knots + h, curves) - problem.residual(knots - h, curves)) / 2e-5 for h in steps]
-    found, expected = problem.jacobian(knots, curves), np.stack(central, 1)
-    assert np.linalg.norm(found - expected) < 0.02 * np.linalg.norm(expected)
+    knots = family.PRIOR_MEAN + torch.from_numpy(rng.normal(0, 0.05, (curves, family.N_KNOTS)))
+    steps = 1e-6 * torch.eye(knots.numel(), dtype=torch.float64)
+    start = knots.reshape(-1)
+    central = torch.stack([(problem.residual(start + h) - problem.residual(start - h)) / 2e-6 for h in steps], 1)
+    found = torch.func.jacfwd(problem.residual)(start)
+    assert torch.linalg.norm(found - central) < 0.02 * torch.linalg.norm(central)
+
+
+def test_tables_pass_gradcheck_between_their_samples() -> None:
+    """The inverse has the derivative of the implicit function theorem, to first order."""
+    generator = torch.Generator().manual_seed(0)
+    knots = (family.PRIOR_MEAN + 0.1 * torch.randn(2, family.N_KNOTS, generator=generator)).requires_grad_()
+    inside = (torch.randint(40, 900, (2, 12), generator=generator) + 0.4).double() / (N_SAMPLES - 1)
+    x = inside.clone().requires_grad_()
+    assert torch.autograd.gradcheck(lambda k, x: family.table(k).at(x), (knots, x), check_forward_ad=True)
+    assert torch.autograd.gradcheck(lambda k, x: family.table(k).slope(x), (knots, x), check_forward_ad=True)
+    assert torch.autograd.gradcheck(
+        lambda k: family.contrast_residual(family.table(k)), (knots,), check_forward_ad=True
+    )
+    z = family.table(knots.detach()).at(inside)
+    assert family.table(knots.detach()).inverse(z).numpy() == pytest.approx(inside.numpy(), abs=1e-6)
+    assert torch.autograd.gradcheck(lambda k: family.table(k).inverse(z), (knots,), check_forward_ad=True)
+
+
+def test_robust_norms_are_those_of_equation_14() -> None:
+    r = torch.tensor([-30.0, -1.0, -1e-9, 0.0, 1e-4, 0.3, 5.0], dtype=torch.float64, requires_grad=True)
+    assert torch.allclose(cauchy_root(r).square(), torch.log1p(r**2), atol=1e-15)
+    assert torch.allclose(geman_mcclure_root(r).square(), r**2 / (1 + r**2), atol=1e-15)
+    for root in (cauchy_root, geman_mcclure_root):
+        assert torch.equal(root(r).sign(), r.sign())
+        assert torch.autograd.gradcheck(root, (r,))
 
 
 def test_exposures_under_a_given_curve() -> None:
@@ -273,7 +302,7 @@ def test_exposures_of_a_walk_are_chained_from_photo_to_photo() -> None:
 def test_photos_of_one_known_exposure_keep_the_median_curve() -> None:
     """They cannot tell a curve; without that a power of it fitted as well as the curve itself."""
     rng = np.random.default_rng(13)
-    common = family.to_response([family.PRIOR_MEAN])
+    common = family.to_response(family.PRIOR_MEAN[None])
     observations, _ = observations_of(common, np.ones(8), rng)
     fit = fit_overlap(doubled(observations), np.full(8, 3.0), 8, rng)
     assert np.array_equal(fit.response.samples, common.samples)
