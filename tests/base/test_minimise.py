@@ -56,6 +56,22 @@ def test_a_line_is_fitted_beside_outliers() -> None:
     assert np.abs(np.polyfit(x, y, 1) - [-3, 2]).max() > 0.5
 
 
+def test_steps_are_as_long_as_a_redescending_norm_allows() -> None:
+    """The root of Cauchy's loss has less curvature than its slope tells; steps in proportion to the slope are half as
+    long as they should be, and forty of them come less far than ten."""
+    generator = torch.Generator().manual_seed(0)
+    at = torch.linspace(-1, 1, 400, dtype=torch.float64)
+    seen = 3 * at + 1 + 0.5 * torch.randn(400, generator=generator, dtype=torch.float64)
+
+    def root_of_cauchy(line: Tensor) -> Tensor:
+        square = ((line[0] * at + line[1] - seen) / 0.05).square().clamp(min=1e-12)
+        return torch.log1p(square).sqrt()
+
+    zero = torch.zeros(2, dtype=torch.float64)
+    best = gauss_newton(root_of_cauchy, zero, 200, 1e-14)
+    assert gauss_newton(root_of_cauchy, zero, 10, 1e-14).numpy() == pytest.approx(best.numpy(), abs=1e-5)
+
+
 def test_an_unknown_that_nothing_feels_stays() -> None:
     start = torch.tensor([3.0, 5.0], dtype=torch.float64)
     assert gauss_newton(lambda x: x[:1] - 1, start, 20, 1e-12).numpy() == pytest.approx([1, 5])
