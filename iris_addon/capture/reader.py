@@ -26,6 +26,7 @@ from .mesh_files import read_mesh
 from .nerfstudio import read_nerfstudio, read_nerfstudio_views
 from .photo_files import SIDEWAYS, UPRIGHT, check_photo, read_device, read_orientation
 from .photos import check_photo_size
+from .programs import find_program, read_program, read_program_views
 
 Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """glTF is y up by its standard; exporters that comply turn a z-up room on its side."""
@@ -121,6 +122,8 @@ def read_views(path: Path) -> tuple[View, ...]:
     root = fipt_root(transforms)
     if root is None and not transforms.is_file() and (model := colmap_model(path)) is not None:
         return read_colmap_views(path, model)
+    if root is None and (path.is_file() or not transforms.is_file()) and (found := find_program(path)) is not None:
+        return read_program_views(path, *found)
     if root is None:
         return read_nerfstudio_views(transforms)
     return read_fipt_views(root, "val" if transforms.parent.name == "val" else "train")
@@ -134,15 +137,20 @@ def _list(path: Path, photos: PhotoSet) -> Listing:
         return read_fipt(root, photos)
     transforms = path / "transforms.json" if path.is_dir() else path
     if transforms.is_file():
-        return read_nerfstudio(transforms)
+        found = None if path.is_dir() else find_program(path)
+        return read_nerfstudio(transforms) if found is None else read_program(path, *found)
     model = colmap_model(path)
-    if model is None:
+    if model is not None:
+        return read_colmap(path, model)
+    found = find_program(path)
+    if found is None:
         raise BadInput(
-            "neither transforms.json nor train/transforms.json nor a COLMAP model in the folder",
-            "export the poses in nerfstudio's format, or name the file itself",
+            "neither transforms.json nor train/transforms.json nor a COLMAP model in the folder, nor cameras of "
+            "Metashape, Meshroom, RealityScan, Bundler, ScanNet or 7-Scenes",
+            "export the poses in one of these formats, or name the file itself",
             path,
         )
-    return read_colmap(path, model)
+    return read_program(path, *found)
 
 
 def _photographed(views: Sequence[View], listing: Listing, strict: bool) -> tuple[list[View], list[str]]:

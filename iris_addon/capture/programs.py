@@ -1,0 +1,185 @@
+"""Cameras that photogrammetry programs and RGB-D data sets write, beside nerfstudio's, FIPT's and COLMAP's.
+
+::
+
+    Metashape       *.xml                     File > Export > Export Cameras, Agisoft XML
+    Meshroom        *.sfm, sfm.json           node ConvertSfMFormat, views, intrinsics and extrinsics
+    RealityScan     *.csv                     Export > Registration, Internal/External camera parameters
+    Bundler         *.out with list.txt       many programs
+    ScanNet         color/ pose/ intrinsic/   as SensReader extracts it
+    7-Scenes        frame-*.color.png with frame-*.pose.txt
+
+Each reader turns its file into frames with the keys of a transforms.json. Poses there are camera to world, x right, y
+up, z backward; None where the program did not find one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..base.errors import BadInput
+from ..model.capture import View
+from .camera_tables import read_bundler, read_reality_scan
+from .listing import (
+    Listing,
+    check_unique,
+    find_image,
+    has_pose,
+    only_mesh,
+    read_camera,
+    read_distortion,
+    up_axis,
+    upright,
+    view_names,
+)
+from .meshroom import read_meshroom
+from .metashape import read_metashape
+from .photo_files import PHOTO_SUFFIXES, check_photo
+from .pose_folders import read_scannet, read_seven_scenes
+
+Frame = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Program:
+    """A program whose cameras are read.
+
+    Attributes:
+        name: for messages.
+        find: its file in a folder, or named itself; None where there is none.
+        read: the frames of that file.
+        has_unit: whether its poses are in metres.
+    """
+
+    name: str
+    find: Callable[[Path], Path | None]
+    read: Callable[[Path], list[dict[str, Any]]]
+    has_unit: bool = False
+
+
+def _file_that(*suffixes: str, begins: Sequence[bytes]) -> Callable[[Path], Path | None]:
+    """Finds a file with one of ``suffixes`` and, in its first kilobytes, one of the texts ``begins``."""
+
+    def fits(path: Path) -> bool:
+        if not path.is_file() or not path.name.lower().endswith(suffixes):
+            return False
+        with path.open("rb") as file:
+            head = file.read(4096)
+        return any(text in head for text in begins)
+
+    def find(path: Path) -> Path | None:
+        if path.is_file():
+            return path if fits(path) else None
+        found = [entry for entry in sorted(path.iterdir()) if fits(entry)] if path.is_dir() else []
+        return found[0] if found else None
+
+    return find
+
+
+def _scannet(path: Path) -> Path | None:
+    intrinsics = path / "intrinsic" / "intrinsic_color.txt"
+    return intrinsics if intrinsics.is_file() and (path / "pose").is_dir() else None
+
+
+def _seven_scenes(path: Path) -> Path | None:
+    return next(iter(sorted(path.glob("frame-*.pose.txt"))), None) if path.is_dir() else None
+
+
+PROGRAMS = (
+    Program("Metashape", _file_that(".xml", begins=(b"<chunk", b"<document")), read_metashape),
+    Program("Meshroom", _file_that(".sfm", "sfm.json", begins=(b'"version"', b'"views"')), read_meshroom),
+    Program("RealityScan", _file_that(".csv", begins=(b"heading,pitch,roll",)), read_reality_scan, has_unit=True),
+    Program("Bundler", _file_that(".out", begins=(b"# Bundle file",)), read_bundler),
+    Program("ScanNet", _scannet, read_scannet, has_unit=True),
+    Program("7-Scenes", _seven_scenes, read_seven_scenes, has_unit=True),
+)
+
+
+def find_program(path: Path) -> tuple[Program, Path] | None:
+    """The program whose cameras lie in, or are, ``path``, and their file; None where there are none."""
+    for program in PROGRAMS:
+        source = program.find(path)
+        if source is not None:
+            return program, source
+    return None
+
+
+def read_program(path: Path, program: Program, source: Path) -> Listing:
+    """List the capture in, or around, ``path``; raises BadInput."""
+    root = path if path.is_dir() else path.parent
+    views, unposed = _views(program.read(source), root, source)
+    if not views:
+        raise BadInput("has no camera with a pose", "align the photos first, and export their cameras again", source)
+    warnings = [] if program.has_unit else [f"{program.name}'s cameras: one unit is taken as one metre"]
+    return Listing(
+        name=root.resolve().name or "capture",
+        root=root,
+        source=source,
+        views=tuple(views),
+        val_views=(),
+        mesh_file=only_mesh(root, source, "leave one of them in the folder"),
+        up=up_axis(root, upright(views)),
+        warnings=tuple(warnings),
+        unposed=tuple(unposed),
+    )
+
+
+def read_program_views(path: Path, program: Program, source: Path) -> tuple[View, ...]:
+    """Every view with a pose, photo or not: cameras to render from; raises BadInput."""
+    return tuple(_views(program.read(source), path if path.is_dir() else path.parent, source)[0])
+
+
+def _views(frames: Sequence[Frame], root: Path, source: Path) -> tuple[list[View], list[str]]:
+    """The views, and names of photos without a pose."""
+    photos = _Photos(root, source)
+    names = view_names([str(frame["file_path"]) for frame in frames])
+    views, unposed = [], []
+    for frame, name in zip(frames, names, strict=True):
+        if not has_pose(frame["transform_matrix"]):
+            unposed.append(name)
+            continue
+        photo = photos.find(str(frame["file_path"]))
+        values = with_size(frame, None if photo is None else check_photo(photo))
+        camera = read_camera(values, None, name, source)
+        views.append(View(name, camera, photo, distortion=read_distortion(values, name, source)))
+    check_unique(views, source)
+    return views, unposed
+
+
+def with_size(frame: Frame, size: tuple[int, int] | None) -> dict[str, Any]:
+    """The frame in pixels; "relative" has a focal length and a principal point, from the middle, in longer sides."""
+    values = dict(frame)
+    if size is not None:
+        values.setdefault("w", size[0])
+        values.setdefault("h", size[1])
+    relative = values.pop("relative", None)
+    if relative is not None and "w" in values and "h" in values:
+        side = max(values["w"], values["h"])
+        focal, x, y = relative
+        values |= {"fl_x": focal * side, "cx": values["w"] / 2 + x * side, "cy": values["h"] / 2 + y * side}
+    return values
+
+
+class _Photos:
+    """Photos below a folder by what programs call them: a path of another computer, a name, a name without suffix."""
+
+    def __init__(self, root: Path, source: Path) -> None:
+        self._root, self._source = root, source
+        self._by_name: dict[str, list[Path]] = {}
+        for folder in (root, *(root / name for name in ("images", "photos", "color", "rgb"))):
+            for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+                if path.suffix.lower() in PHOTO_SUFFIXES:
+                    for key in {path.name.casefold(), path.stem.casefold()}:
+                        self._by_name.setdefault(key, []).append(path)
+
+    def find(self, named: str) -> Path | None:
+        """The photo called ``named``, None where there is none or a choice."""
+        name = named.replace("\\", "/")
+        last = name.rpartition("/")[2].casefold()
+        found = self._by_name.get(last, [])
+        if len(found) == 1:
+            return found[0]
+        return None if Path(name).is_absolute() or ":" in name else find_image(self._root, name, self._source)
