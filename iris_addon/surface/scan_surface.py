@@ -8,7 +8,8 @@ floors and tables are planes, and most else is smooth. Both are estimated here:
   Filtering for Mesh Denoising"; Zhang et al. 2015, "Guided Mesh Normal Filtering"), with a range that follows the
   noise;
 - planes by region growing on the filtered normals, each fitted to all its faces (:func:`grow_planes`);
-- places of the vertices to which both lead (Sun et al. 2007, "Fast and Effective Feature-Preserving Mesh Denoising").
+- places of the vertices on planes, where the planes of their faces meet (Sun et al. 2007, "Fast and Effective
+  Feature-Preserving Mesh Denoising"). Photos agree better on them there, and less on others that follow their normals.
 
 Faces and vertices keep their numbers: whatever is found on this surface is written onto the user's own mesh.
 """
@@ -409,12 +410,13 @@ def moved_vertices(
     offset: NDArray[np.floating],
     scanned: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
-    """(V, 3) vertices moved to where the planes of their faces meet, in a mesh of faces of ``normals`` (F, 3).
+    """(V, 3) vertices, those that have only faces on planes moved to where these meet.
 
     Args:
+        normals: (F, 3) unit normals of the planes.
         areas: (F,) square metres.
-        offset: (F,) of the plane of each face, NaN for a face of none, whose plane goes through its own centre.
-        scanned: (F,) faces whose vertices move.
+        offset: (F,) of the plane of each face, NaN for a face of none.
+        scanned: (F,) faces whose vertices may move.
     """
     label = weld(mesh)
     n = int(label.max()) + 1
@@ -429,6 +431,7 @@ def moved_vertices(
         place += push / np.maximum(norm, 1e-300)[:, None]
     shift = place - start
     far = np.linalg.norm(shift, axis=1, keepdims=True)
+    shift[corner[np.isnan(plane)]] = 0
     shift *= np.minimum(1.0, MAX_SHIFT * edge_length(weight) / np.maximum(far, 1e-12))
     return np.asarray(mesh.vertices + shift[label], np.float64)
 
@@ -448,14 +451,11 @@ def _push(
     push: NDArray[np.float64],
     norm: NDArray[np.float64],
 ) -> None:
-    """Add to ``push`` (n, 3) and ``norm`` (n,) how far each face wants its vertices to move, by area."""
+    """Add to ``push`` (n, 3) and ``norm`` (n,) how far the plane of each face is from its vertices, by area."""
     for f in range(len(corner)):
         nx, ny, nz, w, d = normals[f, 0], normals[f, 1], normals[f, 2], weight[f], offset[f]
-        if d != d:  # no plane
-            d = 0.0
-            for k in range(3):
-                v = corner[f, k]
-                d += (nx * place[v, 0] + ny * place[v, 1] + nz * place[v, 2]) / 3
+        if math.isnan(d):
+            continue
         for k in range(3):
             v = corner[f, k]
             off = w * (d - nx * place[v, 0] - ny * place[v, 1] - nz * place[v, 2])

@@ -74,9 +74,8 @@ def test_a_column_stays_round() -> None:
     found = surface_behind(given)
     before, after = _turned(face_normals(given.vertices, given.faces)[0], ROUND), _turned(found.normals, ROUND)
     assert np.median(after) < 0.4 * np.median(before)
-    radius = np.hypot(found.mesh.vertices[:, 0], found.mesh.vertices[:, 2])
-    inside = (U.ravel() > 0.05) & (U.ravel() < 1.15) & (V.ravel() > 0.05) & (V.ravel() < 1.15)
-    assert abs(float(np.mean(radius[inside])) - RADIUS) < NOISE
+    still = (found.mesh.vertices == given.vertices).all(1)
+    assert still.mean() > 0.9, "off planes a vertex is best where the scanner saw it"
     assert (found.plane < 0).mean() > 0.9, "it is no plane"
 
 
