@@ -9,14 +9,16 @@ from threading import Event
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from iris_addon.base.errors import BadInput, Cancelled
 from iris_addon.base.images import read_image, write_exr, write_png
 from iris_addon.base.progress import Progress, ProgressEvent
+from iris_addon.capture.mesh_files import without_doubles
 from iris_addon.config import SolveConfig, preset
 from iris_addon.decide import accept
 from iris_addon.lighting.balance import MAX_ALBEDO
-from iris_addon.model.capture import Camera, Capture
+from iris_addon.model.capture import Camera, Capture, Mesh
 from iris_addon.model.response import gamma, srgb
 from iris_addon.pipeline import solve
 from iris_addon.rays.tracer import Tracer
@@ -326,3 +328,46 @@ def test_cancelling_does_not_wait_for_a_step_that_reports_nothing(
     assert not left.is_set(), "the cancel was raised before the step had ended"
     let_go.set()
     assert left.wait(60)
+
+
+# ---- imperfect captures --------------------------------------------------------------------------------------------
+
+
+def radiances(result: Result) -> np.ndarray:
+    """Radiance of all lamps, sorted."""
+    return np.sort([emitter.radiance.mean() for emitter in result.emitters])
+
+
+def test_faces_that_lie_twice_in_one_place_change_nothing(shoot: Shoot, found: Result) -> None:
+    capture = shoot.capture()
+    mesh = capture.mesh
+    assert mesh.regions is not None
+    doubled = Mesh(
+        mesh.vertices,
+        np.concatenate([mesh.faces, mesh.faces[:, ::-1]]),
+        regions=np.concatenate([mesh.regions, mesh.regions]),
+    )
+    single, count = without_doubles(doubled)
+    assert count == len(mesh.faces)
+    result = solve(replace(capture, mesh=single), TINY, shoot.folder / "doubled")
+    np.testing.assert_allclose(radiances(result), radiances(found), rtol=0.05)
+    assert result.report["holdout_psnr"] == pytest.approx(found.report["holdout_psnr"], abs=0.5)
+
+
+def test_a_transparent_border_is_no_part_of_the_room(shoot: Shoot, found: Result) -> None:
+    """Its hidden black would be read as dark walls."""
+    capture = shoot.capture()
+    folder = shoot.folder / "bordered"
+    folder.mkdir()
+    views = []
+    for view in capture.views:
+        assert view.photo is not None
+        pixels = read_image(view.photo)
+        opaque = np.zeros(pixels.shape[:2], np.uint8)
+        opaque[2:-2, 2:-2] = 255
+        pixels = np.where(opaque[..., None] > 0, pixels, 0)
+        Image.fromarray(np.dstack([pixels, opaque])).save(folder / view.photo.name)
+        views.append(replace(view, photo=folder / view.photo.name))
+    result = solve(replace(capture, views=tuple(views)), TINY, shoot.folder / "without_border")
+    np.testing.assert_allclose(radiances(result), radiances(found), rtol=0.15)
+    assert result.report["holdout_psnr"] > found.report["holdout_psnr"] - 1
