@@ -46,7 +46,8 @@ DEMO = ADDON / "assets" / "demo_room"
 
 
 class IRIS_OT_import_capture(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blender's naming
-    """Read photos, poses and mesh of a room, check them and add them to this scene"""
+    """Read photos, poses and mesh of a room, check them and add them to this scene.
+    Poses of nerfstudio, Polycam, COLMAP, Metashape, RealityScan, Meshroom, Bundler, ScanNet or FIPT"""
 
     bl_idname = "iris.import_capture"
     bl_label = "Import Capture"
@@ -54,7 +55,7 @@ class IRIS_OT_import_capture(NeedsReader, bpy.types.Operator):  # noqa: N801 - B
 
     filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
     directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
-    filter_glob: bpy.props.StringProperty(default="*.json;*.bin;*.txt", options={"HIDDEN"})
+    filter_glob: bpy.props.StringProperty(default="*.json;*.bin;*.txt;*.xml;*.csv;*.sfm;*.out", options={"HIDDEN"})
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         """Open the file browser, unless a file was dropped."""
@@ -283,12 +284,12 @@ def _fill(settings: bpy.types.PropertyGroup, inspected: Inspected, cameras: list
 
 
 class IRIS_FH_capture(bpy.types.FileHandler):  # noqa: N801 - Blender's naming
-    """Drop a transforms.json, or a file of COLMAP's binary model, into the 3D view."""
+    """Drop a transforms.json, a file of COLMAP's binary model, or cameras of another program into the 3D view."""
 
     bl_idname = "IRIS_FH_capture"
     bl_label = "IRIS Capture"
     bl_import_operator = "iris.import_capture"
-    bl_file_extensions = ".json;.bin"
+    bl_file_extensions = ".json;.bin;.sfm;.xml;.csv;.out"
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
@@ -298,7 +299,7 @@ class IRIS_FH_capture(bpy.types.FileHandler):  # noqa: N801 - Blender's naming
 
 def menu(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
     """The entry of File > Import."""
-    self.layout.operator("iris.import_capture", text="IRIS Capture (transforms.json, COLMAP)")
+    self.layout.operator("iris.import_capture", text="IRIS Capture (transforms.json, COLMAP, Metashape …)")
 
 
 def register() -> None:

@@ -114,6 +114,14 @@ def _check_extensions(path: Path) -> None:
     required, used = (set(document.get(key, ())) for key in ("extensionsRequired", "extensionsUsed"))
     if "KHR_draco_mesh_compression" in required and find_spec("DracoPy") is None:
         raise BadInput("is Draco-compressed", "export it without compression, or install the package DracoPy", path)
+    accessors = document.get("accessors", [])
+    used_as_position = {
+        primitive.get("attributes", {}).get("POSITION")
+        for mesh in document.get("meshes", [])
+        for primitive in mesh.get("primitives", [])
+    }
+    if any(number in used_as_position and accessor.get("normalized") for number, accessor in enumerate(accessors)):
+        raise BadInput("has normalised integer coordinates", "export it without quantisation, or as PLY", path)
     needed = sorted((required - READ_EXTENSIONS) | (used & CHANGES_GEOMETRY))
     if needed:
         what = "is compressed with meshopt" if "EXT_meshopt_compression" in needed else f"needs {', '.join(needed)}"

@@ -222,7 +222,7 @@ def test_captures_are_imported_by_menu_and_by_drag_and_drop(package, tmp_path, w
         handler = bpy.types.FileHandler.bl_rna_get_subclass_py("IRIS_FH_capture")
         over = lambda area: handler.poll_drop(N(area=area))
         assert over(N(type="VIEW_3D")) and not over(N(type="IMAGE_EDITOR")) and not over(None)
-        assert handler.bl_file_extensions == ".json;.bin"
+        assert handler.bl_file_extensions == ".json;.bin;.sfm;.xml;.csv;.out"
         entries = []
         layout = N(operator=lambda name, text: entries.append(name))
         for draw in bpy.types.TOPBAR_MT_file_import._dyn_ui_initialize():

@@ -189,6 +189,17 @@ def test_what_would_come_as_zeros_is_refused_by_name(extension: str, message: st
         read_mesh(tmp_path / "a.glb")
 
 
+def test_normalised_coordinates_are_refused_because_they_would_come_in_another_unit(tmp_path: Path) -> None:
+    document = {
+        "extensionsRequired": ["KHR_mesh_quantization"],
+        "accessors": [{"componentType": 5122, "normalized": True, "count": 3, "type": "VEC3"}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+    }
+    (tmp_path / "a.glb").write_bytes(glb(document))
+    with pytest.raises(BadInput, match="has normalised integer coordinates"):
+        read_mesh(tmp_path / "a.glb")
+
+
 def test_a_missing_draco_decoder_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.glb").write_bytes(glb({"extensionsRequired": ["KHR_draco_mesh_compression"]}))
     monkeypatch.setattr("iris_addon.capture.mesh_files.find_spec", lambda name: None)
