@@ -63,7 +63,7 @@ class Problem:
         if truth is None or truth.response is None or not capture.exposures_known:
             raise BadInput("records no response or no exposures", "this peer has to be given them", folder)
         tracer = Tracer(capture.mesh)
-        samples = trace_pixels(tracer, [view.camera for view in capture.views], 1, Progress())
+        samples = trace_pixels(tracer, [view.camera for view in capture.views], Progress())
         density = texel_density_from_footprint(samples.face, samples.footprint, len(capture.mesh.faces))
         lamps = [np.arange(first, last) for first, last in true_emitters(folder)]
         photos = np.stack([load_photo(view).values for view in capture.views])

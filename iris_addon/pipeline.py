@@ -38,7 +38,7 @@ from .results.folder import save_result
 from .results.preview import write_previews
 from .results.report import write_report
 from .results.result import Result
-from .surface.photo_samples import sample_photos
+from .surface.photo_samples import sample_photos, within_budget
 from .surface.scan_surface import choose_surface
 from .surface.traced_room import trace_room
 from .textures.charts import atlas_for_photos
@@ -100,11 +100,12 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     with progress.stage("photos"):
         surface, tracer = choose_surface(capture, stream(config.seed, "surface.scan"), progress, decisions)
         capture, cameras = fit_cameras(capture, tracer, stream(config.seed, "cameras.points"), progress, decisions)
-        photos = sample_photos(capture, tracer, config.hdr is not None, progress)
+        reduced = replace(capture, views=within_budget(capture.views))
+        photos = sample_photos(reduced, tracer, config.hdr is not None, progress)
     with progress.stage("surface"):
         room = cancellable(
             lambda: trace_room(
-                capture, surface, tracer, photos, config.max_patches, stream(config.seed, "surface.patches")
+                reduced, surface, tracer, photos, config.max_patches, stream(config.seed, "surface.patches")
             )
         )
     with progress.stage("transport"):
@@ -128,7 +129,7 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     with progress.stage("response"):
         measure = partial(
             measure_photometry,
-            capture,
+            reduced,
             config,
             observations,
             photos,
@@ -146,16 +147,18 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
             photometry = photometry.raised(first.exponent)
             problem = pose(photometry)
         problem = first.settle(problem)
-        write_previews(out, capture, photos.z, photometry, problem, first.lights)
+        write_previews(out, reduced, photos.z, photometry, problem, first.lights)
     with progress.stage("materials"):
         rounds = partial(solve_materials, problem, first.lights, config.rounds, progress)
         arrays = stage("materials", lambda: Solution(photometry, *rounds()).arrays())
         solution = Solution.from_arrays(photometry, arrays)
         problem = problem.with_gloss(solution.gloss)
-        write_previews(out, capture, photos.z, photometry, problem, solution.lights)
+        write_previews(out, reduced, photos.z, photometry, problem, solution.lights)
     with progress.stage("textures"):
         texels = waited_for(atlas, progress.check)
-        result, rerenders = cancellable(lambda: make_result(room, config, texels, problem, solution, progress))
+        result, rerenders = cancellable(
+            lambda: make_result(room, capture.views, config, texels, problem, solution, checkpoints, progress)
+        )
         result = result.with_exposures_times(unit / photos.unit)
     result = with_figures(result, room, config, cameras, problem, solution, progress)
     result.report["decisions"] = decisions.report()

@@ -189,17 +189,17 @@ class Patched:
     transport: Transport
 
 
-def patched(room: Room, views: list[Camera], max_patches: int, n_rays: int, stride: int = 1, seed: int = 0) -> Patched:
+def patched(room: Room, views: list[Camera], max_patches: int, n_rays: int, seed: int = 0) -> Patched:
     """The room in patches seen by ``views``, with ``n_rays`` gather rays from each."""
     tracer, rng = Tracer(room.mesh), np.random.default_rng(seed)
-    samples = trace_pixels(tracer, views, stride, Progress())
+    samples = trace_pixels(tracer, views, Progress())
     surface = build_surface(room.mesh, samples, room.regions, max_patches, rng)
     return Patched(tracer, samples, surface, build_transport(tracer, surface, room.regions, n_rays, rng, Progress()))
 
 
 def render(room: Room, tracer: Tracer, views: list[Camera], n_rays: int = 192) -> np.ndarray:
     """(V, H, W, 3) radiance at pixel centres of the room in rough plastic: kd Ld and a lobe that sees what Ld sees."""
-    samples = trace_pixels(tracer, views, 1, Progress())
+    samples = trace_pixels(tracer, views, Progress())
     face_radiance = radiosity(room, tracer)
     origins = Origins(samples.position[:, None], samples.normal[:, None])
     irradiance = irradiance_at(room, tracer, face_radiance, origins, n_rays, 11)

@@ -45,6 +45,8 @@ SIMPLEX_STEP = np.array([0.03, 0.01, 0.01, 0.02, 0.02])
 """Log focal length, principal point in image widths, offset in metres: first steps of Nelder and Mead's simplex."""
 MAX_EVALUATIONS, CORRECTION_TOLERANCE = 120, 1e-3
 """Of the disagreement, at most; and extent of the simplex, in its units, at which the search ends."""
+PHOTO_WIDTH = 500
+"""Pixels in a row that photos are compared at, at least."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,8 @@ def calibrate(
     field = np.array([view.camera.fx / view.camera.width for view in capture.views])
     if len(field) < 4 or np.ptp(field) > 1e-3 * field[0] or any(view.distortion for view in capture.views):
         return capture, Calibration(None, 0.0)
-    fitted = _Lattice.of(capture.views, 0.25, progress)
+    views = [view.reduced_to(PHOTO_WIDTH) for view in capture.views]
+    fitted = _Lattice.of(views, 0.25, progress)
 
     def correction(x: NDArray[np.floating]) -> CameraCorrection:
         return CameraCorrection(
@@ -92,7 +95,7 @@ def calibrate(
         )
 
     def disagreement(x: NDArray[np.floating]) -> float:
-        return fitted.disagreement(capture.views, correction(x), tracer)
+        return fitted.disagreement(views, correction(x), tracer)
 
     def watched(x: NDArray[np.floating]) -> float:
         progress.update(0.5)
@@ -107,8 +110,8 @@ def calibrate(
     start[0] = np.log(best)
     corners = start + np.concatenate([np.zeros((1, 5)), np.diag(SIMPLEX_STEP)])
     found = correction(simplex(watched, corners, CORRECTION_TOLERANCE, evaluations=MAX_EVALUATIONS)[0])
-    tested = _Lattice.of(capture.views, 0.75, progress)
-    before, after = (tested.disagreement(capture.views, c, tracer) for c in (CameraCorrection(float(field[0])), found))
+    tested = _Lattice.of(views, 0.75, progress)
+    before, after = (tested.disagreement(views, c, tracer) for c in (CameraCorrection(float(field[0])), found))
     if not np.isfinite([before, after]).all():
         return capture, Calibration(None, 0.0)
     gain = 1 - after / max(before, 1e-9)

@@ -107,8 +107,9 @@ def register(
     """
     decisions = decisions or Decisions()
     forced = decisions.forces("poses")
-    given = [view.camera for view in capture.views]
-    photos = _brightness(capture.views, progress)
+    small = [view.reduced_to(WIDTHS[-1]) for view in capture.views]
+    given = [view.camera for view in small]
+    photos = _brightness(small, progress)
     fitted, held_out = SurfacePoints.of(given, tracer, N_POINTS, rng).halves()
     seen, test = (_Sightings.of(points, given, tracer, rng) for points in (fitted, held_out))
     found, before = given, 0.0
@@ -128,7 +129,8 @@ def register(
     gain = 1 - after / before if before > 0 else 0.0
     if not decisions.accept("poses", before, after):
         return capture, Registration(None, gain)
-    views = tuple(replace(view, camera=camera) for view, camera in zip(capture.views, found, strict=True))
+    turned = (replace(view.camera, c2w=camera.c2w) for view, camera in zip(capture.views, found, strict=True))
+    views = tuple(replace(view, camera=camera) for view, camera in zip(capture.views, turned, strict=True))
     return replace(capture, views=views), Registration(PoseCorrections.between(given, found), gain)
 
 
@@ -141,8 +143,9 @@ def photo_disagreement(capture: Capture, tracer: Tracer, rng: np.random.Generato
     Raises:
         BadInput: a photo cannot be read.
     """
-    cameras = [view.camera for view in capture.views]
-    pictures = _pictures(_brightness(capture.views, progress), WIDTHS[-1])
+    views = [view.reduced_to(WIDTHS[-1]) for view in capture.views]
+    cameras = [view.camera for view in views]
+    pictures = _pictures(_brightness(views, progress), WIDTHS[-1])
     points = SurfacePoints.of(cameras, tracer, N_POINTS, rng)
     return _Sightings.of(points, cameras, tracer, rng).disagreement(pictures, cameras)
 

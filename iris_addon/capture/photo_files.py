@@ -75,8 +75,11 @@ def show(pixels: NDArray, orientation: int) -> NDArray:
     return np.ascontiguousarray(turned[:, ::-1] if mirrored else turned)
 
 
-def read_photo(path: Path) -> PhotoPixels:
+def read_photo(path: Path, shrink: int = 1) -> PhotoPixels:
     """The pixels of a photo as stored, whatever its EXIF orientation.
+
+    ``shrink`` (1, 2, 4 or 8) lets a JPEG decoder leave out high frequencies: each value is then about the mean over a
+    block of so many rows and columns, the last of which may be cut. Other files are read as they are.
 
     Values of 8 bits are codes / 255. More bits are given in the same convention, half a step of 8 bits below the value,
     because the response takes them to be floors.
@@ -89,6 +92,8 @@ def read_photo(path: Path) -> PhotoPixels:
     if path.suffix.lower() in RAW_SUFFIXES:
         return _read_raw(path)
     with open_photo(path) as image:
+        if shrink > 1:
+            image.draft("RGB", (image.width // shrink, image.height // shrink))
         if fine := _sixteen_bits(image, path):
             codes, alpha = fine
             return PhotoPixels(_floored(codes), _opaque(alpha, codes.shape[:2]), hdr=False)

@@ -103,7 +103,7 @@ def pixel_lobes(
     ls0, ls1 = specular_lobes(scene, samples, rows, roughness, irradiance, max(1, n_rays // 2), rng, progress)
     traced = np.flatnonzero(roughness < SPECULAR_ROUGH)
     both = np.concatenate([ls0[traced], ls1[traced]], 1)
-    smooth = denoise_lobes(both, samples, traced, region[traced], roughness[traced], cameras, photos.stride)
+    smooth = denoise_lobes(both, samples, traced, region[traced], roughness[traced], cameras)
     ls0[traced], ls1[traced] = smooth[:, :3], smooth[:, 3:]
     return ls0, ls1
 
@@ -126,7 +126,6 @@ def denoise_lobes(
     region: NDArray[np.integer],
     roughness: NDArray[np.floating],
     cameras: Sequence[Camera],
-    stride: int,
 ) -> NDArray[np.float32]:
     """Lobes (n, C) of the pixels ``rows`` (n,), averaged over neighbours that reflect nearly the same direction.
 
@@ -138,9 +137,8 @@ def denoise_lobes(
     Args:
         region, roughness: (n,) of each pixel.
         cameras: of the views, for the width of their photos.
-        stride: spacing of the lattice of pixels, see :func:`iris_addon.surface.primary_rays.pixel_lattice`.
     """
-    lattice = Lattice.of(samples.view[rows], samples.pixel[rows], cameras, stride, max(DENOISE_STEPS))
+    lattice = Lattice.of(samples.view[rows], samples.pixel[rows], cameras, max(DENOISE_STEPS))
     normal, toward = samples.normal[rows], samples.direction[rows]
     reflected = (2 * dot(normal, toward)[:, None] * normal - toward).astype(np.float32)
     precision = 0.5 / (np.float32(DENOISE_TURN) * ray_alpha(roughness)) ** 2

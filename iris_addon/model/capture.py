@@ -64,6 +64,19 @@ class Camera:
         x, y = w / self.width, h / self.height
         return replace(self, width=w, height=h, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y)
 
+    def reduced(self, factor: int) -> Camera:
+        """The camera whose pixels are blocks of ``factor`` x ``factor`` pixels of this one; what is left over at the
+        right and at the bottom is cut off."""
+        return replace(
+            self,
+            width=self.width // factor,
+            height=self.height // factor,
+            fx=self.fx / factor,
+            fy=self.fy / factor,
+            cx=self.cx / factor,
+            cy=self.cy / factor,
+        )
+
     def local(self, points: NDArray[np.floating]) -> FloatArray:
         """(..., 3) world-space points in the frame of the camera: x right, y up, z backward."""
         return (points - self.position) @ self.c2w[:3, :3]
@@ -113,6 +126,7 @@ class View:
         distortion: of the file on disk; :func:`iris_addon.capture.photos.load_photo` removes it.
         orientation: EXIF's, under which the stored photo is turned to fit its camera; 1 where it is taken as stored.
         mask: picture of the same size, above the middle grey where the photo may be used.
+        reduction: a pixel of ``camera`` is the mean over a block of so many rows and columns of the file.
     """
 
     name: str
@@ -123,6 +137,15 @@ class View:
     split: Split = "train"
     orientation: int = 1
     mask: Path | None = None
+    reduction: int = 1
+
+    def reduced(self, factor: int) -> View:
+        """The view at a size smaller by a whole ``factor``: :meth:`Camera.reduced`."""
+        return replace(self, camera=self.camera.reduced(factor), reduction=self.reduction * factor)
+
+    def reduced_to(self, width: int) -> View:
+        """The view reduced as far as it keeps ``width`` pixels in a row."""
+        return self.reduced(max(1, self.camera.width // width))
 
 
 @dataclass(frozen=True)

@@ -25,12 +25,22 @@ from ..surface.photo_samples import PhotoSamples
 from .family import FITTED
 from .observations import Observations
 from .overlap import fit_overlap
-from .radiance import Linearised, linearise_bytes, radiance_itself
+from .radiance import (
+    MODEL_NOISE,
+    Linearised,
+    darkest,
+    exposure_noise,
+    linearise_bytes,
+    radiance_itself,
+    relative_exposure,
+)
 
 EXPONENT_MAX_ERROR = 0.015
 """Standard deviation of the log exponent up to which recorded exposures fix it better than light transport does."""
 MIN_REGRESSION_SPREAD = 1e-6
 """Stops; keeps the error finite for photos of one exposure."""
+DISPLAY_STEPS = 1 << 16
+"""Display values that are told apart; all codes of 8 bits are among them."""
 MAX_RESPONSE_BYTES = 16 << 20
 """Of a response file."""
 
@@ -142,6 +152,41 @@ class Photometry:
 
         over_blocks(len(z), BLOCK, work)
         return whole
+
+    def exposures_of(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(H, W, 3) relative exposure of the display values of a photo, NaN where clipped; of HDR input radiance."""
+        if self.hdr:
+            return values
+        z = np.repeat(np.arange(DISPLAY_STEPS)[:, None] / (DISPLAY_STEPS - 1), 3, 1)
+        exposure, _ = relative_exposure(self.response, z, z == 0)
+        table = np.where(z >= SATURATED, np.nan, exposure).astype(np.float32)
+        exposures = np.empty(values.shape, np.float32)
+
+        def work(rows: slice) -> None:
+            step = np.rint(values[rows] * np.float32(DISPLAY_STEPS - 1)).astype(np.uint16)
+            for c in range(3):
+                exposures[rows, :, c] = table[:, c][step[..., c]]
+
+        over_blocks(len(values), 64, work)
+        return exposures
+
+    def linearise_exposures(
+        self, exposure: NDArray[np.floating], view: NDArray[np.integer], pixel: NDArray[np.integer]
+    ) -> Linearised:
+        """Radiance behind means of :meth:`exposures_of` (n, 3), around row-major pixels (n,) of views (n,)."""
+        t = self.exposure_at(view, pixel)
+        known = np.isfinite(exposure)
+        x = np.where(known, exposure, 1.0)
+        if self.hdr:
+            return replace(radiance_itself(x / t), unclipped=known)
+        noise, black = exposure_noise(self.response, x)
+        return Linearised(
+            radiance=x / t,
+            unclipped=known,
+            bound=np.where(known, 0.0, 1 / t),
+            ceiling=np.where(black, darkest(self.response) / t, np.inf),
+            precision=1.0 / (MODEL_NOISE**2 + noise**2),
+        )
 
     def develop(
         self, radiance: NDArray[np.floating], view: NDArray[np.integer], pixel: NDArray[np.integer]

@@ -154,6 +154,15 @@ def relative_exposure(
     return mean, np.hypot(lit * step, black * first) / np.sqrt(12) / np.maximum(mean, 1e-5)
 
 
+def exposure_noise(response: Response, exposure: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Relative standard deviation of means of :func:`relative_exposure` (n, 3) over single pixels, and whether all of
+    their bytes are 0."""
+    first = darkest(response)
+    black = exposure <= first / 2 * (1 + 1e-4)
+    step = np.where(black, first, (1 / 255) / np.maximum(response.slope(exposure), 1e-3))
+    return step / np.sqrt(12) / np.maximum(exposure, 1e-5), black
+
+
 def group_radiance(
     linear: Linearised,
     group: NDArray[np.integer],

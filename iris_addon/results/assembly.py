@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,16 +22,21 @@ from ..materials.rounds import MaterialProblem
 from ..materials.shading import Shading
 from ..materials.solution import Solution
 from ..materials.specular import pixel_lobes, subtract_specular
-from ..model.capture import Capture
+from ..model.capture import Capture, View
 from ..model.local_exposure import UNIFORM
 from ..model.recovered import Emitter, OutsideLight
 from ..response.photometry import Photometry
 from ..surface.primary_rays import PixelSamples, as_picture
 from ..surface.traced_room import TracedRoom
-from ..textures.atlas import Atlas
-from ..textures.bake import PixelAlbedo, pixel_albedo, pixel_weight
-from ..textures.paint import light_error, residual_light
+from ..textures.atlas import Atlas, interpolate_uv
+from ..textures.bake import PixelAlbedo, UsualPixel, pixel_albedo, pixel_weight
+from ..textures.paint import residual_light
+from ..textures.painting import Painter, PixelLight, paint_texels
 from ..textures.principled import make_textures
+from ..textures.texel_points import TexelPoints
+from .checkpoints import Checkpoints
+from .held_out import base_color_of_pixels, hold_out
+from .maps import bilinear
 from .report import MAX_WIDTH
 from .result import Result
 
@@ -40,25 +44,27 @@ RERENDERED_PHOTOS = 4
 """Photos shown in the report beside their re-rendering."""
 UNSEEN_LAMP_CONFIDENCE = 0.2
 """Confidence in a lamp that no photo shows."""
-HELD_OUT_SHARE = 0.02
-"""Share of pixels held out from the textures, on which these are tested."""
-Rows = slice | NDArray[np.bool_]
+Rows = slice | NDArray[np.integer]
 """Indexes some of the pixels."""
 
 
 def make_result(
     room: TracedRoom,
+    views: Sequence[View],
     config: SolveConfig,
     atlas: Atlas,
     problem: MaterialProblem,
     solution: Solution,
+    checkpoints: Checkpoints,
     progress: Progress,
 ) -> tuple[Result, dict[str, NDArray[np.float32]]]:
-    """Albedo per pixel, fused on the atlas; the result put together, and a few photos as it explains them.
+    """Textures painted from the photos; the result put together, and a few photos as it explains them.
 
     Args:
+        views: the photos at full size.
         atlas: with the texels of the pixels of ``room``.
         problem: with the lobes of ``solution``.
+        checkpoints: keep what each photo shows.
 
     Returns:
         The result, its report without :func:`with_figures`; and a few re-rendered photos by name, (H, W, 3).
@@ -80,31 +86,49 @@ def make_result(
     )
     metallic = gloss.metallic[region]
     view_factor = _view_factor(shading, patch, gloss.roughness[region], samples)
-    diffuse_light = irradiance * view_factor[:, None]
     expected = problem.observed.radiance[patch]
-    albedo, weight = _pixel_albedo(
-        room, photometry, expected, _PixelLight(irradiance, diffuse_light, ls0, ls1), metallic
-    )
+    pixel_light = PixelLight(irradiance, irradiance * view_factor[:, None], ls0, ls1)
+    albedo, weight, usual = _pixel_albedo(room, photometry, expected, pixel_light, metallic)
     of_patch = residual_light(light.field, light.surface.region, gloss.metallic < 0.5, patch, albedo, weight)
     # Of metals base colour is no quotient of irradiance; interpolation would bring in the factor of neighbours.
     brighter = np.where(metallic[:, None] > 0.5, np.float32(1), light.field.at_samples(samples, patch, of_patch))
-    albedo, diffuse_light = np.minimum(albedo / brighter, MAX_ALBEDO), diffuse_light * brighter
+    albedo, diffuse_light = np.minimum(albedo / brighter, MAX_ALBEDO), pixel_light.diffuse * brighter
     # The base colour of a metal is no quotient of irradiance, and a region of a scan need not be one object.
     painted = gloss.metallic < 0.5
     painted[region[room.scanned_pixels]] = False
-    held_out = stream(config.seed, "results.held_out_pixels").random(len(region)) < HELD_OUT_SHARE
-    error = light_error(light.field.spread(shading.irradiance))[patch]
-    pixels = PixelAlbedo(albedo, weight * ~held_out[:, None], error)
-    textures, base_color, paint = make_textures(atlas, light.regions, lights.mask, gloss, samples, pixels, painted)
+    held_out = hold_out(room, stream(config.seed, "results.held_out_pixels"))
+    painter = Painter(
+        room=room,
+        points=TexelPoints.of(room.tracer, atlas.uv, atlas.size),
+        regions=light.regions,
+        photometry=photometry,
+        gloss=gloss,
+        shading=shading,
+        light=pixel_light,
+        expected=problem.observed.radiance,
+        brighter=of_patch,
+        light_spread=light.field.spread(shading.irradiance),
+        usual=usual,
+        held_out=held_out.hidden,
+    )
+    texels = paint_texels(painter, views, atlas.size, checkpoints.table, progress)
+    pixels = PixelAlbedo(albedo, weight * ~held_out.hidden[:, None])
+    textures, paint = make_textures(atlas, light.regions, lights.mask, gloss, samples, pixels, texels, painted)
     emission = lights.face_emission(len(light.regions))[samples.face]
 
-    def explained(rows: Rows) -> NDArray[np.float64]:
+    def explained(rows: Rows, base_color: NDArray[np.floating]) -> NDArray[np.float64]:
         """(k, 3) display values of some pixels under the solved model; radiance for HDR input."""
-        seen = (column[rows] for column in (base_color, metallic, diffuse_light, ls0, ls1, emission))
-        return photometry.develop(_predict(*seen), samples.view[rows], samples.pixel[rows])
+        seen = (column[rows] for column in (metallic, diffuse_light, ls0, ls1, emission))
+        return photometry.develop(_predict(base_color, *seen), samples.view[rows], samples.pixel[rows])
 
-    shown = photos.z[held_out]
-    error = explained(held_out) - (shown if photos.hdr else np.clip(shown + 0.5 / 255, 0, 1))
+    def rerender(rows: slice) -> NDArray[np.float64]:
+        uv = interpolate_uv(atlas.uv, samples.face[rows], samples.barycentric[rows])
+        return explained(rows, bilinear(textures.base_color, uv))
+
+    tested = np.flatnonzero(held_out.tested)
+    shown = photos.z[tested]
+    found = explained(tested, base_color_of_pixels(textures, atlas, room, tested))
+    error = found - (shown if photos.hdr else np.clip(shown + 0.5 / 255, 0, 1))
     psnr, residual = -10 * np.log10(np.mean(error**2)), np.log(of_patch).std()
     paints = {"paints": paint.paints, "parts_of_one_colour": paint.plain_regions}
     report = {"holdout_psnr": float(psnr), "model": {"residual_light": round(float(residual), 4), **paints}}
@@ -127,32 +151,17 @@ def make_result(
         if light.hidden.holes is None
         else as_surface(problem.backdrop, light, lights, progress),
     )
-    return result, _rerenders(capture, samples, explained)
-
-
-class _PixelLight(NamedTuple):
-    """Light at n pixels, scene-linear Rec.709.
-
-    Attributes:
-        irradiance: (n, 3) irradiance / pi.
-        diffuse: (n, 3) radiance that a white diffuse surface sends to the camera.
-        ls0, ls1: (n, 3) specular lobes of equation (3).
-    """
-
-    irradiance: NDArray[np.floating]
-    diffuse: NDArray[np.floating]
-    ls0: NDArray[np.floating]
-    ls1: NDArray[np.floating]
+    return result, _rerenders(capture, samples, rerender)
 
 
 def _pixel_albedo(
     room: TracedRoom,
     photometry: Photometry,
     expected: NDArray[np.floating],
-    light: _PixelLight,
+    light: PixelLight,
     metallic: NDArray[np.floating],
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """(n, 3) base colour of each pixel, and its weight per channel, 1 at the median.
+) -> tuple[NDArray[np.float32], NDArray[np.float32], UsualPixel]:
+    """(n, 3) base colour of each pixel, its weight per channel, 1 at the median, and the medians of all.
 
     Args:
         expected: (n, 3) radiance of the patch of each, scene-linear Rec.709.
@@ -160,7 +169,7 @@ def _pixel_albedo(
     """
     photos, samples, mixed, scanned = room.photos, room.samples, room.mixed.mask, room.scanned_pixels
     irradiance, ls0, ls1 = light.irradiance, light.ls0, light.ls1
-    usual = float(np.median(samples.footprint)), float(np.median(irradiance))
+    usual = UsualPixel(float(np.median(samples.footprint)), float(np.median(irradiance)))
     albedo, weight = np.empty(irradiance.shape, np.float32), np.empty(irradiance.shape, np.float32)
 
     def work(rows: slice) -> None:
@@ -168,13 +177,12 @@ def _pixel_albedo(
         linear = linear.agreeing_with(expected[rows])
         specular = subtract_specular(ls0[rows], ls1[rows], metallic[rows])
         albedo[rows] = pixel_albedo(linear.radiance, specular, ls0[rows], light.diffuse[rows], metallic[rows])
-        seen = samples.cosine[rows], samples.footprint[rows]
-        sharp = pixel_weight(*seen, irradiance[rows], specular, mixed[rows], scanned[rows], *usual)
+        sharp = pixel_weight(samples.take(rows), irradiance[rows], specular, mixed[rows], scanned[rows], usual)
         weight[rows] = sharp * linear.unclipped * linear.precision
 
     over_blocks(len(metallic), BLOCK, work)
-    weight /= np.median(weight[weight > 0])
-    return albedo, weight
+    usual = replace(usual, weight=float(np.median(weight[weight > 0])))
+    return albedo, weight / np.float32(usual.weight), usual
 
 
 def _view_factor(
@@ -190,7 +198,7 @@ def _view_factor(
 
 
 def _rerenders(
-    capture: Capture, samples: PixelSamples, explained: Callable[[Rows], NDArray[np.float64]]
+    capture: Capture, samples: PixelSamples, explained: Callable[[slice], NDArray[np.float64]]
 ) -> dict[str, NDArray[np.float32]]:
     """A few photos by name as the model explains them, (H, W, 3); large ones without some rows and columns."""
     pictures = {}

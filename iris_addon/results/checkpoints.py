@@ -19,7 +19,7 @@ from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
 from ..base.errors import BadInput, IrisError
-from ..base.files import abandoned, is_own_folder, read_arrays, write_arrays
+from ..base.files import abandoned, atomic_write, is_own_folder, read_arrays, write_arrays
 from ..config import SolveConfig
 from ..model.capture import Capture
 from .files import PREVIEWS, preview_path
@@ -76,12 +76,31 @@ class Checkpoints:
         # The arrays are returned, not what they were made from: later stages must not depend on a resumed run.
         return arrays
 
+    def table(self, name: str, compute: Callable[[], NDArray]) -> NDArray:
+        """A table (rows of plain fields) that stays on disk and is read where it is used.
+
+        It is read back if the same solve has written it before and may be resumed.
+        """
+        path = self._table_path(name)
+        known = _mapped(path) if self.resume else None
+        if known is None:
+            table = compute()
+            atomic_write(path, lambda temporary: np.save(temporary, table, allow_pickle=False))
+            known = _mapped(path)
+        if known is None:
+            raise IrisError("cannot be read back", "check the folder and its disk", path)
+        return known
+
+    def _table_path(self, name: str) -> Path:
+        return self.folder / f"{name}.{self.key[:16]}.npy"
+
     def clear(self) -> None:
         """Remove the stage files and the previews beside them, once the result is saved."""
         if not is_own_folder(self.folder):  # a link in a result from elsewhere
             return
         stages = [self.folder / f"{name}.npz" for name in get_args(Stage)]
-        for path in (*stages, *(preview_path(self.folder.parent, kind) for kind in PREVIEWS)):
+        tables = self.folder.glob("*.npy")  # also of other solves, and half-written ones
+        for path in (*stages, *tables, *(preview_path(self.folder.parent, kind) for kind in PREVIEWS)):
             for mine in (path, *abandoned(path)):
                 mine.unlink(missing_ok=True)
         if not any(self.folder.iterdir()):
@@ -92,6 +111,20 @@ class Checkpoints:
         if arrays is None or str(arrays.pop("key", None)) != self.key:
             return None
         return arrays
+
+
+def _mapped(path: Path) -> NDArray | None:
+    """The table in a file, mapped into memory; None where it is missing or damaged."""
+    try:
+        table = np.load(path, mmap_mode="r", allow_pickle=False)
+    except ValueError:  # damaged, or without rows, which cannot be mapped
+        try:
+            table = np.load(path, allow_pickle=False)
+        except (ValueError, OSError, EOFError):
+            return None
+    except (OSError, EOFError):
+        return None
+    return table if isinstance(table, np.ndarray) else None
 
 
 # ---- one solve per folder ------------------------------------------------------------------------------------------

@@ -104,7 +104,7 @@ def _photos(saver: Pictures, shown: Sequence[View], pictures: Mapping[str, Float
     for view in shown:
         if view.photo is None or view.name not in pictures:
             continue
-        photo = load_photo(view)
+        photo = load_photo(view.reduced_to(MAX_WIDTH))
         valid = np.repeat(photo.valid[..., None].astype(np.float32), 3, -1)
         theirs, ours, valid = (_shown(image, view.camera) for image in (photo.values, pictures[view.name], valid))
         if photo.hdr:  # radiance is looked at with its median at middle grey

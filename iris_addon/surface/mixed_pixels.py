@@ -18,9 +18,8 @@ from scipy.ndimage import distance_transform_edt
 from ..base.compiled import Integer, inlined, kernel
 from ..base.parallel import BLOCK, over_blocks, over_each
 from ..model.capture import Camera
-from ..rays.tracer import Tracer
 from .photo_samples import PhotoSamples
-from .primary_rays import NEIGHBOURS, NO_PIXEL, Lattice, PixelSamples, trace_view
+from .primary_rays import NO_PIXEL, Lattice, PixelSamples
 
 CREASE_COSINE = 0.7
 """Cosine between the normals of neighbouring pixels below which there is a crease between them."""
@@ -47,73 +46,31 @@ class MixedPixels:
 
     @staticmethod
     def of(
-        tracer: Tracer,
-        photos: PhotoSamples,
-        regions: NDArray[np.integer],
-        cameras: Sequence[Camera],
-        outline_error: float = 0.0,
+        photos: PhotoSamples, regions: NDArray[np.integer], cameras: Sequence[Camera], outline_error: float = 0.0
     ) -> MixedPixels:
         """The mixed pixels among those of ``photos``, taken by ``cameras``, on faces of ``regions`` (F,).
 
         Args:
             outline_error: distance in metres by which outlines of the mesh may be beside those of the photos.
         """
-        samples, stride = photos.samples, photos.stride
-        mask = mixed_pixels(tracer, samples, regions, cameras, stride)
+        mask = mixed_pixels(photos.samples, regions, cameras)
         if outline_error > 0:
-            mask |= beside_outlines(samples, cameras, stride, outline_error)
-        return MixedPixels(mask, brighter_neighbours(samples, photos.z, mask, regions, cameras, stride))
+            mask |= beside_outlines(photos.samples, cameras, outline_error)
+        return MixedPixels(mask, brighter_neighbours(photos.samples, photos.z, mask, regions, cameras))
 
 
-def mixed_pixels(
-    tracer: Tracer, samples: PixelSamples, regions: NDArray[np.integer], cameras: Sequence[Camera], stride: int
-) -> NDArray[np.bool_]:
+def mixed_pixels(samples: PixelSamples, regions: NDArray[np.integer], cameras: Sequence[Camera]) -> NDArray[np.bool_]:
     """(n,) pixels with a neighbour that shows another region, lies beyond a crease or off their plane, or misses the
     mesh.
 
-    Something thin between the pixels of a coarse lattice (:func:`.primary_rays.pixel_lattice`) goes unnoticed.
+    Something thinner than a pixel, between the rays of two, goes unnoticed.
 
     Args:
         regions: (F,) region of each face.
         cameras: of all views, in the order of ``samples.view``.
-        stride: spacing of the lattice, pixels.
     """
-    mixed = _beside_others(samples, regions, cameras, stride)
-    if stride == 1:
-        return mixed
-    # The next pixel of the lattice lies beyond the footprint: candidates are tested against their true neighbours.
-    bounds = np.searchsorted(samples.view, np.arange(len(cameras) + 1))
-
-    def probe(index: int) -> None:
-        rows = bounds[index] + np.flatnonzero(mixed[bounds[index] : bounds[index + 1]])
-        if len(rows):
-            mixed[rows] = _probe(tracer, samples.pixel[rows], regions, cameras[index])
-
-    over_each(range(len(cameras)), probe)
-    return mixed
-
-
-def _probe(
-    tracer: Tracer, pixel: NDArray[np.integer], regions: NDArray[np.integer], camera: Camera
-) -> NDArray[np.bool_]:
-    """(k,) which of the pixels (k,) of one photo are mixed, by rays through them and their neighbours."""
-    row, column = np.divmod(pixel.astype(np.int64), camera.width)
-    wanted = np.zeros(camera.height * camera.width, bool)
-    wanted[pixel] = True
-    for down, across in NEIGHBOURS:
-        near = np.clip(row + down, 0, camera.height - 1), np.clip(column + across, 0, camera.width - 1)
-        wanted[near[0] * camera.width + near[1]] = True
-    traced = trace_view(tracer, camera, 0, np.flatnonzero(wanted).astype(np.int32))
-    mixed = np.ones(camera.height * camera.width, bool)
-    mixed[traced.pixel] = _beside_others(traced, regions, [camera], 1)
-    return mixed[pixel]
-
-
-def _beside_others(
-    samples: PixelSamples, regions: NDArray[np.integer], cameras: Sequence[Camera], stride: int
-) -> NDArray[np.bool_]:
-    lattice = Lattice.of(samples.view, samples.pixel, cameras, stride, margin=1)
-    surface = _Surface(regions[samples.face], samples.position, samples.normal, samples.footprint, stride)
+    lattice = Lattice.of(samples.view, samples.pixel, cameras, margin=1)
+    surface = _Surface(regions[samples.face], samples.position, samples.normal, samples.footprint)
     mixed = np.empty(len(surface.region), bool)
 
     def work(block: slice) -> None:
@@ -123,22 +80,20 @@ def _beside_others(
     return mixed
 
 
-def beside_outlines(
-    samples: PixelSamples, cameras: Sequence[Camera], stride: int, outline_error: float
-) -> NDArray[np.bool_]:
+def beside_outlines(samples: PixelSamples, cameras: Sequence[Camera], outline_error: float) -> NDArray[np.bool_]:
     """(n,) pixels that may show what is on the other side of an outline, which lies up to ``outline_error`` metres
     beside its place.
 
     An outline runs where the next pixel shows a surface well off the plane of this one. The error is that of the nearer
     side, and spans more pixels the nearer that is.
     """
-    lattice = Lattice.of(samples.view, samples.pixel, cameras, stride, margin=1)
+    lattice = Lattice.of(samples.view, samples.pixel, cameras, margin=1)
     width = np.empty(len(samples.view), np.float32)
 
     def work(block: slice) -> None:
         places = lattice.slot[block], lattice.pitch[block], lattice.occupant
         surface = samples.position, samples.normal, samples.footprint
-        _measure_outlines(block.start, *places, *surface, stride, outline_error, width[block])
+        _measure_outlines(block.start, *places, *surface, outline_error, width[block])
 
     over_blocks(len(width), BLOCK, work)
     mask = np.zeros(len(width), bool)
@@ -147,12 +102,12 @@ def beside_outlines(
     def widen(index: int) -> None:
         rows, camera = slice(ends[index], ends[index + 1]), cameras[index]
         row, column = np.divmod(samples.pixel[rows], camera.width)
-        widths = np.zeros((-(-camera.height // stride), -(-camera.width // stride)), np.float32)
-        widths[row // stride, column // stride] = np.minimum(width[rows], OUTLINE_MAX_PIXELS)
+        widths = np.zeros((camera.height, camera.width), np.float32)
+        widths[row, column] = np.minimum(width[rows], OUTLINE_MAX_PIXELS)
         reached = widths >= 0.5
         for pixels in range(1, int(widths.max()) + 1):
             reached |= np.asarray(distance_transform_edt(widths < pixels)) <= pixels
-        mask[rows] = reached[row // stride, column // stride]
+        mask[rows] = reached[row, column]
 
     over_each(range(len(cameras)), widen)
     return mask
@@ -167,11 +122,10 @@ def _measure_outlines(
     position: NDArray[np.float32],
     normal: NDArray[np.float32],
     footprint: NDArray[np.float32],
-    stride: int,
     outline_error: float,
     width: NDArray[np.float32],
 ) -> None:
-    """Fill ``width`` with the error of the outlines beside each pixel, in pixels of the lattice; 0 without one."""
+    """Fill ``width`` with the error of the outlines beside each pixel, in pixels; 0 without one."""
     for k in range(len(slot)):
         own, widest = first + k, 0.0
         for down in range(-1, 2):
@@ -185,19 +139,17 @@ def _measure_outlines(
                     above += step * normal[own, axis]
                     below += step * normal[near, axis]
                 if min(abs(above), abs(below)) > OUTLINE_STEP * outline_error:
-                    widest = max(widest, outline_error / (stride * min(footprint[own], footprint[near])))
+                    widest = max(widest, outline_error / min(footprint[own], footprint[near]))
         width[k] = widest
 
 
 class _Surface(NamedTuple):
-    """What n pixels show: region (n,), position (n, 3) and footprint (n,) in metres, unit normal (n, 3); and the
-    spacing of their lattice in pixels."""
+    """What n pixels show: region (n,), position (n, 3) and footprint (n,) in metres, unit normal (n, 3)."""
 
     region: NDArray[np.integer]
     position: NDArray[np.float32]
     normal: NDArray[np.float32]
     footprint: NDArray[np.float32]
-    stride: int
 
 
 @inlined
@@ -209,7 +161,7 @@ def _apart(surface: _Surface, a: Integer, b: Integer) -> Any:
         step = p[b, axis] - p[a, axis]
         above += step * n[a, axis]
         below += step * n[b, axis]
-    reach = surface.stride * min(surface.footprint[a], surface.footprint[b])
+    reach = min(surface.footprint[a], surface.footprint[b])
     return surface.region[a] != surface.region[b] or max(abs(above), abs(below)) > reach
 
 
@@ -249,7 +201,6 @@ def brighter_neighbours(
     mixed: NDArray[np.bool_],
     regions: NDArray[np.integer],
     cameras: Sequence[Camera],
-    stride: int,
 ) -> NDArray[np.int32]:
     """(n,) for each mixed pixel the brightest neighbour on another surface, -1 where all are darker than it.
 
@@ -260,10 +211,9 @@ def brighter_neighbours(
         mixed: (n,) bool, the result of :func:`mixed_pixels`.
         regions: (F,) region of each face.
         cameras: of all views, in the order of ``samples.view``.
-        stride: spacing of the lattice, pixels.
     """
-    lattice = Lattice.of(samples.view, samples.pixel, cameras, stride, margin=1)
-    surface = _Surface(regions[samples.face], samples.position, samples.normal, samples.footprint, stride)
+    lattice = Lattice.of(samples.view, samples.pixel, cameras, margin=1)
+    surface = _Surface(regions[samples.face], samples.position, samples.normal, samples.footprint)
     brightest, rows = np.full(len(mixed), -1, np.int32), np.flatnonzero(mixed)
     level = z.mean(1)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,18 +13,18 @@ from ..base.errors import BadInput
 from ..base.parallel import over_each
 from ..base.progress import Progress
 from ..capture.photos import load_photo, photos_at_once
-from ..model.capture import Capture
+from ..model.capture import Capture, View
 from ..model.local_exposure import SmallPhotos, small_photo
 from ..rays.tracer import Tracer
-from .primary_rays import PixelSamples, pixel_lattice, stride_for_budget, trace_pixels
+from .primary_rays import PixelSamples, all_pixels, trace_pixels
 
 PIXEL_BUDGET = 6_500_000
-"""Most pixels traced; above it, one pixel of every n x n block is taken, another one in every photo."""
+"""Most pixels that light, response and gloss are solved from; larger photos are reduced."""
 UNIT_MEDIAN = 0.2
 """Median radiance that HDR photos are scaled to: that of photos with exposures around 1, for which the solver's
 thresholds were set."""
 BACKDROP_STEP = 7
-"""Of the lattice, one pixel in so many is tested for missing the mesh: it shows the backdrop."""
+"""One pixel in so many is tested for missing the mesh: it shows the backdrop."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,6 @@ class PhotoSamples:
         z: (n, 3) float32 display values in [0, 1], or scene-linear Rec.709 radiance for HDR input.
         hdr: whether ``z`` is radiance.
         backdrop: some of the pixels that miss the mesh.
-        stride: one pixel of every stride x stride block was traced.
         small: the photos at a small size.
     """
 
@@ -62,7 +62,6 @@ class PhotoSamples:
     z: NDArray[np.float32]
     hdr: bool
     backdrop: BackdropPixels
-    stride: int
     small: SmallPhotos
 
     @property
@@ -90,15 +89,21 @@ class _Read(NamedTuple):
     small: tuple[NDArray, NDArray]
 
 
+def within_budget(views: Sequence[View], budget: int = PIXEL_BUDGET) -> tuple[View, ...]:
+    """The views, reduced by the smallest whole factor with which all have at most ``budget`` pixels together."""
+    total = sum(view.camera.width * view.camera.height for view in views)
+    factor = max(1, int(np.ceil(np.sqrt(total / budget) - 1e-9)))
+    return tuple(view.reduced(factor) for view in views) if factor > 1 else tuple(views)
+
+
 def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progress) -> PhotoSamples:
-    """Trace a lattice of pixels of every training photo and read their values.
+    """Trace the pixels of every training photo and read their values.
 
     Raises:
         BadInput: a photo cannot be read, or none shows the mesh.
     """
     cameras = [view.camera for view in capture.views]
-    stride = stride_for_budget(cameras, PIXEL_BUDGET)
-    samples = trace_pixels(tracer, cameras, stride, progress)
+    samples = trace_pixels(tracer, cameras, progress)
     z = np.empty((len(samples.view), 3), np.float32)
     valid = np.empty(len(samples.view), bool)
     ends = np.searchsorted(samples.view, np.arange(len(cameras) + 1))
@@ -107,7 +112,7 @@ def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progres
         photo, rows = load_photo(capture.views[index]), slice(ends[index], ends[index + 1])
         values, shown = photo.values.reshape(-1, 3), photo.valid.ravel()
         z[rows], valid[rows] = values[samples.pixel[rows]], shown[samples.pixel[rows]]
-        lattice = pixel_lattice(cameras[index], stride, index)[::BACKDROP_STEP]
+        lattice = all_pixels(cameras[index])[::BACKDROP_STEP]
         missed = np.setdiff1d(lattice[shown[lattice]], samples.pixel[rows])
         columns = np.full(len(missed), index, np.int16), missed, cameras[index].rays(missed)[1], values[missed]
         return _Read(photo.hdr, len(lattice), columns, small_photo(photo.values, photo.valid))
@@ -125,6 +130,4 @@ def sample_photos(capture: Capture, tracer: Tracer, hdr: bool, progress: Progres
     backdrop = BackdropPixels(len(columns[0]) / sum(photo.tested for photo in photos), *columns)
     sizes = np.array([(camera.height, camera.width) for camera in cameras])
     shown, clipped = (np.stack(pictures) for pictures in zip(*(photo.small for photo in photos), strict=True))
-    return PhotoSamples(
-        samples=samples, z=z, hdr=hdr, backdrop=backdrop, stride=stride, small=SmallPhotos(shown, clipped, sizes)
-    )
+    return PhotoSamples(samples=samples, z=z, hdr=hdr, backdrop=backdrop, small=SmallPhotos(shown, clipped, sizes))

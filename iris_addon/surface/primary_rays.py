@@ -1,8 +1,5 @@
-"""Primary rays: where the pixels of the photos meet the mesh, traced once.
-
-Large captures are traced on a lattice, one pixel in a square block of each photo (:func:`pixel_lattice`).
-:class:`Lattice` finds the neighbours of a pixel there.
-"""
+"""Primary rays: where the pixels of the photos meet the mesh, traced once; :class:`Lattice` finds the neighbours of a
+pixel."""
 
 from __future__ import annotations
 
@@ -54,18 +51,9 @@ class PixelSamples:
         """(n_faces,) faces that a pixel shows."""
         return np.bincount(self.face, minlength=n_faces) > 0
 
-    def take(self, rows: NDArray[np.integer]) -> PixelSamples:
+    def take(self, rows: slice | NDArray[np.integer]) -> PixelSamples:
         """Some of the pixels."""
         return PixelSamples(*(getattr(self, column.name)[rows] for column in fields(self)))
-
-
-def pixel_lattice(camera: Camera, stride: int, phase: int) -> NDArray[np.int32]:
-    """(k,) row-major indices of one pixel in each ``stride`` x ``stride`` block; ``phase`` shifts the lattice from view
-    to view."""
-    row, column = divmod(phase % (stride * stride), stride)
-    rows = np.arange(row, camera.height, stride)
-    columns = np.arange(column, camera.width, stride)
-    return (rows[:, None] * camera.width + columns[None, :]).astype(np.int32).ravel()
 
 
 def as_picture(
@@ -87,21 +75,20 @@ def as_picture(
     return picture[nearest[0], nearest[1]]
 
 
-def stride_for_budget(cameras: Sequence[Camera], budget: int) -> int:
-    """Smallest lattice spacing that keeps the pixels of all cameras within ``budget``."""
-    total = sum(camera.width * camera.height for camera in cameras)
-    return max(1, int(np.ceil(np.sqrt(total / budget) - 1e-9)))
-
-
-def trace_pixels(tracer: Tracer, cameras: Sequence[Camera], stride: int, progress: Progress) -> PixelSamples:
-    """Primary rays through the centres of a lattice of pixels of every camera."""
+def trace_pixels(tracer: Tracer, cameras: Sequence[Camera], progress: Progress) -> PixelSamples:
+    """Primary rays through the centres of all pixels of every camera."""
     views = over_each(
         range(len(cameras)),
-        lambda index: trace_view(tracer, cameras[index], index, pixel_lattice(cameras[index], stride, index)),
+        lambda index: trace_view(tracer, cameras[index], index, all_pixels(cameras[index])),
         progress.update,
     )
     names = [column.name for column in fields(PixelSamples)]
     return PixelSamples(*(np.concatenate([getattr(view, name) for view in views]) for name in names))
+
+
+def all_pixels(camera: Camera) -> NDArray[np.int32]:
+    """(H * W,) row-major indices of the pixels of ``camera``."""
+    return np.arange(camera.height * camera.width, dtype=np.int32)
 
 
 def trace_view(tracer: Tracer, camera: Camera, index: int, pixel: NDArray[np.int32]) -> PixelSamples:
@@ -125,24 +112,22 @@ def trace_view(tracer: Tracer, camera: Camera, index: int, pixel: NDArray[np.int
     )
 
 
-# ---- neighbours on the lattice -------------------------------------------------------------------------------------
+# ---- neighbours ----------------------------------------------------------------------------------------------------
 
 
 NO_PIXEL = -1
-"""In place of a pixel: a place of the lattice whose pixel is not in the set."""
+"""In place of a pixel: one that is not in the set."""
 OUTSIDE_PHOTO = -2
 """In place of a pixel: a place beyond the edge of the photo."""
-NEIGHBOURS = [(down, across) for down in (-1, 0, 1) for across in (-1, 0, 1) if down or across]
-"""Rows down and columns across from a pixel to the eight around it."""
 
 
 @dataclass(frozen=True)
 class Lattice:
-    """The lattices of all photos (:func:`pixel_lattice`) in one flat array, with a margin around each.
+    """The pixels of all photos in one flat array, with a margin around each photo.
 
     Attributes:
         slot: (n,) index of each pixel in that array.
-        pitch: (n,) length of a row of its photo's lattice there.
+        pitch: (n,) length of a row of its photo there.
         occupant: (m,) the array: index of the pixel at each place, :data:`NO_PIXEL` or :data:`OUTSIDE_PHOTO`.
     """
 
@@ -151,16 +136,14 @@ class Lattice:
     occupant: NDArray[np.int32]
 
     @staticmethod
-    def of(
-        view: NDArray[np.integer], pixel: NDArray[np.integer], cameras: Sequence[Camera], stride: int, margin: int
-    ) -> Lattice:
+    def of(view: NDArray[np.integer], pixel: NDArray[np.integer], cameras: Sequence[Camera], margin: int) -> Lattice:
         """The lattice of row-major pixels (n,) of views (n,), for neighbours up to ``margin`` rows or columns away."""
-        wide = np.array([-(-camera.width // stride) + 2 * margin for camera in cameras])
-        high = np.array([-(-camera.height // stride) + 2 * margin for camera in cameras])
+        wide = np.array([camera.width + 2 * margin for camera in cameras])
+        high = np.array([camera.height + 2 * margin for camera in cameras])
         first = np.concatenate([[0], np.cumsum(wide * high)])
         row, column = np.divmod(pixel, np.array([camera.width for camera in cameras])[view])
         pitch = wide[view]
-        slot = first[view] + (row // stride + margin) * pitch + column // stride + margin
+        slot = first[view] + (row + margin) * pitch + column + margin
         occupant = np.full(first[-1], OUTSIDE_PHOTO, np.int32)
         for start, stop, width in zip(first[:-1], first[1:], wide, strict=True):
             occupant[start:stop].reshape(-1, width)[margin:-margin, margin:-margin] = NO_PIXEL

@@ -101,7 +101,7 @@ def trace_room(
         photos=photos,
         adjacency=adjacency,
         regions=regions,
-        mixed=MixedPixels.of(tracer, photos, regions.of_face, cameras, surface.outline_error),
+        mixed=MixedPixels.of(photos, regions.of_face, cameras, surface.outline_error),
         patches=patches,
         field=IrradianceField.build(patches),
     )

@@ -9,17 +9,16 @@ completed from similar texels of the region (:func:`complete_channels`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.compiled import Integer, kernel
 from ..base.group_by import group_equal, group_medians
-from ..base.parallel import over_shares
 from ..lighting.balance import MAX_ALBEDO
 from ..response.observations import MIXED_WEIGHT
+from ..surface.primary_rays import PixelSamples
 
 DIM_IRRADIANCE = 0.05
 """Irradiance, in medians, below which radiance over irradiance is unreliable."""
@@ -45,7 +44,6 @@ ALL_CHANNELS = 7
 """Bits of the three channels."""
 KNOWN_CHANNELS: tuple[Sequence[int], ...] = (*combinations(range(3), 1), *combinations(range(3), 2))
 """Sets of channels from which the others can be completed."""
-TINY = np.float32(1e-12)
 
 
 @dataclass(frozen=True)
@@ -55,12 +53,10 @@ class PixelAlbedo:
     Attributes:
         value: (n, 3) linear Rec.709, 0 to MAX_ALBEDO.
         weight: (n, 3) statistical weight of each channel, in units of the median one; 0 where clipped.
-        light_error: (n,) standard deviation of the log irradiance that it was divided by.
     """
 
     value: NDArray[np.floating]
     weight: NDArray[np.floating]
-    light_error: NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -98,110 +94,50 @@ def pixel_albedo(
     return np.clip((radiance - specular) / np.maximum(per_unit, 1e-5), 0.0, MAX_ALBEDO).astype(np.float32)
 
 
+@dataclass(frozen=True)
+class UsualPixel:
+    """Medians over the pixels of all photos.
+
+    Attributes:
+        footprint: metres.
+        irradiance: over pi.
+        weight: what :func:`pixel_weight` times the precision gives.
+    """
+
+    footprint: float
+    irradiance: float
+    weight: float = 1.0
+
+    def at(self, zoom: float) -> UsualPixel:
+        """The same of photos with ``zoom`` times as many rows and columns."""
+        return replace(self, footprint=self.footprint / zoom)
+
+
 def pixel_weight(
-    cosine: NDArray[np.floating],
-    footprint: NDArray[np.floating],
+    samples: PixelSamples,
     irradiance: NDArray[np.floating],
     specular: NDArray[np.floating],
     mixed: NDArray[np.bool_],
     scanned: NDArray[np.bool_],
-    usual_footprint: float,
-    usual_irradiance: float,
+    usual: UsualPixel,
 ) -> NDArray[np.float32]:
     """(n, 3) weight of each pixel: larger close by and head-on, smaller in the dark, under a highlight and where mixed.
 
     Dividing by irradiance turns errors of irradiance and of the specular part into errors of albedo.
 
     Args:
-        cosine: (n,) between normal and direction to the camera.
-        footprint: (n,) metres on the surface spanned by the pixel.
+        samples: the pixels.
         irradiance: (n, 3) irradiance / pi.
         specular: (n, 3) radiance subtracted from that of the pixel.
         mixed: (n,) bool, mixed pixels.
         scanned: (n,) bool, pixels on a scan, whose edges are edges of colour between surfaces in the same light.
-        usual_footprint, usual_irradiance: medians over all pixels.
     """
-    resolution = usual_footprint / np.maximum(footprint, 1e-6)
-    lit = irradiance / (irradiance + DIM_IRRADIANCE * usual_irradiance)
+    resolution = usual.footprint / np.maximum(samples.footprint, 1e-6)
+    lit = irradiance / (irradiance + DIM_IRRADIANCE * usual.irradiance)
     highlight = HIGHLIGHT_PRECISION * specular.mean(1) / np.maximum(irradiance.mean(1), 1e-6)
     edge = np.where(mixed, np.where(scanned, np.float32(MIXED_WEIGHT), np.float32(MODELLED_EDGE_WEIGHT)), np.float32(1))
-    sharp = cosine**2 * np.clip(resolution, 0.05, 20.0) ** 2 * edge
+    sharp = samples.cosine**2 * np.clip(resolution, 0.05, 20.0) ** 2 * edge
     return ((sharp / (1 + highlight**2))[:, None] * lit**2).astype(np.float32)
-
-
-def fuse_texels(
-    texel: NDArray[np.integer],
-    value: NDArray[np.floating],
-    weight: NDArray[np.floating],
-    n_texels: int,
-) -> TexelAlbedo:
-    """Robust weighted mean per texel.
-
-    Args:
-        texel: (n,) flat texel index of each pixel.
-        value: (n, 3) albedo.
-        weight: (n, 3) of each channel; 0 where clipped.
-    """
-    row = np.full(n_texels, -1, np.int32)
-    row[texel[weight.any(1)]] = 0
-    texels = np.flatnonzero(row == 0)
-    row[texels] = np.arange(len(texels), dtype=np.int32)
-    fused, norm = np.empty((len(texels), 3), np.float32), np.empty(len(texels), np.float32)
-    at = row[texel]
-
-    def work(some: slice) -> None:
-        first, agreeing = np.zeros((2, some.stop - some.start, 6), np.float32)
-        _add_up(at, some.start, value, weight, first)
-        _add_up_agreeing(at, some.start, value, weight, first, agreeing)
-        shown = agreeing[:, :3] / np.maximum(agreeing[:, 3:], TINY)
-        norm[some] = first[:, 3:].max(1)
-        fused[some] = np.where(first[:, 3:] > CHANNEL_MIN_SHARE * norm[some, None], shown, np.nan)
-
-    # Each thread reads all pixels and adds up those of its own texels: reading costs less than adding.
-    over_shares(len(texels), work)
-    return TexelAlbedo(texels, fused, norm)
-
-
-@kernel
-def _add_up(
-    row: NDArray[np.int32],
-    begin: Integer,
-    value: NDArray[np.floating],
-    weight: NDArray[np.floating],
-    sums: NDArray[np.float32],
-) -> None:
-    """Add weighted values and weights to ``sums`` (T, 6) of the texels from ``begin`` on; ``row`` (n,) is the texel of
-    each pixel, -1 for none."""
-    for i in range(len(row)):
-        t = row[i] - begin
-        if 0 <= t < len(sums):
-            for c in range(3):
-                sums[t, c] += weight[i, c] * value[i, c]
-                sums[t, 3 + c] += weight[i, c]
-
-
-@kernel
-def _add_up_agreeing(
-    row: NDArray[np.int32],
-    begin: Integer,
-    value: NDArray[np.floating],
-    weight: NDArray[np.floating],
-    first: NDArray[np.float32],
-    sums: NDArray[np.float32],
-) -> None:
-    """The same with pixels down-weighted by their distance from the mean of their texel, that of the sums ``first``."""
-    for i in range(len(row)):
-        t, off, level = row[i] - begin, 0.0, DIM_ALBEDO
-        if t < 0 or t >= len(sums):
-            continue
-        for c in range(3):
-            mean = first[t, c] / max(first[t, 3 + c], TINY)
-            off += abs(value[i, c] - mean) / 3
-            level += mean / 3
-        w = 1 / (1 + (off / (level * OUTLIER_DISTANCE)) ** 2)
-        for c in range(3):
-            sums[t, c] += w * weight[i, c] * value[i, c]
-            sums[t, 3 + c] += w * weight[i, c]
 
 
 # ---- channels that clip in every photo -----------------------------------------------------------------------------

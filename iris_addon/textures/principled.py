@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,9 +13,10 @@ from ..materials.gloss import Gloss
 from ..model.recovered import Textures
 from ..surface.primary_rays import PixelSamples
 from .atlas import Atlas
-from .bake import DIM_ALBEDO, PixelAlbedo, TexelAlbedo, complete_channels, fuse_texels
+from .bake import DIM_ALBEDO, PixelAlbedo, TexelAlbedo, complete_channels
 from .fill import extend_texels, fill_texels
 from .paint import Paint, find_paint, shared_paint
+from .texel_points import TexelPoints
 
 EXPECTED_WEIGHT = 0.02
 """Weight of the expected colour of a texel, in head-on pixels; a texel of less weight is uncertain."""
@@ -25,6 +28,21 @@ FULL_CONFIDENCE_WEIGHT = 4.0
 """Weight of a texel, in head-on pixels, at which its confidence is 1."""
 
 
+@dataclass(frozen=True)
+class PaintedTexels:
+    """Base colour of texels as photos show it, with the surface under them.
+
+    Attributes:
+        points: T texels.
+        fused: base colour of those among them that a photo shows.
+        light_error: (T,) standard deviation of the log irradiance that it was divided by.
+    """
+
+    points: TexelPoints
+    fused: TexelAlbedo
+    light_error: NDArray[np.floating]
+
+
 def make_textures(
     atlas: Atlas,
     regions: NDArray[np.int32],
@@ -32,27 +50,26 @@ def make_textures(
     gloss: Gloss,
     samples: PixelSamples,
     pixels: PixelAlbedo,
+    texels: PaintedTexels,
     painted: NDArray[np.bool_],
-) -> tuple[Textures, NDArray[np.float32], Paint]:
-    """Fuse pixels into texels, make paint of one colour even, and fill what no photo shows.
+) -> tuple[Textures, Paint]:
+    """Make paint of one colour even, and fill what no photo shows.
 
     Args:
-        atlas: with the texels of ``samples``.
         regions: (F,) region of each face.
         lamps: (F,) bool, emitting faces; they reflect nothing.
         samples: the n pixels on the mesh.
         pixels: their base colour.
+        texels: as photos show them.
         painted: (n_regions,) bool, regions that may be of one colour.
 
     Returns:
-        The textures, the fused base colour at each pixel (n, 3), and the paint of each region.
+        The textures, and the paint of each region.
     """
-    face, texel, size = atlas.face, atlas.texel, atlas.size
-    fused = fuse_texels(texel, pixels.value, pixels.weight, size * size)
-    # From the pixels, not from the faces under texel centres: at a chart's border these lie outside it.
-    region, error = np.empty(size * size, np.int32), np.empty(size * size, np.float32)
-    region[texel], error[texel] = regions[samples.face], pixels.light_error
-    region, error, sure = region[fused.texel], error[fused.texel], fused.weight > EXPECTED_WEIGHT
+    face, size, fused = atlas.face, atlas.size, texels.fused
+    row = np.searchsorted(texels.points.texel, fused.texel)
+    region, error = regions[texels.points.face[row]], texels.light_error[row]
+    sure = fused.weight > EXPECTED_WEIGHT
     label = shared_paint(fused.value[sure], error[sure], region[sure], painted)
     kind = label[region]
     mean = _region_means(label[regions[samples.face]], pixels, len(painted)).astype(np.float32)
@@ -66,8 +83,7 @@ def make_textures(
     metallic = np.append(gloss.metallic[regions], 0.0).astype(np.float32)[face]
     confidence = np.zeros((size, size), np.float32)
     confidence.flat[fused.texel] = np.clip(fused.weight / FULL_CONFIDENCE_WEIGHT, 0, 1)
-    textures = Textures(base_color, roughness, metallic, confidence)
-    return textures, base_color.reshape(-1, 3)[texel], paint
+    return Textures(base_color, roughness, metallic, confidence), paint
 
 
 def _fill(

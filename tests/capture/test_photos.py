@@ -1,20 +1,24 @@
-"""Lens distortion: a point the lens moves must come back to where a pinhole would put it."""
+"""Lens distortion: a point the lens moves must come back to where a pinhole would put it. Photos at smaller sizes."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from iris_addon.base.errors import BadInput
-from iris_addon.base.images import write_png
+from iris_addon.base.images import write_exr, write_png
 from iris_addon.capture.photos import load_photo
 from iris_addon.capture.reader import read_capture
 from iris_addon.model.capture import Camera, Distortion, View
+from iris_addon.model.response import SATURATED
 from tests.box_room import RoomCapture
 
 CAMERA = Camera(width=160, height=120, fx=130.0, fy=125.0, cx=83.0, cy=57.5, c2w=np.eye(4))
+VIEW = View("a", CAMERA, None)
 LENS = Distortion(k1=-0.21, k2=0.06, p1=0.004, p2=-0.003, k3=-0.01)
 FISHEYE = Distortion(k1=-0.03, k2=0.008, k3=-0.002, k4=0.0004, fisheye=True)
 # Pinhole pixel positions spread over the image, away from its border.
@@ -145,3 +149,67 @@ def test_other_camera_models_are_refused_by_name(nerfstudio_room: RoomCapture) -
     nerfstudio_room.meta["camera_model"] = "EQUIRECTANGULAR"
     with pytest.raises(BadInput, match="camera model EQUIRECTANGULAR is not supported"):
         read_capture(nerfstudio_room.save())
+
+
+# ---- reduced photos ------------------------------------------------------------------------------------------------
+
+
+def textured(height: int, width: int) -> np.ndarray:
+    """(h, w, 3) uint8, no pixel clipped: a soft pattern and fine noise."""
+    i, j = np.meshgrid(np.arange(width), np.arange(height))
+    soft = 110 + 60 * np.sin(i / 17)[..., None] * np.cos(j / 23)[..., None] * [1, 0.6, 0.3]
+    noise = np.random.default_rng(0).uniform(-30, 30, (height, width, 1))
+    return np.rint(soft + noise).astype(np.uint8)
+
+
+@pytest.mark.parametrize("factor", [2, 3, 8])
+def test_a_reduced_photo_has_the_mean_light_of_its_blocks(tmp_path: Path, factor: int) -> None:
+    pixels = textured(101, 163)
+    write_png(tmp_path / "a.png", pixels)
+    view = replace(VIEW, camera=replace(CAMERA, width=163, height=101), photo=tmp_path / "a.png").reduced(factor)
+    h, w = 101 // factor, 163 // factor
+    light = (pixels[: h * factor, : w * factor] / 255.0) ** 2
+    expected = light.reshape(h, factor, w, factor, 3).mean((1, 3)) ** 0.5
+    assert load_photo(view).values == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("factor", [2, 8, 16])
+def test_a_jpeg_that_its_decoder_shrinks_is_nearly_the_same(tmp_path: Path, factor: int) -> None:
+    pixels = textured(16 * 31 + 5, 16 * 43 + 9)
+    Image.fromarray(pixels).save(tmp_path / "a.jpg", quality=98, subsampling=0)
+    write_png(tmp_path / "a.png", pixels)
+    camera = replace(CAMERA, width=pixels.shape[1], height=pixels.shape[0])
+    small = [
+        load_photo(replace(VIEW, camera=camera, photo=tmp_path / name).reduced(factor)) for name in ("a.jpg", "a.png")
+    ]
+    assert small[0].values.shape == (pixels.shape[0] // factor, pixels.shape[1] // factor, 3)
+    # The decoder averages display values, not light.
+    assert np.abs(small[0].values - small[1].values).max() < 0.02
+
+
+def test_a_block_that_is_clipped_in_part_is_clipped(tmp_path: Path) -> None:
+    pixels = np.full((12, 12, 3), 60, np.uint8)
+    pixels[4, 7, 1] = 255
+    write_png(tmp_path / "a.png", pixels)
+    view = replace(VIEW, camera=replace(CAMERA, width=12, height=12), photo=tmp_path / "a.png").reduced(4)
+    clipped = load_photo(view).values >= SATURATED
+    assert clipped[1, 1].tolist() == [False, True, False] and clipped.sum() == 1
+
+
+def test_a_reduced_photo_shows_a_marker_in_its_place_also_through_a_lens(tmp_path: Path) -> None:
+    photo_with_blob(tmp_path / "a.png", 100.0, 40.0)
+    for lens in (None, LENS):
+        whole = load_photo(replace(VIEW, photo=tmp_path / "a.png", distortion=lens)).values[..., 0] ** 2
+        half = replace(VIEW, photo=tmp_path / "a.png", distortion=lens).reduced(2)
+        small = load_photo(half).values[..., 0] ** 2
+        assert np.multiply(centroid(small), 2) == pytest.approx(centroid(whole), abs=0.1)
+        ray, reduced = CAMERA.project(np.array([0.1, 0.2, -1.0])), half.camera.project(np.array([0.1, 0.2, -1.0]))
+        assert 2 * reduced == pytest.approx(ray)
+
+
+def test_blocks_of_radiance_without_a_finite_value_are_not_valid(tmp_path: Path) -> None:
+    radiance = np.full((8, 8, 3), 2.0, np.float32)
+    radiance[5, 1] = np.inf
+    write_exr(tmp_path / "a.exr", radiance)
+    photo = load_photo(replace(VIEW, camera=replace(CAMERA, width=8, height=8), photo=tmp_path / "a.exr").reduced(4))
+    assert photo.valid.tolist() == [[True, True], [False, True]] and photo.values[0, 0, 0] == 2

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -32,9 +34,10 @@ from iris_addon.results.maps import bilinear
 from iris_addon.surface.patches import Surface
 from iris_addon.surface.primary_rays import PixelSamples
 from iris_addon.textures.atlas import Atlas, interpolate_uv, rasterise_atlas
-from iris_addon.textures.bake import PixelAlbedo, fuse_texels, pixel_albedo, pixel_weight
+from iris_addon.textures.bake import PixelAlbedo, TexelAlbedo, UsualPixel, pixel_albedo, pixel_weight
 from iris_addon.textures.charts import build_atlas
-from iris_addon.textures.principled import make_textures
+from iris_addon.textures.principled import PaintedTexels, make_textures
+from iris_addon.textures.texel_points import TexelPoints
 from iris_addon.transport.form_factors import emitter_form_factors
 from iris_addon.transport.transport import Transport
 from tests.engine_room import Room, assemble, cameras, furnished_room, irradiance_at, patched, quad, radiosity
@@ -448,26 +451,12 @@ def test_near_head_on_well_lit_pixels_weigh_most() -> None:
     cosine, footprint = np.array([1, 1, 1, 0.5, 1, 1, 1, 1]), np.array([1, 1, 1, 1, 2, 1, 1, 1]) * 0.01
     irradiance, specular = np.ones((8, 3)), np.full((8, 3), 1e-6)
     irradiance[5], specular[6] = 0.05, 1.0
-    weight = pixel_weight(cosine, footprint, irradiance, specular, np.arange(8) == 7, np.zeros(8, bool), 0.01, 1.0)[
-        :, 0
-    ]
+    pixels = cast(PixelSamples, SimpleNamespace(cosine=cosine, footprint=footprint))
+    on_edge, scanned = np.arange(8) == 7, np.zeros(8, bool)
+    weight = pixel_weight(pixels, irradiance, specular, on_edge, scanned, UsualPixel(0.01, 1.0))[:, 0]
     assert weight[1:3] == pytest.approx(weight[0]) and (weight[3:] < 0.5 * weight[0]).all()
     assert weight[0] == pytest.approx(4 * weight[4], rel=1e-3)
     assert weight[6] < 0.01 * weight[0] and weight[7] < 0.01 * weight[0]
-
-
-def test_fusing_is_robust_and_marks_channels_that_were_always_clipped() -> None:
-    texel = np.repeat([0, 1, 3], 12)
-    value = np.tile([0.4, 0.3, 0.2], (36, 1))
-    value[[3, 7]] = 0.95  # a highlight in two of twelve photos
-    weight = np.ones((36, 3))
-    weight[12:24, 0] = 0  # red clipped in every photo
-    texel, value = np.append(texel, 4), np.append(value, [[0.9, 0.9, 0.9]], 0)
-    weight = np.append(weight, [[0.0, 0.0, 0.0]], 0)  # clipped in every channel
-    fused = fuse_texels(texel, value, weight, 5)
-    assert fused.value[0] == pytest.approx([0.4, 0.3, 0.2], abs=0.04)
-    assert np.isnan(fused.value[1, 0]) and fused.value[1, 1:] == pytest.approx([0.3, 0.2], abs=1e-5)
-    assert fused.texel.tolist() == [0, 1, 3] and (fused.weight > 0).all()
 
 
 def test_unseen_faces_take_their_regions_mean_and_lamps_are_black() -> None:
@@ -503,8 +492,13 @@ def test_unseen_faces_take_their_regions_mean_and_lamps_are_black() -> None:
     color = np.where((face < 2)[:, None], [0.5, 0.25, 0.125], 0.9)
     gloss = Gloss(np.array([0.2, 1.0, 0.5]), np.array([0.0, 1.0, 0.0]), np.full((3, 3), 0.04), np.ones(3, bool))
     lamps = np.arange(8) >= 6
-    pixels = PixelAlbedo(color, np.ones((n, 3)), np.full(n, 0.02))
-    textures, at_pixels, paint = make_textures(atlas, mesh.regions, lamps, gloss, samples, pixels, gloss.metallic < 0.5)
+    surface = TexelPoints.of(Tracer(mesh), uv, size)
+    seen = np.flatnonzero(np.isin(surface.face, [0, 1, 6, 7]))
+    value = np.where((surface.face[seen] < 2)[:, None], [0.5, 0.25, 0.125], 0.9).astype(np.float32)
+    fused = TexelAlbedo(surface.texel[seen], value, np.full(len(seen), 4, np.float32))
+    texels = PaintedTexels(surface, fused, np.full(len(surface.texel), 0.02))
+    pixels = PixelAlbedo(color, np.ones((n, 3)))
+    textures, paint = make_textures(atlas, mesh.regions, lamps, gloss, samples, pixels, texels, gloss.metallic < 0.5)
     shown, _ = rasterise_atlas(uv, size)
 
     def base(*faces: int) -> np.ndarray:
@@ -524,5 +518,7 @@ def test_unseen_faces_take_their_regions_mean_and_lamps_are_black() -> None:
     assert (textures.roughness[np.isin(shown, [0, 1, 2, 3])] == np.float32(0.2)).all()
     assert (textures.metallic[np.isin(shown, [4, 5])] == 1).all()
     assert paint.plain_regions == 2, "the wall that nobody saw says nothing"
-    assert at_pixels[face < 2] == pytest.approx(color[face < 2], abs=1e-3)
+    assert bilinear(textures.base_color, interpolate_uv(uv, face, barycentric))[face < 2] == pytest.approx(
+        color[face < 2], abs=1e-3
+    )
     assert np.isfinite(textures.base_color).all()

@@ -16,7 +16,7 @@ from tests.engine_room import assemble, quad
 WIDTH, HEIGHT = 96, 72
 
 
-def floor_seen_by(width: int, stride: int = 1) -> tuple[Camera, PixelSamples]:
+def floor_seen_by(width: int) -> tuple[Camera, PixelSamples]:
     """A camera that looks down on a floor of 20 m, and its pixels."""
     mesh = assemble([quad([-10, -10, 0], [20, 0, 0], [0, 20, 0])], [0])
     pose = look_at(np.array([0, 0, 1.5]), np.array([2.0, 0, 0]))
@@ -29,26 +29,22 @@ def floor_seen_by(width: int, stride: int = 1) -> tuple[Camera, PixelSamples]:
         cy=width * HEIGHT / WIDTH / 2,
         c2w=pose,
     )
-    return camera, trace_pixels(Tracer(mesh), [camera], stride, Progress())
+    return camera, trace_pixels(Tracer(mesh), [camera], Progress())
 
 
 def filtered(camera: Camera, samples: PixelSamples, lobes: np.ndarray, roughness: float, **columns) -> np.ndarray:
     n = len(samples.face)
     region = columns.get("region", np.zeros(n, np.int32))
-    rows, stride = np.arange(n), columns.get("stride", 1)
-    return denoise_lobes(
-        lobes.astype(np.float32), samples, rows, region, np.full(n, roughness), [camera], stride
-    )  # fmt: skip
+    return denoise_lobes(lobes.astype(np.float32), samples, np.arange(n), region, np.full(n, roughness), [camera])
 
 
-@pytest.mark.parametrize("stride", [1, 3])
-def test_the_filter_removes_noise_of_wide_lobes_and_keeps_their_mean(stride: int) -> None:
-    camera, samples = floor_seen_by(WIDTH * stride, stride)
+def test_the_filter_removes_noise_of_wide_lobes_and_keeps_their_mean() -> None:
+    camera, samples = floor_seen_by(WIDTH)
     noise = np.random.default_rng(0).exponential(1.0, (len(samples.face), 2))
-    smooth = filtered(camera, samples, noise, 0.5, stride=stride)
+    smooth = filtered(camera, samples, noise, 0.5)
     assert smooth.mean() == pytest.approx(noise.mean(), abs=0.02)
     assert smooth.std() < 0.2 * noise.std()
-    assert filtered(camera, samples, np.ones_like(noise), 0.5, stride=stride) == pytest.approx(np.ones_like(noise))
+    assert filtered(camera, samples, np.ones_like(noise), 0.5) == pytest.approx(np.ones_like(noise))
 
 
 def test_a_mirror_keeps_its_image() -> None:

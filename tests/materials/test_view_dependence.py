@@ -91,7 +91,7 @@ def test_uniform_radiance_is_weighted_by_the_mean_of_both_lobes() -> None:
 
 def test_patches_reflect_more_towards_the_side_of_their_light() -> None:
     """Rays back to the light and across it against Burley's exact lobe; what is no seen patch knows no side."""
-    transport = patched(furnished_room(), cameras(6), 800, 64, stride=2).transport
+    transport = patched(furnished_room(), cameras(6, 20, 15), 800, 64).transport
     n, seen = transport.n_patches, transport.n_seen
     # All light 70 degrees off the normal, which is z here.
     light = unit(np.array([np.sin(1.22), 0, np.cos(1.22)]))

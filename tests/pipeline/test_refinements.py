@@ -63,7 +63,7 @@ def solved(tmp_path_factory: pytest.TempPathFactory):
 
 def missed(room: Room, region: int, views: list[Camera]) -> np.ndarray:
     """(V, H, W) pixels of the room that show ``region``."""
-    samples = trace_pixels(Tracer(room.mesh), views, 1, Progress())
+    samples = trace_pixels(Tracer(room.mesh), views, Progress())
     shows = np.zeros((len(views), views[0].height * views[0].width), bool)
     shows[samples.view, samples.pixel] = room.regions[samples.face] == region
     return shows.reshape(len(views), views[0].height, -1)

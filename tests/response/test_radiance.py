@@ -9,7 +9,6 @@ from iris_addon.model import response as curve
 from iris_addon.model.response import N_SAMPLES, Response
 from iris_addon.response.overlap_problem import OverlapProblem
 from iris_addon.response.radiance import Linearised, group_radiance, linearise, raised_by_clipped, relative_exposure
-from iris_addon.textures.bake import fuse_texels
 from tests.engine_room import observe_off_edges
 from tests.response.photographed_patches import EXPOSURES, observations_of
 
@@ -147,15 +146,6 @@ def test_the_overlap_of_photos_reads_radiance_where_it_is_not_black() -> None:
     problem = OverlapProblem.build(o, np.arange(len(o.patch)), exposures, 4)
     found = problem.solve_radiance(crushing())[1]
     assert found == pytest.approx(np.repeat(radiance[:, None], 3, 1), rel=0.02)
-
-
-def test_a_channel_that_is_black_in_every_photo_is_unknown() -> None:
-    """Of two texels blue has a hundredth of the say that red has, and twice that: what nobody saw, and what is dark."""
-    texel, value = np.repeat([0, 1], 10), np.tile([0.5, 0.4, 0.05], (20, 1))
-    weight = np.ones((20, 3))
-    weight[:, 2] = np.repeat([0.003, 0.02], 10)
-    fused = fuse_texels(texel, value, weight, 2)
-    assert np.isnan(fused.value).tolist() == [[False, False, True], [False] * 3]
 
 
 def test_black_observations_are_not_well_exposed() -> None:

@@ -46,6 +46,22 @@ def test_a_checkpoint_of_another_solve_is_ignored(tmp_path: Path, resume: bool) 
     assert other.stage("lights", lambda: {"values": np.ones(1)})["values"].shape == (1,)
 
 
+@pytest.mark.parametrize("rows", [0, 3])
+def test_a_table_stays_on_disk_and_is_read_back_by_the_same_solve_alone(tmp_path: Path, rows: int) -> None:
+    table = np.zeros(rows, [("row", np.int32), ("value", np.float16, 3)])
+    table["value"] = 0.5
+    Checkpoints(tmp_path, "key", False).table("photo", lambda: table)
+    again = Checkpoints(tmp_path, "key", True).table("photo", lambda: np.ones(7))
+    assert again.dtype == table.dtype and np.array_equal(again, table) and (isinstance(again, np.memmap) or not rows)
+    assert len(Checkpoints(tmp_path, "key", False).table("photo", lambda: np.ones(7))) == 7
+    assert len(Checkpoints(tmp_path, "other", True).table("photo", lambda: np.ones(5))) == 5
+    path = next(tmp_path.glob("photo.key*.npy"))
+    path.write_bytes(path.read_bytes()[:-9])
+    assert len(Checkpoints(tmp_path, "key", True).table("photo", lambda: np.ones(6))) == 6
+    Checkpoints(tmp_path, "key", True).clear()
+    assert not list(tmp_path.glob("*.npy"))
+
+
 @pytest.mark.parametrize("damage", ["truncated", "empty", "foreign", "pickle"])
 def test_a_damaged_stage_is_computed_again(tmp_path: Path, damage: str) -> None:
     Checkpoints(tmp_path, "key", False).stage("lights", numbers)

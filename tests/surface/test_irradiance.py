@@ -26,7 +26,7 @@ class Scene:
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     room = furnished_room()
-    samples = trace_pixels(Tracer(room.mesh), cameras(12), 1, Progress())
+    samples = trace_pixels(Tracer(room.mesh), cameras(12), Progress())
     return Scene(samples, build_surface(room.mesh, samples, room.regions, 4000, np.random.default_rng(0)))
 
 

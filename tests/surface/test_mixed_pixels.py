@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt
@@ -11,8 +14,8 @@ from iris_addon.model.capture import Camera
 from iris_addon.rays.tracer import Tracer
 from iris_addon.response.observations import observe
 from iris_addon.surface.mixed_pixels import beside_outlines, brighter_neighbours, mixed_pixels
-from iris_addon.surface.primary_rays import trace_pixels
-from iris_addon.textures.bake import TexelAlbedo, pixel_weight
+from iris_addon.surface.primary_rays import PixelSamples, trace_pixels
+from iris_addon.textures.bake import TexelAlbedo, UsualPixel, pixel_weight
 from iris_addon.textures.principled import EXPECTED_WEIGHT, with_expected
 from tests.box_room import look_at
 from tests.engine_room import assemble, quad
@@ -20,8 +23,8 @@ from tests.engine_room import assemble, quad
 WALL, TABLE = 0, 1
 
 
-def mixed_picture(quads: list, regions: list[int], stride: int, width: int = 60) -> tuple[np.ndarray, np.ndarray]:
-    """(h, w) which pixels of a lattice are mixed, and the region under each (-1 none), seen from 3 m along -z."""
+def mixed_picture(quads: list, regions: list[int], width: int = 60) -> tuple[np.ndarray, np.ndarray]:
+    """(h, w) which pixels are mixed, and the region under each (-1 none), seen from 3 m along -z."""
     mesh = assemble(quads, regions)
     assert mesh.regions is not None
     tracer = Tracer(mesh)
@@ -34,12 +37,12 @@ def mixed_picture(quads: list, regions: list[int], stride: int, width: int = 60)
         cy=width / 2,
         c2w=look_at(np.array([0, -1e-3, 3.0]), np.zeros(3)),
     )
-    samples = trace_pixels(tracer, [camera], stride, Progress())
+    samples = trace_pixels(tracer, [camera], Progress())
     mixed, region = np.zeros((2, width, width), int)
     region -= 1
-    mixed.flat[samples.pixel] = mixed_pixels(tracer, samples, mesh.regions, [camera], stride)
+    mixed.flat[samples.pixel] = mixed_pixels(samples, mesh.regions, [camera])
     region.flat[samples.pixel] = mesh.regions[samples.face]
-    return mixed[::stride, ::stride] > 0, region[::stride, ::stride]
+    return mixed > 0, region
 
 
 def beside_another(region: np.ndarray) -> np.ndarray:
@@ -52,22 +55,20 @@ def beside_another(region: np.ndarray) -> np.ndarray:
 WIDE_WALL = quad([-3, -3, 0], [6, 0, 0], [0, 6, 0])
 
 
-@pytest.mark.parametrize(("stride", "pixels"), [(1, 4), (2, 2)])
-def test_the_outline_of_a_scanned_thing_is_as_wide_as_it_may_be_off(stride: int, pixels: int) -> None:
-    """A table 1 m before a wall, 2 m from the camera, where 13 cm are four pixels; the wall's fold is no outline."""
+@pytest.mark.parametrize(("width", "pixels"), [(60, 4), (30, 2)])
+def test_the_outline_of_a_scanned_thing_is_as_wide_as_it_may_be_off(width: int, pixels: int) -> None:
+    """A table 1 m before a wall, 2 m from the camera, where 13 cm are four pixels or two; its fold is no outline."""
     table = quad([-0.5, -0.4, 1.0], [1, 0, 0], [0, 0.8, 0])
     mesh = assemble(
         [quad([-3, -3, 0], [6, 0, 0], [0, 5, 0]), quad([-3, 2, 0], [6, 0, 0], [0, 1, 0.5]), table], [0, 0, 1]
     )
-    camera = Camera(
-        width=60, height=60, fx=60, fy=60, cx=30, cy=30, c2w=look_at(np.array([0, -1e-3, 3.0]), np.zeros(3))
-    )
-    samples = trace_pixels(Tracer(mesh), [camera], stride, Progress())
+    pose = look_at(np.array([0, -1e-3, 3.0]), np.zeros(3))
+    camera = Camera(width=width, height=width, fx=width, fy=width, cx=width / 2, cy=width / 2, c2w=pose)
+    samples = trace_pixels(Tracer(mesh), [camera], Progress())
     assert mesh.regions is not None
-    on_table, found = np.zeros((2, 60, 60), bool)
+    on_table, found = np.zeros((2, width, width), bool)
     on_table.flat[samples.pixel] = mesh.regions[samples.face] == TABLE
-    found.flat[samples.pixel] = beside_outlines(samples, [camera], stride, 0.13)
-    on_table, found = on_table[::stride, ::stride], found[::stride, ::stride]
+    found.flat[samples.pixel] = beside_outlines(samples, [camera], 0.13)
     outside, inside = distance_transform_edt(~on_table), distance_transform_edt(on_table)
     assert found[(outside > 0) & (outside < pixels) | (inside > 0) & (inside < pixels)].all()
     assert not found[(outside > pixels + 1.5) | (inside > pixels + 1.5)].any()
@@ -76,42 +77,34 @@ def test_the_outline_of_a_scanned_thing_is_as_wide_as_it_may_be_off(stride: int,
 @pytest.mark.parametrize("height", [0.5, 1e-4])
 def test_pixels_around_the_outline_of_another_region_are_mixed_and_no_others(height: float) -> None:
     """A table before a wall, and a picture that lies almost in it."""
-    mixed, region = mixed_picture([WIDE_WALL, quad([-0.5, -0.4, height], [1, 0, 0], [0, 0.8, 0])], [WALL, TABLE], 1)
+    mixed, region = mixed_picture([WIDE_WALL, quad([-0.5, -0.4, height], [1, 0, 0], [0, 0.8, 0])], [WALL, TABLE])
     assert (region == TABLE).sum() > 100 and (mixed == beside_another(region)).all()
 
 
 def test_a_step_within_one_region_is_an_edge() -> None:
-    mixed, _ = mixed_picture([WIDE_WALL, quad([-0.5, -0.4, 0.5], [1, 0, 0], [0, 0.8, 0])], [WALL, WALL], 1)
-    _, region = mixed_picture([WIDE_WALL, quad([-0.5, -0.4, 0.5], [1, 0, 0], [0, 0.8, 0])], [WALL, TABLE], 1)
+    mixed, _ = mixed_picture([WIDE_WALL, quad([-0.5, -0.4, 0.5], [1, 0, 0], [0, 0.8, 0])], [WALL, WALL])
+    _, region = mixed_picture([WIDE_WALL, quad([-0.5, -0.4, 0.5], [1, 0, 0], [0, 0.8, 0])], [WALL, TABLE])
     assert (mixed == beside_another(region)).all()
 
 
 def test_a_crease_is_an_edge_and_the_border_of_the_photo_is_none() -> None:
     roof = [quad([-3, -3, -3], [3, 0, 3], [0, 6, 0]), quad([0, -3, 0], [3, 0, -3], [0, 6, 0])]
-    mixed, _ = mixed_picture(roof, [WALL, WALL], 1)
+    mixed, _ = mixed_picture(roof, [WALL, WALL])
     assert mixed[:, 29:31].all() and not mixed[:, :29].any() and not mixed[:, 31:].any()
 
 
 def test_a_plane_seen_at_a_grazing_angle_has_no_edge_but_its_end() -> None:
     slope = quad([-3, -3, -30], [6, 0, 0], [0, 3, 29.0])
-    mixed, region = mixed_picture([slope], [WALL], 1)
+    mixed, region = mixed_picture([slope], [WALL])
     seen = region == WALL
     assert seen.any() and not seen.all()
     assert (mixed[seen] == beside_another(region)[seen]).all()
 
 
-@pytest.mark.parametrize("stride", [1, 3])
-def test_a_single_pixel_in_the_corner_of_a_photo_is_mixed(stride: int) -> None:
+def test_a_single_pixel_in_the_corner_of_a_photo_is_mixed() -> None:
     speck = quad([-1.5, 1.47, 0], [0.03, 0, 0], [0, 0.03, 0])
-    mixed, region = mixed_picture([speck], [WALL], stride)
+    mixed, region = mixed_picture([speck], [WALL])
     assert (region == WALL).sum() == 1 and mixed[region == WALL].all()
-
-
-def test_on_a_coarse_lattice_mixed_pixels_are_those_of_the_full_photo() -> None:
-    quads = [WIDE_WALL, quad([-0.5, -0.4, 0.5], [1, 0, 0], [0, 0.8, 0])]
-    fine, _ = mixed_picture(quads, [WALL, TABLE], 1, width=120)
-    coarse, _ = mixed_picture(quads, [WALL, TABLE], 3, width=120)
-    assert coarse.any() and (coarse == fine[::3, ::3]).all()
 
 
 def test_a_bar_before_a_window_has_a_brighter_neighbour_and_nothing_has_a_darker_or_coplanar_one() -> None:
@@ -128,11 +121,11 @@ def test_a_bar_before_a_window_has_a_brighter_neighbour_and_nothing_has_a_darker
         cy=size / 2,
         c2w=look_at(np.array([0, -1e-3, 3.0]), np.zeros(3)),
     )
-    samples = trace_pixels(tracer, [camera], 1, Progress())
+    samples = trace_pixels(tracer, [camera], Progress())
     bar, upper = mesh.regions[samples.face] == TABLE, samples.position[:, 1] > 0
     z = np.where(bar, 0.7, np.where(upper, 1.0, 0.2))[:, None].repeat(3, 1)
-    mixed = mixed_pixels(tracer, samples, mesh.regions, [camera], 1)
-    by = brighter_neighbours(samples, z, mixed, mesh.regions, [camera], 1)
+    mixed = mixed_pixels(samples, mesh.regions, [camera])
+    by = brighter_neighbours(samples, z, mixed, mesh.regions, [camera])
     assert bar.sum() > 100 and mixed[bar].all()
     apart = np.abs(samples.position[:, 1]) > 0.1
     assert (by[bar & upper & apart] >= 0).all() and (by[bar & ~upper & apart] < 0).all()
@@ -202,5 +195,6 @@ def test_a_texel_that_only_mixed_pixels_show_stays_uncertain_however_many() -> N
     """Head-on, at the usual distance: on an edge of a model, of a scan, and on none."""
     one, n = np.ones(3), 500
     mixed, scanned = np.array([True, True, False]), np.array([False, True, False])
-    weight = pixel_weight(one, 0.01 * one, np.ones((3, 3)), np.zeros((3, 3)), mixed, scanned, 0.01, 1.0).max(1)
+    pixels = cast(PixelSamples, SimpleNamespace(cosine=one, footprint=0.01 * one))
+    weight = pixel_weight(pixels, np.ones((3, 3)), np.zeros((3, 3)), mixed, scanned, UsualPixel(0.01, 1.0)).max(1)
     assert 0 < n * weight[0] < EXPECTED_WEIGHT < n * weight[1] and weight[2] > 10 * EXPECTED_WEIGHT

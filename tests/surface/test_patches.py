@@ -9,16 +9,17 @@ import pytest
 import trimesh
 
 from iris_addon.base.progress import Progress
-from iris_addon.model.capture import Mesh
+from iris_addon.model.capture import Mesh, View
 from iris_addon.rays.tracer import Tracer
 from iris_addon.surface.patches import Surface, build_surface, normal_spread
-from iris_addon.surface.primary_rays import PixelSamples, pixel_lattice, stride_for_budget, trace_pixels
+from iris_addon.surface.photo_samples import within_budget
+from iris_addon.surface.primary_rays import PixelSamples, trace_pixels
 from iris_addon.surface.topology import edge_adjacency, initial_regions
 from tests.engine_room import Room, assemble, box, cameras, furnished_room, quad
 
 
 def surface_of(room: Room, max_patches: int = 4000) -> tuple[PixelSamples, Surface]:
-    samples = trace_pixels(Tracer(room.mesh), cameras(), 1, Progress())
+    samples = trace_pixels(Tracer(room.mesh), cameras(), Progress())
     return samples, build_surface(room.mesh, samples, room.regions, max_patches, np.random.default_rng(0))
 
 
@@ -121,7 +122,7 @@ def test_an_over_dense_mesh_gives_the_same_patches(room: Room, patched: tuple[Pi
 
 def test_patches_do_not_depend_on_the_unit_of_length(room: Room, patched: tuple[PixelSamples, Surface]) -> None:
     """A capture in centimetres (hundreds of units wide) is cut like the same room in metres, not into specks."""
-    samples = trace_pixels(Tracer(room.mesh), cameras(), 1, Progress())
+    samples = trace_pixels(Tracer(room.mesh), cameras(), Progress())
     scaled = replace(samples, position=samples.position * 1000, footprint=samples.footprint * 1000)
     mesh = replace(room.mesh, vertices=room.mesh.vertices * 1000)
     surface = build_surface(mesh, scaled, room.regions, 4000, np.random.default_rng(0))
@@ -158,13 +159,12 @@ def test_faces_that_share_an_edge_are_neighbours() -> None:
     assert np.array_equal(edge_adjacency(far)[0], a)
 
 
-def test_the_lattice_of_pixels_moves_from_view_to_view() -> None:
-    camera = cameras(1, 40, 30)[0]
-    phases = [pixel_lattice(camera, 2, phase) for phase in range(4)]
-    assert (np.sort(np.concatenate(phases)) == np.arange(1200)).all()
-    assert stride_for_budget([camera] * 8, 9600) == 1
-    assert stride_for_budget([camera] * 8, 9599) == 2
-    assert stride_for_budget([camera] * 8, 2400) == 2
+def test_photos_are_reduced_until_they_fit_the_budget() -> None:
+    views = [View("a", cameras(1, 40, 30)[0], None)] * 8
+    assert within_budget(views, 9600) == tuple(views)
+    for budget in (9599, 2400):
+        small = within_budget(views, budget)
+        assert [(view.camera.width, view.camera.height, view.reduction) for view in small] == [(20, 15, 2)] * 8
 
 
 def test_pixels_know_their_size_on_the_surface(patched: tuple[PixelSamples, Surface]) -> None:

@@ -29,7 +29,7 @@ class Scene:
         self.room: Room = furnished_room(np.inf)
         self.capture = Capture(name="room", root=folder, views=(), val_views=(), mesh=self.room.mesh)
         self.tracer = Tracer(self.room.mesh)
-        samples = trace_pixels(self.tracer, cameras(4, 20, 15), 1, Progress())
+        samples = trace_pixels(self.tracer, cameras(4, 20, 15), Progress())
         self.surface: Surface = build_surface(self.room.mesh, samples, self.room.regions, 500, np.random.default_rng(0))
 
     def transport(self, n_rays: int = 16, seed: int = 0) -> Transport:

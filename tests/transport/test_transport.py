@@ -270,7 +270,7 @@ def test_light_from_outside_is_the_same_in_the_balance_and_in_cycles() -> None:
 
 def test_unseen_patches_gather_from_points_that_rays_met() -> None:
     """One point of a cell of 32 cm says little: half of it may lie in the shade."""
-    transport = patched(furnished_room(), cameras(3), 800, 64, stride=2).transport
+    transport = patched(furnished_room(), cameras(3, 20, 15), 800, 64).transport
     met = np.bincount(transport.target[transport.target >= transport.n_seen] - transport.n_seen)
     often = np.flatnonzero(met >= 16)
     origins, grid = transport.unseen_origins, transport.grid

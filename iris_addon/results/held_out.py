@@ -1,0 +1,75 @@
+"""Pixels that the textures never see, on which they are tested."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.recovered import Textures
+from ..surface.traced_room import TracedRoom
+from ..textures.atlas import Atlas, interpolate_uv
+from .maps import bilinear
+
+HELD_OUT_SHARE = 0.02
+"""Share of pixels hidden from the textures."""
+HELD_OUT_BLOCK, HELD_OUT_MARGIN = 8, 2
+"""Side of the hidden blocks, and the pixels along their sides that are not tested: pixels beside a block, from which
+texels are interpolated, show a little of them."""
+SUBPIXELS = 4
+"""Rays along the side of a tested pixel over which base colour is averaged."""
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Which of the n pixels the textures may not see, and on which of these they are tested; (n,) bool each."""
+
+    hidden: NDArray[np.bool_]
+    tested: NDArray[np.bool_]
+
+
+def hold_out(room: TracedRoom, rng: np.random.Generator) -> HeldOut:
+    """Blocks of pixels drawn at random, about :data:`HELD_OUT_SHARE` of all."""
+    samples, block = room.samples, HELD_OUT_BLOCK
+    widths = np.array([camera.width for camera in room.cameras])
+    blocks = np.array([-(-camera.width // block) * -(-camera.height // block) for camera in room.cameras])
+    chosen = rng.random(int(blocks.sum())) < HELD_OUT_SHARE
+    row, column = np.divmod(samples.pixel.astype(np.int64), widths[samples.view])
+    first = (np.cumsum(blocks) - blocks)[samples.view]
+    hidden = chosen[first + row // block * -(-widths[samples.view] // block) + column // block]
+    inner = (np.minimum(row % block, column % block) >= HELD_OUT_MARGIN) & (
+        np.maximum(row % block, column % block) < block - HELD_OUT_MARGIN
+    )
+    return HeldOut(hidden, hidden & inner)
+
+
+def base_color_of_pixels(
+    textures: Textures, atlas: Atlas, room: TracedRoom, rows: NDArray[np.integer]
+) -> NDArray[np.float64]:
+    """(k, 3) mean base colour over the pixels ``rows`` (k,), of what they show of the face at their centre's region."""
+    samples, regions = room.samples, room.regions.of_face
+    total, count = np.zeros((len(rows), 3)), np.zeros(len(rows))
+    for view in np.unique(samples.view[rows]):
+        own, camera = np.flatnonzero(samples.view[rows] == view), room.cameras[view]
+        fine = replace(
+            camera,
+            width=camera.width * SUBPIXELS,
+            height=camera.height * SUBPIXELS,
+            fx=camera.fx * SUBPIXELS,
+            fy=camera.fy * SUBPIXELS,
+            cx=camera.cx * SUBPIXELS,
+            cy=camera.cy * SUBPIXELS,
+        )
+        row, column = np.divmod(samples.pixel[rows[own]].astype(np.int64), camera.width)
+        for down in range(SUBPIXELS):
+            for across in range(SUBPIXELS):
+                pixel = (row * SUBPIXELS + down) * fine.width + column * SUBPIXELS + across
+                hits = room.tracer.closest(*fine.rays(pixel))
+                face = np.maximum(hits.face, 0)
+                same = (hits.face >= 0) & (regions[face] == regions[samples.face[rows[own]]])
+                uv = interpolate_uv(atlas.uv, face, hits.barycentric)
+                total[own] += np.where(same[:, None], bilinear(textures.base_color, uv), 0)
+                count[own] += same
+    centre = interpolate_uv(atlas.uv, samples.face[rows], samples.barycentric[rows])
+    return np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], bilinear(textures.base_color, centre))

@@ -1,0 +1,285 @@
+"""Base colour of texels as each photo shows it, at the photo's own resolution, one photo at a time.
+
+Light, response and gloss come from the solve, which may have looked at reduced photos. They change slowly over a photo;
+its pixels do not, and are read as they are on file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, maximum_filter
+
+from ..base.compiled import kernel
+from ..base.parallel import BLOCK, over_blocks, over_each
+from ..base.progress import Progress
+from ..brdf.diffuse import schlick
+from ..capture.photos import photos_at_once, read_pixels
+from ..materials.gloss import Gloss
+from ..materials.shading import Shading
+from ..materials.specular import SPECULAR_ROUGH, rough_lobes, subtract_specular
+from ..model.capture import View
+from ..response.photometry import Photometry
+from ..surface.primary_rays import PixelSamples
+from ..surface.traced_room import TracedRoom
+from .bake import UsualPixel, pixel_albedo, pixel_weight
+from .fusion import TEXEL_SAMPLE, fuse_samples
+from .paint import light_error
+from .photo_texels import SeenTexels, on_edges, read_texels, seen_texels
+from .principled import PaintedTexels
+from .texel_points import TexelPoints
+
+HALF_MAX = 6e4
+"""Largest weight and blur that are stored; float16 ends a little above."""
+
+
+@dataclass(frozen=True)
+class PixelLight:
+    """Light at n pixels, scene-linear Rec.709.
+
+    Attributes:
+        irradiance: (n, 3) irradiance / pi.
+        diffuse: (n, 3) radiance that a white diffuse surface sends to the camera.
+        ls0, ls1: (n, 3) specular lobes of equation (3).
+    """
+
+    irradiance: NDArray[np.floating]
+    diffuse: NDArray[np.floating]
+    ls0: NDArray[np.floating]
+    ls1: NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class Painter:
+    """What is known before the photos are read again.
+
+    Attributes:
+        room: with the n pixels of the reduced photos.
+        points: the T texels.
+        regions: (F,) region of each face.
+        photometry, gloss, shading: of the solve.
+        light: at the n pixels.
+        expected: (P, 3) radiance of each patch.
+        brighter: (P, 3) factor by which each patch is brighter than its irradiance explains.
+        light_spread: (P,) spread of the irradiance over the neighbours of each patch.
+        usual: of the pixels.
+        held_out: (n,) bool, pixels that the textures may not see.
+    """
+
+    room: TracedRoom
+    points: TexelPoints
+    regions: NDArray[np.int32]
+    photometry: Photometry
+    gloss: Gloss
+    shading: Shading
+    light: PixelLight
+    expected: NDArray[np.floating]
+    brighter: NDArray[np.floating]
+    light_spread: NDArray[np.floating]
+    usual: UsualPixel
+    held_out: NDArray[np.bool_]
+
+    def read(self, view: View, index: int) -> NDArray:
+        """What photo ``index`` shows of the texels, rows of :data:`.fusion.TEXEL_SAMPLE`.
+
+        Args:
+            view: of the photo at its full size.
+        """
+        picture = _ReducedPhoto.of(self.room, index)
+        seen = seen_texels(self.room.tracer, self.points, view)
+        texels = self._as_pixels(seen, picture, index)
+        size, region = self.points.size[seen.row] / seen.footprint, self.regions[texels.face]
+        photo = read_pixels(view)
+        exposures = self.photometry.exposures_of(photo.values)
+        exposures[~photo.valid] = np.nan
+        exposure, averaged = read_texels(exposures, seen, size)
+        nearest = picture.nearest[texels.pixel]
+        patch = self.room.patches.grid.patches(texels.position, texels.normal, region)
+        patch = np.where(patch < 0, self.room.patches.sample_patch[nearest], patch)
+        light, metallic = self._light(texels, patch, seen, picture), self.gloss.metallic[region]
+        linear = self.photometry.linearise_exposures(exposure, texels.view, texels.pixel)
+        linear = linear.agreeing_with(self.expected[patch])
+        specular = subtract_specular(light.ls0, light.ls1, metallic)
+        albedo = pixel_albedo(np.nan_to_num(linear.radiance), specular, light.ls0, light.diffuse, metallic)
+        scanned = self.room.regions.scanned[texels.face]
+        edge = on_edges(self.room.tracer, self.points, seen, picture.near_edge[texels.pixel], self.regions, view.camera)
+        # An outline of a scan may lie beside its place, where rays do not find it.
+        edge |= scanned & self.room.mixed.mask[nearest]
+        usual = self.usual.at(picture.reduction)
+        weight = pixel_weight(texels, light.irradiance, specular, edge, scanned, usual)
+        weight = weight * linear.unclipped * linear.precision / usual.weight
+        weight[self.held_out[nearest]] = 0
+        kept = np.flatnonzero((weight > 0).any(1))
+        error = light_error(self.light_spread[patch])
+        blur = averaged / (size * np.sqrt(texels.cosine))
+        table = np.empty(len(kept), TEXEL_SAMPLE)
+        table["row"] = seen.row[kept]
+        table["value"] = np.where(weight > 0, albedo, np.nan)[kept]
+        table["weight"] = np.minimum(weight[kept], HALF_MAX)
+        table["blur"] = np.minimum(blur[kept], HALF_MAX)
+        table["light_error"] = error[kept]
+        return table
+
+    @cached_property
+    def _pixel_regions(self) -> NDArray[np.int32]:
+        """(n,) region of each pixel."""
+        return self.regions[self.room.samples.face]
+
+    def _as_pixels(self, seen: SeenTexels, picture: _ReducedPhoto, index: int) -> PixelSamples:
+        """The texels as if each were a pixel of the reduced photo."""
+        column = np.clip(seen.place[:, 0] / picture.reduction, 0, picture.width - 1).astype(np.int32)
+        row = np.clip(seen.place[:, 1] / picture.reduction, 0, picture.height - 1).astype(np.int32)
+        pixel = row * np.int32(picture.width) + column
+        normal = self.points.normal[seen.row]
+        normal = normal * np.where((normal * seen.toward).sum(1, keepdims=True) < 0, np.float32(-1), np.float32(1))
+        return PixelSamples(
+            view=np.full(len(pixel), index, np.int16),
+            pixel=pixel,
+            face=self.points.face[seen.row],
+            barycentric=np.zeros((len(pixel), 2), np.float32),
+            position=self.points.position[seen.row],
+            normal=normal,
+            direction=seen.toward,
+            footprint=seen.footprint,
+        )
+
+    def _light(
+        self, texels: PixelSamples, patch: NDArray[np.int32], seen: SeenTexels, picture: _ReducedPhoto
+    ) -> PixelLight:
+        field, region = self.room.field, self.regions[texels.face]
+        roughness, metallic = self.gloss.roughness[region], self.gloss.metallic[region]
+        irradiance = field.at_samples(texels, patch, self.shading.irradiance)
+        factor = self.shading.view_factor(patch, roughness, schlick(texels.cosine), texels.direction)
+        brighter = np.where(
+            metallic[:, None] > 0.5, np.float32(1), field.at_samples(texels, patch, self.brighter)
+        )  # of metals base colour is no quotient of irradiance
+        ls0, ls1 = rough_lobes(roughness, texels.cosine, irradiance)
+        traced = np.flatnonzero(roughness < SPECULAR_ROUGH)
+        place = seen.place[traced] / np.float32(picture.reduction)
+        for lobe, of_pixels in ((ls0, self.light.ls0), (ls1, self.light.ls1)):
+            lobe[traced] = picture.between_pixels(place, region[traced], self._pixel_regions, of_pixels, lobe[traced])
+        return PixelLight(irradiance, irradiance * factor[:, None] * brighter, ls0, ls1)
+
+
+@dataclass(frozen=True)
+class _ReducedPhoto:
+    """A photo as the solve has seen it, of h x w pixels.
+
+    Attributes:
+        reduction: rows and columns of the photo on file in one of its pixels.
+        pixel: (h, w) int32 which of the n pixels on the mesh each is, -1 for none.
+        nearest: (h * w,) int32 the nearest of those on the mesh to each.
+        near_edge: (h * w,) bool, beside a mixed pixel or one off the mesh.
+    """
+
+    reduction: int
+    pixel: NDArray[np.int32]
+    nearest: NDArray[np.int32]
+    near_edge: NDArray[np.bool_]
+
+    @staticmethod
+    def of(room: TracedRoom, index: int) -> _ReducedPhoto:
+        view, samples = room.capture.views[index], room.samples
+        own = np.arange(*np.searchsorted(samples.view, [index, index + 1]), dtype=np.int32)
+        pixel = np.full(view.camera.height * view.camera.width, -1, np.int32)
+        pixel[samples.pixel[own]] = own
+        pixel = pixel.reshape(view.camera.height, view.camera.width)
+        edge = pixel < 0
+        edge.ravel()[samples.pixel[own]] = room.mixed.mask[own]
+        near_edge = np.asarray(maximum_filter(edge, 3), bool)
+        if len(own):
+            at = np.asarray(distance_transform_edt(pixel < 0, return_distances=False, return_indices=True))
+            nearest = pixel[at[0], at[1]]
+        else:
+            nearest = np.zeros_like(pixel)
+        return _ReducedPhoto(view.reduction, pixel, nearest.ravel(), near_edge.ravel())
+
+    @property
+    def height(self) -> int:
+        """Rows h."""
+        return self.pixel.shape[0]
+
+    @property
+    def width(self) -> int:
+        """Columns w."""
+        return self.pixel.shape[1]
+
+    def between_pixels(
+        self,
+        place: NDArray[np.float32],
+        region: NDArray[np.integer],
+        regions: NDArray[np.integer],
+        values: NDArray[np.floating],
+        otherwise: NDArray[np.float32],
+    ) -> NDArray[np.float32]:
+        """(k, 3) values of pixels interpolated at places (k, 2), over pixels of the same region alone.
+
+        Args:
+            region: (k,) at the places; ``regions`` (n,) at the pixels.
+            values: (n, 3) of the pixels.
+            otherwise: (k, 3) values where no pixel of the region is beside a place.
+        """
+        found = otherwise.copy()
+
+        def work(block: slice) -> None:
+            _between(self.pixel, place[block], region[block], regions, values, found[block])
+
+        over_blocks(len(place), BLOCK // 4, work)
+        return found
+
+
+@kernel
+def _between(
+    pixel: NDArray[np.int32],
+    place: NDArray[np.float32],
+    region: NDArray[np.integer],
+    regions: NDArray[np.integer],
+    values: NDArray[np.floating],
+    found: NDArray[np.float32],
+) -> None:
+    height, width = pixel.shape
+    for n in range(len(place)):
+        x, y = place[n, 0] - 0.5, place[n, 1] - 0.5
+        column, row = int(np.floor(x)), int(np.floor(y))
+        total = a = b = c = 0.0
+        for down in range(2):
+            for across in range(2):
+                near = pixel[min(max(row + down, 0), height - 1), min(max(column + across, 0), width - 1)]
+                if near < 0 or regions[near] != region[n]:
+                    continue
+                # A little weight for all: at a pixel's centre the only one of the region may be another.
+                weight = max(1e-3, (1 - abs(x - column - across)) * (1 - abs(y - row - down)))
+                total += weight
+                a += weight * values[near, 0]
+                b += weight * values[near, 1]
+                c += weight * values[near, 2]
+        if total > 0:
+            found[n, 0], found[n, 1], found[n, 2] = a / total, b / total, c / total
+
+
+def paint_texels(
+    painter: Painter,
+    views: Sequence[View],
+    size: int,
+    keep: Callable[[str, Callable[[], NDArray]], NDArray],
+    progress: Progress,
+) -> PaintedTexels:
+    """Base colour of the texels of an atlas of side ``size``, from the photos of ``views`` at full size.
+
+    Args:
+        keep: stores the table that its second argument makes under a name, or finds it there, and returns it mapped.
+    """
+    photos = over_each(
+        range(len(views)),
+        lambda index: keep(f"photo-{index:05d}", lambda: painter.read(views[index], index)),
+        progress.update,
+        photos_at_once(views),
+    )
+    error = np.zeros(len(painter.points.texel), np.float32)
+    for photo in photos:
+        error[photo["row"]] = photo["light_error"]
+    return PaintedTexels(painter.points, fuse_samples(photos, painter.points, size), error)
