@@ -295,12 +295,18 @@ class Together:
 
 
 def bring_together(
-    views: Sequence[View], val_views: Sequence[View], mesh: Mesh, check: Callable[[], None] = lambda: None
+    views: Sequence[View],
+    val_views: Sequence[View],
+    mesh: Mesh,
+    check: Callable[[], None] = lambda: None,
+    *,
+    may_mend: bool = True,
 ) -> Together:
     """Measure the fit of photos and mesh, and mend their frames where a mend is clearly right.
 
     Args:
         check: called often; may raise, as for a cancel.
+        may_mend: without, the fit is measured and nothing else tried.
 
     Raises:
         BadInput: a photo cannot be read.
@@ -312,9 +318,9 @@ def bring_together(
     fit = meter.fit()
     if fit.peak >= CLEAR_PEAK:
         return given
-    if (shown := _as_shown(given, mesh, fit, check)) is not None:
+    if may_mend and (shown := _as_shown(given, mesh, fit, check)) is not None:
         return shown
-    found = search(meter, fit, views, mesh)
+    found = search(meter, fit, views, mesh) if may_mend else None
     if found is not None and found[1].photos >= MIN_PHOTOS and is_clear(found[1], fit):
         mend, mended = found
         warning = (
@@ -328,8 +334,8 @@ def bring_together(
     if found is not None and found[1].peak > MISMATCH_PEAK:
         advice += f"; of the usual mends this one comes nearest: {found[0].describe()}"
     what = (
-        f"the photos do not fit the mesh: their edges agree by {fit.peak:.1f}, where {MISMATCH_PEAK:g} is the least, "
-        "under no usual choice of axes, unit and pose convention"
+        f"the photos do not fit the mesh: their edges agree by {fit.peak:.1f}, where {MISMATCH_PEAK:g} is the least"
+        + (", under no usual choice of axes, unit and pose convention" if may_mend else "")
     )
     return replace(given, mismatch=(what, advice))
 

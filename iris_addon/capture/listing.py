@@ -59,6 +59,7 @@ class Listing:
         mesh_file: the mesh to read.
         up: unit vector that points away from the floor.
         unposed: names of photos that the file lists without a pose.
+        one_frame: poses and mesh are known to be in one frame, because they were written together; none is searched.
     """
 
     name: str
@@ -70,6 +71,7 @@ class Listing:
     up: tuple[float, float, float]
     warnings: tuple[str, ...] = ()
     unposed: tuple[str, ...] = ()
+    one_frame: bool = False
 
 
 # ---- Values and paths -----------------------------------------------------------------------------------------------

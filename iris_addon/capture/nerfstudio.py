@@ -1,7 +1,8 @@
 """Captures in nerfstudio's format: a transforms.json with poses, intrinsics and paths.
 
-Format: https://docs.nerf.studio/quickstart/data_conventions.html. In addition "mesh" may name the mesh, and a frame
-may carry "split", "exposure" or "exposure_time" (with "iso", "f_number").
+Format: https://docs.nerf.studio/quickstart/data_conventions.html. In addition "mesh" may name the mesh, and "one_frame"
+tell that it is in the frame of the poses, so that no other is searched, and a frame may carry "split", "exposure" or
+"exposure_time" (with "iso", "f_number").
 """
 
 from __future__ import annotations
@@ -55,6 +56,7 @@ def read_nerfstudio(transforms: Path) -> Listing:
         mesh_file=mesh_file,
         up=up_axis(root, upright(views)),
         unposed=tuple(unposed),
+        one_frame=meta.get("one_frame") is True,
         warnings=tuple(warnings),
     )
 

@@ -92,7 +92,7 @@ def read_capture(
     mesh, mesh_warnings = read_mesh(listing.mesh_file)
     check_origin(views, mesh, listing.mesh_file)
     mesh, turned = _turn_glb(mesh, views, listing)
-    together = bring_together(views, val_views, mesh, check)
+    together = bring_together(views, val_views, mesh, check, may_mend=not listing.one_frame)
     warnings += [*mesh_warnings, *turned, *([together.warning] if together.warning else [])]
     check_units(together.views, together.mesh, listing.mesh_file)
     warnings += check_sees_mesh(together.views, together.mesh, listing.mesh_file)

@@ -158,6 +158,15 @@ def test_a_solve_refuses_photos_of_another_room_and_an_inspection_says_why(
     assert any("the photos do not fit the mesh" in warning for warning in warnings)
 
 
+def test_a_capture_that_was_written_as_one_is_refused_rather_than_turned(demo: DemoCapture) -> None:
+    """A scene's result goes back to its objects, which do not turn along."""
+    scannetpp(demo)
+    demo.meta["one_frame"] = True
+    capture = read_capture(demo.save())
+    assert capture.mismatch is not None and "the photos do not fit the mesh" in capture.mismatch.what
+    np.testing.assert_allclose(capture.mesh.vertices, demo.vertices, atol=1e-6)
+
+
 def test_the_fit_needs_no_absolute_scale_of_the_mesh(demo: DemoCapture) -> None:
     capture = read_capture(demo.save())
     fit = FrameMeter(capture.views, capture.mesh, lambda: None).fit()

@@ -166,7 +166,7 @@ def write_scene_capture(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, 
             cameras[stem] = view[0]
         atomic_write(target / "mesh.obj", lambda path: _write_obj(path, room, scale))
         write_json(folder / "scene_map.json", {"runs": [_run_json(run) for run in runs], "cameras": cameras})
-        write_json(target / "transforms.json", {"mesh": "mesh.obj", "frames": frames})
+        write_json(target / "transforms.json", {"mesh": "mesh.obj", "one_frame": True, "frames": frames})
     except OSError as error:
         raise IrisError(
             f"cannot be written ({error.strerror})", "free some disk space, or choose another folder", folder
