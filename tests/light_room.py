@@ -12,7 +12,7 @@ import numpy as np
 
 from iris_addon.base.progress import Progress
 from iris_addon.decide import Decisions
-from iris_addon.lighting.candidates import Brightness
+from iris_addon.lighting.brightness import Brightness, Cells
 from iris_addon.lighting.hidden import HiddenSources, find_hidden
 from iris_addon.lighting.lamp_radiance import form_factors_of, solve_lights
 from iris_addon.lighting.problem import LightProblem, Lights
@@ -142,7 +142,9 @@ def light_room(
         regions=label[room.regions],
         material=np.arange(len(albedo), dtype=np.int32),
         adjacency=adjacency,
+        cells=Cells.of_patches(p.surface.sample_patch, n),
         brightness=Brightness(bounded, np.where(clipped, np.nan, photographed), bound),
+        scanned=np.zeros(len(room.regions), bool),
         brighter_neighbour=np.full(len(p.samples.face), -1, np.int32),
         hidden=hidden,
         field=IrradianceField.build(p.surface),

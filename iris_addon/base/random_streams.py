@@ -27,6 +27,7 @@ STREAMS: Mapping[str, int] = {
     "materials.aimed_rays": 41,
     "lighting.hidden_emitters": 43,
     "surface.scan": 47,
+    "lighting.highlights": 53,
 }
 """The number of each use, "room.use". A new use takes a new number; numbers stay, so that results do."""
 

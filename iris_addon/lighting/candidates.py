@@ -10,136 +10,117 @@ is the reflectance that a face would need, its observed radiance (or the bound t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from ..base.errors import BadInput
 from ..base.files import from_ranges, json_object, read_json
-from ..base.group_by import order_in_groups
-from ..response.observations import Observations
-from ..response.radiance import Linearised, group_radiance
+from ..base.group_by import group_means, group_medians
+from ..rays.tracer import Tracer
 from ..surface.topology import component_labels, smooth_edges
 
 WHOLE_REGION_SHARE = 0.75
 """Share of a region's pixels on emitting faces above which the whole region is a lamp, unseen faces included."""
 EMITTING_FACE_SHARE = 0.7
-"""Share of a face's pixels on patches that pass the test above which the face emits."""
+"""Share of a face's pixels on cells that pass the test above which the face emits."""
 COPLANAR_COSINE = 0.999
 """Cosine between normals above which two faces lie in one plane."""
-MAX_LAMPS = 48
-"""Lamps at most; those with most pixels are kept."""
+SCAN_MIN_DENSITY = 1 / 3
+"""Pixels per area of a lamp of a scan over those of the whole scan, at least: what few views show may be a highlight in
+all of them."""
+SCAN_VOTES = 2
+"""Rounds in which a face of a scan takes the side of most pixels on it and its neighbours. A face has three pixels."""
+PIECE_MAX_GAP = 0.25
+"""Distance between two pieces of one lamp of a scan, over the side of a square of the smaller one's area, at most."""
+PIECE_MAX_STEP = 0.2
+"""Difference in log brightness between two pieces of one lamp, at most."""
+PIECE_MIN_COSINE = 0.8
+"""Cosine between the mean normals of two pieces of one lamp, at least."""
+LAMPS_TOLD_APART = 48
+"""Lamps above which neighbours that are equally bright become one lamp: each takes rays and an unknown of its own."""
+SPECK_MAX_SHARE = 0.05
+"""Area over that of a lamp beside it up to which a piece is a speck: pixels in which the lamp shows through."""
 CERTAIN_REFLECTANCE = 3.0
 """Reflectance needed above which only emission explains a face, however wrong the irradiance still is."""
+CERTAIN_MIN_SHARE = 0.25
+"""Share of the pixels of a bright surface of a scan that must be certain: a few always are by chance."""
 LAMP_MIN_PIXELS = 12
 """Pixels over all photos below which there is no evidence for a lamp."""
-VIEW_QUANTILE = 0.25
-"""Quantile over views at which a patch's radiance is tested: emission is seen in all views, a highlight in few."""
-
-
-@dataclass(frozen=True)
-class Brightness:
-    """Radiance of each patch as photos show it, clipped views included; scene-linear Rec.709.
-
-    Attributes:
-        floor: (P, 3) radiance that nearly all views reach: a low quantile over unclipped views, raised to the highest
-            bound where clipped views prevail.
-        measured: (P, 3) radiance from unclipped views, NaN without one.
-        bound: (P, 3) lower bound from clipped views.
-    """
-
-    floor: NDArray[np.float64]
-    measured: NDArray[np.float64]
-    bound: NDArray[np.float64]
-
-
-def brightness(
-    observations: Observations, linear: Linearised, n_patches: int, specular: NDArray[np.floating] | None = None
-) -> Brightness:
-    """Brightness of every seen patch, without the ``specular`` radiance (M, 3) of the observations if known."""
-    o = observations
-    group = group_radiance(linear, o.patch, o.count, n_patches)
-    value = least_radiance(linear, specular)
-    floor = [_low_quantile(value[:, c], linear.unclipped[:, c], o.count, o.patch, n_patches) for c in range(3)]
-    return Brightness(np.stack(floor, -1), np.where(group.known, group.radiance, np.nan), group.bound)
-
-
-def least_radiance(linear: Linearised, specular: NDArray[np.floating] | None) -> NDArray[np.float64]:
-    """(M, 3) least radiance of each observation, measured or a bound, without its ``specular`` part (M, 3)."""
-    value = np.where(linear.unclipped, linear.radiance, linear.bound)
-    return value if specular is None else np.maximum(value - specular, 0.0)
-
-
-def _low_quantile(
-    value: NDArray[np.float64],
-    unclipped: NDArray[np.bool_],
-    count: NDArray[np.floating],
-    patch: NDArray[np.integer],
-    n: int,
-) -> NDArray[np.float64]:
-    """(n,) low quantile over views of the least radiance of each patch in one channel.
-
-    Args:
-        value: (M,) least radiance of each observation.
-        unclipped: (M,) bool; clipped observations can only raise the result.
-        count: (M,) pixels.
-        patch: (M,) patch of each observation, below ``n``.
-    """
-    result = np.zeros(n)
-    bound = np.zeros(n)
-    np.maximum.at(bound, patch, np.where(unclipped, 0.0, value))
-    use = np.flatnonzero(unclipped)
-    order = use[order_in_groups(value[use], patch[use])]
-    in_order = patch[order]
-    weight = count[order].astype(np.float64)
-    total = np.bincount(in_order, weight, n)
-    running = np.cumsum(weight) - np.concatenate([[0], np.cumsum(total)])[in_order]
-    reached = running >= VIEW_QUANTILE * total[in_order]
-    chosen = np.flatnonzero(reached & np.concatenate([[True], (in_order[1:] != in_order[:-1]) | ~reached[:-1]]))
-    result[in_order[chosen]] = value[order][chosen]
-    unclipped_share = total / np.maximum(np.bincount(patch, count, n), 1e-9)
-    return np.where(unclipped_share > VIEW_QUANTILE, result, np.maximum(result, bound))
-
-
-def reflectance_needed(seen: Brightness, irradiance: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(P,) reflectance that would explain the brightness of each patch; ``irradiance`` (P, 3) is irradiance / pi."""
-    return (seen.floor / np.maximum(irradiance, 1e-6)).max(1)
 
 
 def emitting_faces(
-    passed: NDArray[np.bool_], sample_patch: NDArray[np.int32], sample_face: NDArray[np.int32], n_faces: int
+    passed: NDArray[np.bool_], sample_cell: NDArray[np.int32], sample_face: NDArray[np.int32], n_faces: int
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-    """Faces (F,) nearly all of whose pixels lie on patches that passed the test, and the pixels (F,) of every face.
+    """Faces (F,) nearly all of whose pixels lie on cells that passed the test, and the pixels (F,) of every face.
 
     A lamp's face shines all over; a large floor triangle that mirrors a window does not.
 
     Args:
-        passed: (P,) bool.
-        sample_patch, sample_face: (n,) patch and face of every pixel.
+        passed: (C,) bool.
+        sample_cell, sample_face: (n,) cell and face of every pixel.
     """
     count = np.bincount(sample_face, minlength=n_faces)
-    bright = np.bincount(sample_face[passed[sample_patch]], minlength=n_faces)
+    bright = np.bincount(sample_face[passed[sample_cell]], minlength=n_faces)
     return (bright > EMITTING_FACE_SHARE * count) & (count > 0), count
 
 
-def coplanar_with(
+def continued(
     certain: NDArray[np.bool_],
     emitting: NDArray[np.bool_],
+    count: NDArray[np.int64],
     normals: NDArray[np.floating],
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
+    scanned: NDArray[np.bool_],
 ) -> NDArray[np.bool_]:
     """(F,) emitting faces that are certain, or continue a certain one in its plane, edge to edge.
 
-    Some triangles of a pane may appear in long exposures only, which show no more than that they are bright.
+    Some triangles of a pane may appear in long exposures only, which show no more than that they are bright. On a scan
+    no two faces lie in one plane. There bright faces side by side are one surface, of which a share must be certain.
+
+    Args:
+        count: (F,) pixels of each face.
+        normals: (F, 3) unit.
+        scanned: (F,) faces of scans.
     """
     a, b = adjacency
-    flat = emitting[a] & emitting[b] & smooth_edges(normals, adjacency, COPLANAR_COSINE)
+    flat = smooth_edges(normals, adjacency, COPLANAR_COSINE) | (scanned[a] & scanned[b])
+    flat &= emitting[a] & emitting[b]
     label = component_labels(len(emitting), a[flat], b[flat])
-    holds_certain = np.zeros(len(emitting), bool)
-    holds_certain[label[certain & emitting]] = True
-    return emitting & holds_certain[label]
+    pixels = np.bincount(label, count)
+    share = np.bincount(label, count * (certain & emitting)) / np.maximum(pixels, 1)
+    least = np.where(scanned, CERTAIN_MIN_SHARE, 0.0)
+    return emitting & (share[label] > least)
+
+
+def voted(
+    emitting: NDArray[np.bool_],
+    count: NDArray[np.int64],
+    adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
+    scanned: NDArray[np.bool_],
+) -> NDArray[np.bool_]:
+    """(F,) emitting faces, where those of scans take the side of most pixels on themselves and their neighbours.
+
+    Args:
+        count: (F,) pixels of each face.
+        scanned: (F,) faces of scans.
+    """
+    if not scanned.any():
+        return emitting
+    a, b = adjacency
+    inside = scanned[a] & scanned[b]
+    a, b = a[inside], b[inside]
+    result, pixels, n = emitting.copy(), count.astype(np.float64), len(emitting)
+    for _ in range(SCAN_VOTES):
+        bright = pixels * result
+        votes = bright + np.bincount(a, bright[b], n) + np.bincount(b, bright[a], n)
+        of = pixels + np.bincount(a, pixels[b], n) + np.bincount(b, pixels[a], n)
+        result = np.where(scanned, (votes > 0.5 * of) & (of > 0), result)
+        # What no photo shows votes from now on as its neighbours made it.
+        pixels = np.where(scanned & (pixels == 0) & (of > 0), 1.0, pixels)
+    return result
 
 
 def with_gaps_closed(
@@ -180,29 +161,133 @@ def group_emitters(
     regions: NDArray[np.int32],
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
     among: NDArray[np.bool_] | None = None,
+    scanned: NDArray[np.bool_] | None = None,
 ) -> list[NDArray[np.int64]]:
     """Faces (k,) of each lamp: a whole region where nearly all of it emits, else emitting faces joined by edges.
 
     Args:
         count: (F,) pixels that saw each face.
         among: (F,) faces that may be lamps, by default all.
+        scanned: (F,) faces of scans, whose regions say nothing of lamps; by default none.
     """
-    whole = whole_regions(emitting, count, regions)
-    member = emitting | whole[regions]
+    whole = whole_regions(emitting, count, regions)[regions]
+    if scanned is not None:
+        whole &= ~scanned
+    member = emitting | whole
     if among is not None:
         member &= among
     a, b = adjacency
     link = member[a] & member[b]
     label = component_labels(len(regions), a[link], b[link])
     # The faces of a region that emits as a whole belong together even where the mesh is not welded.
-    label = np.where(whole[regions], len(regions) + regions, label)
+    label = np.where(whole, len(regions) + regions, label)
     faces = np.flatnonzero(member & (areas > 0))
     order = np.argsort(label[faces], kind="stable")
     _, first = np.unique(label[faces][order], return_index=True)
     lamps = np.split(faces[order], first[1:]) if len(faces) else []
-    pixels = np.array([count[lamp].sum() for lamp in lamps])
-    kept = np.sort(np.argsort(-pixels, kind="stable")[:MAX_LAMPS])
-    return [lamps[k].astype(np.int64) for k in kept if pixels[k] >= LAMP_MIN_PIXELS]
+    least = np.zeros(len(areas))
+    if scanned is not None and scanned.any():
+        usual = count[scanned].sum() / max(areas[scanned & (count > 0)].sum(), 1e-12)
+        least[scanned] = SCAN_MIN_DENSITY * usual * areas[scanned]
+    return [lamp.astype(np.int64) for lamp in lamps if count[lamp].sum() >= max(LAMP_MIN_PIXELS, least[lamp].sum())]
+
+
+def joined_pieces(
+    lamps: list[NDArray[np.int64]], level: NDArray[np.floating], tracer: Tracer, scanned: NDArray[np.bool_]
+) -> list[NDArray[np.int64]]:
+    """Lamps of a scan put together from pieces: equally bright ones side by side are one lamp, and specks are left out.
+
+    A scan has holes and noise, and photos see a window through its bars. Pieces of one lamp that have unknowns of their
+    own would share its light among them in any way.
+
+    Args:
+        level: (F,) brightness of each face, scene-linear.
+        scanned: (F,) faces of scans; lamps on other faces are returned as they are.
+    """
+    modelled = [lamp for lamp in lamps if not scanned[lamp[0]]]
+    pieces = [lamp for lamp in lamps if scanned[lamp[0]]]
+    if len(pieces) < 2:
+        return lamps
+    n = len(pieces)
+    side = np.sqrt([tracer.areas[piece].sum() for piece in pieces])
+    normal = np.array([(tracer.areas[piece, None] * tracer.normals[piece]).sum(0) for piece in pieces])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    faces, of = np.concatenate(pieces), np.repeat(np.arange(n), [len(piece) for piece in pieces])
+    log_level = np.log(np.maximum(group_medians(level[faces, None], of, n)[:, 0], 1e-9))
+    one, other, gap = _gaps(tracer.corners[faces].mean(1), of, PIECE_MAX_GAP * side)
+    less, more = np.minimum(side[one], side[other]), np.maximum(side[one], side[other])
+    alike = (np.abs(log_level[one] - log_level[other]) < PIECE_MAX_STEP) & (
+        np.abs((normal[one] * normal[other]).sum(1)) > PIECE_MIN_COSINE
+    )
+    join = alike & (gap < PIECE_MAX_GAP * less)
+    label = component_labels(n, one[join], other[join])
+    area = np.bincount(label, side**2)
+    # Within reach of the larger lamp, but not of the piece: light of the lamp that strayed.
+    beside = (gap < PIECE_MAX_GAP * more) & (label[one] != label[other])
+    a, b = label[one[beside]], label[other[beside]]
+    small, large = np.where(area[a] < area[b], a, b), np.where(area[a] < area[b], b, a)
+    speck = np.zeros(len(area), bool)
+    speck[small[area[small] < SPECK_MAX_SHARE * area[large]]] = True
+    joined = [np.sort(np.concatenate([pieces[k] for k in np.flatnonzero(label == lamp)])) for lamp in range(len(area))]
+    return [*modelled, *(joined[k] for k in np.flatnonzero(~speck))]
+
+
+def fewer_lamps(
+    lamps: list[NDArray[np.int64]], level: NDArray[np.floating], tracer: Tracer, most: int = LAMPS_TOLD_APART
+) -> list[NDArray[np.int64]]:
+    """Lamps of which neighbours that are equally bright are put together, the nearest first, while there are more than
+    ``most``. No face is lost, and lamps that differ stay apart however many there are.
+
+    Args:
+        level: (F,) brightness of each face, scene-linear.
+    """
+    if len(lamps) <= most:
+        return lamps
+    n = len(lamps)
+    faces, of = np.concatenate(lamps), np.repeat(np.arange(n), [len(lamp) for lamp in lamps])
+    log_level = np.log(np.maximum(group_medians(level[faces, None], of, n)[:, 0], 1e-9))
+    centre = group_means(tracer.corners[faces].mean(1), of, n)
+    one, other = np.triu_indices(n, 1)
+    alike = np.abs(log_level[one] - log_level[other]) < PIECE_MAX_STEP
+    one, other = one[alike], other[alike]
+    distance = np.linalg.norm(centre[one] - centre[other], axis=1)
+    label, left = np.arange(n), n
+    for k in np.argsort(distance, kind="stable"):
+        if left <= most:
+            break
+        a, b = label[one[k]], label[other[k]]
+        if a != b:
+            label[label == b] = a
+            left -= 1
+    return [np.sort(np.concatenate([lamps[k] for k in np.flatnonzero(label == lamp)])) for lamp in np.unique(label)]
+
+
+def _gaps(
+    position: NDArray[np.floating], of: NDArray[np.integer], reach: NDArray[np.floating]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Pairs (k,), (k,) of pieces that come within reach of each other, and their distance (k,).
+
+    Args:
+        position: (n, 3) metres, points on the pieces.
+        of: (n,) piece of each, ascending.
+        reach: (m,) metres, of each piece; the larger one counts.
+    """
+    m = len(reach)
+    one, other, gap = [], [], []
+    start = np.searchsorted(of, np.arange(m + 1))
+    trees = [cKDTree(position[start[k] : start[k + 1]]) for k in range(m)]
+    low, high = (np.array([f(tree.data, 0) for tree in trees]) for f in (np.min, np.max))
+    for k in range(m):
+        away = np.maximum(low[k + 1 :] - high[k], low[k] - high[k + 1 :]).max(1)
+        for j in k + 1 + np.flatnonzero(away < np.maximum(reach[k], reach[k + 1 :])):
+            small, large = (k, j) if start[k + 1] - start[k] < start[j + 1] - start[j] else (j, k)
+            most = max(reach[k], reach[j])
+            distance = trees[large].query(trees[small].data, distance_upper_bound=most)[0].min()
+            if distance < most:
+                one.append(k)
+                other.append(j)
+                gap.append(distance)
+    return np.array(one, np.int64), np.array(other, np.int64), np.array(gap)
 
 
 def tie_fixtures(emitters: Sequence[NDArray[np.int64]], areas: NDArray[np.floating]) -> NDArray[np.int64]:

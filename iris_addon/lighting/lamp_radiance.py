@@ -233,11 +233,11 @@ def _columns(emitters: list[NDArray[np.int64]], known: list[NDArray[np.int64]]) 
 
 def _lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> Evidence:
     """Bounds and measurements per lamp from the pixels on it."""
-    seen, face, patch = problem.brightness, problem.samples.face, problem.surface.sample_patch
+    seen, face, cell = problem.brightness, problem.samples.face, problem.cells.of_pixel
     label = emitter_of_face(emitters, len(problem.regions))
     on_lamp = np.flatnonzero(label[face] >= 0)
     order = on_lamp[np.argsort(label[face[on_lamp]], kind="stable")]
-    per_lamp = np.split(patch[order], np.cumsum(np.bincount(label[face[order]], minlength=len(emitters)))[:-1])
+    per_lamp = np.split(cell[order], np.cumsum(np.bincount(label[face[order]], minlength=len(emitters)))[:-1])
     bound = np.zeros((len(emitters), 3))
     measured = np.full((len(emitters), 3), np.nan)
     for index, own in enumerate(per_lamp[: len(emitters)]):
@@ -262,15 +262,17 @@ def patches_on(problem: LightProblem, mask: NDArray[np.bool_]) -> NDArray[np.boo
     return on
 
 
-def lamp_of_patch(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """(P,) index of the emitter that covers most of each seen patch, -1 for none."""
+def lamp_of_cell(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """(C,) index of the emitter that covers most of each cell, -1 for none."""
+    cell, n = problem.cells.of_pixel, problem.cells.n_cells
+    count = np.bincount(cell, minlength=n)
     label = emitter_of_face(emitters, len(problem.regions))[problem.samples.face]
     on = np.flatnonzero(label >= 0)
-    pair, pixels = np.unique(problem.surface.sample_patch[on] * len(emitters) + label[on], return_counts=True)
-    patch, lamp = np.divmod(pair, max(1, len(emitters)))
-    most = pixels > 0.5 * problem.surface.count[patch]
-    result = np.full(problem.transport.n_seen, -1, np.int64)
-    result[patch[most]] = lamp[most]
+    pair, pixels = np.unique(cell[on].astype(np.int64) * len(emitters) + label[on], return_counts=True)
+    of, lamp = np.divmod(pair, max(1, len(emitters)))
+    most = pixels > 0.5 * count[of]
+    result = np.full(n, -1, np.int64)
+    result[of[most]] = lamp[most]
     return result
 
 

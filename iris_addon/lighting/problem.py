@@ -17,7 +17,7 @@ from ..surface.primary_rays import PixelSamples
 from ..transport.aimed_rays import SparseRays
 from ..transport.transport import Transport
 from .balance import ROBUST_LOG
-from .candidates import MAX_LAMPS, Brightness
+from .brightness import Brightness, Cells
 from .hidden import HiddenSources
 
 
@@ -54,9 +54,6 @@ class Lights:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings for the user."""
-        if len(self.emitters) >= MAX_LAMPS:
-            what = f"no more than {MAX_LAMPS} lamps are told apart, those with most pixels"
-            return (f"{what}: give lamps that belong together one material",)
         if self.emitters or self.hidden_radiance.any():
             return ()
         return ("no light was found, so the room renders black: add photos that show a lamp or a window",)
@@ -107,7 +104,9 @@ class LightProblem:
         regions: (F,) region of each face.
         material: (n_regions,) label that regions of one material share; patches carry it as their region.
         adjacency: pairs of faces that share an edge.
-        brightness: brightness of each seen patch.
+        cells: where brightness is collected: seen patches, and bright faces of scans.
+        brightness: brightness of each cell.
+        scanned: (F,) bool, faces of scans.
         brighter_neighbour: (n,) pixel beside each mixed pixel that may be the source of all its light, -1 for none.
         hidden: sources that no photo shows.
         field: neighbourhoods of the seen patches.
@@ -127,7 +126,9 @@ class LightProblem:
     regions: NDArray[np.int32]
     material: NDArray[np.int32]
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]]
+    cells: Cells
     brightness: Brightness
+    scanned: NDArray[np.bool_]
     brighter_neighbour: NDArray[np.int32]
     hidden: HiddenSources
     field: IrradianceField

@@ -19,7 +19,7 @@ from ..base.progress import Progress
 from ..response.observations import Observations
 from ..response.radiance import GroupRadiance, Linearised, without_specular
 from ..surface.topology import component_labels
-from .candidates import least_radiance
+from .brightness import least_radiance
 from .lamp_radiance import PatchFit, form_factors_of, patches_on, solve_lights
 from .problem import LightProblem, Lights
 

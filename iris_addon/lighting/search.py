@@ -18,23 +18,25 @@ from ..brdf.diffuse import under_lobe
 from ..response.radiance import GroupRadiance
 from ..transport.gather import ESCAPED
 from .balance import EFFECTIVE_PATCHES, ROBUST_LOG
+from .brightness import Brightness, reflectance_needed
 from .candidates import (
     CERTAIN_REFLECTANCE,
-    Brightness,
-    coplanar_with,
+    continued,
     emitting_faces,
+    fewer_lamps,
     group_emitters,
-    reflectance_needed,
+    joined_pieces,
+    voted,
     whole_regions,
     with_gaps_closed,
 )
+from .highlights import without_highlights
 from .lamp_radiance import (
     PatchFit,
     form_factors_of,
-    lamp_of_patch,
+    lamp_of_cell,
     lights_without_lamps,
     mean_radiance,
-    patches_on,
     solve_lights,
 )
 from .problem import LightProblem, Lights
@@ -47,6 +49,8 @@ SELECTION_ROUNDS = 2
 lamps, no lamp seems to be missing."""
 LAMP_HYSTERESIS = 0.8
 """Factor on the thresholds for faces that already count as a lamp."""
+FIRST_MIN_LEVEL = 0.7
+"""Least radiance over that at which the shortest exposure clips, from which on a clipped face is solved for first."""
 LAMP_THRESHOLDS = (CERTAIN_REFLECTANCE, 1.6, 1.25)
 """Reflectance needed above which a face counts as a lamp, round by round, from the certain ones down."""
 EXPONENT_LOGS = np.linspace(-1.2, 1.2, 13)
@@ -64,9 +68,14 @@ def find_lights(problem: LightProblem, observed: GroupRadiance, progress: Progre
     lights = lights_without_lamps(problem, observed)
     if problem.given_emitters is not None:
         return solve_lights(problem, observed, problem.given_emitters, lights, progress)
+    # The first light takes what clips at its bound. What such a lamp lights seems to emit until it is solved for: on a
+    # modelled mesh only in part of a region, which is no candidate, on a scan all the same.
+    if problem.scanned.any():
+        emitters = _candidates(problem, lights, CERTAIN_REFLECTANCE, CERTAIN_REFLECTANCE, clipped=True)
+        lights = solved(problem, observed, emitters, lights, progress) if emitters else lights
     for threshold in LAMP_THRESHOLDS:
         emitters = _candidates(problem, lights, threshold, threshold)
-        if threshold == CERTAIN_REFLECTANCE or not same_emitters(emitters, lights.emitters):
+        if not np.isfinite(lights.held_out) or not same_emitters(emitters, lights.emitters):
             lights = solved(problem, observed, emitters, lights, progress)
     for _ in range(SELECTION_ROUNDS):
         lights = with_unconstrained(problem, observed, lights, progress)
@@ -163,37 +172,60 @@ def reconsider_lamps(
 
 
 def _candidates(
-    problem: LightProblem, lights: Lights, new: float, old: float, among: NDArray[np.bool_] | None = None
+    problem: LightProblem,
+    lights: Lights,
+    new: float,
+    old: float,
+    among: NDArray[np.bool_] | None = None,
+    clipped: bool = False,
 ) -> list[NDArray[np.int64]]:
     """Lamps under the light known so far.
 
     Args:
         new, old: reflectance needed above which faces are lamps: those that are none so far, and those that are.
         among: (F,) faces that may be lamps, by default all.
+        clipped: whether only faces count that clip in nearly all views, short exposures among them.
     """
-    n = problem.transport.n_seen
-    lamp = lamp_of_patch(problem, lights.emitters)
+    lamp = lamp_of_cell(problem, lights.emitters)
     seen = _with_found(problem, lights, lamp)
     needed = reflectance_needed(seen, _irradiance_by_rank(problem, lights, lamp))
+    if clipped:
+        shown = problem.brightness
+        first = shown.clips.any(1) & (shown.floor.max(1) >= FIRST_MIN_LEVEL * shown.bound.max())
+        needed = np.where(first, needed, 0.0)
     # A face that counts as a lamp stays one unless the light found since explains its brightness.
-    counts = patches_on(problem, lights.mask)[:n]
-    patch, face, n_faces = problem.surface.sample_patch, problem.samples.face, len(problem.regions)
-    emitting, count = emitting_faces(needed > np.where(counts, LAMP_HYSTERESIS * old, new), patch, face, n_faces)
+    cell, face, n_faces = problem.cells.of_pixel, problem.samples.face, len(problem.regions)
+    counts = lamp >= 0
+    emitting, count = emitting_faces(needed > np.where(counts, LAMP_HYSTERESIS * old, new), cell, face, n_faces)
     certain, _ = emitting_faces(
-        needed > np.where(counts, LAMP_HYSTERESIS, 1.0) * CERTAIN_REFLECTANCE, patch, face, n_faces
+        needed > np.where(counts, LAMP_HYSTERESIS, 1.0) * CERTAIN_REFLECTANCE, cell, face, n_faces
     )
     # A face dimmer than the typical reflected light is unexplained, but no lamp.
-    level = np.median(lights.irradiance[:n].mean(1))
-    emitting &= emitting_faces(seen.floor.max(1) > level, patch, face, n_faces)[0]
+    usual = np.median(lights.irradiance[: problem.transport.n_seen].mean(1))
+    emitting &= emitting_faces(seen.floor.max(1) > usual, cell, face, n_faces)[0]
+    scanned, adjacency, tracer = problem.scanned, problem.adjacency, problem.tracer
+    emitting, certain = (voted(faces, count, adjacency, scanned) for faces in (emitting, certain))
+    level = _face_level(problem, seen)
+    clips, _ = emitting_faces(problem.brightness.clips.any(1), cell, face, n_faces)
+    emitting = without_highlights(problem, emitting, level, clips)
     # Bright faces of a region that otherwise reflects are a highlight or a caustic until they are far too bright.
-    certain = coplanar_with(certain, emitting, problem.tracer.normals, problem.adjacency)
-    emitting &= certain | whole_regions(emitting, count, problem.regions)[problem.regions]
-    emitting = with_gaps_closed(emitting, count > 0, problem.tracer.normals, problem.adjacency)
-    return group_emitters(emitting, count, problem.tracer.areas, problem.regions, problem.adjacency, among)
+    certain = continued(certain, emitting, count, tracer.normals, adjacency, scanned)
+    whole = whole_regions(emitting, count, problem.regions)[problem.regions] & ~scanned
+    emitting &= certain | whole
+    emitting = with_gaps_closed(emitting, count > 0, tracer.normals, adjacency)
+    lamps = group_emitters(emitting, count, tracer.areas, problem.regions, adjacency, among, scanned)
+    return fewer_lamps(joined_pieces(lamps, level, tracer, scanned), level, tracer)
+
+
+def _face_level(problem: LightProblem, seen: Brightness) -> NDArray[np.float64]:
+    """(F,) brightness of each face, mean over channels and pixels, 0 for one that no photo shows."""
+    face, n_faces = problem.samples.face, len(problem.regions)
+    total = np.bincount(face, seen.floor.mean(1)[problem.cells.of_pixel], n_faces)
+    return total / np.maximum(np.bincount(face, minlength=n_faces), 1)
 
 
 def _with_found(problem: LightProblem, lights: Lights, lamp: NDArray[np.int64]) -> Brightness:
-    """The brightness of patches; on clipped lamps, whose photos give only a bound, at least their solved radiance."""
+    """The brightness of cells; on clipped lamps, whose photos give only a bound, at least their solved radiance."""
     floor = problem.brightness.floor.copy()
     at = np.flatnonzero(lamp >= 0)
     clipped = (problem.brightness.bound[at] >= floor[at]) & (floor[at] > 0)
@@ -202,16 +234,17 @@ def _with_found(problem: LightProblem, lights: Lights, lamp: NDArray[np.int64]) 
 
 
 def _irradiance_by_rank(problem: LightProblem, lights: Lights, lamp: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(P, 3) irradiance / pi at the seen patches; on a lamp, without the direct light of less certain lamps.
+    """(C, 3) irradiance / pi at the cells; on a lamp, without the direct light of less certain lamps.
 
     The frame in front of a window is lit by the window. If it is mistaken for a lamp, its light must not make the
     window look like a reflecting surface.
     """
-    irradiance = np.array(lights.irradiance[: problem.transport.n_seen], np.float64)
+    patch = problem.cells.patch
+    irradiance = np.array(lights.irradiance[patch], np.float64)
     needed = certainty(problem, lights, lamp)
     for k, own in enumerate(needed):
         at, weaker = np.flatnonzero(lamp == k), needed < own
-        direct = under_lobe(lights.form_factors[at][:, weaker], problem.transport.kappa[at])
+        direct = under_lobe(lights.form_factors[patch[at]][:, weaker], problem.transport.kappa[patch[at]])
         irradiance[at] -= direct @ lights.radiance[weaker]
     return irradiance
 

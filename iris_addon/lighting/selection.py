@@ -21,12 +21,13 @@ from ..surface.topology import smooth_components
 from ..transport.form_factors import emitter_form_factors, emitter_of_face
 from ..transport.gather import GatherRays
 from .balance import Evidence, ShadedPatches, noticeable_radiance, solve_balance
-from .candidates import CERTAIN_REFLECTANCE, emitting_faces, group_emitters, reflectance_needed, whole_regions
+from .brightness import reflectance_needed
+from .candidates import CERTAIN_REFLECTANCE, emitting_faces, group_emitters, joined_pieces, voted, whole_regions
 from .lamp_radiance import (
     SEARCH_SHADOW_RAYS,
     PatchFit,
     form_factors_of,
-    lamp_of_patch,
+    lamp_of_cell,
     patch_weight,
     patches_on,
     solve_lights,
@@ -103,17 +104,19 @@ def _glows(problem: LightProblem, lights: Lights, faces: NDArray[np.int64]) -> b
 
 
 def _clipped_regions(problem: LightProblem, lights: Lights) -> list[NDArray[np.int64]]:
-    """Faces of regions that clip in all views and are no lamp yet, in descending order of the reflectance needed."""
-    n, patch, face = problem.transport.n_seen, problem.surface.sample_patch, problem.samples.face
-    seen = problem.brightness
-    clipped = ((seen.bound >= seen.floor) & (seen.floor > 0)).all(1)
-    emitting, count = emitting_faces(clipped, patch, face, len(problem.regions))
-    emitting = whole_regions(emitting, count, problem.regions)[problem.regions]
-    groups = group_emitters(emitting, count, problem.tracer.areas, problem.regions, problem.adjacency)
-    groups = [group for group in groups if not lights.mask[group].all()]
-    needed = _median_by_lamp(
-        reflectance_needed(seen, lights.irradiance[:n]), lamp_of_patch(problem, groups), len(groups)
-    )
+    """Faces of what clips in all views and is no lamp yet, in descending order of the reflectance needed: whole
+    regions, and on scans connected faces."""
+    cells, face, seen, tracer = problem.cells, problem.samples.face, problem.brightness, problem.tracer
+    adjacency, scanned, regions = problem.adjacency, problem.scanned, problem.regions
+    emitting, count = emitting_faces(seen.clips.all(1), cells.of_pixel, face, len(regions))
+    emitting = voted(emitting, count, adjacency, scanned)
+    emitting = np.where(scanned, emitting, whole_regions(emitting, count, regions)[regions])
+    groups = group_emitters(emitting, count, tracer.areas, regions, adjacency, scanned=scanned)
+    groups = joined_pieces(groups, np.ones(len(regions)), tracer, scanned)
+    # Of a scan, whose regions tell nothing of lamps, what clips around a lamp is no larger lamp.
+    groups = [group for group in groups if lights.mask[group].mean() < (0.5 if scanned[group[0]] else 1.0)]
+    needed = reflectance_needed(seen, lights.irradiance[cells.patch])
+    needed = _median_by_lamp(needed, lamp_of_cell(problem, groups), len(groups))
     return [groups[k] for k in np.argsort(-needed, kind="stable")[:UNCONSTRAINED_MAX_CLIPPED]]
 
 
@@ -131,7 +134,7 @@ def needed_lamps(
     weight = np.where(
         patches_on(problem, lights.mask)[: problem.transport.n_seen], 0.0, patch_weight(problem, observed)
     )
-    needed = certainty(problem, lights, lamp_of_patch(problem, lights.emitters))
+    needed = certainty(problem, lights, lamp_of_cell(problem, lights.emitters))
     power = np.array([problem.tracer.areas[f].sum() for f in lights.emitters]) * lights.radiance.mean(1)
     # Mixed pixels at the edge of a real lamp create specks.
     strong = power > LAMP_MIN_POWER * (power.sum() + _outside_power(problem, lights))
@@ -223,14 +226,17 @@ def _stops_beyond_photos(problem: LightProblem, lamp: NDArray[np.int64], radianc
         lamp: (k,) faces.
         radiance: (3,) of the lamp.
     """
-    on = lamp_of_patch(problem, [lamp]) == 0
+    on = lamp_of_cell(problem, [lamp]) == 0
     shown = np.median(problem.brightness.floor[on].mean(1)) if on.any() else 0.0
     shown *= 1 - _share_beside_brighter(problem, [lamp])[0]
     return float(np.clip(np.log2(radiance.mean() / max(shown, 1e-9)), 0.5, 10.0))
 
 
 def _sides(problem: LightProblem, lamp: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Faces of each side of a lamp between sharp edges; the lamp as a whole if there are more than LAMP_MAX_SIDES."""
+    """Faces of each side of a lamp between sharp edges; the lamp as a whole if there are more than LAMP_MAX_SIDES, or
+    on a scan, whose edges are noise."""
+    if problem.scanned[lamp].any():
+        return [lamp]
     member = np.zeros(len(problem.regions), bool)
     member[lamp] = True
     label = smooth_components(problem.tracer.normals, problem.adjacency, member)[lamp]
@@ -267,14 +273,14 @@ def solved(
 
 
 def certainty(problem: LightProblem, lights: Lights, lamp: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(E,) reflectance that would explain each lamp's brightness, median over its patches; ``lamp`` (P,) as of
-    :func:`.lamp_of_patch`."""
-    needed = reflectance_needed(problem.brightness, lights.irradiance[: problem.transport.n_seen])
+    """(E,) reflectance that would explain each lamp's brightness, median over its cells; ``lamp`` (C,) as of
+    :func:`.lamp_of_cell`."""
+    needed = reflectance_needed(problem.brightness, lights.irradiance[problem.cells.patch])
     return _median_by_lamp(needed, lamp, len(lights.emitters))
 
 
 def _median_by_lamp(values: NDArray[np.float64], lamp: NDArray[np.int64], n_lamps: int) -> NDArray[np.float64]:
-    """(E,) median of ``values`` (P,) over the patches of each lamp, 0 for a lamp without patches."""
+    """(E,) median of ``values`` (C,) over the cells of each lamp, 0 for a lamp without cells."""
     of_some = lamp >= 0
     return group_medians(values[of_some, None], lamp[of_some], n_lamps)[:, 0]
 

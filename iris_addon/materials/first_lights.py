@@ -20,7 +20,8 @@ from ..brdf.diffuse import grazing_gain, schlick
 from ..config import SolveConfig
 from ..decide import Decisions
 from ..lighting.backdrop import SeenBackdrop, fit_backdrop
-from ..lighting.candidates import brightness, read_given_emitters
+from ..lighting.brightness import Cells
+from ..lighting.candidates import read_given_emitters
 from ..lighting.hidden import HiddenSources, through_holes
 from ..lighting.problem import LightProblem, Lights
 from ..lighting.search import choose_exponent, choose_outside
@@ -67,6 +68,7 @@ def pose_problem(
         backdrop = SeenBackdrop(fit_backdrop(photos.backdrop, photometry, capture.mesh, capture.views))
     rough = rough_everywhere(room.n_regions)
     emitters_file = config.emitters
+    cells = Cells.on_scans(photos, photometry, room.patches.sample_patch, observations, room.regions.scanned)
     light = LightProblem(
         tracer=room.tracer,
         samples=room.samples,
@@ -75,7 +77,9 @@ def pose_problem(
         regions=regions,
         material=np.arange(room.n_regions, dtype=np.int32),
         adjacency=room.adjacency,
-        brightness=brightness(observations, linear, n_patches),
+        cells=cells,
+        brightness=cells.brightness(observations, linear),
+        scanned=room.regions.scanned,
         brighter_neighbour=room.mixed.brighter_neighbour,
         hidden=replace(hidden, holes=through_holes(transport, backdrop)),
         field=room.field,

@@ -17,7 +17,6 @@ from ..base.random_streams import stream
 from ..brdf.diffuse import grazing_gain
 from ..brdf.ggx import layered_factor
 from ..lighting.backdrop import SeenBackdrop
-from ..lighting.candidates import brightness
 from ..lighting.lamp_radiance import mean_radiance, patch_weight
 from ..lighting.problem import LightProblem, Lights
 from ..lighting.screens import Shown, with_screens
@@ -168,7 +167,7 @@ def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progr
         o, n_patches = problem.observations, len(problem.observed.weight)
         view_factor = problem.view_factor(shading, gloss.roughness[problem.region])
         diffuse = group_radiance(problem.linear, o.patch, o.count, n_patches, specular, view_factor)
-        seen = brightness(o, problem.linear, n_patches, specular)
+        seen = problem.light.cells.brightness(o, problem.linear, specular)
         bounce = _continued_paths(problem, gloss, round_)
         aimed = _aimed_rays(problem, lights, round_)
         light_problem = replace(problem.light, brightness=seen, bounce=bounce, aimed=aimed)

@@ -63,8 +63,11 @@ class TracedRoom:
 
     @property
     def surveyed(self) -> NDArray[np.bool_]:
-        """(F,) faces that a photo shows or a scanner saw: of a scan, photos miss only scraps along its borders."""
-        return self.samples.seen_faces(len(self.regions.of_face)) | self.regions.scanned
+        """(F,) faces that a photo shows or a scanner saw: photos miss only scraps along the borders of a scan, and
+        what lies beside it in its file are crumbs of the same scan."""
+        if self.regions.scanned.any():
+            return np.ones(len(self.regions.of_face), bool)
+        return self.samples.seen_faces(len(self.regions.of_face))
 
     @property
     def smooth_components(self) -> NDArray[np.int32]:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from iris_addon.lighting.brightness import Brightness, brightness, reflectance_needed
 from iris_addon.lighting.candidates import (
-    Brightness,
-    brightness,
-    coplanar_with,
+    continued,
     emitting_faces,
+    fewer_lamps,
     group_emitters,
-    reflectance_needed,
+    joined_pieces,
     tie_fixtures,
+    voted,
     with_gaps_closed,
 )
 from iris_addon.model.response import gamma
@@ -134,7 +135,10 @@ def test_a_pane_continues_in_its_plane_and_not_around_its_edge() -> None:
     bright = np.array([True, True, True, True, True])
 
     def found(normals: list[list[float]], emitting: np.ndarray) -> list[int]:
-        return np.flatnonzero(coplanar_with(certain, emitting, np.array(normals), adjacency)).tolist()
+        modelled = np.zeros(5, bool)
+        return np.flatnonzero(
+            continued(certain, emitting, np.ones(5, np.int64), np.array(normals), adjacency, modelled)
+        ).tolist()
 
     assert found([up, up, up, side, up], bright) == [0, 1, 2]
     assert found([up, [-x for x in up], up, up, up], bright) == [0, 1, 2, 3]  # wound the other way
@@ -153,3 +157,90 @@ def test_triangles_smaller_than_pixels_belong_to_the_lamp_around_them(emits_besi
     closed = with_gaps_closed(emitting, seen, tracer.normals, adjacency)
     assert closed[emitting].all() and not closed[~pane].any()
     assert (closed == pane).all() if emits_beside else not closed[tracer.corners[:, :, 0].min(1) > 0.35].any()
+
+
+# Scans ---------------------------------------------------------------------------------------------------------------
+
+
+def test_on_a_scan_a_share_of_a_bright_surface_must_be_certain() -> None:
+    """A row of five rough faces, all bright: a few are always certain by chance."""
+    adjacency = np.arange(4), np.arange(1, 5)
+    normals = np.linalg.qr(np.random.default_rng(0).standard_normal((5, 3)))[0]
+    bright, scan, count = np.ones(5, bool), np.ones(5, bool), np.array([1, 10, 10, 10, 10])
+
+    def found(certain: list[bool]) -> list[bool]:
+        return continued(np.array(certain), bright, count, normals, adjacency, scan).tolist()
+
+    assert found([True, False, False, False, False]) == [False] * 5
+    assert found([False, True, False, False, True]) == [True] * 5
+
+
+def test_what_few_photos_show_of_a_scan_is_no_lamp() -> None:
+    mesh = assemble([quad([k, 0, 0], [0.5, 0, 0], [0, 0.5, 0]) for k in range(3)], [0, 1, 2])
+    assert mesh.regions is not None
+    emitting, count = np.array([True, True, True, True, False, False]), np.array([90, 90, 15, 15, 180, 180])
+
+    def found(scanned: bool) -> list[list[int]]:
+        scan = np.full(6, scanned)
+        assert mesh.regions is not None
+        lamps = group_emitters(emitting, count, np.ones(6), mesh.regions, edge_adjacency(mesh), scanned=scan)
+        return [faces.tolist() for faces in lamps]
+
+    assert found(True) == [[0, 1]]
+    assert found(False) == [[0, 1], [2, 3]]
+
+
+def test_faces_of_a_scan_vote_with_their_neighbours_and_modelled_ones_do_not() -> None:
+    mesh = assemble([quad([0, 0, 0], [1, 0, 0], [0, 1, 0], 0.025)], [0])
+    adjacency, n = edge_adjacency(mesh), len(mesh.faces)
+    centre = mesh.vertices[mesh.faces].mean(1)
+    lamp = centre[:, 0] < 0.5
+    rng = np.random.default_rng(0)
+    noisy, count = lamp ^ (rng.random(n) < 0.05), np.full(n, 3)
+    count[rng.random(n) < 0.1] = 0  # no photo shows these
+    noisy[count == 0] = False
+    assert voted(noisy, count, adjacency, np.zeros(n, bool)).tolist() == noisy.tolist()
+    smooth = voted(noisy, count, adjacency, np.ones(n, bool))
+    assert np.mean(smooth == lamp) > 0.98 > 0.92 > np.mean(noisy == lamp)
+
+
+def test_pieces_of_a_window_are_one_lamp_and_specks_beside_it_none() -> None:
+    """Two panes behind a bar, a speck on the frame, a darker pane, a pane around the corner, and a lamp far away."""
+    side, up, wide = [1.0, 0, 0], [0, 0, 1.0], 0.1
+    pieces = [
+        quad([0, 0, 0], side, up, wide),
+        quad([0, 0, 1.05], side, up, wide),
+        quad([1.02, 0, 0.5], [0.02, 0, 0], [0, 0, 0.02]),
+        quad([-1.1, 0, 0], side, up, wide),
+        quad([0, 0, 2.1], [0, 1.0, 0], side, wide),
+        quad([5, 0, 0], side, up, wide),
+    ]
+    mesh = assemble(pieces, list(range(6)))
+    assert mesh.regions is not None
+    lamps = [np.flatnonzero(mesh.regions == k) for k in range(6)]
+    level = np.array([4.0, 4.1, 4.0, 2.0, 4.0, 4.0])[mesh.regions]
+    tracer, n = Tracer(mesh), len(mesh.faces)
+
+    def regions(found: list[np.ndarray]) -> list[list[int]]:
+        assert mesh.regions is not None
+        return [np.unique(mesh.regions[faces]).tolist() for faces in found]
+
+    assert regions(joined_pieces(lamps, level, tracer, np.ones(n, bool))) == [[0, 1], [3], [4], [5]]
+    assert regions(joined_pieces(lamps, level, tracer, np.zeros(n, bool))) == [[k] for k in range(6)]
+
+
+def test_of_too_many_lamps_equal_neighbours_become_one_and_none_is_lost() -> None:
+    mesh = assemble([quad([k, 0, 0], [0.2, 0, 0], [0, 0.2, 0]) for k in (0, 1, 2.5, 9)], [0, 1, 2, 3])
+    assert mesh.regions is not None
+    lamps, tracer = [np.flatnonzero(mesh.regions == k) for k in range(4)], Tracer(mesh)
+
+    def joined(level: list[float], most: int) -> list[list[int]]:
+        assert mesh.regions is not None
+        found = fewer_lamps(lamps, np.array(level)[mesh.regions], tracer, most)
+        assert np.array_equal(np.sort(np.concatenate(found)), np.arange(len(mesh.faces)))
+        return [np.unique(mesh.regions[faces]).tolist() for faces in found]
+
+    assert joined([5.0, 5.0, 5.0, 5.0], 4) == [[0], [1], [2], [3]]
+    assert joined([5.0, 5.0, 5.0, 5.0], 3) == [[0, 1], [2], [3]]
+    assert joined([5.0, 9.0, 5.0, 5.0], 3) == [[0, 2], [1], [3]]
+    assert joined([5.0, 9.0, 1.0, 2.0], 1) == [[0], [1], [2], [3]]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from iris_addon.lighting.candidates import MAX_LAMPS
 from iris_addon.lighting.problem import Lights
 
 
@@ -25,11 +24,6 @@ def lights(n_lamps: int, outside: float = 0.0) -> Lights:
 def test_a_room_without_light_is_reported() -> None:
     assert "no light" in lights(0).warnings[0]
     assert lights(0, outside=1.0).warnings == () and lights(1).warnings == ()
-
-
-def test_reaching_the_limit_of_lamps_is_reported() -> None:
-    assert str(MAX_LAMPS) in lights(MAX_LAMPS).warnings[0]
-    assert lights(MAX_LAMPS - 1).warnings == ()
 
 
 def test_lights_survive_a_checkpoint() -> None:
