@@ -1,6 +1,6 @@
 # Everything runs from the repository root through .venv; nothing is installed into the system.
 
-.PHONY: help setup demo gallery test test-all lint format docs clean bench stability curves scaling ablation profile figures
+.PHONY: help setup demo gallery test test-all fuzz lock lint format docs clean bench stability curves scaling ablation profile figures
 .DEFAULT_GOAL := help
 
 VENV := .venv
@@ -21,6 +21,7 @@ help:
 	@echo "make ablation   what each refinement earns, capture by capture, 2 hours"
 	@echo "make curves     measured responses, exposures known and withheld, half an hour"
 	@echo "make figures    charts and tables out of what was measured; nothing is measured"
+	@echo "make fuzz       damaged files for every reader, SECONDS=600;  make lock  hashes of what the solver installs"
 	@echo "make lint       ruff, pyright, what may import what;  make format  let ruff format"
 	@echo "make docs       the documentation as a site, into out/site"
 
@@ -62,6 +63,13 @@ test-blender: $(STAMP)
 test-wheels: $(STAMP)
 	@tests/real_blender/wheels.sh
 
+# What breaks a reader is kept under tests/strangers/corpus, and every test run reads that.
+fuzz: $(STAMP)
+	@$(VENV)/bin/python -m tests.strangers.fuzz --seconds $(or $(filter-out 0,$(SECONDS)),600)
+
+lock: $(VENV)/.lock
+	@$(VENV)/bin/python assets/make_solver_lock.py
+
 lint: $(STAMP)
 	@$(VENV)/bin/ruff check --quiet
 	@$(VENV)/bin/ruff format --check --quiet
@@ -72,8 +80,8 @@ format: $(STAMP)
 	@$(VENV)/bin/ruff check --fix --quiet
 	@$(VENV)/bin/ruff format --quiet
 
-# Documentation and benchmarks need packages of their own, the extras "docs" and "bench".
-$(VENV)/.docs $(VENV)/.bench: $(VENV)/.%: $(STAMP)
+# Documentation, benchmarks and the lock need packages of their own, the extras "docs", "bench" and "lock".
+$(VENV)/.docs $(VENV)/.bench $(VENV)/.lock: $(VENV)/.%: $(STAMP)
 	@$(VENV)/bin/python -c 'import tomllib; p = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
 		print(*p["optional-dependencies"]["$*"], sep="\n")' > $(VENV)/requirements-$*.txt
 	@$(VENV)/bin/python -m pip install -qq --disable-pip-version-check -r $(VENV)/requirements-$*.txt

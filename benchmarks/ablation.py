@@ -15,8 +15,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from iris_addon.base.files import read_json, write_json
+from iris_addon.base.files import write_json
 from iris_addon.base.progress import Progress, console
+from iris_addon.base.untrusted import read_json
 from iris_addon.config import PRESETS
 from iris_addon.decide import REFINEMENTS
 

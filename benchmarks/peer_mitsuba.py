@@ -26,8 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iris_addon.base.errors import IrisError
-from iris_addon.base.files import read_json, write_json
+from iris_addon.base.files import write_json
 from iris_addon.base.progress import Progress
+from iris_addon.base.untrusted import read_json
 from iris_addon.model.recovered import Emitter, Textures
 from iris_addon.model.response import Response
 from iris_addon.results.result import Result

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from iris_addon.base.errors import IrisError
-from iris_addon.base.files import atomic_write, read_json, write_json
+from iris_addon.base.files import atomic_write, write_json
+from iris_addon.base.untrusted import read_json
 
 from .machine import ROOT
 

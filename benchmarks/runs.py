@@ -18,9 +18,9 @@ from pathlib import Path
 from statistics import fmean
 from typing import Literal
 
-from iris_addon.base.files import read_json
 from iris_addon.base.parallel import cores
 from iris_addon.base.progress import Progress
+from iris_addon.base.untrusted import read_json
 
 from .machine import ROOT
 from .records import Record

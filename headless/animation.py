@@ -10,6 +10,7 @@ import argparse
 import hashlib
 import json
 import os
+import re
 import shutil
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
@@ -20,8 +21,9 @@ from typing import Any
 import numpy as np
 
 from iris_addon.base.errors import BadInput, IrisError
-from iris_addon.base.files import plain, read_json, replace_when_free, write_json
+from iris_addon.base.files import plain, replace_when_free, write_json
 from iris_addon.base.progress import Progress
+from iris_addon.base.untrusted import MAX_JSON_BYTES, finite, read_bytes, read_json
 from iris_addon.edits.motion import at_time, camera_at
 from iris_addon.edits.parsing import json_map, whole
 from iris_addon.edits.scene_edit import SceneEdit
@@ -64,6 +66,22 @@ class Frames:
         """Whether ``frame`` need not be rendered again."""
         path = self.path(frame)
         return path.is_file() and path.stat().st_size > 0
+
+    def exposure(self) -> FloatArray:
+        """The exposure that all frames share, one number or three; raises BadInput if the record is damaged."""
+        kept = self.facts["exposure"]
+        found = finite(kept, (3,) if isinstance(kept, list) else ())
+        if found is None or not (found > 0).all():
+            raise BadInput(
+                "'exposure' is no exposure", "choose another --out, or delete the folder", self.folder / RECORD
+            )
+        return found
+
+    def all_finished(self) -> list[int]:
+        """The frames that need not be rendered again, in order: those that lie in the folder, whatever the length."""
+        names = re.compile(rf"frame_(\d{{4,9}}){re.escape(self.suffix)}")
+        found = [int(match[1]) for path in self.folder.iterdir() if (match := names.fullmatch(path.name))]
+        return sorted(frame for frame in set(found) if 1 <= frame <= self.length and self.finished(frame))
 
     def remember(self, **facts: Any) -> None:
         """Keep ``facts`` beside the frames."""
@@ -118,10 +136,10 @@ def render_frames(
     def save(frame: int, radiance: FloatArray) -> None:
         if not args.linear:
             if "exposure" not in frames.facts:
-                base = views[_first_view(move)]
+                base = views[_first_view(at_time(move, 0.0))]
                 factor = Developer(result, args.out, args.exposure).factor(base, radiance)
-                frames.remember(exposure=np.asarray(factor))
-            radiance = result.response.apply(radiance * np.asarray(frames.facts["exposure"]))
+                frames.remember(exposure=np.asarray(factor).tolist())
+            radiance = result.response.apply(radiance * frames.exposure())
         write_picture(frames.path(frame), radiance)
 
     todo = [frame for frame in args.frames if not frames.finished(frame)]
@@ -198,7 +216,7 @@ def _first_view(move: Mapping[str, Any]) -> int:
 
 
 def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+    return hashlib.sha256(read_bytes(path, MAX_JSON_BYTES)).hexdigest() if path.is_file() else ""
 
 
 # ---- the film -------------------------------------------------------------------------------------------------------
@@ -222,8 +240,8 @@ def write_film(frames: Frames, fps: float) -> Path | None:
         IrisError: ffmpeg fails.
     """
     ffmpeg = find_ffmpeg()
-    finished = [frame for frame in range(1, frames.length + 1) if frames.finished(frame)]
-    if ffmpeg is None or frames.suffix != ".png" or not finished or finished[-1] != len(finished):
+    finished = frames.all_finished() if ffmpeg is not None and frames.suffix == ".png" else []
+    if ffmpeg is None or not finished or finished[-1] != len(finished):
         return None
     film, unfinished = frames.folder / "film.mp4", frames.folder / ".film.mp4"
     even = "pad=ceil(iw/2)*2:ceil(ih/2)*2"  # H.264 in 4:2:0 has no odd sizes

@@ -18,21 +18,22 @@ from __future__ import annotations
 import csv
 import io
 import time
-import tomllib
 import traceback
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from iris_addon.base.errors import BadInput, Cancelled, IrisError
+from iris_addon.base.errors import MAX_QUOTED, BadInput, Cancelled, IrisError, one_line
 from iris_addon.base.files import atomic_write, write_json
 from iris_addon.base.progress import Progress
-from iris_addon.config import PRESETS, SolveConfig, preset
+from iris_addon.base.untrusted import read_toml
+from iris_addon.config import MAX_SEED, PRESETS, SolveConfig, preset
 from iris_addon.results.result import Result
 
 from .outcome import Outcome, summarise
 
+MAX_JOBS_BYTES = 16 << 20
 OPTIONS = ("response", "exposures", "hdr", "device", "seed")
 KEYS = ("name", "capture", "preset", "out", "evaluate", *OPTIONS)
 WORDS = {"response": ("auto", "gamma"), "exposures": ("auto", "none")}
@@ -110,7 +111,7 @@ def _run(job: Job, line: Line, progress: Progress) -> None:
     except IrisError as error:
         line.status, line.error = "failed", str(error)
     except Exception as error:  # the other jobs go on, whatever it is
-        line.status, line.error = "failed", f"{type(error).__name__}: {error}"
+        line.status, line.error = "failed", one_line(f"{type(error).__name__}: {error}", MAX_QUOTED)
         _write_traceback(job.out / "traceback.txt", line)
     finally:
         line.wall_seconds = round(time.monotonic() - begin, 2)
@@ -139,12 +140,7 @@ def solve_job(job: Job, progress: Progress) -> Result:
 
 def read_jobs(path: Path) -> list[Job]:
     """The jobs of a TOML file; raises BadInput for everything that can be checked before the first one runs."""
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadInput(f"cannot be read ({error.strerror})", "check the path", path) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise BadInput(f"is not valid TOML ({error})", "correct the line", path) from error
+    content = read_toml(path, MAX_JOBS_BYTES)
     entries = content.get("job")
     if not isinstance(entries, list) or not entries or set(content) != {"job"}:
         raise BadInput("has no [[job]], or something else beside them", "write one [[job]] table per job", path)
@@ -168,6 +164,10 @@ def _job(entry: Any, number: int, path: Path) -> Job:
         kind = {"seed": int, "evaluate": bool}.get(key, str)
         if type(value) is not kind:
             raise BadInput(f"{where}: {key} is {value!r}", f"give a {kind.__name__}", path)
+        if kind is str and not value.isprintable():
+            raise BadInput(f"{where}: {key} has control characters", "leave them out", path)
+    if not 0 <= entry.get("seed", 0) <= MAX_SEED:
+        raise BadInput(f"{where}: seed is {entry['seed']}", f"give a number from 0 to {MAX_SEED}", path)
     if entry.get("preset", "balanced") not in PRESETS:
         raise BadInput(f"{where}: preset is {entry['preset']!r}", f"presets are {', '.join(PRESETS)}", path)
     if entry.get("device", "auto") not in ("auto", "cpu", "cuda"):

@@ -22,12 +22,16 @@ from typing import NoReturn
 
 from iris_addon.base.errors import Cancelled, IrisError
 from iris_addon.base.progress import Progress, console, json_lines
-from iris_addon.config import PRESETS
+from iris_addon.config import MAX_SEED, PRESETS
 
 from .cancellation import cancelled_by_signals, stop_with_stdin
 from .environment import delegate, missing_packages, unusable
 
 USAGE_CODE = 2
+MAX_FRAMES = 1_000_000
+MAX_RESOLUTION = 200_000_000
+"""Pixels of a rendered photo."""
+MAX_EXPOSURE = 1e12
 
 
 class _Parser(argparse.ArgumentParser):
@@ -278,7 +282,7 @@ class FrameRange:
         """``"1-120"`` or ``"7"``; raises ValueError."""
         first, _, last = text.partition("-")
         frames = cls(int(first), int(last or first))
-        if not 1 <= frames.first <= frames.last:
+        if not 1 <= frames.first <= frames.last <= MAX_FRAMES:
             raise ValueError(text)
         return frames
 
@@ -295,14 +299,14 @@ def _add_sampling(parser: argparse.ArgumentParser, default: int = 64) -> None:
 
 
 def _whole(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 up")
+    if not text.isdecimal() or len(text) > 18 or int(text) > MAX_SEED:
+        raise argparse.ArgumentTypeError(f"{text[:40]!r} is not a whole number from 0 to {MAX_SEED}")
     return int(text)
 
 
 def _positive(text: str) -> int:
     if _whole(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 up")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to {MAX_SEED}")
     return int(text)
 
 
@@ -315,7 +319,9 @@ def _frames(text: str) -> FrameRange:
 
 def _resolution(text: str) -> tuple[int, int]:
     width, _, height = text.partition("x")
-    return _positive(width), _positive(height)
+    if _positive(width) * _positive(height) > MAX_RESOLUTION:
+        raise argparse.ArgumentTypeError(f"{text!r} is more than {MAX_RESOLUTION // 1_000_000} million pixels")
+    return int(width), int(height)
 
 
 def _exposure(text: str) -> str | float:
@@ -325,7 +331,7 @@ def _exposure(text: str) -> str | float:
         value = float(text)
     except ValueError:
         value = 0.0
-    if not 0 < value < float("inf"):
+    if not 0 < value <= MAX_EXPOSURE:
         raise argparse.ArgumentTypeError(f"{text!r} is neither photo, auto nor a factor above 0")
     return value
 

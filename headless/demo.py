@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from iris_addon.base.errors import BadInput
-from iris_addon.base.files import read_json, write_json
+from iris_addon.base.files import write_json
 from iris_addon.base.progress import Progress
+from iris_addon.base.untrusted import read_json
 from iris_addon.capture.photos import load_photo
 from iris_addon.capture.reader import read_capture
 from iris_addon.config import preset

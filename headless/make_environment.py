@@ -1,6 +1,6 @@
 """Create or test the solver's environment: run by Blender's Python as a separate process, with the standard library.
 
-    make_environment.py FOLDER          a virtual environment in FOLDER/venv with what solver_requirements.txt pins
+    make_environment.py FOLDER          a virtual environment in FOLDER/venv with what solver_lock.txt lists
     make_environment.py --test PYTHON   import everything a solve needs in PYTHON
 
 Speaks the JSON lines of the worker. Cancelled by a signal, or when stdin closes.
@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import re
 import signal
 import subprocess
 import sys
@@ -20,8 +21,9 @@ from pathlib import Path, PureWindowsPath
 from typing import Any, NoReturn
 
 HERE = Path(__file__).resolve().parent
-REQUIREMENTS = HERE / "solver_requirements.txt"
-OPTIONAL = HERE / "optional_requirements.txt"
+LOCK = HERE / "solver_lock.txt"
+"""Every package with the hashes of its files, for all platforms; ``make lock`` writes it."""
+OPTIONAL = HERE / "optional_lock.txt"
 """Decoders of single formats, which not every system has: what fails to install is missed when such a file is read."""
 LONGEST_MEMBER = 170
 """Characters of the longest path within site-packages that the pinned packages install (torch's licences)."""
@@ -77,11 +79,13 @@ def make(folder: Path) -> None:
         )
     progress("downloading and installing, this takes minutes", 0.1)
     pip = [str(python), "-I", "-m", "pip", "install", "--disable-pip-version-check", "--no-input"]
-    if call([*pip, "--only-binary", ":all:", "--progress-bar", "off", "-r", str(REQUIREMENTS)]):
+    exactly = ["--require-hashes", "--only-binary", ":all:"]
+    if call([*pip, *exactly, "--progress-bar", "off", "-r", str(LOCK)]):
         fail("pip could not install the solver's packages", "read the log: mostly the network, the disk, or a proxy")
-    for line in OPTIONAL.read_text(encoding="utf-8").splitlines():
-        if line and not line.startswith("#"):
-            call([*pip, "--only-binary", ":all:", "--progress-bar", "off", line])
+    for number, entry in enumerate(re.findall(r"^\w.*(?:\n .*)*", OPTIONAL.read_text(encoding="utf-8"), re.M)):
+        one = Path(f"optional-{number}.txt")  # in the empty folder
+        one.write_text(entry + "\n", encoding="utf-8")
+        call([*pip, *exactly, "--no-deps", "--progress-bar", "off", "-r", str(one)])
     test(str(python), 0.9)
 
 

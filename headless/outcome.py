@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from iris_addon.base.errors import one_line
 from iris_addon.results.result import Result
 
 
@@ -20,7 +21,7 @@ class Outcome:
     @classmethod
     def of(cls, title: str, data: Mapping[str, Any]) -> Outcome:
         """An outcome whose text lists ``data`` under ``title``."""
-        return cls("\n".join([title, *rows(data)]), data)
+        return cls("\n".join([one_line(title), *rows(data)]), data)
 
 
 def rows(data: Mapping[str, Any]) -> list[str]:
@@ -32,7 +33,7 @@ def rows(data: Mapping[str, Any]) -> list[str]:
             continue
         items = value if isinstance(value, list | tuple) else [value]
         for number, item in enumerate(items):
-            shown = f"{item:.4g}" if isinstance(item, float) else str(item)
+            shown = f"{item:.4g}" if isinstance(item, float) else one_line(str(item))
             lines.append(f"  {key if number == 0 else '':<{width}}  {shown}")
     return lines
 

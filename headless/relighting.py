@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iris_addon.base.errors import BadInput
-from iris_addon.base.files import read_json
 from iris_addon.base.progress import Progress
+from iris_addon.base.untrusted import read_json
 from iris_addon.edits.jobs import insertion_edits, relight_edit
 from iris_addon.edits.scene_edit import SceneEdit
 from iris_addon.model.capture import View
@@ -224,7 +224,12 @@ def _mix_shares(
     written = []
     with progress.stage("mix"):
         for number, view in enumerate(views):
-            shares = read_shares(args.shares / f"{view.name}.exr")
+            path = args.shares / f"{view.name}.exr"
+            shares = read_shares(path)
+            if shares.combined.shape[:2] != (view.camera.height, view.camera.width):
+                raise BadInput(
+                    f"is not {view.camera.width}x{view.camera.height} pixels", "render the shares again", path
+                )
             written.append(developer.write(view, mix_shares(shares.shares, gains)))
             progress.update((number + 1) / len(views))
     return Outcome.of("Mixed", {"files": written})

@@ -6,6 +6,8 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Literal
 
+MAX_SEED = 2**30
+"""Of seeds and samples: Blender has 32 bits for the double of one."""
 PresetName = Literal["draft", "balanced", "final"]
 
 

@@ -16,7 +16,7 @@ from typing import TypeVar
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from .base.files import require_own_folder
+from .base.files import abandoned, remove_abandoned, require_own_folder
 from .base.parallel import aside, waited_for
 from .base.progress import Progress
 from .base.random_streams import stream
@@ -30,10 +30,10 @@ from .materials.rounds import solve_materials
 from .materials.solution import Solution
 from .model.capture import Capture
 from .response.observations import observe
-from .response.photometry import Photometry, measure_photometry
+from .response.photometry import Photometry, fixed_response, measure_photometry
 from .results.assembly import make_result, with_figures
 from .results.checkpoints import Checkpoints, Stage, fingerprint, sole_writer
-from .results.files import require_no_links
+from .results.files import REPORT_PAGE, require_no_links
 from .results.folder import save_result
 from .results.preview import write_previews
 from .results.report import write_report
@@ -75,12 +75,17 @@ def solve(
         require_no_links(out)  # before hours of work; saving checks again
         for name in ("checkpoints", "report"):
             require_own_folder(out / name)
+            remove_abandoned(out / name, 0.0)  # the lock makes this process the only writer
+        remove_abandoned(out)
+        for path in abandoned(out / REPORT_PAGE):
+            path.unlink(missing_ok=True)
         return _solve(capture, config, out, progress or Progress(), resume)
 
 
 def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress, resume: bool) -> Result:
     progress.expect(STAGE_SECONDS)
     decisions = Decisions(asdict(config.refinements))
+    fixed_response(config)  # an unusable file is an error of the first second
     checkpoints = Checkpoints(out / "checkpoints", fingerprint(capture, config), resume)
     unit = 1.0
     if config.hdr is None:

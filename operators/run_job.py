@@ -12,11 +12,13 @@ from typing import get_args
 import bpy
 
 from ..iris_addon.base.errors import IrisError
+from ..iris_addon.base.untrusted import open_file
 from ..iris_addon.blender.worker import jobs
 from .editors import show_in_editor
 from .folders import job_folder
 
 TICK_SECONDS = 0.1
+MAX_LOG_BYTES, SHOWN_LOG_BYTES = 1 << 40, 1_000_000
 
 
 def run(
@@ -143,8 +145,8 @@ class IRIS_OT_show_log(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
 def _log(path: Path) -> str:
     try:
-        with path.open("rb") as file:
-            file.seek(max(0, path.stat().st_size - 1_000_000))
-            return file.read().decode("utf-8", "replace")
-    except OSError as error:
-        return f"{path}: cannot be read ({error.strerror})\n"
+        with open_file(path, MAX_LOG_BYTES) as file:
+            file.seek(max(0, path.stat().st_size - SHOWN_LOG_BYTES))
+            return file.read(SHOWN_LOG_BYTES).decode("utf-8", "replace")
+    except IrisError as error:
+        return f"{error}\n"

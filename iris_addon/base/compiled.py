@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import hashlib
 import os
+import stat
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,6 +20,7 @@ from typing import Any, TypeVar
 import numba
 import numpy as np
 from numba.core import config as numba_config
+from numba.core.caching import FunctionCache
 from numpy.typing import NDArray
 
 from .files import user_cache
@@ -44,7 +47,30 @@ def inlined(function: Function) -> Function:
 def _compiled(function: Function, **options: bool) -> Function:
     # Unless _nrt=False, every call counts references to its arrays by atomic operations, which takes as long as the
     # work itself: 135 instead of 61 ns to look up the patch of a ray.
-    return numba.njit(function, nogil=True, cache=_kept(), error_model="numpy", _nrt=False, **options)  # type: ignore
+    compiled: Any = numba.njit(function, nogil=True, error_model="numpy", _nrt=False, **options)  # type: ignore
+    if _kept():
+        compiled._cache = KernelCache(function)  # what cache=True does, with a cache of our own
+    return compiled
+
+
+class KernelCache(FunctionCache):
+    """Compiled functions on disk. A damaged file is compiled again, and a full disk costs time alone."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The compiled function for the signature ``sig``; None if it is not there or cannot be read."""
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception:  # the files are pickles: whatever a damaged one raises, the function is compiled again
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep ``data``, what was compiled for ``sig``, if the disk allows it."""
+        try:
+            super().save_overload(sig, data)
+        except Exception:
+            with suppress(Exception):  # a damaged index is replaced by an empty one; on a full disk that fails too
+                self.flush()
+                super().save_overload(sig, data)
 
 
 def rows_of(columns: Columns, rows: slice | NDArray[np.bool_]) -> Columns:
@@ -58,17 +84,26 @@ def _kept() -> bool:
 
     Numba does not see that a kernel called from another file has changed, so the folder is named after all sources.
     """
-    if numba_config.CACHE_DIR:
-        return True  # the user's own choice, NUMBA_CACHE_DIR
-    folder = user_cache() / "kernels" / _digest()
+    # NUMBA_CACHE_DIR is the user's own choice.
+    folder = Path(numba_config.CACHE_DIR) if numba_config.CACHE_DIR else user_cache() / "kernels" / _digest()
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
+        if not _only_ours(folder):
+            return False
     except OSError:
         return False
     numba_config.CACHE_DIR = os.fspath(folder)
     return True
+
+
+def _only_ours(folder: Path) -> bool:
+    """Whether nobody else can write into ``folder``: its files are pickles, and reading one runs what it says."""
+    if os.name == "nt":  # folders of a user are closed to others
+        return True
+    found = folder.stat()
+    return found.st_uid == os.geteuid() and not stat.S_IMODE(found.st_mode) & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def _digest() -> str:

@@ -1,12 +1,21 @@
 """Errors a user can act on, and the exit code each one maps to.
 
 Every message has the form ``what is wrong — how to fix it`` and names the file it is about. It is shown unchanged, as
-one line on stderr or in the panel.
+one line on stderr or in the panel, so texts out of files that it quotes lose their line breaks and control characters.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+
+MAX_QUOTED = 500
+"""Characters of a message without the path."""
+
+
+def one_line(text: str, longest: int | None = None) -> str:
+    """``text`` on one line: white space folded, what a terminal would obey or cannot show replaced, the end cut off."""
+    folded = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in " ".join(text.split()))
+    return folded if longest is None or len(folded) <= longest else f"{folded[: longest - 1]}…"
 
 
 class IrisError(Exception):
@@ -15,9 +24,10 @@ class IrisError(Exception):
     exit_code = 1
 
     def __init__(self, what: str, fix: str, path: Path | str | None = None) -> None:
-        self.what = what if path is None else f"{path}: {what}"
-        self.fix = fix
-        super().__init__(f"{self.what} — {fix}")
+        said = one_line(what, MAX_QUOTED)
+        self.what = said if path is None else f"{one_line(str(path))}: {said}"
+        self.fix = one_line(fix, MAX_QUOTED)
+        super().__init__(f"{self.what} — {self.fix}")
 
 
 class BadInput(IrisError):

@@ -13,12 +13,13 @@ import errno
 import glob
 import json
 import os
+import re
 import stat
 import sys
 import time
 import uuid
-import zipfile
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -27,13 +28,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import BadInput, IrisError
+from .untrusted import MEND, numbers
 
 REPLACE_SECONDS, REPLACE_PAUSE = 1.0, 0.02
 """How long a file that another program holds is waited for, and how long between two attempts."""
 
 
 def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
-    """Let ``write`` fill a temporary file beside ``path``, then move it there in one step.
+    """Let ``write`` fill a temporary file beside ``path``, then move it there in one step, which a power loss keeps.
 
     Missing folders are made. The temporary name has the suffix of ``path``, because writers choose the format by it.
 
@@ -44,16 +46,41 @@ def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write(temporary)
+        flush_to_disk(temporary)
         replace_when_free(temporary, path)
+        flush_to_disk(path.parent)
+    except ValueError as error:
+        if "\0" not in str(path):
+            raise
+        raise IrisError("is not a usable path", "give a name without control characters", str(path)) from error
     except OSError as error:
         fix = "free some space and run again" if error.errno == errno.ENOSPC else "check the folder and its permissions"
         raise IrisError(f"cannot be written ({error.strerror or error})", fix, path) from error
     finally:
         # A second failure while tidying up must not hide the first one.
-        try:
+        with suppress(OSError, ValueError):
             temporary.unlink(missing_ok=True)
-        except OSError:
-            pass
+
+
+def flush_to_disk(path: Path) -> None:
+    """Wait until the content of a file, or the names in a folder, survive a power loss.
+
+    A move counts as done only afterwards: file systems may write it before the content of what is moved.
+
+    Raises:
+        OSError: the disk is full, or ``path`` cannot be opened.
+    """
+    if path.is_dir() and os.name == "nt":  # has no such thing for folders
+        return
+    # Windows flushes what is open for writing alone.
+    descriptor = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # network file systems that cannot
+            raise
+    finally:
+        os.close(descriptor)
 
 
 def replace_when_free(source: Path, target: Path) -> None:
@@ -80,6 +107,26 @@ def abandoned(path: Path) -> Iterator[Path]:
     yield from path.parent.glob(f".{glob.escape(path.stem)}-{'[0-9a-f]' * 8}{glob.escape(path.suffix)}")
 
 
+_TEMPORARY = re.compile(r"\.[^/\\]+-[0-9a-f]{8}(\.[^./\\]+)?")
+ABANDONED_SECONDS = 24 * 3600.0
+"""Age from which on a temporary file is that of a process that was killed."""
+
+
+def remove_abandoned(folder: Path, seconds: float = ABANDONED_SECONDS) -> None:
+    """Remove the temporary files in ``folder`` of writes that were killed, older than ``seconds``.
+
+    Nothing is removed through a link. What cannot be removed stays.
+    """
+    if not is_own_folder(folder):
+        return
+    with suppress(OSError):
+        for path in folder.iterdir():
+            if _TEMPORARY.fullmatch(path.name) and is_own_file(path):
+                with suppress(OSError):
+                    if time.time() - path.stat().st_mtime >= seconds:
+                        path.unlink()
+
+
 # ---- Arrays by name (.npz) ------------------------------------------------------------------------------------------
 
 
@@ -94,23 +141,7 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray], *, compressed: bool 
     atomic_write(path, lambda temporary: temporary.write_bytes(archive.getbuffer()))
 
 
-def read_arrays(path: Path) -> dict[str, NDArray] | None:
-    """The arrays of a cache file; None where it is missing, damaged or holds more than plain arrays."""
-    if not path.is_file():
-        return None
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-    except (ValueError, TypeError, OSError, EOFError, zipfile.BadZipFile):
-        # TypeError: the file is an .npy under this name and no archive.
-        return None
-
-
-# ---- JSON: numpy values out, validated arrays in --------------------------------------------------------------------
-
-
-MAX_JSON_BYTES = 256 << 20
-MEND = "restore the file or solve again"
+# ---- JSON: numpy values out --------------------------------------------------------------------
 
 
 def write_json(path: Path, content: object) -> None:
@@ -138,41 +169,6 @@ def plain(value: object) -> Any:
     if isinstance(value, float):
         return value if np.isfinite(value) else None
     return str(value) if isinstance(value, Path) else value
-
-
-def read_json(path: Path, largest: int = MAX_JSON_BYTES, mend: str = "correct or restore the file") -> dict[str, Any]:
-    """The JSON object in ``path``; raises BadInput, also for more than ``largest`` bytes, which are not read."""
-    try:
-        if path.stat().st_size > largest:
-            raise BadInput(f"is larger than {largest >> 20} MiB", mend, path)
-        content = json.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise BadInput(f"cannot be read ({error.strerror})", "check the path, or restore the file", path) from error
-    except (ValueError, RecursionError) as error:
-        raise BadInput(f"is not valid JSON ({error})", mend, path) from error
-    if not isinstance(content, dict):
-        raise BadInput("is not a JSON object", mend, path)
-    return content
-
-
-def numbers(value: object, shape: tuple[int | None, ...], what: str, path: Path) -> NDArray[np.float64]:
-    """``value`` as finite float64 of ``shape`` (None: any length); raises BadInput naming ``what`` and ``path``."""
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (ValueError, TypeError) as error:
-        raise BadInput(f"'{what}' is not numbers", MEND, path) from error
-    fits = array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
-    if not fits or not np.isfinite(array).all():
-        expected = " x ".join("n" if n is None else str(n) for n in shape) or "one"
-        raise BadInput(f"'{what}' should be {expected} finite numbers", MEND, path)
-    return array
-
-
-def json_object(value: object, what: str, path: Path) -> dict[str, Any]:
-    """``value`` if it is a JSON object; raises BadInput naming ``what`` and ``path``."""
-    if not isinstance(value, dict):
-        raise BadInput(f"'{what}' is missing or not a JSON object", MEND, path)
-    return value
 
 
 def to_ranges(indices: NDArray[np.integer]) -> list[list[int]]:

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import io
 import os
-import struct
-import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +20,9 @@ from PIL import Image
 
 from .errors import BadInput
 from .files import atomic_write
+from .image_headers import MAX_IMAGE_BYTES, MEND, check_exr_samples, check_pixels, read_exr_parts
+from .untrusted import decoding, open_file
 
-MAX_PIXELS = 200_000_000
 HALF_MAX = 65504.0
 """Largest finite float16."""
 DWA_LEVEL = 120.0
@@ -31,8 +32,9 @@ LDR_SUFFIXES = (".png", ".jpg", ".jpeg")
 HDR_SUFFIXES = (".exr",)
 IMAGE_SUFFIXES = LDR_SUFFIXES + HDR_SUFFIXES
 
-# What Pillow's decoders raise on damaged files. UnidentifiedImageError is an OSError.
-_DECODE_ERRORS = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error, Image.DecompressionBombError)
+MAX_LAYERS = 256
+"""Samples of all parts and channels of an EXR file for each pixel of its picture."""
+_DAMAGED = "is damaged or not an image"
 
 
 # ---- Writing --------------------------------------------------------------------------------------------------------
@@ -83,44 +85,45 @@ def read_exr(path: Path) -> NDArray[np.float32]:
     Raises:
         BadInput: missing, damaged, too large, or neither colour nor a single channel.
     """
-    exr_size(path)
-    try:
+    number, names = _chosen_part(path)
+    with decoding(path, _DAMAGED, MEND):
         parts = OpenEXR.File(str(path), separate_channels=True).parts
-    except (RuntimeError, ValueError, OSError) as error:
-        raise _damaged(path, error) from error
-    if not parts or not all(part.channels for part in parts):  # the bindings drop what they fail to decode
-        raise _damaged(path, EOFError("truncated pixel data"))
-    candidates = [_select_channels(part.channels) for part in parts]
-    found = max(candidates, key=len, default=[])
-    if not found:
-        names = sorted(name for part in parts for name in part.channels)
-        raise BadInput(f"has channels {', '.join(names[:8])} and no RGB", "save it as an RGB EXR", path)
-    if len({channel.shape for channel in found}) != 1:
-        raise BadInput("has subsampled channels", "save it as an RGB EXR", path)
-    return np.stack(found, -1).astype(np.float32)
-
-
-def _select_channels(channels: dict) -> list[NDArray]:
-    """The R, G, B(, A) channels of a part, in any layer; else its only channel; else nothing."""
-    by_suffix: dict[str, NDArray] = {}
-    for name, channel in channels.items():
-        by_suffix.setdefault(name.rpartition(".")[2].upper(), channel.pixels)
-    if all(key in by_suffix for key in "RGB"):
-        return [by_suffix[key] for key in "RGBA" if key in by_suffix]
-    return [channel.pixels for channel in channels.values()] if len(channels) == 1 else []
+        if number >= len(parts) or not all(part.channels for part in parts):
+            raise EOFError("truncated pixel data")  # the bindings drop what they fail to decode
+        return np.stack([parts[number].channels[name].pixels for name in names], -1).astype(np.float32)
 
 
 def exr_size(path: Path) -> tuple[int, int]:
-    """(width, height) from the header of an EXR file; raises BadInput."""
-    _check_exists(path)
-    try:
-        header = OpenEXR.File(str(path), header_only=True).parts[0].header
-        low, high = header["dataWindow"]
-    except (RuntimeError, ValueError, OSError, KeyError, IndexError) as error:
-        raise _damaged(path, error) from error
-    width, height = (int(high[axis]) - int(low[axis]) + 1 for axis in (0, 1))
-    _check_size(path, width, height)
-    return width, height
+    """(width, height), from the headers of an EXR file, of what :func:`read_exr` reads; raises BadInput."""
+    part = read_exr_parts(path)[_chosen_part(path)[0]]
+    return part.width, part.height
+
+
+def _chosen_part(path: Path) -> tuple[int, list[str]]:
+    """Number and channels of the part to read. All are decoded together, so the sizes of all are checked."""
+    parts = read_exr_parts(path)
+    check_exr_samples(path, parts)
+    candidates = [_colour_channels(part.channels) for part in parts]
+    number = candidates.index(max(candidates, key=len))
+    if not candidates[number]:
+        names = sorted(name for part in parts for name in part.channels)
+        raise BadInput(f"has channels {', '.join(names[:8])} and no RGB", "save it as an RGB EXR", path)
+    if parts[number].subsampled:
+        raise BadInput("has subsampled channels", "save it as an RGB EXR", path)
+    others = sum(part.width * part.height * len(part.channels) for part in parts)
+    if others > MAX_LAYERS * parts[number].width * parts[number].height:
+        raise BadInput("has far larger parts beside its picture", "save it as an RGB EXR", path)
+    return number, candidates[number]
+
+
+def _colour_channels(names: Sequence[str]) -> list[str]:
+    """The R, G, B(, A) channels of a part, in any layer; else its only channel; else nothing."""
+    by_suffix: dict[str, str] = {}
+    for name in names:
+        by_suffix.setdefault(name.rpartition(".")[2].upper(), name)
+    if all(key in by_suffix for key in "RGB"):
+        return [by_suffix[key] for key in "RGBA" if key in by_suffix]
+    return list(names) if len(names) == 1 else []
 
 
 def read_image(path: Path) -> NDArray[np.uint8]:
@@ -131,13 +134,10 @@ def read_image(path: Path) -> NDArray[np.uint8]:
     Raises:
         BadInput: missing, damaged, truncated, too large, or more than 8 bits per channel.
     """
-    with _open(path) as image:
+    with open_image(path) as image:
         if image.mode.startswith(("I", "F")) or _is_cut_to_8_bits(image):
             raise BadInput("has more than 8 bits per channel", "save it as 8-bit PNG or as linear EXR", path)
-        try:
-            return np.asarray(image.convert("RGB"))
-        except _DECODE_ERRORS as error:
-            raise _damaged(path, error) from error
+        return np.asarray(image.convert("RGB"))
 
 
 def _is_cut_to_8_bits(image: Image.Image) -> bool:
@@ -147,13 +147,18 @@ def _is_cut_to_8_bits(image: Image.Image) -> bool:
 
 def read_map(path: Path) -> NDArray[np.unsignedinteger]:
     """(H, W) uint8 or uint16 of a single-channel PNG, with the depth it was written with; raises BadInput."""
-    with _open(path) as image:
+    with open_image(path) as image:
         if image.mode not in ("L", "I;16"):
             raise BadInput(f"is not a single-channel PNG (mode {image.mode})", "save it as greyscale", path)
-        try:
-            return np.asarray(image)
-        except _DECODE_ERRORS as error:
-            raise _damaged(path, error) from error
+        return np.asarray(image)
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """(width, height) of an image file by its header; raises BadInput."""
+    if path.suffix.lower() in HDR_SUFFIXES:
+        return exr_size(path)
+    with open_image(path) as image:
+        return image.size
 
 
 def check_image(path: Path) -> tuple[int, int]:
@@ -163,49 +168,32 @@ def check_image(path: Path) -> tuple[int, int]:
     """
     if path.suffix.lower() in HDR_SUFFIXES:
         return exr_size(path)
-    with _open(path) as image:
-        size, is_jpeg = image.size, image.format == "JPEG"
-        try:
-            if not is_jpeg:
-                image.verify()
-            elif not _ends_with_marker(path):
-                image.load()
-        except _DECODE_ERRORS as error:
-            raise _damaged(path, error) from error
+    with open_image(path) as image:
+        size = image.size
+        if image.format != "JPEG":
+            image.verify()
+        elif not _ends_with_marker(path):
+            image.load()
     return size
 
 
 def _ends_with_marker(path: Path) -> bool:
-    with path.open("rb") as file:
+    with open_file(path, MAX_IMAGE_BYTES, mend=MEND) as file:
         file.seek(-2, os.SEEK_END)
         return file.read(2) == b"\xff\xd9"
 
 
-def _open(path: Path) -> Image.Image:
-    _check_exists(path)
-    try:
-        image = Image.open(path, formats=("PNG", "JPEG"))
-    except _DECODE_ERRORS as error:
-        raise _damaged(path, error) from error
-    _check_size(path, *image.size)
-    return image
+@contextmanager
+def open_image(path: Path) -> Iterator[Image.Image]:
+    """A PNG or JPEG whose size has been checked; what fails inside is an error of this file.
 
-
-def _check_exists(path: Path) -> None:
-    if not path.is_file():
-        raise BadInput("no such image", "put the file there or correct the path that names it", path)
-
-
-def _check_size(path: Path, width: int, height: int) -> None:
-    if width * height > MAX_PIXELS:
-        raise BadInput(
-            f"is {width}x{height} pixels, more than {MAX_PIXELS // 1_000_000} million", "scale the image down", path
-        )
-
-
-def _damaged(path: Path, error: Exception) -> BadInput:
-    return BadInput(f"is damaged or not an image ({_first_line(error)})", "copy or export the file again", path)
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error) or type(error).__name__).splitlines()[0][:120]
+    Raises:
+        BadInput: missing, damaged or too large.
+    """
+    with (
+        open_file(path, MAX_IMAGE_BYTES, mend=MEND) as file,
+        decoding(path, _DAMAGED, MEND),
+        Image.open(file, formats=("PNG", "JPEG")) as image,
+    ):
+        check_pixels(path, *image.size)
+        yield image

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import BadInput
+from ..base.image_headers import announced_size
+from ..base.untrusted import MEND
 from ..model.response import srgb
 
 LINEAR = "Linear Rec.709"
@@ -30,23 +32,42 @@ def read_image(path: Path) -> NDArray[np.float32]:
 
 def read_pixels(path: Path) -> NDArray[np.float32]:
     """Like :func:`read_image`, with all channels (H, W, C) that Blender reads."""
-    path = Path(path)
-    image = None
+    image = load_image(Path(path), MEND, colorspace=DATA)
     try:
-        image = bpy.data.images.load(str(path.absolute()), check_existing=False)
-        # Set before the first access: 16-bit files are converted to scene linear when pixels are loaded.
-        image.colorspace_settings.name = DATA
         width, height = image.size
         pixels = np.empty((height, width, image.channels), np.float32)
         image.pixels.foreach_get(pixels.ravel())
-    except RuntimeError as error:
-        raise BadInput("cannot be read as an image", "restore the file or solve again", path) from error
     finally:
-        if image is not None:
-            bpy.data.images.remove(image)
-    if not pixels.size:
-        raise BadInput("cannot be read as an image", "restore the file or solve again", path)
+        bpy.data.images.remove(image)
     return pixels[::-1]
+
+
+def load_image(path: Path, mend: str, *, colorspace: str | None = None) -> bpy.types.Image:
+    """The EXR, PNG, JPEG or HDR file ``path`` as an image whose pixels are there.
+
+    Blender itself reads a file when its pixels are first needed, and shows a damaged one as black.
+
+    Args:
+        mend: advice if it cannot be read.
+        colorspace: of the file; None for what Blender takes its format to have.
+
+    Raises:
+        BadInput: missing, damaged, of another format or too large.
+    """
+    size = announced_size(path)
+    image = None
+    try:
+        image = bpy.data.images.load(str(path.absolute()), check_existing=False)
+        if colorspace is not None:
+            # Set before the first access: 16-bit files are converted to scene linear when pixels are loaded.
+            image.colorspace_settings.name = colorspace
+        whole = tuple(image.size) == size and len(image.pixels) > 0 and image.has_data
+    except RuntimeError as error:
+        raise BadInput("cannot be read as an image", mend, path) from error
+    if not whole:
+        bpy.data.images.remove(image)
+        raise BadInput("cannot be read as an image", mend, path)
+    return image
 
 
 def image_from_array(

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 
 from ..base.errors import BadInput
+from ..base.untrusted import open_text
 
 MAX_TABLE_BYTES = 1 << 30
 MAX_CAMERAS = 100_000
 LIST_FILES = ("{stem}.list.txt", "list.txt", "image_list.txt", "{stem}.txt")
 """Where programs write the names of the photos of a Bundler file."""
+MAX_BUNDLER_BYTES = 4 << 30
 FULL_FRAME_MM = 36.0
 """Width of the film that RealityScan's focal lengths refer to."""
 
@@ -26,26 +28,23 @@ def read_bundler(path: Path) -> list[dict[str, Any]]:
     """
     names = _bundler_names(path)
     frames = []
-    try:
-        with path.open(encoding="utf-8", errors="replace") as file:
-            words = (word for line in file if not line.startswith("#") for word in line.split())
-            count = int(next(words))
-            next(words)
-            if not 0 <= count <= MAX_CAMERAS:
-                raise ValueError(f"{count} cameras")
-            if len(names) != count:
-                raise ValueError(f"{count} cameras for {len(names)} photos in its list")
-            for name in names:
-                values = np.array([float(next(words)) for _ in range(15)])
-                focal, k1, k2 = values[:3].tolist()
-                pose = np.eye(4)
-                pose[:3, :3] = values[3:12].reshape(3, 3).T
-                pose[:3, 3] = -pose[:3, :3] @ values[12:]
-                posed = focal > 0 and bool(np.isfinite(values).all())
-                own = {"fl_x": focal, "k1": k1, "k2": k2}
-                frames.append({"file_path": name, "transform_matrix": pose.tolist() if posed else None, **own})
-    except (ValueError, StopIteration, OSError) as error:
-        raise BadInput(f"is damaged ({error})", "export the cameras and the list of photos again", path) from error
+    with open_text(path, MAX_BUNDLER_BYTES, mend="export the cameras and the list of photos again") as file:
+        words = (word for line in file if not line.startswith("#") for word in line.split())
+        count = int(next(words, ""))
+        next(words, "")
+        if not 0 <= count <= MAX_CAMERAS:
+            raise ValueError(f"{count} cameras")
+        if len(names) != count:
+            raise ValueError(f"{count} cameras for {len(names)} photos in its list")
+        for name in names:
+            values = np.array([float(next(words, "")) for _ in range(15)])
+            focal, k1, k2 = values[:3].tolist()
+            pose = np.eye(4)
+            pose[:3, :3] = values[3:12].reshape(3, 3).T
+            pose[:3, 3] = -pose[:3, :3] @ values[12:]
+            posed = focal > 0 and bool(np.isfinite(values).all())
+            own = {"fl_x": focal, "k1": k1, "k2": k2}
+            frames.append({"file_path": name, "transform_matrix": pose.tolist() if posed else None, **own})
     return frames
 
 
@@ -54,9 +53,8 @@ def _bundler_names(path: Path) -> list[str]:
     found = next((candidate for candidate in candidates if candidate.is_file()), None)
     if found is None:
         raise BadInput("has no list of its photos beside it", "export list.txt too", path)
-    if found.stat().st_size > MAX_TABLE_BYTES:
-        raise BadInput("is too large a list", "export it again", found)
-    lines = found.read_text(encoding="utf-8", errors="replace").splitlines()
+    with open_text(found, MAX_TABLE_BYTES, mend="export it again") as file:
+        lines = file.read().splitlines()
     # A line may go on with the focal length that EXIF tells.
     return [line.split(" 0 ")[0].strip() for line in lines if line.strip()]
 
@@ -66,23 +64,19 @@ def read_reality_scan(path: Path) -> list[dict[str, Any]]:
 
     Angles are degrees. The focal length is that of a film 36 millimetres wide, the principal point a share of it.
     """
-    if path.stat().st_size > MAX_TABLE_BYTES:
-        raise BadInput("is too large a table", "export it again", path)
     frames = []
-    try:
-        with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
-            for row in csv.DictReader(file):
-                name = row.get("#name") or row["name"]
-                value = {key: float(row[key]) for key in row if key not in ("#name", "name") and row[key]}
-                pose = np.eye(4)
-                pose[:3, :3] = _rotation(-value["heading"], value["pitch"], value["roll"])
-                pose[:3, 3] = value["x"], value["y"], value["alt"]
-                lens = {key: value.get(key, 0.0) for key in ("k1", "k2", "k3", "k4")}
-                lens |= {"p1": value.get("t1", 0.0), "p2": value.get("t2", 0.0)}
-                relative = tuple(value.get(key, 0.0) / FULL_FRAME_MM for key in ("f", "px", "py"))
-                frames.append({"file_path": name, "transform_matrix": pose.tolist(), "relative": relative, **lens})
-    except (KeyError, ValueError, TypeError, csv.Error) as error:
-        raise BadInput(f"is damaged ({error!r})", "export Internal/External camera parameters again", path) from error
+    mend = "export Internal/External camera parameters again"
+    with open_text(path, MAX_TABLE_BYTES, mend=mend, newline="") as file:
+        for row in csv.DictReader(file):
+            name = row.get("#name") or row["name"]
+            value = {key: float(row[key]) for key in row if key not in ("#name", "name") and row[key]}
+            pose = np.eye(4)
+            pose[:3, :3] = _rotation(-value["heading"], value["pitch"], value["roll"])
+            pose[:3, 3] = value["x"], value["y"], value["alt"]
+            lens = {key: value.get(key, 0.0) for key in ("k1", "k2", "k3", "k4")}
+            lens |= {"p1": value.get("t1", 0.0), "p2": value.get("t2", 0.0)}
+            relative = tuple(value.get(key, 0.0) / FULL_FRAME_MM for key in ("f", "px", "py"))
+            frames.append({"file_path": name, "transform_matrix": pose.tolist(), "relative": relative, **lens})
     return frames
 
 

@@ -6,15 +6,16 @@ centres lie at half integers, as here. Points are not read: the room is the mesh
 
 from __future__ import annotations
 
+import os
 import struct
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from ..base.errors import BadInput
+from ..base.untrusted import decoding, finite, number_in_text, open_file, open_text
 from ..model.capture import View
 from .listing import (
     Listing,
@@ -27,14 +28,15 @@ from .listing import (
     up_axis,
     view_names,
 )
-from .mesh_files import MESH_SUFFIXES
+from .mesh_files import MAX_COORDINATE, MESH_SUFFIXES
 from .photo_files import PHOTO_SUFFIXES
 
 MODEL_FOLDERS = (".", "sparse", "sparse/*", "colmap/sparse", "colmap/sparse/*")
 """Where sparse models may lie below a capture. COLMAP writes one for each group of photos that it could connect."""
 MAX_ENTRIES = 100_000
 MAX_NAME = 4096
-MAX_TEXT_BYTES = 1 << 30
+MAX_BYTES = 4 << 30
+AGAIN = "export the model from COLMAP again"
 _FOCAL, _FOCALS = ("fl_x", "cx", "cy"), ("fl_x", "fl_y", "cx", "cy")
 PARAMETERS = {
     "SIMPLE_PINHOLE": _FOCAL,
@@ -86,9 +88,9 @@ def _count_images(model: Path) -> int:
     try:
         if source.suffix == ".txt":
             return len(_text_images(source))
-        with source.open("rb") as file:
+        with open_file(source, MAX_BYTES, mend=AGAIN) as file, decoding(source, mend=AGAIN):
             return _count(file)
-    except (BadInput, OSError, ValueError, struct.error):
+    except BadInput:
         return 0
 
 
@@ -150,9 +152,14 @@ def _source(model: Path) -> Path:
 
 
 def _root(path: Path) -> Path:
-    """The folder of photos and mesh: ``path`` itself, or the one above it that has the images."""
+    """The folder of photos and mesh: ``path`` itself, or the one with the images above the folders of a model.
+
+    A folder of another name is not left: the one above holds files that are no part of the capture.
+    """
     folder = path.resolve()
-    return next((f for f in (folder, *folder.parents[:3]) if (f / "images").is_dir()), path)
+    while not (folder / "images").is_dir() and (folder.name in ("sparse", "colmap") or folder.name.isdecimal()):
+        folder = folder.parent
+    return folder if (folder / "images").is_dir() else path
 
 
 def _mesh_file(root: Path, source: Path) -> Path:
@@ -176,11 +183,11 @@ def _views(posed: Sequence[Posed], cameras: Cameras, root: Path, source: Path) -
 
 
 def _camera_to_world(pose: Sequence[float], name: str, source: Path) -> np.ndarray:
-    w, x, y, z = quaternion = np.array(pose[:4])
-    length = float(np.linalg.norm(quaternion))
-    if not np.isfinite(pose).all() or not 0.9 < length < 1.1:
+    given = finite(pose, (7,), MAX_COORDINATE)
+    length = 0.0 if given is None else float(np.linalg.norm(given[:4]))
+    if given is None or not 0.9 < length < 1.1:
         raise BadInput(f"{name}: pose has NaN, or no unit quaternion", "remove the image from the model", source)
-    w, x, y, z = quaternion / length
+    w, x, y, z = given[:4] / length
     world_to_camera = np.eye(4)
     world_to_camera[:3, :3] = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -206,28 +213,18 @@ def _camera(model: str, width: int, height: int, parameters: Sequence[float], pa
 
 def _lines(path: Path) -> Iterator[str]:
     """Lines that are not comments."""
-    if path.stat().st_size > MAX_TEXT_BYTES:
-        raise BadInput(f"is larger than {MAX_TEXT_BYTES >> 30} GiB", "export the model as binary", path)
-    with path.open(encoding="utf-8", errors="replace") as file:
+    with open_text(path, MAX_BYTES, mend=AGAIN) as file:
         yield from (line.rstrip("\r\n") for line in file if not line.startswith("#"))
-
-
-@contextmanager
-def _damage_reported(path: Path) -> Iterator[None]:
-    """Raise BadInput for the errors of parsing a damaged file."""
-    try:
-        yield
-    except (ValueError, IndexError, struct.error, EOFError) as error:
-        raise BadInput(f"is damaged ({error})", "export the model from COLMAP again", path) from error
 
 
 def _text_cameras(path: Path) -> Cameras:
     cameras: Cameras = {}
-    with _damage_reported(path):
+    with decoding(path, mend=AGAIN):
         for line in _lines(path):
             if word := line.split():
-                parameters = [float(x) for x in word[4:]]
+                parameters = [number_in_text(x) for x in word[4:]]
                 cameras[int(word[0])] = _camera(word[1], int(word[2]), int(word[3]), parameters, path)
+                _check_count(len(cameras))
     return cameras
 
 
@@ -235,13 +232,14 @@ def _text_images(path: Path) -> list[Posed]:
     """Two lines per image; the second, its points, may be empty, and some programs leave it out."""
     images: list[Posed] = []
     after_image = False
-    with _damage_reported(path):
+    with decoding(path, mend=AGAIN):
         for line in _lines(path):
             word = line.split(maxsplit=9)
             if after_image and not (len(word) == 10 and not _is_number(word[9].split()[-1])):
                 after_image = False
             elif word:
                 images.append((word[9].strip(), int(word[8]), tuple(float(x) for x in word[1:8])))
+                _check_count(len(images))
                 after_image = True
     return images
 
@@ -264,14 +262,18 @@ def _unpack(file: BinaryIO, form: str) -> tuple[Any, ...]:
 
 def _count(file: BinaryIO) -> int:
     count = int(_unpack(file, "<Q")[0])
-    if count > MAX_ENTRIES:
-        raise ValueError(f"{count} entries")
+    _check_count(count)
     return count
+
+
+def _check_count(count: int) -> None:
+    if count > MAX_ENTRIES:
+        raise ValueError(f"more than {MAX_ENTRIES} entries")
 
 
 def _binary_cameras(path: Path) -> Cameras:
     cameras: Cameras = {}
-    with _damage_reported(path), path.open("rb") as file:
+    with open_file(path, MAX_BYTES, mend=AGAIN) as file, decoding(path, mend=AGAIN):
         for _ in range(_count(file)):
             id_, model, width, height = _unpack(file, "<IiQQ")
             name = MODEL_NAMES[model] if 0 <= model < len(MODEL_NAMES) else f"number {model}"
@@ -282,8 +284,8 @@ def _binary_cameras(path: Path) -> Cameras:
 
 def _binary_images(path: Path) -> list[Posed]:
     images: list[Posed] = []
-    size = path.stat().st_size
-    with _damage_reported(path), path.open("rb") as file:
+    with open_file(path, MAX_BYTES, mend=AGAIN) as file, decoding(path, mend=AGAIN):
+        size = os.fstat(file.fileno()).st_size
         for _ in range(_count(file)):
             _, *pose, camera_id = _unpack(file, "<I7dI")
             name = _name(file)

@@ -16,6 +16,7 @@ from PIL import ExifTags
 
 from ..base.errors import BadInput
 from ..base.images import HDR_SUFFIXES
+from ..base.untrusted import decoding, number_in_text, open_text
 from ..model.capture import View
 from .listing import load_array, number, read_json_object
 from .photo_files import read_exif
@@ -82,7 +83,11 @@ def exif_settings(photo: Path) -> dict[str, float]:
     exif = read_exif(photo)
     if exif is None:
         return {}
-    block = exif.get_ifd(ExifTags.IFD.Exif) or exif  # camera raw files have their settings in the first directory
+    try:
+        with decoding(photo):
+            block = exif.get_ifd(ExifTags.IFD.Exif) or exif  # camera raw files have theirs in the first directory
+    except BadInput:  # a damaged block counts as none; pixels are checked elsewhere
+        return {}
     time = _positive(block.get(ExifTags.Base.ExposureTime))
     if time is None and (apex := _finite(block.get(ExifTags.Base.ShutterSpeedValue))) is not None:
         time = 2.0**-apex
@@ -169,15 +174,13 @@ def _read_json(path: Path) -> dict[str, float]:
 
 
 def _read_csv(path: Path) -> dict[str, float]:
-    if path.stat().st_size > MAX_CSV_BYTES:
-        raise BadInput(f"is larger than {MAX_CSV_BYTES >> 20} MiB", "give one line per photo", path)
     table = {}
-    with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
+    with open_text(path, MAX_CSV_BYTES, mend="give one line of name,exposure per photo", newline="") as file:
         for line, row in enumerate(csv.reader(file)):
             if not row or row[0].startswith("#"):
                 continue
             try:
-                table[row[0].strip()] = float(row[1])
+                table[row[0].strip()] = number_in_text(row[1])
             except (IndexError, ValueError) as error:
                 if line > 0:  # the first line may be a heading
                     raise BadInput(f"line {line + 1} is not name,exposure", "correct the line", path) from error

@@ -7,6 +7,7 @@ and paths are checked here.
 from __future__ import annotations
 
 import math
+import os
 import re
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import BadInput
-from ..base.files import read_json
-from ..base.images import MAX_PIXELS
+from ..base.image_headers import MAX_PIXELS
+from ..base.untrusted import finite, floats, read_json, read_npy
 from ..model.capture import Camera, Distortion, FloatArray, View
-from .mesh_files import MESH_SUFFIXES, ply_counts
+from .mesh_files import MAX_COORDINATE, MESH_SUFFIXES, ply_counts
 from .photo_files import PHOTO_SUFFIXES, UPRIGHT, read_orientation, shown_up
 
 MAX_JSON_BYTES = 64 * 1024 * 1024
@@ -36,6 +37,8 @@ AXIS_COSINE = 0.9
 """Cosine between an axis and that mean from which the axis is up."""
 
 MAX_FIELD_OF_VIEW = math.radians(170.0)
+MAX_NAME_BYTES = 200
+"""Of the name of a view, which pictures of it are called by."""
 RIGID_TOLERANCE = 1e-3
 """Deviation from a rotation matrix; files keep three decimals at least."""
 
@@ -79,8 +82,6 @@ class Listing:
 
 def read_json_object(path: Path) -> dict[str, Any]:
     """The JSON object in ``path``; raises BadInput when missing, too large or not an object."""
-    if not path.is_file():
-        raise BadInput("no such file", "check the path of the capture", path)
     return read_json(path, MAX_JSON_BYTES, "export it again, a very large capture in parts")
 
 
@@ -94,10 +95,10 @@ def frames_of(meta: Mapping[str, Any], path: Path) -> list[dict[str, Any]]:
 
 def number(values: Mapping[str, Any], key: str, path: Path) -> float:
     """``values[key]`` as a finite float; raises BadInput."""
-    value = values[key]
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
-        raise BadInput(f'"{key}" is {value!r}', "give it a finite number", path)
-    return float(value)
+    found = finite(values[key])
+    if found is None:
+        raise BadInput(f'"{key}" is {values[key]!r}', "give it a finite number", path)
+    return float(found)
 
 
 def inside(root: Path, named: str, source: Path) -> Path:
@@ -110,15 +111,24 @@ def inside(root: Path, named: str, source: Path) -> Path:
         BadInput: the path leaves the capture folder, by ".." or through a symbolic link.
     """
     relative = Path(named.replace("\\", "/"))
+    outside = BadInput(f"names {named[:80]!r}, outside the capture folder", "move the file into the folder", source)
+    # Before the disk is asked: Windows logs on to the server of a path like //server/share to see whether it exists.
     path = root / relative
     try:
-        escapes = not path.resolve().is_relative_to(root.resolve())
+        if not _may_lie_in(root, path):
+            raise outside
+        if not path.resolve().is_relative_to(root.resolve()):
+            raise outside
         path.with_name(path.name + ".jpeg").is_file()  # the longest name anybody will look for
+        return path if path.exists() else _spelled_on_disk(root, path)
     except (OSError, ValueError, RuntimeError) as error:  # over-long name, NUL byte, loop of links
         raise BadInput(f"names {named[:80]!r}, which is not a usable path", "correct the path", source) from error
-    if escapes:
-        raise BadInput(f"names {named[:80]!r}, outside the capture folder", "move the file into the folder", source)
-    return path if path.exists() else _spelled_on_disk(root, path)
+
+
+def _may_lie_in(root: Path, path: Path) -> bool:
+    """Whether ``path`` lies below ``root`` by its letters, links not looked at."""
+    whole = os.path.normpath(path.absolute())
+    return any(Path(whole).is_relative_to(os.path.normpath(at)) for at in (root.absolute(), os.path.realpath(root)))
 
 
 def _spelled_on_disk(root: Path, path: Path) -> Path:
@@ -172,14 +182,7 @@ def find_image(root: Path, named: str, source: Path) -> Path | None:
 
 def load_array(path: Path, length: int, what: str) -> NDArray[np.float64]:
     """(length,) float64 from a .npy file; raises BadInput for another length or content."""
-    if not path.is_file():
-        raise BadInput("no such file", "check the path", path)
-    if path.stat().st_size > MAX_ARRAY_BYTES:
-        raise BadInput(f"is larger than {MAX_ARRAY_BYTES >> 20} MiB", f"give one number per {what}", path)
-    try:
-        values = np.asarray(np.load(path, allow_pickle=False), np.float64).ravel()
-    except (ValueError, TypeError, OSError, EOFError) as error:
-        raise BadInput(f"is not a .npy file of numbers ({error})", "write it again with numpy.save", path) from error
+    values = read_npy(path, MAX_ARRAY_BYTES, f"write one number per {what} with numpy.save").astype(np.float64).ravel()
     if len(values) != length:
         raise BadInput(f"has {len(values)} values for {length} {what}s", f"give one number per {what}", path)
     return values
@@ -190,14 +193,17 @@ def load_array(path: Path, length: int, what: str) -> NDArray[np.float64]:
 
 def safe_name(text: str) -> str:
     """``text`` as a file name: letters, digits, dots, dashes and underscores."""
-    return re.sub(r"[^\w.-]+", "_", text).strip("._") or "view"
+    name = re.sub(r"[^\w.-]+", "_", text).encode(errors="replace")[:MAX_NAME_BYTES].decode(errors="ignore")
+    return name.strip("._") or "view"
 
 
 def view_names(photos: Sequence[str]) -> list[str]:
     """A name per photo, given relative paths: file stems where they are unique, otherwise whole paths."""
     paths = [PurePosixPath(photo.replace("\\", "/")) for photo in photos]
     stems = [safe_name(path.stem) for path in paths]
-    return stems if len(set(stems)) == len(stems) else [safe_name(str(path.with_suffix(""))) for path in paths]
+    if len(set(stems)) == len(stems):
+        return stems
+    return [safe_name(str(path.with_suffix("") if path.name else path)) for path in paths]
 
 
 def check_unique(views: Iterable[View], source: Path) -> None:
@@ -365,14 +371,12 @@ def has_pose(matrix: Any) -> bool:
 
 def read_pose(matrix: Any, label: str, path: Path) -> FloatArray:
     """(4, 4) rigid camera-to-world matrix from nested lists, (4, 4) or (3, 4); raises BadInput."""
-    try:
-        given = np.array(matrix, np.float64)
-    except (TypeError, ValueError):
-        given = np.empty(0)
-    if given.shape not in ((3, 4), (4, 4)):
+    given = floats(matrix, (None, 4))
+    if given is None or len(given) not in (3, 4):
         raise BadInput(f"{label}: transform_matrix is not 4x4", "export the poses again", path)
-    if not np.isfinite(given).all():
-        raise BadInput(f"{label}: pose has NaN or infinite numbers", "remove the photo or export its pose again", path)
+    if not (np.abs(given) <= MAX_COORDINATE).all():
+        what = f"{label}: pose has NaN, or numbers beyond {MAX_COORDINATE:g}"
+        raise BadInput(what, "remove the photo or export its pose again", path)
     pose = np.eye(4)
     pose[: len(given)] = given
     rotation = pose[:3, :3]

@@ -6,24 +6,26 @@ material, and cut concave polygons to fans.
 
 from __future__ import annotations
 
-import json
-import struct
+import io
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
 from ..base.errors import BadInput
+from ..base.glb_chunks import check_announced, pack_chunks, read_chunks
+from ..base.untrusted import decoding, open_file, open_text
 from ..model.capture import DEGENERATE_AREA, FloatArray, Mesh
 from ..rays.tracer import Tracer
-from .ply_files import read_ply
+from .ply_files import MAX_MESH_BYTES, read_ply
 from .polygons import triangulate
 
+AGAIN = "copy or export the mesh again"
 MESH_SUFFIXES = (".ply", ".obj", ".glb")
-_GLB_HEAD, _JSON_CHUNK = struct.Struct("<4sIIII"), 0x4E4F534A
 READ_EXTENSIONS = {
     "KHR_draco_mesh_compression", "KHR_mesh_quantization", "KHR_texture_transform", "KHR_materials_unlit",
     "KHR_texture_basisu", "EXT_texture_webp", "KHR_lights_punctual",
@@ -31,8 +33,9 @@ READ_EXTENSIONS = {
 """Extensions of glTF that are read, or that do not change the geometry."""
 CHANGES_GEOMETRY = {"EXT_mesh_gpu_instancing", "EXT_meshopt_compression"}
 """Extensions without which other geometry is read, whether or not they are required."""
-MAX_MESH_BYTES = 2 << 30
 MAX_FACES = 20_000_000
+MAX_COORDINATE = 1e9
+"""Metres from the origin that vertices and cameras may have for their distances to be computed."""
 UV_TOLERANCE = 1e-4
 """By which coordinates may leave the unit square."""
 MAX_UV_OVERLAP = 0.01
@@ -49,14 +52,8 @@ def read_mesh(path: Path) -> tuple[Mesh, tuple[str, ...]]:
         BadInput: missing, damaged, not PLY/OBJ/GLB, too large, empty, NaN vertices, only degenerate triangles.
     """
     _check_file(path)
-    try:
+    with decoding(path, "is damaged or not a mesh", AGAIN):
         mesh = {".obj": read_obj, ".ply": read_ply, ".glb": _read_glb}[path.suffix.lower()](path)
-    except BadInput:
-        raise
-    except Exception as error:  # parsers of three formats fail in as many ways as a file can be damaged
-        raise BadInput(
-            f"is damaged or not a mesh ({type(error).__name__}: {error})", "export the mesh again", path
-        ) from error
     _check_geometry(mesh, path)
 
     warnings = []
@@ -76,27 +73,32 @@ def _check_file(path: Path) -> None:
         raise BadInput("no such mesh", "put the file there or correct the path that names it", path)
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise BadInput("is not a mesh format read here", "export the mesh as PLY, OBJ or GLB", path)
-    size = path.stat().st_size
-    if size > MAX_MESH_BYTES:
-        raise BadInput(f"is larger than {MAX_MESH_BYTES >> 30} GiB", "decimate the mesh", path)
-    if path.suffix.lower() == ".ply" and sum(ply_counts(path).values()) > size:
-        raise BadInput("announces more elements than the file can hold", "copy or export the mesh again", path)
+    if path.suffix.lower() == ".ply":
+        counts = ply_counts(path).values()
+        if min(counts, default=0) < 0 or sum(counts) > path.stat().st_size:
+            raise BadInput("announces more elements than the file can hold", AGAIN, path)
 
 
 def ply_counts(path: Path) -> dict[str, int]:
     """How many elements of each kind the header of a PLY file announces, e.g. {"vertex": 8, "face": 12}."""
-    with path.open("rb") as file:
+    with open_file(path, MAX_MESH_BYTES, mend="decimate the mesh") as file, decoding(path, mend=AGAIN):
         header = file.read(1 << 16).split(b"end_header")[0].decode("ascii", "replace")
-    words = [line.split() for line in header.splitlines()]
-    return {line[1]: int(line[2]) for line in words if len(line) == 3 and line[0] == "element" and line[2].isdigit()}
+        words = [line.split() for line in header.splitlines()]
+        return {line[1]: int(line[2]) for line in words if len(line) == 3 and line[0] == "element"}
 
 
 # ---- PLY and GLB ----------------------------------------------------------------------------------------------------
 
 
 def _read_glb(path: Path) -> Mesh:
-    _check_extensions(path)
-    loaded = trimesh.load(path, process=False, maintain_order=True)
+    document, blob = read_chunks(path, MAX_MESH_BYTES, "decimate the mesh, or export it again")
+    _check_extensions(document, path)
+    check_announced(document, path.stat().st_size, path, AGAIN)
+    document["materials"] = [{} for _ in document.get("materials", [])]
+    for name in ("images", "textures", "samplers"):  # no picture of any format is decoded
+        document.pop(name, None)
+    # A file object instead of a path, so that no other file is opened.
+    loaded = trimesh.load(io.BytesIO(pack_chunks(document, blob)), "glb", process=False, maintain_order=True)
     if isinstance(loaded, trimesh.Scene):
         return _concatenate_nodes(loaded)
     if not isinstance(loaded, trimesh.Trimesh):
@@ -104,13 +106,8 @@ def _read_glb(path: Path) -> Mesh:
     return _convert(loaded, np.eye(4))
 
 
-def _check_extensions(path: Path) -> None:
+def _check_extensions(document: dict[str, Any], path: Path) -> None:
     """Raise BadInput for a GLB that needs what is not read: its geometry would come as zeros."""
-    with path.open("rb") as file:
-        magic, _, _, length, kind = _GLB_HEAD.unpack(file.read(_GLB_HEAD.size))
-        if magic != b"glTF" or kind != _JSON_CHUNK:
-            raise ValueError("no binary glTF 2.0")
-        document = json.loads(file.read(length))
     required, used = (set(document.get(key, ())) for key in ("extensionsRequired", "extensionsUsed"))
     if "KHR_draco_mesh_compression" in required and find_spec("DracoPy") is None:
         raise BadInput("is Draco-compressed", "export it without compression, or install the package DracoPy", path)
@@ -170,9 +167,10 @@ def _check_geometry(mesh: Mesh, path: Path) -> None:
         raise BadInput(f"has {len(faces)} faces, more than {MAX_FACES}", "decimate the mesh", path)
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise BadInput("has faces that name vertices it does not have", "export the mesh again", path)
-    if not np.isfinite(vertices).all():
-        count = int((~np.isfinite(vertices).all(1)).sum())
-        raise BadInput(f"has {count} vertices with NaN or infinite coordinates", "remove these vertices", path)
+    if not (np.abs(vertices) <= MAX_COORDINATE).all():
+        count = int((~(np.abs(vertices) <= MAX_COORDINATE).all(1)).sum())
+        what = f"has {count} vertices with NaN or coordinates beyond {MAX_COORDINATE:g}"
+        raise BadInput(what, "remove these vertices", path)
     if (face_areas(mesh) <= DEGENERATE_AREA).all():
         raise BadInput("has only triangles without area", "export the mesh again, in metres", path)
 
@@ -290,7 +288,7 @@ def read_obj(path: Path) -> Mesh:
         ValueError, IndexError: the file is malformed.
     """
     lines, group, material = _Lines(), "", ""
-    with path.open(encoding="utf-8", errors="replace") as file:
+    with open_text(path, MAX_MESH_BYTES, mend="decimate the mesh") as file:
         for line in file:
             keyword, _, rest = line.strip().partition(" ")
             if keyword == "v":

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from ..base.errors import BadInput
+from ..base.untrusted import decoding, read_bytes
 
 MAX_XML_BYTES = 256 << 20
 DOWN_FORWARD = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -24,7 +25,7 @@ def read_metashape(path: Path) -> list[dict[str, Any]]:
     chunk = root if root.tag == "chunk" else root.find(".//chunk")
     if chunk is None:
         raise BadInput("has no chunk of cameras", "export the cameras as Agisoft XML", path)
-    try:
+    with decoding(path, mend="export the cameras again"):
         sensors = {sensor.get("id"): _intrinsics(sensor) for sensor in chunk.iter("sensor")}
         to_world = _chunk_transform(chunk)
         frames = []
@@ -36,23 +37,18 @@ def read_metashape(path: Path) -> list[dict[str, Any]]:
             frames.append(
                 {"file_path": camera.get("label"), "transform_matrix": pose, **sensors[camera.get("sensor_id")]}
             )
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise BadInput(f"is damaged ({error})", "export the cameras again", path) from error
     if not frames:
         raise BadInput("has no cameras", "export the cameras of an aligned chunk", path)
     return frames
 
 
 def _parse(path: Path) -> ElementTree.Element:
-    if path.stat().st_size > MAX_XML_BYTES:
-        raise BadInput(f"is larger than {MAX_XML_BYTES >> 20} MiB", "export the cameras alone", path)
-    data = path.read_bytes()
-    if b"<!DOCTYPE" in data or b"<!ENTITY" in data:  # entities may grow without bound, and no export has them
+    data = read_bytes(path, MAX_XML_BYTES, mend="export the cameras alone")
+    # Entities may grow without bound, and no export has them. Nor is it UTF-16, in which they would not be seen here.
+    if b"<!DOCTYPE" in data or b"<!ENTITY" in data or b"\0" in data:
         raise BadInput("declares entities", "export the cameras again", path)
-    try:
+    with decoding(path, "is not valid XML", "export the cameras again"):
         return ElementTree.fromstring(data)
-    except ElementTree.ParseError as error:
-        raise BadInput(f"is not valid XML ({error})", "export the cameras again", path) from error
 
 
 def _numbers(text: str, count: int) -> np.ndarray:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..base.errors import BadInput
+from ..base.untrusted import finite
 from ..model.capture import Split, View
 from .exposures import from_frame
 from .listing import (
@@ -165,11 +166,10 @@ def _check_applied(meta: Mapping[str, Any], mesh_named: bool, source: Path) -> l
     """
     transform = np.eye(4)
     if "applied_transform" in meta:
-        try:
-            given = np.array(meta["applied_transform"], np.float64)
-            transform[: len(given)] = given
-        except (TypeError, ValueError) as error:
-            raise BadInput('"applied_transform" is not 3x4', "export the poses again", source) from error
+        given = finite(meta["applied_transform"], (None, 4))
+        if given is None or len(given) not in (3, 4):
+            raise BadInput('"applied_transform" is not 3x4', "export the poses again", source)
+        transform[: len(given)] = given
     scale = number(meta, "applied_scale", source) if "applied_scale" in meta else 1.0
     if not mesh_named and (scale != 1.0 or not np.allclose(transform, np.eye(4), atol=1e-6)):
         raise BadInput(

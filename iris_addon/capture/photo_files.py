@@ -20,7 +20,9 @@ from numpy.typing import NDArray
 from PIL import ExifTags, Image, ImageCms
 
 from ..base.errors import BadInput
-from ..base.images import HDR_SUFFIXES, MAX_PIXELS, check_image, exr_size, read_exr
+from ..base.image_headers import MAX_IMAGE_BYTES, check_pixels
+from ..base.images import HDR_SUFFIXES, check_image, exr_size, read_exr
+from ..base.untrusted import decoding, open_file
 
 FORMATS = ("PNG", "JPEG", "MPO", "WEBP", "TIFF", "AVIF", "BMP", "HEIF")
 """Pillow's names. MPO is a JPEG with further pictures behind it, as phones with several lenses or gain maps write."""
@@ -114,20 +116,29 @@ def open_photo(path: Path) -> Iterator[Image.Image]:
     Raises:
         BadInput: missing, damaged, too large, or of a format that is not read here.
     """
-    if not path.is_file():
-        raise BadInput("no such image", "put the file there or correct the path that names it", path)
     _prepare(path)
-    try:
-        with Image.open(path, formats=_known()) as image:
-            if image.width * image.height > MAX_PIXELS:
-                size = f"is {image.width}x{image.height} pixels, more than {MAX_PIXELS // 1_000_000} million"
-                raise BadInput(size, "scale the image down", path)
-            yield image
-    except BadInput:
-        raise
-    except Exception as error:  # decoders of eight formats fail in as many ways as a file can be damaged
-        said = (str(error) or type(error).__name__).splitlines()[0][:120]
-        raise BadInput(f"is damaged or not an image ({said})", MEND, path) from error
+    with (
+        open_file(path, MAX_IMAGE_BYTES, mend=MEND) as file,
+        decoding(path, "is damaged or not an image", MEND),
+        Image.open(file, formats=_known()) as image,
+    ):
+        check_pixels(path, image.width, image.height)
+        yield image
+
+
+def photo_size(path: Path) -> tuple[int, int]:
+    """(width, height) as stored, by the header; raises BadInput."""
+    if path.suffix.lower() in HDR_SUFFIXES:
+        return exr_size(path)
+    if path.suffix.lower() in RAW_SUFFIXES:
+        return check_photo(path)
+    with open_photo(path) as image:
+        return image.size
+
+
+def turned_size(size: tuple[int, int], orientation: int) -> tuple[int, int]:
+    """(width, height) as EXIF's ``orientation`` shows a photo of ``size``."""
+    return (size[1], size[0]) if orientation in SIDEWAYS else size
 
 
 def check_photo(path: Path) -> tuple[int, int]:
@@ -151,10 +162,9 @@ def check_photo(path: Path) -> tuple[int, int]:
 def read_exif(path: Path) -> Image.Exif | None:
     """The EXIF block of a photo, None where it has none that can be read; pixels are checked elsewhere."""
     try:
-        _prepare(path)
-        with Image.open(path, formats=_known()) as image:
+        with open_photo(path) as image:
             return image.getexif()
-    except Exception:  # a damaged block counts as none, and decoders fail in many ways
+    except BadInput:  # a damaged block counts as none
         return None
 
 
@@ -236,7 +246,7 @@ def _sixteen_bits(image: Image.Image, path: Path) -> tuple[NDArray[np.float64], 
     known = [mode for tile in image.tile for mode in _raw_modes(tile) if mode in _OTHER_BYTE]
     if not known or (profile and not _is_srgb(ImageCms.ImageCmsProfile(io.BytesIO(profile)))):
         return None
-    with Image.open(path, formats=_known()) as again:
+    with open_photo(path) as again:
         again.tile = [tile._replace(args=_with_mode(tile.args, known[0], _OTHER_BYTE[known[0]])) for tile in again.tile]
         low = np.asarray(again).astype(np.uint16)
     values = ((np.asarray(image).astype(np.uint16) << 8) | low) / 65535.0
@@ -285,13 +295,13 @@ def _raw(path: Path) -> Iterator:
         import rawpy
     except ImportError as error:
         raise BadInput("is a camera raw file", "install the package rawpy, or convert it to TIFF", path) from error
-    if not path.is_file():
-        raise BadInput("no such image", "put the file there or correct the path that names it", path)
-    try:
-        with rawpy.imread(str(path)) as raw:
-            yield raw
-    except (rawpy.LibRawError, OSError, ValueError) as error:
-        raise BadInput(f"is damaged or not a raw file ({error})", MEND, path) from error
+    with (
+        open_file(path, MAX_IMAGE_BYTES, mend=MEND) as file,
+        decoding(path, "is damaged or not a raw file", MEND),
+        rawpy.imread(file) as raw,
+    ):
+        check_pixels(path, raw.sizes.raw_width, raw.sizes.raw_height)
+        yield raw
 
 
 def _known() -> tuple[str, ...]:
@@ -302,7 +312,7 @@ def _known() -> tuple[str, ...]:
 def _prepare(path: Path) -> None:
     """Let Pillow read all formats, HEIC if ``path`` is one; raises BadInput where its package is missing."""
     Image.init()
-    with path.open("rb") as file:
+    with open_file(path, MAX_IMAGE_BYTES, mend=MEND) as file:
         head = file.read(12)
     if head[4:8] != b"ftyp" or head[8:12] in (b"avif", b"avis"):
         return

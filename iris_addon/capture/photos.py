@@ -21,7 +21,7 @@ from ..base.errors import BadInput
 from ..base.parallel import over_blocks
 from ..model.capture import Camera, Distortion, FloatArray, Photo, View
 from ..model.response import SATURATED
-from .photo_files import UPRIGHT, PhotoPixels, read_orientation, read_photo
+from .photo_files import UPRIGHT, PhotoPixels, photo_size, read_orientation, read_photo, turned_size
 
 PIXELS_AT_ONCE = 50_000_000
 """Over all photos that are decoded at one time; undistortion takes some 125 bytes per pixel."""
@@ -72,6 +72,7 @@ def read_pixels(view: View) -> PhotoPixels:
     shrink = max(s for s in JPEG_SHRINKS if reduction % s == 0 and (s == 1 or reduction // s >= MIN_BLOCK))
     if view.orientation != UPRIGHT:  # a part of a block at the end of a row would then begin it
         shrink = 1
+    check_photo_size(view, turned_size(photo_size(view.photo), view.orientation))  # before it is allocated
     pixels = read_photo(view.photo, shrink).turned(view.orientation)
     if pixels.values.shape[1] >= camera.width * reduction:  # other formats are not shrunk
         shrink = 1

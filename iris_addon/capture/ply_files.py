@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import BadInput
+from ..base.untrusted import open_file
 from ..model.capture import Mesh
 from .polygons import triangulate
 
@@ -23,6 +24,7 @@ _TYPES = {
     "float": "f4", "double": "f8", "float32": "f4", "float64": "f8",
 }  # fmt: skip
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
+MAX_MESH_BYTES = 2 << 30
 MAX_HEADER_LINES = 10_000
 MAX_CORNERS = 100_000
 """Of one polygon."""
@@ -51,7 +53,7 @@ def read_ply(path: Path) -> Mesh:
         BadInput: it has points and no faces.
         ValueError, IndexError, KeyError: the file is malformed.
     """
-    with path.open("rb") as file:
+    with open_file(path, MAX_MESH_BYTES, mend="decimate the mesh") as file:
         order, elements = _header(file)
         tables = {element.name: _read(file, element, order) for element in elements}
     vertex = tables["vertex"]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.errors import BadInput
+from ..base.untrusted import decoding, read_bytes
 from .metashape import DOWN_FORWARD
 
 MAX_POSE_BYTES = 4096
@@ -41,10 +41,7 @@ def _pose(path: Path) -> list[list[float]]:
 
 def _matrix(path: Path) -> np.ndarray:
     """(4, 4) numbers of a text file; lost frames have infinite ones."""
-    try:
-        if path.stat().st_size > MAX_POSE_BYTES:
-            raise ValueError("too large")
-        values = np.array([float(word) for word in path.read_text(encoding="utf-8", errors="replace").split()])
-        return values.reshape(4, 4)
-    except (ValueError, OSError) as error:
-        raise BadInput(f"is not a matrix of 4x4 numbers ({error})", "extract the data set again", path) from error
+    mend = "extract the data set again"
+    with decoding(path, "is not a matrix of 4x4 numbers", mend):
+        values = [float(word) for word in read_bytes(path, MAX_POSE_BYTES, mend=mend).split()]
+        return np.array(values).reshape(4, 4)

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from ..base.errors import BadInput
+from ..base.untrusted import open_file
 from ..model.capture import View
 from .camera_tables import read_bundler, read_reality_scan
 from .listing import (
@@ -41,6 +42,9 @@ from .photo_files import PHOTO_SUFFIXES, check_photo
 from .pose_folders import read_scannet, read_seven_scenes
 
 Frame = Mapping[str, Any]
+
+
+MAX_PROGRAM_BYTES = 8 << 30
 
 
 @dataclass(frozen=True)
@@ -66,7 +70,7 @@ def _file_that(*suffixes: str, begins: Sequence[bytes]) -> Callable[[Path], Path
     def fits(path: Path) -> bool:
         if not path.is_file() or not path.name.lower().endswith(suffixes):
             return False
-        with path.open("rb") as file:
+        with open_file(path, MAX_PROGRAM_BYTES) as file:
             head = file.read(4096)
         return any(text in head for text in begins)
 

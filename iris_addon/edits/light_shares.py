@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from ..base.errors import BadInput
 from ..base.files import atomic_write
+from ..base.image_headers import check_exr_samples, read_exr_parts
+from ..base.untrusted import decoding
 from ..results.result import Result
 from .jobs import lamp_radiance
 from .parsing import Json, json_map, known_keys, number
@@ -88,12 +90,16 @@ def read_shares(path: Path) -> LightShares:
     import OpenEXR
 
     mend = "render them again with --light-shares"
-    if not path.is_file():
-        raise BadInput("no such file of light shares", mend, path)
-    try:
+    announced = read_exr_parts(path)
+    check_exr_samples(path, announced)
+    if len({(part.width, part.height) for part in announced}) != 1:
+        raise BadInput("has parts of different sizes", mend, path)
+    if len(announced) < 2 or any(sorted(part.channels) != ["B", "G", "R"] for part in announced):
+        raise BadInput("holds no light shares", mend, path)
+    with decoding(path, "holds no light shares", mend):
         parts = {part.name(): part.channels["RGB"].pixels for part in OpenEXR.File(str(path)).parts}
-    except (RuntimeError, ValueError, OSError, KeyError) as error:
-        raise BadInput(f"holds no light shares ({error})", mend, path) from error
-    if COMBINED not in parts or len(parts) < 2:
+    height, width = announced[0].height, announced[0].width
+    whole = all(share.shape == (height, width, 3) for share in parts.values())
+    if COMBINED not in parts or len(parts) != len(announced) or not whole:
         raise BadInput("holds no light shares", mend, path)
     return LightShares(parts.pop(COMBINED), parts)

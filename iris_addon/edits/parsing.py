@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import BadInput
+from ..base.untrusted import finite
 from ..model.capture import Camera
 from ..model.corrections import rotation
 from .scene_edit import (
@@ -42,6 +43,12 @@ Choice = TypeVar("Choice")
 LIGHT_KINDS = ("area", "point", "spot", "sun", "hdri", "mesh")
 MATERIAL_KEYS = {"base_color", "roughness", "metallic", "specular", "emission"}
 PLACEMENT_KEYS = {"location", "rotation", "scale", "height", "snap", "pixel", "turntable"}
+LARGEST = 1e12
+"""Largest magnitude of a number in a job: Blender multiplies several of them in single precision."""
+SHORTEST = 1e-12
+"""Least length of a direction."""
+MAX_WHOLE = 1_000_000
+"""Largest count of views or frames."""
 SHAPES: tuple[Shape, ...] = get_args(Shape)
 SNAPS: tuple[Snap, ...] = get_args(Snap)
 
@@ -65,19 +72,19 @@ def json_list(value: Any, where: str) -> Sequence[Any]:
 
 def number(value: Any, where: str, *, above_zero: bool = False, at_most: float = np.inf) -> float:
     """``value`` as a finite number from 0 (or above it) to ``at_most``; raises BadInput."""
-    is_number = isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value)
-    if not is_number or not 0 <= value <= at_most or (above_zero and value == 0):
+    found = finite(value, largest=LARGEST)
+    if found is None or not 0 <= found <= at_most or (above_zero and found == 0):
         upper = "" if np.isinf(at_most) else f" to {at_most:g}"
         raise BadInput(
             f"'{where}' is {value!r}", f"give a number {'above 0' if above_zero else 'from 0'}{upper or ' up'}"
         )
-    return float(value)
+    return float(found)
 
 
 def whole(value: Any, where: str) -> int:
-    """``value`` as a whole number from 0 up; raises BadInput."""
-    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-        raise BadInput(f"'{where}' is {value!r}", "give a whole number, counted from 0")
+    """``value`` as a whole number from 0 up to a million; raises BadInput."""
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= MAX_WHOLE:
+        raise BadInput(f"'{where}' is {value!r}", f"give a whole number from 0 to {MAX_WHOLE}")
     return value
 
 
@@ -97,14 +104,8 @@ def one_of(value: Any, choices: Sequence[Choice], where: str) -> Choice:
 
 def array(value: Any, shape: tuple[int | None, ...], where: str) -> NDArray[np.float64]:
     """``value`` as finite float64 of ``shape`` (None: any length); raises BadInput."""
-    try:
-        values = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        values = np.array(np.nan)
-    fits = values.ndim == len(shape) and all(
-        want in (None, have) for want, have in zip(shape, values.shape, strict=True)
-    )
-    if not fits or not np.isfinite(values).all():
+    values = finite(value, shape, LARGEST)
+    if values is None:
         form = " x ".join("n" if side is None else str(side) for side in shape)
         raise BadInput(f"'{where}' is no list of {form} finite numbers", "correct it in the JSON file")
     return values
@@ -129,16 +130,24 @@ def color(value: Any, where: str) -> NDArray[np.float64]:
 def direction(value: Any, where: str) -> NDArray[np.float64]:
     """``value`` as a (3,) unit vector; raises BadInput."""
     values = array(value, (3,), where)
-    if not values.any():
-        raise BadInput(f"'{where}' is [0, 0, 0]", "give a direction")
-    return values / np.linalg.norm(values)
+    length = float(np.linalg.norm(values))
+    if length < SHORTEST:
+        raise BadInput(f"'{where}' is {values.tolist()}", f"give a direction longer than {SHORTEST:g}")
+    return values / length
 
 
 def file_path(value: Any, folder: Path | None, where: str) -> Path:
     """``value`` as a path, relative ones below ``folder``; raises BadInput."""
     if not isinstance(value, str):
         raise BadInput(f"'{where}' is {value!r}", "give a path")
-    return (folder or Path()) / Path(value).expanduser()
+    try:
+        path = (folder or Path()) / Path(value).expanduser()
+        path.lstat()
+    except FileNotFoundError:
+        pass  # told where it is read
+    except (OSError, ValueError, RuntimeError) as error:  # an over-long name, a NUL byte, the home of nobody
+        raise BadInput(f"'{where}' is {value[:80]!r}, which is not a usable path", "correct the path") from error
+    return path
 
 
 def known_keys(value: Json, known: set[str], where: str) -> None:

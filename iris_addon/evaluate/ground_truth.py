@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import BadInput
-from ..base.files import read_json
 from ..base.images import read_exr, read_image, read_map
+from ..base.untrusted import finite, read_json, read_npy
 from ..capture.fipt import fipt_root, read_fipt_views
 from ..model.capture import Split, View
 from ..model.response import N_SAMPLES, Response
+
+MAX_RESPONSE_BYTES = 16 << 20
 
 
 @dataclass(frozen=True)
@@ -112,10 +114,7 @@ def _response(folder: Path) -> Response | None:
     path = folder / "cam" / "crf_gt.npy"
     if not path.is_file():
         return None
-    try:
-        samples = np.load(path, allow_pickle=False).astype(np.float64)
-    except (ValueError, OSError, EOFError) as error:
-        raise BadInput(f"is not an array file ({error})", "restore the capture", path) from error
-    if samples.shape != (3, N_SAMPLES) or not np.isfinite(samples).all():
-        raise BadInput(f"has shape {samples.shape}, expected (3, {N_SAMPLES}) finite", "restore the capture", path)
+    samples = finite(read_npy(path, MAX_RESPONSE_BYTES, "restore the capture"), (None, None))
+    if samples is None or samples.shape != (3, N_SAMPLES):
+        raise BadInput(f"is not (3, {N_SAMPLES}) finite numbers", "restore the capture", path)
     return Response(samples, "file")

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..base.errors import BadInput
-from ..base.files import from_ranges, json_object, read_json
+from ..base.files import from_ranges
 from ..base.group_by import group_means, group_medians
+from ..base.untrusted import json_object, read_json
 from ..rays.tracer import Tracer
 from ..surface.topology import component_labels, smooth_edges
 

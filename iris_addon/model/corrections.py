@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.untrusted import finite
 from .capture import Camera, FloatArray, View
 
 FOCAL_TOLERANCE = 1e-3
@@ -22,6 +23,8 @@ POSE_TOLERANCE = 1e-4
 """Distance of poses, in correlation lengths, up to which two are one."""
 CORRELATION_LENGTHS = (0.6, 0.6)
 """Radians and metres over which the correlation of the corrections of two photos falls by a factor of e."""
+MAX_CORRECTED = 8192
+"""Photos with a correction of their own that a report may have: a matrix of all pairs is made of them."""
 NUGGET = 0.01
 """Variance of a correction that is not correlated with its neighbours', relative to the one that is (kriging)."""
 SMOOTH_RESIDUAL = 0.7
@@ -75,10 +78,8 @@ class CameraCorrection:
     @staticmethod
     def from_content(content: Mapping[str, Any]) -> CameraCorrection:
         """Inverse of :meth:`content`; raises KeyError, TypeError or ValueError for anything else."""
-        numbers = np.array(
-            [content["fx_over_width"], content["focal"], *content["principal"], *content["offset"]], float
-        )
-        if numbers.shape != (6,) or not np.isfinite(numbers).all() or (numbers[:2] <= 0).any():
+        numbers = finite([content["fx_over_width"], content["focal"], *content["principal"], *content["offset"]], (6,))
+        if numbers is None or (numbers[:2] <= 0).any():
             raise ValueError("not a camera correction")
         of, focal, cx, cy, x, y = numbers.tolist()
         return CameraCorrection(of, focal, (cx, cy), (x, y))
@@ -146,12 +147,11 @@ class PoseCorrections:
     @staticmethod
     def from_content(content: Mapping[str, Any]) -> PoseCorrections:
         """Inverse of :meth:`content`; raises KeyError, TypeError or ValueError for anything else."""
-        twists = np.array(content["twists"], float).reshape(-1, 6)
-        given = np.array(content["given"], float).reshape(-1, 3, 4)
-        if len(given) != len(twists) or not len(given) or not (np.isfinite(given).all() and np.isfinite(twists).all()):
+        twists, given = finite(content["twists"], (None, 6)), finite(content["given"], (None, 12), 1e9)
+        if twists is None or given is None or not 0 < len(given) == len(twists) <= MAX_CORRECTED:
             raise ValueError("not corrections of poses")
         poses = np.tile(np.eye(4), (len(given), 1, 1))
-        poses[:, :3] = given
+        poses[:, :3] = given.reshape(-1, 3, 4)
         return PoseCorrections(poses, twists, bool(content["smooth"]))
 
 

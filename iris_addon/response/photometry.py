@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import BadInput
-from ..base.files import read_json
 from ..base.parallel import BLOCK, over_blocks
+from ..base.untrusted import read_curves
 from ..config import SolveConfig
 from ..decide import Decisions
 from ..model import response as curve
@@ -262,7 +262,7 @@ def measure_photometry(
         return Photometry(
             response=curve.identity(), exposures=exposures, held_out=np.nan, per_channel=False, known_exposures=True
         )
-    fixed = _fixed_response(config)
+    fixed = fixed_response(config)
     fit = fit_overlap(observations, given, n, rng, fixed, decisions, photos.small)
     error = 0.0 if given is None else float(np.sqrt(np.mean(np.log2(fit.exposures / given[:, None]) ** 2)))
     error = error if error > 1e-6 else 0.0
@@ -277,7 +277,8 @@ def measure_photometry(
     )
 
 
-def _fixed_response(config: SolveConfig) -> Response | None:
+def fixed_response(config: SolveConfig) -> Response | None:
+    """The response that ``config`` gives, None where it is to be estimated; raises BadInput for an unusable file."""
     if config.response == "auto":
         return None
     if config.response == "gamma":
@@ -294,23 +295,9 @@ def read_response(path: Path) -> Response:
         BadInput: missing, too large, not a table, not finite or falling.
     """
     mend = "give a response.json of a solve, or a table with one or three curves"
-    if not path.is_file():
-        raise BadInput("there is no such response file", "check the path", path)
-    size = path.stat().st_size
-    if size == 0 or size > MAX_RESPONSE_BYTES:
-        raise BadInput("the response file is empty" if size == 0 else "the response file is far too large", mend, path)
-    try:
-        if path.suffix == ".json":
-            table = np.asarray(read_json(path).get("samples"), np.float64)
-        elif path.suffix == ".npy":
-            table = np.load(path, allow_pickle=False).astype(np.float64)
-        else:
-            table = np.loadtxt(path, dtype=np.float64, ndmin=2).T
-    except (ValueError, TypeError, OSError, EOFError) as error:
-        raise BadInput(f"the response file cannot be read ({error})", mend, path) from error
-    table = np.atleast_2d(table)
-    if table.ndim != 2 or table.shape[0] not in (1, 3) or table.shape[1] < 2 or not np.isfinite(table).all():
-        raise BadInput(f"the response table has shape {table.shape} or is not finite", mend, path)
+    table = read_curves(path, MAX_RESPONSE_BYTES, mend)
+    if table.shape[0] not in (1, 3) or table.shape[1] < 2:
+        raise BadInput(f"the response table has shape {table.shape}", mend, path)
     if (np.diff(table, axis=1) < -1e-6).any() or (table[:, -1] <= table[:, 0]).any():
         raise BadInput("the response curve falls or is flat", "a response must rise with exposure", path)
     table = (table - table[:, :1]) / (table[:, -1:] - table[:, :1])

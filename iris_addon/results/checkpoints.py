@@ -19,7 +19,8 @@ from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
 from ..base.errors import BadInput, IrisError
-from ..base.files import abandoned, atomic_write, is_own_folder, read_arrays, write_arrays
+from ..base.files import atomic_write, is_own_folder, remove_abandoned, write_arrays
+from ..base.untrusted import read_arrays
 from ..config import SolveConfig
 from ..model.capture import Capture
 from .files import PREVIEWS, preview_path
@@ -101,8 +102,8 @@ class Checkpoints:
         stages = [self.folder / f"{name}.npz" for name in get_args(Stage)]
         tables = self.folder.glob("*.npy")  # also of other solves, and half-written ones
         for path in (*stages, *tables, *(preview_path(self.folder.parent, kind) for kind in PREVIEWS)):
-            for mine in (path, *abandoned(path)):
-                mine.unlink(missing_ok=True)
+            path.unlink(missing_ok=True)
+        remove_abandoned(self.folder, 0.0)  # whoever holds the lock of the folder above is the only writer
         if not any(self.folder.iterdir()):
             self.folder.rmdir()
 

@@ -10,7 +10,8 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from ..base.files import is_own_file, is_own_folder, replace_when_free, require_own_folder
+from ..base.files import flush_to_disk, is_own_file, is_own_folder, replace_when_free, require_own_folder
+from ..base.untrusted import require_inside
 
 WHOLE = ".whole"
 """Folder of a result that is completely written and not yet moved in place."""
@@ -20,6 +21,7 @@ BACKDROP, BACKDROP_ALBEDO = "backdrop.exr", "backdrop_albedo.exr"
 BASE_COLOR, EMISSION, MESH = (f"{MATERIALS}/{name}" for name in ("base_color.exr", "emission.exr", "mesh.glb"))
 MAPS = {name: f"{MATERIALS}/{name}.png" for name in ("roughness", "metallic", "confidence")}
 MATERIAL_FILES = (BASE_COLOR, EMISSION, MESH, *MAPS.values())
+REPORT_PAGE = "report.html"
 FILES = (EMITTERS, RESPONSE, BACKDROP, BACKDROP_ALBEDO, *MATERIAL_FILES, REPORT)
 """All files of a result, in the order in which they are moved."""
 PREVIEWS = ("albedo", "light", "error")
@@ -31,8 +33,13 @@ def result_file(folder: Path, name: str) -> Path:
 
     Args:
         name: one of FILES.
+
+    Raises:
+        BadInput: it is a link that leads out of ``folder``.
     """
-    return folder / WHOLE / name if _waits(folder, name) else folder / name
+    path = folder / WHOLE / name if _waits(folder, name) else folder / name
+    require_inside(path, folder)
+    return path
 
 
 def complete_save(folder: Path) -> None:
@@ -54,6 +61,8 @@ def complete_save(folder: Path) -> None:
             (folder / name).unlink(missing_ok=True)  # of the previous result
     for name in waiting:
         replace_when_free(folder / WHOLE / name, folder / name)
+    for changed in (folder / MATERIALS, folder):
+        flush_to_disk(changed)
     shutil.rmtree(folder / WHOLE)
 
 

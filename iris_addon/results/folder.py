@@ -15,7 +15,6 @@ needs numpy alone, since Blender's Python has no more.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,17 +22,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import BadInput
-from ..base.files import MEND, read_json
+from ..base.image_headers import announced_size
+from ..base.untrusted import MAX_NUMBER, MEND, decoding
 from ..model.recovered import Backdrop, Textures
 from .files import BACKDROP, BACKDROP_ALBEDO, BASE_COLOR, FILES, MAPS, MESH, REPORT, result_file
 from .glb import read_glb
-from .records import StoredShell, read_emitters, read_response
+from .records import StoredShell, read_emitters, read_report, read_response
 from .result import Result
 from .saving import SCHEMA_VERSION, save_result
 
 __all__ = ["SCHEMA_VERSION", "ReadImage", "load_result", "save_result"]
 
-MAX_TEXTURE_SIDE = 16384
+MAX_TEXTURE_SIDE = 8192
 MAX_BACKDROP_HEIGHT = 4096
 LOAD_ATTEMPTS = 10
 """Times that loading is attempted while the result is being replaced."""
@@ -82,7 +82,7 @@ def _load(folder: Path, read: ReadImage) -> Result:
     path = result_file(folder, REPORT)
     if not path.is_file():
         raise BadInput("is not a finished result (it has no report.json)", "give the folder that solve wrote", folder)
-    report = read_json(path)
+    report = read_report(folder)
     if report.get("schema_version") != SCHEMA_VERSION:
         raise BadInput(
             f"has schema_version {report.get('schema_version')!r}, this program reads {SCHEMA_VERSION}",
@@ -107,10 +107,8 @@ def _load(folder: Path, read: ReadImage) -> Result:
         local=local,
         backdrop=backdrop,
     )
-    try:
+    with decoding(path, "'model.camera' holds no corrections of cameras", MEND):
         result.as_taken([])  # so that a damaged report is reported here
-    except (KeyError, TypeError, ValueError) as error:
-        raise BadInput("'model.camera' holds no corrections of cameras", MEND, path) from error
     return result
 
 
@@ -130,7 +128,7 @@ def _read_textures(folder: Path, read_image: ReadImage) -> Textures:
 
 
 def _read_texture(path: Path, read_image: ReadImage) -> NDArray[np.float32]:
-    width, height = _image_size(path)
+    width, height = announced_size(path)
     if width != height or not 0 < width <= MAX_TEXTURE_SIDE:
         raise BadInput(f"is {width}x{height} pixels, not square or too large", MEND, path)
     return _read_finite(path, (height, width), read_image)
@@ -147,7 +145,7 @@ def _painted(shell: StoredShell, folder: Path, read_image: ReadImage) -> Backdro
 
 
 def _read_panorama(path: Path, read_image: ReadImage) -> NDArray[np.float32]:
-    width, height = _image_size(path)
+    width, height = announced_size(path)
     if width != 2 * height or not 0 < height <= MAX_BACKDROP_HEIGHT:
         raise BadInput(f"is {width}x{height} pixels, no panorama twice as wide as high, or too large", MEND, path)
     values = _read_finite(path, (height, width), read_image)
@@ -158,28 +156,9 @@ def _read_panorama(path: Path, read_image: ReadImage) -> NDArray[np.float32]:
 
 def _read_finite(path: Path, size: tuple[int, int], read_image: ReadImage) -> NDArray[np.float32]:
     values = np.asarray(read_image(path), dtype=np.float32)
-    if values.shape[:2] != size or not np.isfinite(values).all():
+    if values.shape[:2] != size or not (np.abs(values) <= MAX_NUMBER).all():
         raise BadInput("does not have the size of its header, or is not finite", MEND, path)
     return values
-
-
-def _image_size(path: Path) -> tuple[int, int]:
-    """(width, height) from the header of a PNG or EXR file, before its pixels are allocated."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(1 << 16)
-    except OSError as error:
-        raise BadInput(f"cannot be read ({error.strerror})", MEND, path) from error
-    try:
-        if path.suffix == ".png" and head[:8] == b"\x89PNG\r\n\x1a\n":
-            return struct.unpack_from(">II", head, 16)
-        tag = b"dataWindow\0box2i\0\x10\0\0\0"
-        if path.suffix == ".exr" and head[:4] == b"v/1\x01" and tag in head:
-            x0, y0, x1, y1 = struct.unpack_from("<4i", head, head.index(tag) + len(tag))
-            return x1 - x0 + 1, y1 - y0 + 1
-    except struct.error as error:
-        raise BadInput("is truncated", MEND, path) from error
-    raise BadInput(f"is not a {path.suffix[1:].upper()} file", MEND, path)
 
 
 def _read_image(path: Path) -> NDArray[np.floating]:

@@ -11,8 +11,6 @@ https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 
 from __future__ import annotations
 
-import json
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import BadInput
+from ..base.glb_chunks import pack_chunks, read_chunks
+from ..base.untrusted import MEND, decoding, finite, numbers
 from ..model.capture import Mesh
 
-MAGIC, VERSION = 0x46546C67, 2
-JSON_CHUNK, BIN_CHUNK = 0x4E4F534A, 0x004E4942
 FLOAT, ARRAY_BUFFER = 5126, 34962
 MAX_BYTES = 4 << 30
 
@@ -84,14 +82,7 @@ def encode_glb(mesh: Mesh, regions: NDArray[np.int32], up: Up) -> bytes:
         "bufferViews": views,
         "buffers": [{"byteLength": len(blob)}],
     }
-    text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
-    text += b" " * (-len(text) % 4)
-    blob += b"\0" * (-len(blob) % 4)
-    total = 12 + 8 + len(text) + 8 + len(blob)
-    header = struct.pack("<III", MAGIC, VERSION, total)
-    return b"".join(
-        [header, struct.pack("<II", len(text), JSON_CHUNK), text, struct.pack("<II", len(blob), BIN_CHUNK), blob]
-    )
+    return pack_chunks(document, bytes(blob))
 
 
 def read_glb(path: Path) -> tuple[Mesh, NDArray[np.int32], Up]:
@@ -100,8 +91,8 @@ def read_glb(path: Path) -> tuple[Mesh, NDArray[np.int32], Up]:
     Raises:
         BadInput: missing, damaged, made by another program, or with invalid indices or numbers.
     """
-    document, blob = _chunks(path)
-    try:
+    document, blob = read_chunks(path, MAX_BYTES, MEND)
+    with decoding(path, "is damaged or not from this program", MEND):
         primitive = document["meshes"][0]["primitives"][0]
         extras = document["meshes"][0]["extras"]["iris"]
         uv_view = document["accessors"][primitive["attributes"]["TEXCOORD_0"]]["bufferView"]
@@ -120,17 +111,15 @@ def read_glb(path: Path) -> tuple[Mesh, NDArray[np.int32], Up]:
         regions = array(extras["parts"], "<i4", 1)[:, 0].copy()
         file_parts = array(extras["file_parts"], "<i4", 1)[:, 0].copy() if "file_parts" in extras else None
         normals = array(extras["normals"], "<i2", 3) / np.float32(32767) if "normals" in extras else None
-        up = tuple(float(x) for x in extras["up"])
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
-        raise _damaged(path, str(error)) from error
+        up = numbers(extras["up"], (3,), "up", path)
     n = len(faces)
     of_faces = [each for each in (regions, file_parts, normals) if each is not None]
-    if len(uv) != 3 * n or any(len(each) != n for each in of_faces) or len(up) != 3:
+    if len(uv) != 3 * n or any(len(each) != n for each in of_faces):
         raise _damaged(path, "faces, UVs, regions and normals differ in number")
     if n and faces.max() >= len(vertices):
         raise _damaged(path, "a face refers to a vertex that does not exist")
-    if not (np.isfinite(vertices).all() and np.isfinite(uv).all() and np.isfinite(up).all()):
-        raise _damaged(path, "positions or UVs are not finite")
+    if finite(vertices, (None, 3)) is None or finite(uv, (None, 2)) is None or not 0.5 < np.linalg.norm(up) < 2:
+        raise _damaged(path, "positions, UVs or the up vector are not finite")
     uv[:, 1] = 1.0 - uv[:, 1]
     mesh = Mesh(
         vertices=vertices,
@@ -139,30 +128,7 @@ def read_glb(path: Path) -> tuple[Mesh, NDArray[np.int32], Up]:
         regions=file_parts,
         normals=normals,
     )
-    return mesh, regions, up
-
-
-def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
-    """The JSON document and the binary chunk of a .glb."""
-    try:
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise BadInput(f"is {size >> 20} MiB", "a mesh of a result is smaller; solve again", path)
-        data = path.read_bytes()
-    except OSError as error:
-        raise BadInput(f"cannot be read ({error.strerror})", "restore the file or solve again", path) from error
-    try:
-        magic, version, total = struct.unpack_from("<III", data, 0)
-        if magic != MAGIC or version != VERSION or total != len(data):
-            raise ValueError("not a complete binary glTF 2.0 file")
-        length, kind = struct.unpack_from("<II", data, 12)
-        blob_at = 20 + length
-        blob_length, blob_kind = struct.unpack_from("<II", data, blob_at)
-        if kind != JSON_CHUNK or blob_kind != BIN_CHUNK or blob_at + 8 + blob_length > len(data):
-            raise ValueError("chunks out of place")
-        return json.loads(data[20:blob_at]), data[blob_at + 8 : blob_at + 8 + blob_length]
-    except (struct.error, ValueError, RecursionError) as error:
-        raise _damaged(path, str(error)) from error
+    return mesh, regions, (float(up[0]), float(up[1]), float(up[2]))
 
 
 def _turn_up_to_y(up: Up) -> NDArray[np.float64]:
@@ -180,4 +146,4 @@ def _turn_up_to_y(up: Up) -> NDArray[np.float64]:
 
 
 def _damaged(path: Path, why: str) -> BadInput:
-    return BadInput(f"is damaged or not from this program ({why})", "restore the file or solve again", path)
+    return BadInput(f"is damaged or not from this program ({why})", MEND, path)

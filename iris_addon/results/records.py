@@ -6,6 +6,7 @@ the recovered camera.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -15,18 +16,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import BadInput
-from ..base.files import MEND, from_ranges, json_object, numbers, read_json, to_ranges
+from ..base.files import from_ranges, to_ranges
+from ..base.untrusted import MEND, json_object, numbers, read_json
 from ..model.capture import Mesh
 from ..model.local_exposure import UNIFORM, LocalSettings
 from ..model.recovered import Backdrop, Emitter, OutsideLight
 from ..model.response import N_SAMPLES, Response
-from .files import EMITTERS, RESPONSE, result_file
+from .files import EMITTERS, REPORT, RESPONSE, result_file
 
 if TYPE_CHECKING:
     from .result import Result
 
 SH_SIZES = (1, 4, 9)
 """Numbers of spherical harmonics of the bands 0 to 2."""
+FIGURES = ("holdout_psnr", "rays_traced", "n_patches")
+"""Numbers of report.json that are shown."""
+_PHOTO_NAME = re.compile(r"[\w.-]{1,255}")
 MAX_SHELL = 100_000
 """Vertices or faces that a backdrop's shell may have."""
 LOCAL_BOUNDS = {"strength": (0.0, 0.99), "scale": (1e-3, 10.0), "headroom": (1.0, 1e6), "falloff": (0.0, 20.0)}
@@ -39,6 +44,20 @@ class StoredShell(NamedTuple):
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
     reflects: bool
+
+
+def read_report(folder: Path) -> dict[str, Any]:
+    """The content of report.json, with the parts that programs calculate with checked; raises BadInput."""
+    path = result_file(folder, REPORT)
+    report = read_json(path)
+    for name in ("seconds", "model"):
+        json_object(report.get(name, {}), name, path)
+    figures = [*report.get("seconds", {}).values(), *(report.get(name) or 0.0 for name in FIGURES)]
+    numbers(figures, (None,), f"seconds or {' or '.join(FIGURES)}", path)
+    warnings = report.get("warnings") or []
+    if not isinstance(warnings, list) or not all(isinstance(warning, str) for warning in warnings):
+        raise BadInput("'warnings' is no list of texts", MEND, path)
+    return report
 
 
 def emitters_json(result: Result) -> dict[str, Any]:
@@ -151,12 +170,21 @@ def read_response(folder: Path) -> tuple[Response, dict[str, NDArray[np.float64]
         table = np.tile(numbers(samples, (N_SAMPLES,), "samples", path), (3, 1))
     coefficients = numbers(content.get("coefficients", []), (None,), "coefficients", path)
     exposures = {
-        name: numbers(json_object(value, name, path).get("factor"), (3,), f"exposures of {name}", path)
+        _photo_name(name, path): numbers(
+            json_object(value, name, path).get("factor"), (3,), f"exposures of {name}", path
+        )
         for name, value in json_object(content.get("exposures"), "exposures", path).items()
     }
     response = Response(table, str(content.get("family", "")), tuple(coefficients.tolist()))
     local = json_object(content.get("local_exposure", {}), "local_exposure", path)
     return response, exposures, _read_local(local, path)
+
+
+def _photo_name(name: str, path: Path) -> str:
+    """``name`` if a view can be called so: other programs get it in files, and files are called by it."""
+    if not _PHOTO_NAME.fullmatch(name):
+        raise BadInput(f"'exposures' has the photo {name!r}", "photos have letters, digits, '_', '-' and '.'", path)
+    return name
 
 
 def exposure_of(photo: str, exposures: Mapping[str, NDArray[np.floating]]) -> NDArray[np.floating]:

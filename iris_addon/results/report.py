@@ -19,6 +19,7 @@ from ..base.parallel import over_each
 from ..capture.photos import load_photo, shrink
 from ..model.capture import Camera, Capture, View
 from ..model.response import grey_exposure, srgb
+from .files import REPORT_PAGE
 from .maps import MapRenderer, ViewMaps
 from .result import Result
 
@@ -81,7 +82,7 @@ def write_report(
         + "</main></body></html>\n"
     )
     saver.save()
-    path = folder / "report.html"
+    path = folder / REPORT_PAGE
     atomic_write(path, lambda temporary: temporary.write_text(page, encoding="utf-8"))
     return path
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import IrisError
-from ..base.files import dump_json, replace_when_free
+from ..base.files import dump_json, flush_to_disk, replace_when_free
 from ..base.parallel import cores
 from .files import (
     BACKDROP,
@@ -60,7 +60,10 @@ def save_result(result: Result, folder: Path) -> None:
             shutil.rmtree(abandoned, ignore_errors=True)
         staging = Path(tempfile.mkdtemp(prefix=".tmp-", dir=folder))
         _write_all(result, staging)
+        for path in (*staging.rglob("*"), staging):
+            flush_to_disk(path)
         replace_when_free(staging, folder / WHOLE)
+        flush_to_disk(folder)
         complete_save(folder)
     except OSError as error:
         fix = "free some space and run again" if error.errno == errno.ENOSPC else "check the folder and its permissions"

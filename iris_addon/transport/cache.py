@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import IrisError
-from ..base.files import read_arrays, user_cache, write_arrays
+from ..base.files import user_cache, write_arrays
 from ..base.progress import Progress
+from ..base.untrusted import read_arrays
 from ..config import SolveConfig
 from ..rays.sampling import Origins
 from ..surface.patches import PatchGrid

@@ -7,7 +7,6 @@ from collections.abc import Callable
 import bpy
 
 from ...iris_addon.base.errors import IrisError
-from ...iris_addon.base.files import read_json
 from ...iris_addon.blender.apply.camera_look import MATCHED
 from ...iris_addon.blender.apply.looks import LOOKS, is_solo, outside_light
 from ...iris_addon.blender.apply.on_objects import APPLIED
@@ -16,7 +15,7 @@ from ...iris_addon.blender.render import light_mixing
 from ...iris_addon.blender.scene_out import lights as lamps
 from ...iris_addon.blender.worker import jobs
 from ...iris_addon.edits.light_units import flux, kelvin
-from ...iris_addon.results.files import REPORT, result_file
+from ...iris_addon.results.records import read_report
 from ..folders import ROOT_PACKAGE, folder, result_key, solver_python
 from ..relight import BEFORE_PREVIEW, chosen_lamp, other_lights
 from . import steps
@@ -201,7 +200,7 @@ class IRIS_PT_review(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
 def _figures(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """Draw what the report says of the model, and its warnings."""
     try:
-        report = read_json(result_file(folder(context.scene), REPORT))
+        report = read_report(folder(context.scene))
     except IrisError as error:
         paragraph(layout, str(error), context, "ERROR")
         return

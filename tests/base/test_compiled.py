@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pytest
 
 from iris_addon.base.compiled import rows_of
 
@@ -22,10 +23,10 @@ print(group_sums(np.ones((4, 2), np.float32), np.array([0, 1, 1, 3]), 4)[:, 0])
 """
 
 
-def run(cache: Path, root: Path = ROOT) -> None:
+def run(cache: Path, root: Path = ROOT, before: str = "") -> None:
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
     environment |= {"XDG_CACHE_HOME": str(cache), "HOME": str(cache), "LOCALAPPDATA": str(cache)}
-    code = SUM.format(root=str(root))
+    code = before + SUM.format(root=str(root))
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
     assert done.stdout.strip() == "[1. 2. 0. 1.]", done.stderr
 
@@ -44,7 +45,7 @@ def test_a_second_process_compiles_nothing(tmp_path):
 def test_a_changed_kernel_is_compiled_anew_wherever_it_is_called_from(tmp_path):
     """Numba itself looks at the file of the caller alone."""
     root = tmp_path / "copy"
-    for module in ("__init__", "compiled", "errors", "files", "group_by", "parallel"):
+    for module in ("__init__", "compiled", "errors", "files", "group_by", "parallel", "untrusted"):
         name = f"base/{module}.py"
         (root / "iris_addon" / name).parent.mkdir(parents=True, exist_ok=True)
         (root / "iris_addon" / name).write_bytes((ROOT / "iris_addon" / name).read_bytes())
@@ -71,3 +72,35 @@ def test_rows_of_selects_rows_of_every_column():
 
     some = rows_of(Pair(np.arange(4), 10 * np.arange(4)), np.array([True, False, True, False]))
     assert isinstance(some, Pair) and some.a.tolist() == [0, 2] and some.b.tolist() == [0, 20]
+
+
+def test_a_damaged_file_of_compiled_code_is_made_again(tmp_path):
+    """Numba itself raises what unpickling does, in every later process."""
+    run(tmp_path)
+    for suffix, size in ((".nbi", 40), (".nbc", 40), (".nbi", 0)):
+        damaged = [path for path in tmp_path.rglob("*") if path.suffix == suffix]
+        for path in damaged:
+            path.write_bytes(path.read_bytes()[:size])
+        run(tmp_path)
+        assert damaged and all(path.stat().st_size > 40 for path in damaged)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX limits and permissions")
+def test_a_full_disk_costs_time_alone(tmp_path):
+    begin = "import resource, signal\nsignal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+    run(tmp_path, before=begin + "resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))")
+    assert not kept(tmp_path)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX limits and permissions")
+def test_compiled_code_is_not_read_from_a_folder_that_others_write(tmp_path):
+    """The files are pickles: reading one runs what it says."""
+    run(tmp_path)
+    (folder,) = (tmp_path / "iris" / "kernels").iterdir()
+    assert folder.stat().st_mode & 0o777 == 0o700
+    files = kept(tmp_path)
+    folder.chmod(0o777)
+    for path in files:
+        path.unlink()
+    run(tmp_path)
+    assert files and not kept(tmp_path)

@@ -13,6 +13,7 @@ import OpenEXR
 import pytest
 from PIL import Image
 
+from iris_addon.base import image_headers
 from iris_addon.base import images as imaging
 from iris_addon.base.errors import BadInput, IrisError
 from iris_addon.base.files import atomic_write
@@ -117,7 +118,7 @@ def test_not_an_image(tmp_path: Path, content: bytes) -> None:
 def test_oversized_image_is_refused_before_decoding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     imaging.write_png(tmp_path / "big.png", np.zeros((40, 30), np.uint8))
     imaging.write_exr(tmp_path / "big.exr", np.zeros((40, 30, 3)))
-    monkeypatch.setattr(imaging, "MAX_PIXELS", 1000)
+    monkeypatch.setattr(image_headers, "MAX_PIXELS", 1000)
     for read, name in ((imaging.read_map, "big.png"), (imaging.read_exr, "big.exr")):
         with pytest.raises(BadInput, match=r"big\.\w+: is 30x40 pixels"):
             read(tmp_path / name)

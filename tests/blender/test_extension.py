@@ -1,5 +1,6 @@
 """The extension: built, validated, installed into a Blender of its own, used from import to export, disabled."""
 
+import re
 import sys
 import tomllib
 import zipfile
@@ -90,6 +91,16 @@ def test_what_is_downloaded_is_what_is_pinned():
     assert [line for line in optional if not line.startswith("#")] == formats
     lines = (ROOT / "headless" / "solver_requirements.txt").read_text().splitlines()
     assert [line for line in lines if not line.startswith("#")] == [p for p in pinned if not p.startswith("bpy")]
+
+
+def test_what_is_locked_is_what_is_pinned_and_every_file_has_a_hash():
+    lock = (ROOT / "headless" / "solver_lock.txt").read_text()
+    entries = re.findall(r"^(\S+==\S+)(?: ; (.*?))? \\\n((?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)", lock, re.M)
+    assert sum(len(hashes.splitlines()) + 1 for _, _, hashes in entries) + 1 == len(lock.splitlines())
+    locked = {pin.lower() for pin, _, _ in entries}
+    lines = (ROOT / "headless" / "solver_requirements.txt").read_text().splitlines()
+    assert {line.partition(";")[0].strip().lower() for line in lines if not line.startswith("#")} <= locked
+    assert "://" not in lock  # whoever installs it has an index of their own
 
 
 def test_no_operator_of_blender_is_called_beyond_what_files_and_renders_need():

@@ -16,7 +16,7 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from ...base.errors import BadInput
-from ...base.files import json_object, numbers, read_arrays, read_json
+from ...base.untrusted import decoding, finite, json_object, numbers, read_arrays, read_json
 from ...model.capture import Camera, Mesh
 from ..apply.on_objects import APPLIED, ORIGINAL_MESH, restore
 from ..apply.photo_cameras import forget_given_pose
@@ -68,14 +68,15 @@ def read_inspected(folder: Path) -> Inspected:
         raise BadInput("lists no photos", FIX, path)
     views = tuple(_view(json_object(row, "views", path), path) for row in listed)
     x, y, z = numbers(content.get("up"), (3,), "up", path).tolist()
-    warnings = tuple(str(warning) for warning in content.get("warnings", []))
+    with decoding(path, "'warnings' is no list", FIX):
+        warnings = tuple(str(warning) for warning in content.get("warnings", []))
     return Inspected(
         name=str(content.get("name")), up=(x, y, z), warnings=warnings, views=views, mesh=_mesh(folder / "mesh.npz")
     )
 
 
 def _view(row: dict[str, Any], path: Path) -> InspectedView:
-    try:
+    with decoding(path, "a photo is described wrongly", FIX):
         lens, alignment = row["camera"], row["alignment"]
         camera = Camera(
             int(lens["width"]),
@@ -95,18 +96,23 @@ def _view(row: dict[str, Any], path: Path) -> InspectedView:
             shift=float(alignment["shift"]),
             verdict=str(alignment["verdict"]),
         )
-    except (KeyError, TypeError, ValueError) as error:
-        raise BadInput(f"a photo is described wrongly ({error!r})", FIX, path) from error
 
 
 def _mesh(path: Path) -> Mesh:
-    arrays = read_arrays(path)
-    if arrays is None or not {"vertices", "faces"} <= arrays.keys():
+    arrays = read_arrays(path) or {}
+    vertices, corners = finite(arrays.get("vertices"), (None, 3)), finite(arrays.get("faces"), (None, 3))
+    if vertices is None or corners is None:
         raise BadInput("is missing or damaged", FIX, path)
-    faces = arrays["faces"].astype(np.int64)
-    if faces.size and not 0 <= faces.min() <= faces.max() < len(arrays["vertices"]):
+    faces = corners.astype(np.int64)
+    if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
         raise BadInput("names vertices it does not have", FIX, path)
-    return Mesh(arrays["vertices"], faces, arrays.get("uv"), arrays.get("regions"))
+    uv, regions = finite(arrays.get("uv"), (len(faces), 3, 2)), finite(arrays.get("regions"), (len(faces),))
+    return Mesh(
+        vertices,
+        faces,
+        None if uv is None else uv.astype(np.float32),
+        None if regions is None else regions.astype(np.int32),
+    )
 
 
 def add_capture(inspected: Inspected, scene: bpy.types.Scene) -> tuple[bpy.types.Object, list[bpy.types.Object]]:

@@ -23,7 +23,8 @@ import bpy
 import numpy as np
 
 from ...base.errors import BadInput, IrisError
-from ...base.files import atomic_write, json_object, numbers, read_json, require_own_folder, write_json
+from ...base.files import atomic_write, require_own_folder, write_json
+from ...base.untrusted import decoding, json_object, numbers, read_json
 from ...model.capture import Camera, Mesh
 from ..apply.on_objects import ORIGINAL_MESH, FaceRun, triangles_of
 from ..camera import read_camera
@@ -183,7 +184,7 @@ def read_face_runs(folder: Path) -> list[FaceRun]:
     runs = []
     for row in listed:
         row = json_object(row, "runs", path)
-        try:
+        with decoding(path, mend="check this scene again"):
             matrix = numbers(row["to_capture"], (4, 4), "to_capture", path)
             runs.append(
                 FaceRun(
@@ -194,8 +195,6 @@ def read_face_runs(folder: Path) -> list[FaceRun]:
                     to_capture=matrix,
                 )
             )
-        except (KeyError, TypeError, ValueError) as error:
-            raise BadInput(f"is damaged ({error!r})", "check this scene again", path) from error
     return runs
 
 

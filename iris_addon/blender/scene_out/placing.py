@@ -16,6 +16,8 @@ from mathutils.bvhtree import BVHTree
 from numpy.typing import NDArray
 
 from ...base.errors import BadInput
+from ...base.glb_chunks import check_announced, read_chunks
+from ...base.untrusted import decoding, open_file
 from ...edits.scene_edit import ObjectFile, Placement, Primitive
 from ...model.capture import Mesh
 from ..version import require_build_option, require_gltf
@@ -193,6 +195,7 @@ def corners_of(objects: Iterable[bpy.types.Object]) -> NDArray[np.float64]:
 
 # ---- files ---------------------------------------------------------------------------------------------------------
 
+MAX_OBJECT_BYTES = 4 << 30
 OBJECT_FILES = ".blend, .glb, .gltf, .obj, .usd, .usda, .usdc or .usdz"
 
 
@@ -202,13 +205,14 @@ def import_objects(source: ObjectFile, collection: bpy.types.Collection) -> list
     Raises:
         BadInput: the file is missing, unreadable, of an unknown kind, or has no objects in it.
     """
-    if not source.file.is_file():
-        raise BadInput("no such object file", "correct 'file' of the object", source.file)
+    mend = "correct 'file' of the object, or export it again"
+    open_file(source.file, MAX_OBJECT_BYTES, mend=mend).close()
+    if source.file.suffix.lower() == ".glb":
+        document, _ = read_chunks(source.file, MAX_OBJECT_BYTES, mend)
+        check_announced(document, source.file.stat().st_size, source.file, mend)
     before = set(bpy.data.objects)
-    try:
+    with decoding(source.file, "cannot be imported", mend):
         _import_file(source)
-    except (RuntimeError, OSError) as error:
-        raise BadInput(f"cannot be imported ({str(error).strip()})", "export the object again", source.file) from error
     objects = [thing for thing in bpy.data.objects if thing not in before]
     if not objects:
         raise BadInput("has no objects in it", "choose a file with a mesh", source.file)

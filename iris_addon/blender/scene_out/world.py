@@ -9,11 +9,10 @@ import numpy as np
 from mathutils import Matrix, Vector
 from numpy.typing import NDArray
 
-from ...base.errors import BadInput
 from ...edits.scene_edit import OUTSIDE, Panorama
 from ...model.recovered import OutsideLight
 from ...model.sphere import equirect_directions, sh_radiance
-from ..images import LINEAR, image_from_array
+from ..images import LINEAR, image_from_array, load_image
 from ..version import node_tree
 
 WIDTH, HEIGHT = (
@@ -76,10 +75,7 @@ def _sky(
 
 
 def _panorama_background(tree: bpy.types.NodeTree, panorama: Panorama, up: NDArray[np.floating]) -> bpy.types.Node:
-    try:
-        image = bpy.data.images.load(str(panorama.file.absolute()), check_existing=False)
-    except RuntimeError as error:
-        raise BadInput("cannot be read as a panorama", "correct 'file' of the light", panorama.file) from error
+    image = load_image(panorama.file, "correct 'file' of the light")
     coordinates = tree.nodes.new("ShaderNodeTexCoord")
     mapping = tree.nodes.new("ShaderNodeMapping")
     texture = tree.nodes.new("ShaderNodeTexEnvironment")

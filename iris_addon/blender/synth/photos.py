@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,9 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.errors import BadInput
+from ...base.untrusted import read_curves
 from ...model.response import LUMINANCE, N_SAMPLES, Response, gamma, identity
 
 FloatArray = NDArray[np.floating]
+
+MAX_RESPONSE_BYTES = 16 << 20
 
 GREY = 0.14
 """Radiance × exposure of the median pixel of the median view."""
@@ -42,22 +44,12 @@ def read_response(response: str | Path) -> Response:
     if str(response) in BUILT_IN:
         return BUILT_IN[str(response)]()
     path = Path(response)
-    if not path.is_file():
-        raise BadInput("no such response", f"give a file or one of {', '.join(BUILT_IN)}", path)
-    try:
-        samples = (
-            np.load(path, allow_pickle=False) if path.suffix == ".npy" else json.loads(path.read_text())["samples"]
-        )
-        samples = np.broadcast_to(np.asarray(samples, dtype=np.float64), (3, N_SAMPLES)).copy()
-    except (ValueError, KeyError, TypeError, EOFError) as error:
-        raise BadInput(
-            f"is not a response ({error})", f"store {N_SAMPLES} or 3x{N_SAMPLES} samples over [0, 1]", path
-        ) from error
-    if (
-        not np.isfinite(samples).all()
-        or (np.diff(samples) < 0).any()
-        or np.abs(samples[:, [0, -1]] - [0, 1]).max() > 1e-3
-    ):
+    mend = f"give one of {', '.join(BUILT_IN)}, or a file of {N_SAMPLES} or 3x{N_SAMPLES} samples over [0, 1]"
+    curves = read_curves(path, MAX_RESPONSE_BYTES, mend)
+    if curves.shape not in ((1, N_SAMPLES), (3, N_SAMPLES)):
+        raise BadInput(f"is not a response (its shape is {curves.shape})", mend, path)
+    samples = np.broadcast_to(curves, (3, N_SAMPLES)).copy()
+    if (np.diff(samples) < 0).any() or np.abs(samples[:, [0, -1]] - [0, 1]).max() > 1e-3:
         raise BadInput("is not a monotone curve from 0 to 1", "normalise it first", path)
     return Response(samples, "file")
 

@@ -9,19 +9,20 @@ nothing runs comes from a Blender that was killed.
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
-from ...base.errors import Cancelled, IrisError
+from ...base.errors import BadInput, Cancelled, IrisError, one_line
 from ...base.files import write_json
+from ...base.untrusted import read_json
 from .process import ADDON, Worker
 
 JobName = Literal["inspect", "solve", "composite", "environment", "test"]
+MAX_RECORD_BYTES = 1 << 20
 State = Literal["missing", "running", "done", "failed", "cancelled", "interrupted"]
 
 
@@ -93,10 +94,13 @@ def record(name: JobName, folder: Path) -> Record:
     if (name, folder) in _ended and folder.is_dir():
         return _ended[name, folder]
     try:
-        content = json.loads(_path(name, folder).read_text(encoding="utf-8"))
-        found = Record(content["state"], content["what"], content["fix"])
-    except (OSError, ValueError, KeyError, TypeError):  # missing, or not written by this module
+        content = read_json(_path(name, folder), MAX_RECORD_BYTES)
+    except BadInput:  # missing, or not written by this module
         return MISSING
+    state = next((state for state in get_args(State) if content.get("state") == state), None)
+    if state is None:
+        return MISSING
+    found = Record(state, one_line(str(content.get("what", ""))), one_line(str(content.get("fix", ""))))
     return INTERRUPTED if found.state == "running" else found
 
 
