@@ -15,6 +15,7 @@ import io
 import json
 import sys
 import traceback
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,6 +57,8 @@ def main(arguments: list[str] | None = None) -> int:
     except SystemExit as ended:  # argparse has printed its message
         return int(ended.code or 0)
     lines = args.json is True
+    if not args.debug:  # what libraries think of a file is for developers; an error about it is one line
+        warnings.filterwarnings("ignore", module=r"PIL|trimesh|numpy")
     progress = Progress(json_lines(sys.stdout) if lines else console(sys.stderr))
     try:
         missing = missing_packages(args)

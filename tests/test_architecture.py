@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections import defaultdict
 from collections.abc import Iterator
 from functools import cache
@@ -246,6 +247,49 @@ def test_no_two_modules_of_the_package_share_a_name() -> None:
     shared = {name: where for name, where in places.items() if len(where) > 1}
     assert {name: where for name, where in shared.items() if name not in SHARED_NAMES} == {}
     assert SHARED_NAMES.keys() <= shared.keys(), "an exception that nothing needs any more"
+
+
+OPENERS = re.compile(
+    r"(^|\.)open$|\.(read_text|read_bytes|ZipFile|loadtxt|genfromtxt|fromfile|memmap|imread)$|^(np|numpy)\.load$"
+    r"|^OpenEXR\.File$|^trimesh\.load|^(json|tomllib|pickle|marshal)\.loads?$|^bpy\.data\.images\.load$"
+)
+"""Calls that open a file or decode what was in one."""
+MAY_OPEN = {
+    "headless/make_environment.py": "its own list of packages",
+    "iris_addon/base/untrusted.py": "the one place that opens files of strangers",
+    "iris_addon/base/compiled.py": "the sources of this program",
+    "iris_addon/base/files.py": "folders and files of its own writes, to flush them",
+    "iris_addon/base/images.py": "an open file whose header was read, and writing",
+    "iris_addon/blender/apply/camera_look.py": "its own note in the scene",
+    "iris_addon/blender/apply/on_objects.py": "its own note in the scene",
+    "iris_addon/blender/apply/photo_cameras.py": "its own note in the scene",
+    "iris_addon/blender/apply/review.py": "Blender shows a picture of the report",
+    "iris_addon/blender/images.py": "after the header was read",
+    "iris_addon/blender/render/light_groups.py": "what Cycles has just rendered",
+    "iris_addon/blender/render/light_mixing.py": "its own note in the scene",
+    "iris_addon/blender/scene_in/capture_objects.py": "Blender reads a background when it is first drawn",
+    "iris_addon/blender/scene_out/scene_state.py": "its own note in the scene",
+    "iris_addon/blender/synth/renders.py": "what Cycles has just rendered",
+    "iris_addon/blender/worker/process.py": "the log it writes, and messages of its own worker",
+    "iris_addon/capture/mesh_files.py": "bytes whose counts were read",
+    "iris_addon/capture/photo_files.py": "an open file, sizes checked first",
+    "iris_addon/decide.py": "its own array in a checkpoint of the same solve",
+    "iris_addon/edits/light_shares.py": "after the header was read, and writing",
+    "iris_addon/results/checkpoints.py": "a table of the same solve, mapped",
+    "operators/onto_photo.py": "the picture it has just written",
+}
+"""Files with such calls, and what they may be for."""
+
+
+def test_files_of_strangers_are_opened_in_one_place() -> None:
+    """Elsewhere a pipe blocks, a header allocates a terabyte, and a damaged file is a traceback."""
+    found = {}
+    for path in _files("iris_addon", "operators", "headless"):
+        for node in ast.walk(_tree(path)):
+            if isinstance(node, ast.Call) and OPENERS.search(ast.unparse(node.func)):
+                found.setdefault(path.relative_to(ROOT).as_posix(), []).append(_at(path, node))
+    assert {name: calls for name, calls in found.items() if name not in MAY_OPEN} == {}
+    assert MAY_OPEN.keys() <= found.keys(), "an exception that nothing needs any more"
 
 
 # ---- and of the tests that hold them -------------------------------------------------------------------------------

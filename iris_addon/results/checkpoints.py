@@ -121,9 +121,9 @@ def _mapped(path: Path) -> NDArray | None:
     except ValueError:  # damaged, or without rows, which cannot be mapped
         try:
             table = np.load(path, allow_pickle=False)
-        except (ValueError, OSError, EOFError):
+        except Exception:  # whatever a damaged file makes numpy raise, the table is made again
             return None
-    except (OSError, EOFError):
+    except Exception:
         return None
     return table if isinstance(table, np.ndarray) else None
 

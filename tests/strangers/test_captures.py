@@ -121,7 +121,6 @@ HUGE = int("9" * 400)
         lambda meta: meta.update(k1=-HUGE),
         lambda meta: meta.update(applied_transform=[[HUGE] * 4] * 3),
         lambda meta: meta.update(applied_scale=HUGE),
-        lambda meta: meta["frames"][1].update(transform_matrix=[[HUGE] * 4] * 4),
         lambda meta: meta["frames"][1].update(exposure=HUGE),
         lambda meta: meta["frames"][1].update(transform_matrix="1"),
         lambda meta: meta["frames"][1].update(transform_matrix=[["1"] * 4] * 4),
