@@ -100,6 +100,14 @@ REFINEMENTS: Mapping[str, Refinement] = {
         gain=0.0025,
         experiment="0006-when-is-light-from-outside-modelled",
     ),
+    # A direction that was chosen out of thousands explains a little of any light: two standard errors beside.
+    "sun": Refinement(
+        "the sun: parallel light through the openings, in the best of some thousand directions",
+        BALANCE,
+        gain=0.02,
+        errors=2.0,
+        experiment="0120-where-does-the-sun-stand",
+    ),
     # Fitted light also makes up for shadows that are lost with what the mesh lacks.
     "light_through_holes": Refinement(
         "light through holes as photos show it, of which nothing is unknown, in place of fitted light",

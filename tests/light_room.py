@@ -5,11 +5,12 @@ Light, form factors and patches are those of the engine, so that an error is the
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from iris_addon.base.group_by import group_means
 from iris_addon.base.progress import Progress
 from iris_addon.decide import Decisions
 from iris_addon.lighting.brightness import Brightness, Cells
@@ -106,6 +107,7 @@ def light_room(
     sky: float | np.ndarray = 0.0,
     join: Mapping[int, int] | None = None,
     noise: float = 0.02,
+    direct: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
 ) -> LitRoom:
     """The problem of a room.
 
@@ -116,6 +118,7 @@ def light_room(
         sky: radiance that comes in where the mesh is open, of all lobes of outside light or of each of them.
         join: regions that the engine takes for others of the room.
         noise: of the radiance that photos show, relative; without any, no lamp is ever idle.
+        direct: irradiance / pi (n,) of further light at points (n, 3) with normals (n, 3).
     """
     light = np.zeros_like(albedo)
     light[list(emission)] = np.array(list(emission.values()))[:, None]
@@ -126,7 +129,7 @@ def light_room(
     adjacency, seen_faces = edge_adjacency(room.mesh), p.samples.seen_faces(len(room.regions))
     smooth = smooth_components(p.tracer.normals, adjacency, room.regions)
     hidden = find_hidden(t, room.regions, smooth, seen_faces)
-    radiance = _radiosity(room, p, hidden, np.asarray(sky))
+    radiance = _radiosity(room, p, hidden, np.asarray(sky), direct)
     photographed = radiance[:n] * np.exp(noise * np.random.default_rng(1).standard_normal((n, 1)))
     for region, value in (shown or {}).items():
         photographed[t.region[:n] == region] = value
@@ -155,7 +158,13 @@ def light_room(
     return LitRoom(room, problem, GroupRadiance(bounded, ~clipped, bound, np.full(n, 50.0)), radiance)
 
 
-def _radiosity(room: Room, p: Patched, hidden: HiddenSources, sky: np.ndarray) -> np.ndarray:
+def _radiosity(
+    room: Room,
+    p: Patched,
+    hidden: HiddenSources,
+    sky: np.ndarray,
+    direct: Callable[[np.ndarray, np.ndarray], np.ndarray] | None,
+) -> np.ndarray:
     """(N, 3) radiance of all patches, to convergence."""
     t, rng = p.transport, np.random.default_rng(2)
     lamps, lobes = room.lamps(), hidden.form_factors[..., 0].astype(np.float64)
@@ -167,6 +176,11 @@ def _radiosity(room: Room, p: Patched, hidden: HiddenSources, sky: np.ndarray) -
     )
     emitted = np.array([room.emission[room.regions[faces[0]]] for faces in lamps]).reshape(-1, 3)
     source = factors @ emitted + (lobes @ np.broadcast_to(sky, lobes.shape[1]))[:, None]
+    if direct is not None:
+        seen = group_means(direct(p.samples.position, p.samples.normal)[:, None], p.surface.sample_patch, t.n_seen)
+        o = t.unseen_origins
+        unseen = direct(o.position.reshape(-1, 3), o.normal.reshape(-1, 3)).reshape(o.position.shape[:2])
+        source = source + np.concatenate([seen, unseen.mean(1, keepdims=True)])
     albedo, mask = room.albedo[t.region], room.emission[room.regions].any(1)
     radiance = albedo * source
     for _ in range(40):

@@ -28,6 +28,8 @@ STREAMS: Mapping[str, int] = {
     "lighting.hidden_emitters": 43,
     "surface.scan": 47,
     "lighting.highlights": 53,
+    "lighting.sun": 59,
+    "lighting.sun_pixels": 61,
 }
 """The number of each use, "room.use". A new use takes a new number; numbers stay, so that results do."""
 

@@ -5,13 +5,15 @@ A relighting job is one object; every key is optional::
     {
       "recovered": {"all": {"off": true}, "3": {"scale": 2.0, "color": [1.0, 0.8, 0.5]}},
       "lights":    [{"type": "spot", "position": [x, y, z], "target": [x, y, z], "intensity": [r, g, b], "angle": 40}],
-      "outside":   0.5
+      "outside":   0.5,
+      "sun":       {"scale": 0.8, "direction": [x, y, z]}
     }
 
 ``recovered`` addresses lamps by the id in emitters.json. For each of ``off``, ``scale`` and ``color`` the lamp's own
 entry wins over that of ``all``, and a lamp that has an entry is on unless that says ``off``. ``off`` takes a lamp out
 (its surface turns black), ``scale`` multiplies its radiance, ``color`` replaces its hue and keeps its luminance.
-``outside`` is a factor on the light from outside the mesh. docs/relighting.md lists the kinds of lights and objects.
+``outside`` is a factor on the light from outside the mesh, ``sun`` one on the recovered sun or an object with ``off``,
+``scale``, ``color`` and the ``direction`` in which it shines. docs/relighting.md lists the kinds of lights and objects.
 
 Any value may be animated: ``{"keys": [[0, a], [1, b]]}`` stands for a value that goes from a to b
 (:mod:`iris_addon.edits.motion`).
@@ -36,10 +38,23 @@ from ..model.capture import Camera
 from ..model.response import LUMINANCE
 from ..results.result import Result
 from .motion import at_time
-from .parsing import Json, array, color, flag, json_list, json_map, known_keys, number, read_lights, read_object, whole
-from .scene_edit import SceneEdit, Sphere
+from .parsing import (
+    Json,
+    array,
+    color,
+    direction,
+    flag,
+    json_list,
+    json_map,
+    known_keys,
+    number,
+    read_lights,
+    read_object,
+    whole,
+)
+from .scene_edit import SceneEdit, Sphere, SunLight
 
-RELIGHT_KEYS = {"recovered", "lights", "outside", "camera", "length"}
+RELIGHT_KEYS = {"recovered", "lights", "outside", "sun", "camera", "length"}
 REFERENCE_KEYS = {"poses", "original_emitters", "kept_faces_of_scene_ply", "what", "note", "lighting"}
 """Keys of reference files that are accepted and not read."""
 INSERTION_KEYS = {"objects", "lights", "views", "camera", "length", "poses", "note", "lighting"}
@@ -99,6 +114,7 @@ def relight_edit(result: Result, spec: Json, folder: Path | None = None, time: f
         objects=added.objects,
         panoramas=added.panoramas,
         outside_scale=number(spec.get("outside", 1.0), "outside"),
+        sun=changed_sun(result, spec["sun"]) if "sun" in spec else None,
     )
 
 
@@ -146,7 +162,8 @@ def _only_faces(result: Result, faces: NDArray[np.int64]) -> SceneEdit:
     emission = np.zeros_like(recovered)
     emission[faces] = recovered[faces]
     black = (recovered.max(axis=1) > 0) & (emission.max(axis=1) == 0)
-    return SceneEdit(emission, black, outside_scale=0.0)
+    sun = None if result.sun is None else changed_sun(result, 0.0)
+    return SceneEdit(emission, black, outside_scale=0.0, sun=sun)
 
 
 def _recovered(result: Result, changes: Json) -> tuple[NDArray[np.float64] | None, NDArray[np.bool_] | None]:
@@ -179,6 +196,20 @@ def lamp_radiance(result: Result, changes: Json) -> list[NDArray[np.float64]]:
             _changed(np.array(emitter.radiance, float), change, f"recovered.{own if own in changes else 'all'}")
         )
     return changed
+
+
+def changed_sun(result: Result, change: object) -> SunLight:
+    """The sun after the ``sun`` part of a relighting job: a factor, or an object.
+
+    Raises:
+        BadInput: the result has no sun.
+    """
+    if result.sun is None:
+        raise BadInput("'sun' is given, but no sun was found in this room", "add one to 'lights', of type sun")
+    change = {"scale": change} if isinstance(change, int | float) else json_map(change, "sun")
+    known_keys(change, {"off", "scale", "color", "direction"}, "sun")
+    along = direction(change["direction"], "sun.direction") if "direction" in change else -result.sun.direction
+    return SunLight(along, _changed(result.sun.irradiance, change, "sun"))
 
 
 def _changed(radiance: NDArray[np.float64], change: Json, where: str) -> NDArray[np.float64]:

@@ -19,9 +19,9 @@ from ..base.files import atomic_write
 from ..base.image_headers import check_exr_samples, read_exr_parts
 from ..base.untrusted import decoding
 from ..results.result import Result
-from .jobs import lamp_radiance
+from .jobs import changed_sun, lamp_radiance
 from .parsing import Json, json_map, known_keys, number
-from .scene_edit import OUTSIDE, lamp_name
+from .scene_edit import OUTSIDE, SUN, lamp_name
 
 COMBINED = "combined"
 """Name of the part of the file with the whole picture."""
@@ -59,8 +59,10 @@ def light_gains(result: Result, spec: Json) -> dict[str, NDArray[np.float64]]:
     spec = json_map(spec, "the relighting job")
     if spec.get("lights"):
         raise BadInput("adds 'lights', which no share shows", "leave out --shares, so that they are rendered")
-    known_keys(spec, {"recovered", "outside", "lights", "camera", "length"}, "the relighting job")
+    known_keys(spec, {"recovered", "outside", "sun", "lights", "camera", "length"}, "the relighting job")
     gains = {OUTSIDE: np.full(3, number(spec.get("outside", 1.0), "outside"))}
+    if "sun" in spec:
+        gains[SUN] = _sun_gain(result, spec["sun"])
     changed = lamp_radiance(result, json_map(spec.get("recovered", {}), "recovered"))
     for emitter, radiance in zip(result.emitters, changed, strict=True):
         was = np.asarray(emitter.radiance, float)
@@ -69,6 +71,15 @@ def light_gains(result: Result, spec: Json) -> dict[str, NDArray[np.float64]]:
             raise BadInput(what, "leave out --shares, so that it is rendered")
         gains[lamp_name(emitter.id)] = np.divide(radiance, was, out=np.zeros(3), where=was > 0)
     return gains
+
+
+def _sun_gain(result: Result, change: object) -> NDArray[np.float64]:
+    sun = changed_sun(result, change)
+    assert result.sun is not None
+    if not np.allclose(sun.direction, -result.sun.direction, atol=1e-4):
+        raise BadInput("turns the sun, which no share shows", "leave out --shares, so that it is rendered")
+    was = result.sun.irradiance
+    return np.divide(sun.irradiance, was, out=np.zeros(3), where=was > 0)
 
 
 def write_shares(path: Path, light: LightShares) -> None:

@@ -19,6 +19,8 @@ Snap = Literal["none", "down", "surface"]
 
 OUTSIDE = "IRIS Outside"
 """Name of the light from outside the mesh, wherever lights are named."""
+SUN = "IRIS Sun"
+"""Name of the recovered sun, wherever lights are named."""
 
 
 def lamp_name(emitter_id: int) -> str:
@@ -187,7 +189,8 @@ class SceneEdit:
         spheres: balls added.
         objects: shapes and objects from files added; those that emit are lights as well.
         panoramas: light from infinity, added to that from outside the mesh.
-        outside_scale: factor on the light from outside the mesh.
+        outside_scale: factor on the light from outside the mesh, without the sun's.
+        sun: in place of the recovered sun; None for that as it is.
     """
 
     face_emission: NDArray[np.float64] | None = None
@@ -197,9 +200,11 @@ class SceneEdit:
     objects: tuple[Primitive | ObjectFile, ...] = ()
     panoramas: tuple[Panorama, ...] = ()
     outside_scale: float = 1.0
+    sun: SunLight | None = None
 
     @property
     def changes_nothing(self) -> bool:
         """Whether the room stays as it was solved."""
         added = self.lights or self.spheres or self.objects or self.panoramas
-        return not added and self.face_emission is None and self.black_faces is None and self.outside_scale == 1.0
+        lit = self.face_emission is None and self.outside_scale == 1.0 and self.sun is None
+        return not added and lit and self.black_faces is None

@@ -22,6 +22,7 @@ from ..transport.form_factors import with_schlick
 from ..transport.gather import ESCAPED, GatherRays
 from ..transport.transport import Transport
 from .backdrop import SeenBackdrop
+from .sun import Sun
 
 OUTSIDE_MIN_SHARE = 2e-3
 """Share of the gather rays that must escape for light from outside to be considered."""
@@ -72,12 +73,33 @@ class HiddenSources:
             constant over the sphere. The radiance of each lobe is an unknown of the light balance.
         form_factors: (N, D, 2) irradiance / pi of each patch by each lobe, plain and times Schlick's S.
         holes: light through holes in place of lobes, None where lobes are used.
+        sun: parallel light through openings, beside lobes or light through holes; its irradiance is an unknown too.
     """
 
     surfaces: tuple[NDArray[np.int64], ...]
     directions: NDArray[np.float64]
     form_factors: NDArray[np.float32]
     holes: ThroughHoles | None = None
+    sun: Sun | None = None
+
+    @property
+    def columns(self) -> NDArray[np.float32]:
+        """(N, H, 2) irradiance / pi of each patch by each unknown: the lobes, then the sun if there is one."""
+        return self.form_factors if self.sun is None else np.concatenate([self.form_factors, self.sun.form_factors], 1)
+
+    def start(self, outside: NDArray[np.floating], sunlight: NDArray[np.floating] | None = None) -> NDArray[np.float64]:
+        """(H, 3) unknowns to start from: lobes of radiance ``outside`` (3,), and the sun's irradiance, by default as
+        its search knows it."""
+        lobes = np.tile(outside, (len(self.directions), 1))
+        if self.sun is None:
+            return lobes
+        return np.concatenate([lobes, (self.sun.irradiance if sunlight is None else sunlight)[None]])
+
+    def sunlight(self, radiance: NDArray[np.floating], kappa: NDArray[np.floating]) -> NDArray[np.floating]:
+        """(N, 3) irradiance / pi by the sun alone, of the unknowns ``radiance`` (H, 3); 0 without one."""
+        if self.sun is None:
+            return np.zeros((len(kappa), 3), np.float32)
+        return under_lobe(self.sun.form_factors, kappa) @ radiance[-1:]
 
     def with_directions(self, count: int) -> HiddenSources:
         """The same sources with 0, 1 (constant) or all lobes of outside light, and none through holes."""
@@ -91,17 +113,18 @@ class HiddenSources:
         return replace(self.with_directions(0), holes=self.holes)
 
     def irradiance(self, radiance: NDArray[np.floating], kappa: NDArray[np.floating]) -> NDArray[np.floating]:
-        """(N, 3) irradiance / pi from outside, by lobes or through holes.
+        """(N, 3) irradiance / pi from outside, by lobes or through holes, and by the sun.
 
         Args:
-            radiance: (D, 3) of the lobes.
+            radiance: (H, 3) of the lobes, and the sun's irradiance.
             kappa: (N,) grazing gain of each patch's diffuse lobe.
         """
-        light = under_lobe(self.form_factors, kappa) @ radiance
+        light = under_lobe(self.columns, kappa) @ radiance
         return light if self.holes is None else light + self.holes.irradiance(kappa)
 
     def outside_sh(self, radiance: NDArray[np.floating]) -> NDArray[np.float64] | None:
-        """(1, 3) or (9, 3) spherical harmonics of lobes of outside light of ``radiance`` (D, 3), None for D = 0."""
+        """(1, 3) or (9, 3) spherical harmonics of lobes of outside light of ``radiance`` (H, 3), None without lobes."""
+        radiance = radiance[: len(self.directions)]
         if len(self.directions) == 0:
             return None
         if len(self.directions) == 1:

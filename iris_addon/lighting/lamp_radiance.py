@@ -86,7 +86,7 @@ def solve_lights(
     direct = under_lobe(form_factors, kappa)
     if problem.bounce is not None:
         direct += problem.bounce.form_factors(emitters, n_faces)
-    all_factors = np.concatenate([direct, under_lobe(hidden.form_factors, kappa)], 1)
+    all_factors = np.concatenate([direct, under_lobe(hidden.columns, kappa)], 1)
     level = noticeable_radiance(observed.radiance, all_factors[: problem.transport.n_seen])
     start = _first_finite(evidence.measured, evidence.expected, level)
     if warm_start:
@@ -178,7 +178,7 @@ def lights_without_lamps(problem: LightProblem, observed: GroupRadiance) -> Ligh
     unknown = mean_radiance(radiance, problem)
     radiance[len(observed.radiance) :] = unknown
     none = np.zeros(len(problem.regions), bool)
-    hidden = np.tile(unknown, (problem.hidden.form_factors.shape[1], 1))
+    hidden = problem.hidden.start(unknown)
     irradiance = problem.transport.gather_radiance(radiance, unknown, none)
     irradiance = irradiance + problem.hidden.irradiance(hidden, problem.transport.kappa)
     no_factors = np.zeros((n, 0, 2), np.float32)

@@ -28,7 +28,8 @@ class Lights:
     Attributes:
         emitters: faces of each.
         radiance: (E, 3) of the emitters, scene-linear Rec.709.
-        hidden_radiance: (H, 3) of the lobes of outside light.
+        hidden_radiance: (H, 3) of the lobes of outside light, and in the last row the irradiance of the sun if the
+            problem has one.
         log_std: (E,) standard deviation of log radiance.
         form_factors: (N, E, 2) ``B`` of equation (8) for all patches, seen and unseen, plain and times Schlick's S.
         mask: (F,) bool, faces that emit.

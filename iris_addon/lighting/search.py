@@ -96,7 +96,7 @@ def choose_outside(
 
     The hypotheses are none, constant light, light by direction, and the radiance that photos show through the holes.
     Each is scored by the held-out loss of the light balance, and :mod:`iris_addon.decide` states the acceptance gain of
-    a larger one. Where light from outside is forced, all directions are taken at once.
+    a larger one. Where light from outside is forced or a sun was found, all directions are taken at once.
 
     Args:
         known: lights whose lamps are kept; without it lamps are searched for.
@@ -110,7 +110,8 @@ def choose_outside(
     # A mesh with large holes is no closed room: without outside light everything in it would seem to emit.
     is_open = float((problem.transport.target == ESCAPED).mean()) > OPEN_MESH_SHARE
     hypotheses = sorted({min(1, directions), directions} | (set() if is_open else {0}))
-    for count in hypotheses[-1:] if forced else hypotheses:
+    # Where the sun comes in, so does a sky that differs from the ground.
+    for count in hypotheses[-1:] if forced or problem.hidden.sun is not None else hypotheses:
         tried = replace(problem, hidden=problem.hidden.with_directions(count))
         before = known if best is None else best[1]
         if before is None:
@@ -120,13 +121,14 @@ def choose_outside(
         if best is None:
             best = tried, lights
             continue
-        alone = bool(best[1].hidden_radiance.any()) and not best[1].emitters
+        alone = len(best[0].hidden.directions) > 0 and not best[1].emitters
         name = "directions_without_lamps" if alone else "outside_light"
         error, subject = best[1].paired_error(lights), f"{count} directions"
         if decisions.accept(name, best[1].held_out, lights.held_out, error, subject=subject):
             best = tried, lights
     assert best is not None
-    if problem.hidden.holes is not None and not forced:
+    # Photos clip a sky, so that they show too little of its light.
+    if problem.hidden.holes is not None and not forced and problem.hidden.sun is None:
         shown = replace(problem, hidden=problem.hidden.as_shown())
         lights = _with_outside(shown, observed, best[1], progress)
         name = "outside_light" if len(best[0].hidden.directions) == 0 else "light_through_holes"
@@ -138,12 +140,14 @@ def choose_outside(
 
 def _with_outside(problem: LightProblem, observed: GroupRadiance, before: Lights, progress: Progress) -> Lights:
     """The lamps of ``before``, solved for again together with the light from outside of ``problem``."""
-    count = len(problem.hidden.directions)
+    lobes, sun = before.hidden_radiance, None
+    if problem.hidden.sun is not None:
+        lobes, sun = lobes[:-1], lobes[-1]
     # Directions start from the constant that they refine, and so can only explain more.
-    refined = len(before.hidden_radiance) == 1 and count > 1
-    outside = before.hidden_radiance[0] if refined else mean_radiance(before.patch_radiance, problem)
+    refined = len(lobes) == 1 and len(problem.hidden.directions) > 1
+    outside = lobes[0] if refined else mean_radiance(before.patch_radiance, problem)
     # Where there is nothing to solve for, this is returned unchanged, with an infinite loss.
-    start = replace(before, hidden_radiance=np.tile(outside, (count, 1)), held_out=np.inf)
+    start = replace(before, hidden_radiance=problem.hidden.start(outside, sun), held_out=np.inf)
     return solve_lights(problem, observed, start.emitters, start, progress, start.form_factors, warm_start=refined)
 
 

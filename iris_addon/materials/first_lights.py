@@ -25,6 +25,10 @@ from ..lighting.candidates import read_given_emitters
 from ..lighting.hidden import HiddenSources, through_holes
 from ..lighting.problem import LightProblem, Lights
 from ..lighting.search import choose_exponent, choose_outside
+from ..lighting.sun import Sun
+from ..lighting.sun_choice import sun_is_needed, with_sun
+from ..lighting.sun_search import ShownPixels
+from ..model.response import LUMINANCE
 from ..response.observations import Observations
 from ..response.photometry import Photometry
 from ..response.radiance import group_radiance, linearise
@@ -119,6 +123,7 @@ class FirstLights:
         directions: number of lobes of outside light.
         shown: whether light through holes of the mesh is the radiance that photos show there, in place of lobes.
         exponent: exponent of equation (16) where exposures leave it undetermined, else 1.
+        sun: the sun where it shines into the room.
     """
 
     lights: Lights
@@ -126,10 +131,11 @@ class FirstLights:
     directions: int
     shown: bool
     exponent: float
+    sun: Sun | None = None
 
     def settle(self, problem: MaterialProblem) -> MaterialProblem:
         """``problem`` with regions of one material joined and the chosen kind of light from outside."""
-        return problem.with_materials(self.material).with_outside(self.directions, self.shown)
+        return problem.with_materials(self.material).with_outside(self.directions, self.shown, self.sun)
 
     def arrays(self) -> dict[str, NDArray]:
         """Plain arrays for a checkpoint."""
@@ -139,6 +145,7 @@ class FirstLights:
             "shown": np.array(self.shown),
             "exponent": np.array(self.exponent),
             "material": self.material,
+            **({} if self.sun is None else self.sun.arrays()),
         }
 
     @staticmethod
@@ -150,6 +157,7 @@ class FirstLights:
             directions=int(arrays["directions"]),
             shown=bool(arrays["shown"]),
             exponent=float(arrays["exponent"]),
+            sun=Sun.from_arrays(arrays),
         )
 
 
@@ -167,7 +175,12 @@ def find_first_lights(
         problem: the problem under ``photometry``.
     """
     exponent = 1.0
+    dark, shown = problem.light, _shown(photometry, room)
+    problem = replace(problem, light=with_sun(dark, problem.observed, shown, progress))
     light, lights = choose_outside(problem.light, problem.observed, progress)
+    if not sun_is_needed(light, problem.observed, lights, progress):
+        problem = replace(problem, light=dark)
+        light, lights = choose_outside(dark, problem.observed, progress)
     material = problem.materials_under(lights, room.regions.scanned, room.surface.pieces)
     if (material != problem.light.material).any():
         problem = problem.with_materials(material)
@@ -175,7 +188,9 @@ def find_first_lights(
     if photometry.exponent_unconstrained and not problem.light.decisions.forbids("exponent"):
         exponent = choose_exponent(light, problem.observed, lights, photometry.exponent_error, progress)
     if exponent != 1.0:
+        sun = problem.light.hidden.sun
         problem = pose(photometry.raised(exponent)).with_materials(material)
+        problem = replace(problem, light=replace(problem.light, hidden=replace(problem.light.hidden, sun=sun)))
         light, lights = choose_outside(problem.light, problem.observed, progress)
     return FirstLights(
         lights=lights,
@@ -183,4 +198,16 @@ def find_first_lights(
         directions=len(light.hidden.directions),
         shown=light.hidden.holes is not None,
         exponent=exponent,
+        sun=light.hidden.sun,
+    )
+
+
+def _shown(photometry: Photometry, room: TracedRoom) -> ShownPixels:
+    """Luminance of all pixels as photos show it."""
+    samples = room.samples
+    linear = photometry.linearise_pixels(room.photos.z, samples.view, samples.pixel)
+    return ShownPixels(
+        luminance=(np.where(linear.unclipped, linear.radiance, linear.bound) @ LUMINANCE).astype(np.float32),
+        clipped=~linear.unclipped.all(1),
+        usable=np.isinf(linear.ceiling).all(1) & (room.mixed.mask == 0),
     )

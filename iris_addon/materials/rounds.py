@@ -21,6 +21,7 @@ from ..lighting.lamp_radiance import mean_radiance, patch_weight
 from ..lighting.problem import LightProblem, Lights
 from ..lighting.screens import Shown, with_screens
 from ..lighting.search import reconsider_lamps
+from ..lighting.sun import Sun
 from ..response.observations import Observations
 from ..response.radiance import GroupRadiance, Linearised, group_radiance, raised_by_clipped
 from ..surface.regions import joined_regions
@@ -143,11 +144,11 @@ class MaterialProblem:
             aim=LampAim.at(light.tracer, lights.emitters, lights.radiance, lights.form_factors[:seen, :, 0]),
         )
 
-    def with_outside(self, directions: int, shown: bool) -> MaterialProblem:
-        """The same problem with so many lobes of outside light, or with light through holes if ``shown``."""
+    def with_outside(self, directions: int, shown: bool, sun: Sun | None) -> MaterialProblem:
+        """The same problem with so many lobes of outside light, or with light through holes if ``shown``, and a sun."""
         hidden = self.light.hidden
         hidden = hidden.as_shown() if shown else hidden.with_directions(directions)
-        return replace(self, light=replace(self.light, hidden=hidden))
+        return replace(self, light=replace(self.light, hidden=replace(hidden, sun=sun)))
 
 
 def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progress: Progress) -> tuple[Lights, Gloss]:
@@ -278,7 +279,8 @@ class _GlossFit:
         o, samples = problem.observations, problem.light.samples
         scene = problem.scene(lights)
         at = o.sample[self.rows]
-        local = problem.light.field.at_samples(samples.take(at), o.patch[self.rows], shading.irradiance)
+        local = problem.light.field.at_samples(samples.take(at), o.patch[self.rows], shading.smooth)
+        local += shading.sunlight[o.patch[self.rows]]
         lobes = [[scene.lobes(half) for half in halves] for halves in self.rays]
         # The widest lobes are computed from irradiance.
         rough = GLOSS_LEVELS[len(GLOSS_RAYS) :]

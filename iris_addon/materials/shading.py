@@ -18,6 +18,7 @@ from ..brdf.ggx import layered_factor
 from ..lighting.lamp_radiance import mean_radiance
 from ..lighting.problem import LightProblem, Lights
 from ..model.recovered import DiffuseLobe
+from ..surface.primary_rays import PixelSamples
 from ..transport.transport import LightMoments, radiance_table, table_rows
 
 
@@ -26,12 +27,14 @@ class Shading:
     """The light of all lamps at the seen patches.
 
     Attributes:
-        irradiance: (P, 3) irradiance / pi, denoised.
+        irradiance: (P, 3) irradiance / pi, denoised but for the sun's.
+        sunlight: (P, 3) the part of it that comes from the sun directly.
         moments: of its direction, for Burley's lobe; None for others.
         layered: whether dielectrics take the light they reflect off the diffuse light below, equation (11).
     """
 
     irradiance: NDArray[np.float32]
+    sunlight: NDArray[np.float32]
     moments: LightMoments | None
     layered: bool = False
 
@@ -39,7 +42,40 @@ class Shading:
     def under(lights: Lights, problem: LightProblem, lobe: DiffuseLobe) -> Shading:
         """The light that ``lights`` cast on surfaces of a diffuse ``lobe``."""
         moments = light_moments(problem, lights) if lobe == "burley" else None
-        return Shading(smooth_irradiance(problem, lights), moments, lobe == "layered")
+        sunlight = direct_sunlight(problem, lights)
+        return Shading(smooth_irradiance(problem, lights) + sunlight, sunlight, moments, lobe == "layered")
+
+    @property
+    def smooth(self) -> NDArray[np.float32]:
+        """(P, 3) irradiance / pi without direct sunlight: what may be interpolated between patches."""
+        return self.irradiance - self.sunlight
+
+    def at_pixels(self, problem: LightProblem, lights: Lights) -> NDArray[np.float32]:
+        """(n, 3) irradiance / pi at all pixels: interpolated from patches, sunlight with its sharp borders."""
+        sun, patch = problem.hidden.sun, problem.surface.sample_patch
+        return self._at(problem, lights, problem.samples, patch, None if sun is None else sun.visible)
+
+    def at_points(
+        self, problem: LightProblem, lights: Lights, samples: PixelSamples, patch: NDArray[np.int32]
+    ) -> NDArray[np.float32]:
+        """(k, 3) the same at other points on ``patch`` (k,), such as texels."""
+        sun = problem.hidden.sun
+        visible = None if sun is None else sun.seen_by(problem.tracer, samples, patch, problem.seed)
+        return self._at(problem, lights, samples, patch, visible)
+
+    def _at(
+        self,
+        problem: LightProblem,
+        lights: Lights,
+        samples: PixelSamples,
+        patch: NDArray[np.int32],
+        visible: NDArray[np.float32] | None,
+    ) -> NDArray[np.float32]:
+        light, sun = problem.field.at_samples(samples, patch, self.smooth), problem.hidden.sun
+        if sun is not None and visible is not None:
+            direct = sun.at_pixels(samples, visible, problem.transport.kappa[patch])
+            light += direct[:, None] * lights.hidden_radiance[-1].astype(np.float32)
+        return light
 
     def view_factor(
         self,
@@ -66,8 +102,14 @@ class Shading:
 
 
 def smooth_irradiance(problem: LightProblem, lights: Lights) -> NDArray[np.float32]:
-    """(P, 3) denoised irradiance / pi of the seen patches."""
-    return problem.field.denoise(lights.irradiance[: problem.transport.n_seen])
+    """(P, 3) denoised irradiance / pi of the seen patches, without direct sunlight."""
+    return problem.field.denoise(lights.irradiance[: problem.transport.n_seen] - direct_sunlight(problem, lights))
+
+
+def direct_sunlight(problem: LightProblem, lights: Lights) -> NDArray[np.float32]:
+    """(P, 3) irradiance / pi of the seen patches by the sun."""
+    sunlight = problem.hidden.sunlight(lights.hidden_radiance, problem.transport.kappa)
+    return sunlight[: problem.transport.n_seen].astype(np.float32)
 
 
 def light_moments(problem: LightProblem, lights: Lights) -> LightMoments:

@@ -1,4 +1,4 @@
-"""What a solve recovers of the room: emitters, outside light, backdrop, and textures on the mesh's atlas."""
+"""What a solve recovers of the room: emitters, outside light, sun, backdrop, and textures on the mesh's atlas."""
 
 from __future__ import annotations
 
@@ -40,6 +40,19 @@ class OutsideLight:
     """
 
     sh: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Sunlight:
+    """Parallel light from the sun, which comes in through the openings of the mesh.
+
+    Attributes:
+        direction: (3,) unit vector towards the sun, in the capture's world axes.
+        irradiance: (3,) float64 on a surface that faces it, scene-linear Rec.709, in the unit of radiance times sr.
+    """
+
+    direction: NDArray[np.float64]
+    irradiance: NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from ..materials.solution import Solution
 from ..materials.specular import pixel_lobes, subtract_specular
 from ..model.capture import Capture, View
 from ..model.local_exposure import UNIFORM
-from ..model.recovered import Emitter, OutsideLight
+from ..model.recovered import Emitter, OutsideLight, Sunlight
 from ..response.photometry import Photometry
 from ..surface.primary_rays import PixelSamples, as_picture
 from ..surface.traced_room import TracedRoom
@@ -73,7 +74,7 @@ def make_result(
     photometry, lights, gloss = solution.photometry, solution.lights, solution.gloss
     region, patch = light.regions[samples.face], light.surface.sample_patch
     shading = problem.shading(lights)
-    irradiance = light.field.at_samples(samples, patch, shading.irradiance)
+    irradiance = shading.at_pixels(light, lights)
     ls0, ls1 = pixel_lobes(
         problem.scene(lights),
         photos,
@@ -104,6 +105,7 @@ def make_result(
         photometry=photometry,
         gloss=gloss,
         shading=shading,
+        irradiance_at=partial(shading.at_points, light, lights),
         light=pixel_light,
         expected=problem.observed.radiance,
         brighter=of_patch,
@@ -142,6 +144,7 @@ def make_result(
         textures=textures,
         emitters=tuple(_emitters(light, lights)),
         outside=_outside(light, lights),
+        sun=_sun(light, lights),
         response=photometry.response,
         exposures=exposures,
         report=report,
@@ -252,6 +255,11 @@ def _outside(problem: LightProblem, lights: Lights) -> OutsideLight | None:
     return None if sh is None else OutsideLight(sh)
 
 
+def _sun(problem: LightProblem, lights: Lights) -> Sunlight | None:
+    sun = problem.hidden.sun
+    return None if sun is None else Sunlight(sun.direction, lights.hidden_radiance[-1])
+
+
 def with_figures(
     result: Result,
     room: TracedRoom,
@@ -270,6 +278,7 @@ def with_figures(
         "lamps": len(lights.emitters),
         "unseen_lamps": int(_unseen(problem.light, lights).sum()),
         "outside_directions": len(problem.light.hidden.directions),
+        "sun": problem.light.hidden.sun is not None,
         "light_through_holes": problem.light.hidden.holes is not None,
         "regions": len(problem.light.material),
         "materials": len(np.unique(problem.light.material)),

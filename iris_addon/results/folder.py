@@ -4,7 +4,7 @@
 
     report.json      schema_version and Result.report
     response.json    family, coefficients, samples, exposures and white balance per photo
-    emitters.json    id, faces, radiance, area, confidence; light from outside, spherical harmonics; backdrop, its shell
+    emitters.json    id, faces, radiance, area, confidence; harmonics of light from outside; sun; shell of the backdrop
     backdrop.exr     what cameras see through holes of the mesh, if it has any; backdrop_albedo.exr, if that reflects
     materials/       base_color.exr, roughness.png, metallic.png, confidence.png, emission.exr, mesh.glb
 
@@ -91,7 +91,7 @@ def _load(folder: Path, read: ReadImage) -> Result:
         )
     mesh, regions, up = read_glb(result_file(folder, MESH))
     response, exposures, local = read_response(folder)
-    emitters, outside, shell = read_emitters(folder, mesh)
+    emitters, outside, sun, shell = read_emitters(folder, mesh)
     textures = _read_textures(folder, read)
     backdrop = None if shell is None else _painted(shell, folder, read)
     result = Result(
@@ -100,6 +100,7 @@ def _load(folder: Path, read: ReadImage) -> Result:
         textures=textures,
         emitters=emitters,
         outside=outside,
+        sun=sun,
         response=response,
         exposures=exposures,
         report=report,

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from ..base.images import to_codes, write_png
 from ..lighting.problem import Lights
 from ..materials.rounds import MaterialProblem
-from ..materials.shading import smooth_irradiance
 from ..model.capture import Capture
 from ..model.response import srgb
 from ..response.photometry import Photometry
@@ -59,7 +58,7 @@ def write_previews(
     if not len(patch):
         return
     radiance = photometry.linearise_pixels(z[rows], view, pixel).radiance
-    irradiance = smooth_irradiance(problem.light, lights)[patch]
+    irradiance = problem.shading(lights).irradiance[patch]
     on_lamp = lights.mask[samples.face[rows]][:, None]
     white = max(float(np.percentile(irradiance, WHITE_PERCENTILE)), 1e-9)
     difference = photometry.develop(problem.observed.radiance[patch], view, pixel) - z[rows]

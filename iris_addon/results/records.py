@@ -1,7 +1,7 @@
 """JSON records of a result folder.
 
-emitters.json holds the lamps, light from outside the mesh, and the shell that the backdrop is painted on; response.json
-the recovered camera.
+emitters.json holds the lamps, light from outside the mesh, the sun, and the shell that the backdrop is painted on;
+response.json the recovered camera.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ..base.files import from_ranges, to_ranges
 from ..base.untrusted import MEND, json_object, numbers, read_json
 from ..model.capture import Mesh
 from ..model.local_exposure import UNIFORM, LocalSettings
-from ..model.recovered import Backdrop, Emitter, OutsideLight
+from ..model.recovered import Backdrop, Emitter, OutsideLight, Sunlight
 from ..model.response import N_SAMPLES, Response
 from .files import EMITTERS, REPORT, RESPONSE, result_file
 
@@ -36,6 +36,15 @@ MAX_SHELL = 100_000
 """Vertices or faces that a backdrop's shell may have."""
 LOCAL_BOUNDS = {"strength": (0.0, 0.99), "scale": (1e-3, 10.0), "headroom": (1.0, 1e6), "falloff": (0.0, 20.0)}
 """Range of each setting of local exposure."""
+
+
+class StoredLights(NamedTuple):
+    """Lamps, light from outside, the sun, and the backdrop's shell."""
+
+    emitters: tuple[Emitter, ...]
+    outside: OutsideLight | None
+    sun: Sunlight | None
+    shell: StoredShell | None
 
 
 class StoredShell(NamedTuple):
@@ -62,7 +71,7 @@ def read_report(folder: Path) -> dict[str, Any]:
 
 def emitters_json(result: Result) -> dict[str, Any]:
     """The content of emitters.json."""
-    backdrop = result.backdrop
+    backdrop, sun = result.backdrop, result.sun
     return {
         "emitters": [
             {
@@ -75,6 +84,7 @@ def emitters_json(result: Result) -> dict[str, Any]:
             for emitter in result.emitters
         ],
         "outside": None if result.outside is None else {"sh": result.outside.sh},
+        "sun": None if sun is None else {"direction": sun.direction, "irradiance": sun.irradiance},
         "backdrop": None if backdrop is None else _shell_json(backdrop),
     }
 
@@ -84,8 +94,8 @@ def _shell_json(backdrop: Backdrop) -> dict[str, Any]:
     return {"vertices": backdrop.vertices, "faces": backdrop.faces, "reflects": reflects}
 
 
-def read_emitters(folder: Path, mesh: Mesh) -> tuple[tuple[Emitter, ...], OutsideLight | None, StoredShell | None]:
-    """Lamps, light from outside and the backdrop's shell of the result in ``folder``.
+def read_emitters(folder: Path, mesh: Mesh) -> StoredLights:
+    """All light of the result in ``folder``, and the backdrop's shell.
 
     Raises:
         BadInput: the file is missing or damaged.
@@ -96,10 +106,11 @@ def read_emitters(folder: Path, mesh: Mesh) -> tuple[tuple[Emitter, ...], Outsid
     if not isinstance(listed, list):
         raise BadInput("'emitters' is missing or not a list", MEND, path)
     emitters = tuple(_read_emitter(entry, f"emitters[{number}]", mesh, path) for number, entry in enumerate(listed))
-    outside, backdrop = content.get("outside"), content.get("backdrop")
-    return (
+    outside, sun, backdrop = (content.get(name) for name in ("outside", "sun", "backdrop"))
+    return StoredLights(
         emitters,
         None if outside is None else _read_outside(json_object(outside, "outside", path), path),
+        None if sun is None else _read_sun(json_object(sun, "sun", path), path),
         None if backdrop is None else _read_shell(json_object(backdrop, "backdrop", path), path),
     )
 
@@ -123,6 +134,14 @@ def _read_outside(content: dict[str, Any], path: Path) -> OutsideLight:
     if len(sh) not in SH_SIZES:
         raise BadInput(f"'outside.sh' has {len(sh)} coefficients, not 1, 4 or 9", MEND, path)
     return OutsideLight(sh)
+
+
+def _read_sun(content: dict[str, Any], path: Path) -> Sunlight:
+    direction = numbers(content.get("direction"), (3,), "sun.direction", path)
+    irradiance = numbers(content.get("irradiance"), (3,), "sun.irradiance", path)
+    if not abs(np.linalg.norm(direction) - 1) < 1e-3 or irradiance.min() < 0:
+        raise BadInput("'sun' has no unit direction, or a negative irradiance", MEND, path)
+    return Sunlight(direction, irradiance)
 
 
 def _read_shell(content: dict[str, Any], path: Path) -> StoredShell:

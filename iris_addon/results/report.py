@@ -70,6 +70,7 @@ def write_report(
         _response(result),
         _emitters(result),
         _outside(result),
+        _sun(result),
         _model(result),
         _exposures(result),
     ]
@@ -258,6 +259,16 @@ def _outside(result: Result) -> str:
     return (
         f"<section><h2>Light from outside</h2><p>{_swatch(np.maximum(mean, 0))} {len(result.outside.sh)} spherical "
         f"harmonics, mean radiance {' '.join(f'{value:.3g}' for value in mean)}.</p></section>"
+    )
+
+
+def _sun(result: Result) -> str:
+    if result.sun is None:
+        return ""
+    level, up = result.sun.irradiance, result.sun.direction @ np.asarray(result.up)
+    return (
+        f"<section><h2>Sun</h2><p>{_swatch(level)} {np.degrees(np.arcsin(np.clip(up, -1, 1))):.1f}° above the horizon, "
+        f"irradiance {' '.join(f'{value:.3g}' for value in level)}.</p></section>"
     )
 
 

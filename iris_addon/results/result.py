@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..model.capture import Camera, Mesh, View
 from ..model.corrections import CameraCorrection, PoseCorrections
 from ..model.local_exposure import UNIFORM, LocalSettings
-from ..model.recovered import Backdrop, DiffuseLobe, Emitter, OutsideLight, Textures
+from ..model.recovered import Backdrop, DiffuseLobe, Emitter, OutsideLight, Sunlight, Textures
 from ..model.response import Response
 
 if TYPE_CHECKING:
@@ -40,6 +40,7 @@ class Result:
         local: what the camera did to exposure from place to place; exposures are those of the middle.
         up: unit up vector of the capture.
         backdrop: what cameras see through holes of the mesh; None where it has hardly any.
+        sun: light of the sun beside that of ``outside``; None where none shines in.
     """
 
     mesh: Mesh
@@ -53,6 +54,7 @@ class Result:
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     local: LocalSettings = UNIFORM
     backdrop: Backdrop | None = None
+    sun: Sunlight | None = None
 
     def __repr__(self) -> str:
         size = len(self.textures.base_color)
@@ -146,11 +148,12 @@ class Result:
 
     def with_exposures_times(self, factor: float) -> Result:
         """The same photos explained by exposures times ``factor`` and radiance that is less by it."""
-        outside, backdrop = self.outside, self.backdrop
+        outside, backdrop, sun = self.outside, self.backdrop, self.sun
         return replace(
             self,
             emitters=tuple(replace(emitter, radiance=emitter.radiance / factor) for emitter in self.emitters),
             outside=None if outside is None else OutsideLight(outside.sh / factor),
+            sun=None if sun is None else replace(sun, irradiance=sun.irradiance / factor),
             backdrop=None if backdrop is None else replace(backdrop, picture=backdrop.picture / np.float32(factor)),
             exposures={name: exposure * factor for name, exposure in self.exposures.items()},
         )

@@ -62,6 +62,7 @@ class Painter:
         points: the T texels.
         regions: (F,) region of each face.
         photometry, gloss, shading: of the solve.
+        irradiance_at: (k, 3) irradiance / pi of k texels as pixels, on patches (k,).
         light: at the n pixels.
         expected: (P, 3) radiance of each patch.
         brighter: (P, 3) factor by which each patch is brighter than its irradiance explains.
@@ -76,6 +77,7 @@ class Painter:
     photometry: Photometry
     gloss: Gloss
     shading: Shading
+    irradiance_at: Callable[[PixelSamples, NDArray[np.int32]], NDArray[np.float32]]
     light: PixelLight
     expected: NDArray[np.floating]
     brighter: NDArray[np.floating]
@@ -152,7 +154,7 @@ class Painter:
     ) -> PixelLight:
         field, region = self.room.field, self.regions[texels.face]
         roughness, metallic = self.gloss.roughness[region], self.gloss.metallic[region]
-        irradiance = field.at_samples(texels, patch, self.shading.irradiance)
+        irradiance = self.irradiance_at(texels, patch)
         factor = self.shading.view_factor(patch, roughness, schlick(texels.cosine), texels.direction)
         brighter = np.where(
             metallic[:, None] > 0.5, np.float32(1), field.at_samples(texels, patch, self.brighter)

@@ -240,6 +240,14 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         background = outside_light(scene)
         if background is not None:
             layout.prop(background.inputs["Strength"], "default_value", text="Light from Outside")
+        sun = next((thing for thing in scene.objects if lamps.is_recovered_sun(thing)), None)
+        if sun is not None:
+            row = layout.row(align=True)
+            row.prop(sun, "hide_render", text="")
+            row.label(text="Sun")
+            row.prop(sun.data, "color", text="")
+            row.prop(sun.data, "energy", text="")
+            layout.prop(sun, "rotation_euler", text="Sun's Direction")
         lights = [thing.name for thing in other_lights(scene)]
         if lights:
             row = layout.row()

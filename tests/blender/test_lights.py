@@ -1,5 +1,7 @@
 """New lights have the radiometry the job says; objects stand where the job puts them."""
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 import pytest
@@ -9,10 +11,12 @@ from iris_addon.base.errors import BadInput
 from iris_addon.base.images import write_exr
 from iris_addon.blender.render.cycles import render_views
 from iris_addon.blender.scene_out.build import build_scene
+from iris_addon.blender.scene_out.lights import as_recovered
 from iris_addon.blender.scene_out.placing import Room
 from iris_addon.edits.jobs import insertion_edits, relight_edit
 from iris_addon.edits.scene_edit import Material, Placement, Primitive, SceneEdit
 from iris_addon.model.capture import Mesh
+from iris_addon.model.recovered import Sunlight
 from iris_addon.model.render_settings import RenderSettings
 from tests.blender_room import camera, room
 
@@ -181,3 +185,33 @@ def test_an_object_without_support_is_refused():
         placed_vertices(Placement((5.0, 0.0, 0.0), snap="down"))
     with pytest.raises(BadInput, match="without height"):
         placed_vertices(Placement(height=0.1), "card", (0.1, 0.1, 1.0))
+
+
+def test_the_recovered_sun_lights_the_floor_until_a_job_turns_it_away():
+    """Radiance is albedo E cosθ / π; the artist's changes do not count for what was photographed."""
+    toward = np.array([0.6, 0.0, 0.8])
+    result = replace(room(albedo=ALBEDO, mesh=floor()), sun=Sunlight(toward, COLOR))
+
+    def middle(spec):
+        above = camera(fx=400.0, fy=400.0, position=(0, 0, 1))
+        return render_views(result, [above], edit=relight_edit(result, spec), settings=QUICK)[0].mean((0, 1))
+
+    full = reflected(COLOR)
+    assert middle({}) == pytest.approx(0.8 * full, rel=0.05)
+    assert middle({"sun": 0.5}) == pytest.approx(0.4 * full, rel=0.05)
+    assert middle({"sun": {"direction": [0, 0, -1]}}) == pytest.approx(full, rel=0.05)
+    assert not middle({"sun": 0}).any()
+    built = build_scene(result)
+    assert built.sun is not None
+    before = built.sun.matrix_basis.copy()
+    built.sun.data.energy, built.sun.rotation_mode = 9.0, "XYZ"
+    built.sun.rotation_euler = (1.0, 0.0, 0.0)
+    with as_recovered([], built.scene.objects):
+        assert built.sun.data.energy == pytest.approx(3.0)
+        assert np.allclose(built.sun.matrix_basis, before, atol=1e-5)
+    assert built.sun.data.energy == 9.0 and built.sun.rotation_euler.x == pytest.approx(1.0)
+
+
+def test_a_job_cannot_change_a_sun_that_was_not_found():
+    with pytest.raises(BadInput, match="no sun was found"):
+        relight_edit(room(albedo=ALBEDO, mesh=floor()), {"sun": 0.5})

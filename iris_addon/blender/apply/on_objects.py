@@ -25,6 +25,7 @@ from ...results.result import Result
 from ..render.light_mixing import has_separated_lamps, stop_mixing
 from ..scene_out.backdrop import add_backdrop, follow_world
 from ..scene_out.build import face_materials, plain_mesh
+from ..scene_out.lights import RECOVERED_TURN, add_sun
 from ..scene_out.materials import UV_MAP, add_confidence
 from ..scene_out.scene_state import forget_scene, keep_scene, require_object_mode, restore_scene, show_like_the_photos
 from ..scene_out.world import make_world
@@ -86,6 +87,11 @@ def apply_to_objects(result: Result, runs: Sequence[FaceRun], scene: bpy.types.S
         shell.matrix_world = Matrix(to_blender.tolist()) @ Matrix.Translation(shell.location)
         shell[MADE] = shell.data[MADE] = True
         follow_world(shell, scene.world)
+    sun = add_sun(result.sun, scene.collection)
+    if sun is not None:
+        sun.matrix_world = Matrix(to_blender.tolist()).to_quaternion().to_matrix().to_4x4() @ sun.matrix_world
+        sun[RECOVERED_TURN] = [float(value) for value in sun.matrix_world.to_quaternion()]
+        sun[MADE] = sun.data[MADE] = True
     show_like_the_photos(result, scene)
     keep_look(scene, result.response, result.exposures)
     images = set(bpy.data.images) - before
@@ -284,7 +290,7 @@ def _restore_object(thing: bpy.types.Object) -> None:
 def _remove_made(scene: bpy.types.Scene) -> None:
     """Remove the stand-ins of ``scene``, and data that :func:`apply_to_objects` made and nothing uses any more."""
     bpy.data.batch_remove([thing for thing in scene.objects if MADE in thing])
-    for kind in ("meshes", "worlds", "materials", "images"):  # users before what they use
+    for kind in ("meshes", "lights", "worlds", "materials", "images"):  # users before what they use
         bpy.data.batch_remove([block for block in getattr(bpy.data, kind) if MADE in block and not block.users])
 
 

@@ -32,6 +32,7 @@ from ..images import srgb_image
 from ..render.cycles import set_cycles
 from ..scene_out.backdrop import add_backdrop, is_backdrop
 from ..scene_out.build import add_room, datablocks
+from ..scene_out.lights import add_sun
 from ..scene_out.materials import remove_burley
 from ..scene_out.scene_state import show_like_the_photos
 from ..scene_out.world import make_world
@@ -111,6 +112,9 @@ def apply_to_scene(
     scene.world = make_world(result.outside, 1.0, np.array(upright))
     if result.backdrop is not None:
         add_backdrop(result.backdrop, 1.0, collection).parent = anchor
+    sun = add_sun(result.sun, collection)
+    if sun is not None:
+        sun.parent = anchor
     for image in bpy.data.images:
         if image.name.startswith("IRIS ") and image.source == "GENERATED":
             image.pack()

@@ -76,7 +76,7 @@ def as_photographed(scene: bpy.types.Scene) -> Iterator[None]:
             thing.hide_render = True
         if background is not None:
             background.inputs["Strength"].default_value = 1.0
-        with as_recovered(lamp_materials(scene.objects)):
+        with as_recovered(lamp_materials(scene.objects), scene.objects):
             yield
     finally:
         for thing in added:

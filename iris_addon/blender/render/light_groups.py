@@ -41,8 +41,8 @@ def render_light_shares(
 
     Each share is denoised by itself: a light that is dim now may be turned up later.
 
-    Lights are named "IRIS Lamp 00" … by the id of the recovered lamp, "IRIS Outside" for light from outside, and as
-    :func:`~iris_addon.blender.scene_out.build.build_scene` names what the edit adds.
+    Lights are named "IRIS Lamp 00" … by the id of the recovered lamp, "IRIS Outside" for light from outside,
+    "IRIS Sun", and as :func:`~iris_addon.blender.scene_out.build.build_scene` names what the edit adds.
 
     Args:
         settings: None for the defaults.
@@ -51,7 +51,8 @@ def render_light_shares(
     built = build_scene(result, edit, lamps_apart=True)
     try:
         set_cycles(built.scene, settings)
-        names = group_lights(built.scene, [*built.lamps, *built.lights, *built.inserted])
+        sun = [] if built.sun is None else [built.sun]
+        names = group_lights(built.scene, [*built.lamps, *sun, *built.lights, *built.inserted])
         look_through(built.scene, camera, add_camera(camera, "IRIS View", built.scene.collection))
         return _render_shares(built.scene, names, settings.denoise and can_denoise())
     finally:

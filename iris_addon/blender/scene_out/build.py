@@ -19,7 +19,7 @@ from ...edits.scene_edit import SceneEdit, Sphere, lamp_name
 from ...model.capture import Mesh
 from ...results.result import Result
 from .backdrop import add_backdrop
-from .lights import add_light
+from .lights import add_light, add_sun
 from .materials import LAMP_ID, RECOVERED, UV_MAP, black_material, lamp_material, sphere_material, surface_material
 from .placing import Room, add_object
 from .world import make_world
@@ -33,6 +33,7 @@ class BuiltScene:
         room: the room's mesh, faces in the order of the result; without the lamps if those were kept apart.
         lamps: the recovered lamps as objects of their own, in the order of the result; empty if they are in ``room``.
         backdrop: the shell that shows through holes of the mesh; None where the result has none.
+        sun: the recovered sun, as the edit changed it; None where none shines.
         lights: lights added by the edit.
         inserted: balls and objects added by the edit.
         owned: every datablock made for the scene.
@@ -42,6 +43,7 @@ class BuiltScene:
     room: bpy.types.Object
     lamps: list[bpy.types.Object]
     backdrop: bpy.types.Object | None
+    sun: bpy.types.Object | None
     lights: list[bpy.types.Object]
     inserted: list[bpy.types.Object]
     owned: set[bpy.types.ID]
@@ -72,6 +74,7 @@ def build_scene(result: Result, edit: SceneEdit | None = None, *, lamps_apart: b
         backdrop = None
         if result.backdrop is not None:
             backdrop = add_backdrop(result.backdrop, edit.outside_scale, scene.collection)
+        sun = add_sun(result.sun, scene.collection, edit.sun)
         lights = [add_light(light, f"IRIS Light {k:02d}", scene.collection) for k, light in enumerate(edit.lights)]
         inserted = [add_sphere(ball, f"IRIS Ball {k:02d}", scene.collection) for k, ball in enumerate(edit.spheres)]
         ground = Room(result.mesh, result.up)
@@ -85,6 +88,7 @@ def build_scene(result: Result, edit: SceneEdit | None = None, *, lamps_apart: b
         room=room,
         lamps=lamps,
         backdrop=backdrop,
+        sun=sun,
         lights=lights,
         inserted=inserted,
         owned=set(datablocks()) - before,

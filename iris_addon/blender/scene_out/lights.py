@@ -15,13 +15,16 @@ from contextlib import contextmanager
 
 import bpy
 import numpy as np
-from mathutils import Matrix, Vector
+from mathutils import Matrix, Quaternion, Vector
 from numpy.typing import NDArray
 
-from ...edits.scene_edit import Light, Quad, SpotLight, SunLight
+from ...edits.scene_edit import SUN, Light, Quad, SpotLight, SunLight
+from ...model.recovered import Sunlight
 from .materials import LAMP_ID, RECOVERED, black_material, one_sided_lamp_material
 
 ENERGY_PER_INTENSITY = 4 * np.pi
+RECOVERED_TURN = "iris_recovered_turn"
+"""Custom property of the recovered sun: its rotation within its parent, a quaternion."""
 
 
 def add_light(light: Light, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
@@ -46,6 +49,30 @@ def add_light(light: Light, name: str, collection: bpy.types.Collection) -> bpy.
     return thing
 
 
+def add_sun(
+    recovered: Sunlight | None, collection: bpy.types.Collection, changed: SunLight | None = None
+) -> bpy.types.Object | None:
+    """The sun of a result as Blender's light "IRIS Sun", or ``changed`` in its place; None where neither shines.
+
+    It keeps what was recovered in custom properties, for :func:`as_recovered`.
+    """
+    sun = changed
+    if sun is None and recovered is not None:
+        sun = SunLight(-recovered.direction, recovered.irradiance)
+    if sun is None or not np.max(sun.irradiance) > 0:
+        return None
+    thing = add_light(sun, SUN, collection)
+    if recovered is not None:
+        thing[RECOVERED] = [float(value) for value in recovered.irradiance]
+        thing[RECOVERED_TURN] = [float(value) for value in _aimed(-recovered.direction).to_quaternion()]
+    return thing
+
+
+def is_recovered_sun(thing: bpy.types.Object) -> bool:
+    """Whether ``thing`` is the sun of a result, changed since or not."""
+    return thing.type == "LIGHT" and RECOVERED in thing
+
+
 def add_quad(quad: Quad, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
     """A one-sided rectangular light, wound to agree with ``quad.normal``."""
     corners = np.asarray(quad.corners, float)
@@ -65,10 +92,14 @@ def add_quad(quad: Quad, name: str, collection: bpy.types.Collection) -> bpy.typ
 def _light_data(name: str, kind: str, power: NDArray[np.floating], factor: float) -> bpy.types.Light:
     """Blender's light whose colour times energy is ``power`` (3,) times ``factor``."""
     data = bpy.data.lights.new(name, kind)
-    peak = float(np.max(power))
-    data.energy = peak * factor
-    data.color = tuple(np.asarray(power) / peak) if peak > 0 else (0.0, 0.0, 0.0)
+    _set_power(data, np.asarray(power) * factor)
     return data
+
+
+def _set_power(data: bpy.types.Light, power: NDArray[np.floating]) -> None:
+    peak = float(np.max(power))
+    data.energy = peak
+    data.color = tuple(np.asarray(power) / peak) if peak > 0 else (0.0, 0.0, 0.0)
 
 
 def _aimed(direction: NDArray[np.floating]) -> Matrix:
@@ -159,9 +190,14 @@ def reset(material: bpy.types.Material) -> None:
 
 
 @contextmanager
-def as_recovered(materials: Iterable[bpy.types.Material]) -> Iterator[None]:
-    """Inside, lamps emit what was recovered; materials that the artist has rebuilt stay as they are."""
-    before = []
+def as_recovered(materials: Iterable[bpy.types.Material], objects: Iterable[bpy.types.Object] = ()) -> Iterator[None]:
+    """Inside, lamps emit what was recovered, and the sun among ``objects`` shines from where it was found; materials
+    that the artist has rebuilt stay as they are."""
+    before, suns = [], [thing for thing in objects if is_recovered_sun(thing)]
+    shone = [(thing.data.energy, tuple(thing.data.color), thing.matrix_basis.copy()) for thing in suns]
+    for thing in suns:
+        _set_power(thing.data, np.array(thing[RECOVERED], float))
+        thing.matrix_basis = Quaternion(thing[RECOVERED_TURN]).to_matrix().to_4x4()
     for material in materials:
         shader = _shader(material)
         if shader is None or RECOVERED not in material:
@@ -172,6 +208,8 @@ def as_recovered(materials: Iterable[bpy.types.Material]) -> Iterator[None]:
     try:
         yield
     finally:
+        for thing, (energy, tint_of_sun, basis) in zip(suns, shone, strict=True):
+            thing.data.energy, thing.data.color, thing.matrix_basis = energy, tint_of_sun, basis
         for tint, color_before, level, strength_before in before:
             tint.default_value, level.default_value = color_before, strength_before
 

@@ -22,7 +22,7 @@ from ...edits.scene_edit import Quad, Sphere
 from ...model.capture import Camera
 from ...model.response import LUMINANCE
 from .renders import Studio
-from .scene import SceneGeometry
+from .scene import SceneEmitter, SceneGeometry
 
 FloatArray = NDArray[np.floating]
 
@@ -228,18 +228,24 @@ def write_references(
     """Write relighting and insertion jobs of the capture ``root``, and renders of its validation views under them."""
     seen = VisiblePoints(geometry, cameras, studio.settings.seed)
     lights = choose_lights(seen)
-    kept, share = choose_kept_emitter(seen, geometry)
     balls = {k: choose_spheres(seen, camera) for k, camera in enumerate(cameras)}
     balls = {k: spheres for k, spheres in balls.items() if spheres}
     balls = dict(list(balls.items())[:INSERT_VIEWS])
-    emitter = geometry.emitters[kept]
-    faces = list(range(emitter.first, emitter.last))
-    write_json(root / "relight" / "lights.json", _describe_lights(lights, faces))
+    references: dict[str, tuple[SceneEmitter | None, list[Quad]]] = {
+        "new_lights": (None, [quad for _kind, quad, _lit in lights])
+    }
+    jobs = {"new_lights": _new_lights(lights)}
+    if geometry.emitters:
+        kept, share = choose_kept_emitter(seen, geometry)
+        emitter = geometry.emitters[kept]
+        facts = {"emitter": kept, "radiance": emitter.radiance.tolist(), "share_of_val_light": share}
+        write_json(root / "gt" / "relight" / "one_emitter.json", facts)
+        references["one_emitter"] = (emitter, [])
+        jobs["one_emitter"] = _one_emitter(list(range(emitter.first, emitter.last)))
+    write_json(root / "relight" / "lights.json", jobs)
     write_json(root / "insert" / "objects.json", _describe_spheres(balls))
-    facts = {"emitter": kept, "radiance": emitter.radiance.tolist(), "share_of_val_light": share}
-    write_json(root / "gt" / "relight" / "one_emitter.json", facts)
 
-    total, done = 2 * len(cameras) + len(balls), 0
+    total, done = len(references) * len(cameras) + len(balls), 0
 
     def render(path: Path, camera: Camera) -> None:
         nonlocal done
@@ -247,7 +253,6 @@ def write_references(
         done += 1
         progress.update(done / total)
 
-    references = {"new_lights": (None, [quad for _kind, quad, _lit in lights]), "one_emitter": (emitter, [])}
     for name, (on, added) in references.items():
         with studio.only_lit_by(on, geometry.emitters, added):
             for k, camera in enumerate(cameras):
@@ -259,29 +264,30 @@ def write_references(
             render(root / "gt" / "insert" / "Image" / f"{k:03d}_0001.exr", cameras[k])
 
 
-def _describe_lights(lights: Sequence[tuple[str, Quad, float]], kept_faces: list[int]) -> dict[str, Any]:
+def _new_lights(lights: Sequence[tuple[str, Quad, float]]) -> dict[str, Any]:
     return {
-        "new_lights": {
-            "poses": "val/transforms.json",
-            "original_emitters": "off, their surfaces stay as black (base colour 0, roughness 1)",
-            "lights": [
-                {
-                    "kind": kind,
-                    "corners": quad.corners.tolist(),
-                    "normal": quad.normal.tolist(),
-                    "radiance": quad.radiance.tolist(),
-                    "val_points_lit": lit,
-                    "id": k,
-                    "one_sided": "emits on the side of `normal`; surface base colour 0",
-                }
-                for k, (kind, quad, lit) in enumerate(lights)
-            ],
-        },
-        "one_emitter": {
-            "poses": "val/transforms.json",
-            "kept_faces_of_scene_ply": kept_faces,
-            "what": "the faces listed keep their original (to be estimated) radiance; every other light is off",
-        },
+        "poses": "val/transforms.json",
+        "original_emitters": "off, their surfaces stay as black (base colour 0, roughness 1)",
+        "lights": [
+            {
+                "kind": kind,
+                "corners": quad.corners.tolist(),
+                "normal": quad.normal.tolist(),
+                "radiance": quad.radiance.tolist(),
+                "val_points_lit": lit,
+                "id": k,
+                "one_sided": "emits on the side of `normal`; surface base colour 0",
+            }
+            for k, (kind, quad, lit) in enumerate(lights)
+        ],
+    }
+
+
+def _one_emitter(kept_faces: list[int]) -> dict[str, Any]:
+    return {
+        "poses": "val/transforms.json",
+        "kept_faces_of_scene_ply": kept_faces,
+        "what": "the faces listed keep their original (to be estimated) radiance; every other light is off",
     }
 
 

@@ -137,6 +137,8 @@ def _principled_inputs(material: bpy.types.Material, node: bpy.types.Node | None
         layered = level.is_linked or level.default_value > 0
         left = _base_left(material.node_tree, roughness, node.distribution) if layered else 1.0
         return source("Base Color"), roughness, source("Metallic"), float(layered), left
+    if node.bl_idname == "ShaderNodeBsdfTransparent":  # adds nothing to the outputs of what lies behind
+        return (0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0
     if node.bl_idname == "ShaderNodeBsdfDiffuse":
         return source("Color"), 1.0, 0.0, 0.0, 1.0
     if node.bl_idname == "ShaderNodeBsdfAnisotropic":  # the Glossy BSDF

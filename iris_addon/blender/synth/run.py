@@ -6,8 +6,9 @@
                  ─► gt/                radiance, Principled maps, emitters, response: for scoring only
 
 Limits: perspective cameras of one focal length without lens shift; surfaces that are Principled, Diffuse, Glossy or
-mixes of these; lamps that are meshes of constant emission. Light objects and the world contribute to the photos, but
-they are not in the ground truth of emitters, and the relighting references switch them off.
+mixes of these, and clear panes (Transparent), through which the maps look; lamps that are meshes of constant emission.
+Light objects and the world contribute to the photos, but they are not in the ground truth of emitters, and the
+relighting references switch them off; gt/meta_gt.json names the suns.
 """
 
 from __future__ import annotations
@@ -75,8 +76,8 @@ def synth(scene_blend: Path, out: Path, config: SynthConfig | None = None, progr
     train, val = _shots(scene, config.cameras)
     prepare(scene)
     geometry = read_geometry(scene)
-    if not geometry.emitters:
-        raise BadInput("no visible mesh emits light", "light the scene with emissive meshes", scene_blend)
+    if not geometry.emitters and not any(thing.type == "LIGHT" and not thing.hide_render for thing in scene.objects):
+        raise BadInput("neither a visible mesh nor a light object emits light", "light the scene", scene_blend)
     add_outputs(scene, geometry.materials)
 
     partial = out.with_name(f".{out.name}-partial")

@@ -166,8 +166,16 @@ class CaptureWriter:
             "dielectric_f0": DIELECTRIC_F0,
             "maps": "one sample at the pixel centre; albedo by the formula of EVALUATION, emitters 0",
             "lights_without_mesh": others,
+            "suns": [_sun(thing) for thing in scene.objects if thing.name in others and thing.data.type == "SUN"],
         }
         write_json(self.root / "gt" / "meta_gt.json", facts)
+
+
+def _sun(thing: bpy.types.Object) -> dict[str, Any]:
+    """Unit vector towards a sun, and its irradiance on a surface that faces it."""
+    toward = np.array(thing.matrix_world)[:3, 2]
+    irradiance = np.array(thing.data.color) * thing.data.energy
+    return {"direction": (toward / np.linalg.norm(toward)).tolist(), "irradiance": irradiance.tolist()}
 
 
 def _describe(index: int, material: bpy.types.Material) -> dict[str, Any]:
