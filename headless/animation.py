@@ -249,6 +249,7 @@ def write_film(frames: Frames, fps: float) -> Path | None:
         *(ffmpeg, "-y", "-loglevel", "error", "-framerate", str(fps), "-start_number", "1"),
         *("-i", "frame_%04d.png", "-vf", even, "-pix_fmt", "yuv420p", unfinished.name),
     ]
+    unfinished.unlink(missing_ok=True)  # in a folder from an untrusted source a link, which ffmpeg would follow
     # In the folder, whose name may hold what ffmpeg takes for a pattern.
     ran = subprocess.run(
         command, cwd=frames.folder, capture_output=True, encoding="utf-8", errors="replace", check=False

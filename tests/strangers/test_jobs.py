@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import OpenEXR
@@ -16,7 +17,7 @@ import pytest
 
 from headless import batch, cli
 from headless.animation import open_frames, write_film
-from iris_addon.base.errors import BadInput
+from iris_addon.base.errors import BadInput, IrisError
 from iris_addon.base.progress import Progress
 from iris_addon.base.untrusted import MAX_DEPTH
 from iris_addon.config import preset
@@ -24,6 +25,7 @@ from iris_addon.edits.jobs import insertion_edits, relight_edit
 from iris_addon.edits.light_shares import LightShares, read_shares, write_shares
 from iris_addon.edits.motion import at_time
 from iris_addon.response.photometry import fixed_response, read_response
+from iris_addon.results.checkpoints import sole_writer
 from iris_addon.results.folder import load_result, save_result
 from tests.box_room import RoomCapture
 from tests.result_room import room
@@ -51,6 +53,53 @@ def test_a_film_looks_at_the_frames_that_are_there(tmp_path: Path, monkeypatch: 
         frames.path(number).write_bytes(b"png")
     (tmp_path / "frame_0003.png").touch()
     assert frames.all_finished() == [1, 2, 4]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need a privilege there")
+def test_a_film_is_not_written_through_a_link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program, precious = tmp_path / "ffmpeg", tmp_path / "precious"
+    program.write_text('#!/bin/sh\nfor last; do :; done\nprintf film > "$last"\n')
+    program.chmod(0o755)
+    precious.write_text("precious")
+    monkeypatch.setattr("headless.animation.find_ffmpeg", lambda: str(program))
+    frames = open_frames(tmp_path / "frames", 1, ".png", {})
+    frames.path(1).write_bytes(b"png")
+    for name in (".film.mp4", "film.mp4"):
+        (frames.folder / name).symlink_to(precious)
+    film = write_film(frames, 24)
+    assert film is not None and film.read_text() == "film" and not film.is_symlink()
+    assert precious.read_text() == "precious"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need a privilege there")
+def test_a_lock_that_is_a_link_is_not_opened(tmp_path: Path) -> None:
+    (tmp_path / "precious").write_text("precious")
+    (tmp_path / "r").mkdir()
+    (tmp_path / "r" / ".lock").symlink_to(tmp_path / "precious")
+    with pytest.raises(IrisError, match="cannot be written"), sole_writer(tmp_path / "r"):
+        pass
+    assert (tmp_path / "precious").read_text() == "precious"
+
+
+def test_a_solve_removes_what_killed_ones_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from iris_addon import pipeline
+
+    fresh = ["checkpoints/.preview-albedo-0123abcd.png", ".report-0123abcd.html", "report/.x-0123abcd.png"]
+    others = [".job-solve-0123abcd.json", ".frame_0001-0123abcd.png"]  # another program may be writing these
+    for name in fresh + others:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    left: list[list[str]] = []
+    monkeypatch.setattr(
+        pipeline, "_solve", lambda *_: left.append([name for name in fresh + others if (tmp_path / name).exists()])
+    )
+    arguments: list = [SimpleNamespace(mismatch=None), None, tmp_path]
+    pipeline.solve(*arguments)
+    assert left == [others]
+    for name in others:
+        os.utime(tmp_path / name, (0, 0))
+    pipeline.solve(*arguments)
+    assert left == [others, []]
 
 
 def test_a_length_has_an_end() -> None:
