@@ -64,20 +64,25 @@ class Published:
     machine: str
 
 
-# Mean of the four FIPT rooms; see docs/benchmarks.md for the sources.
+# IRIS, FIPT, NeILF: mean of the four FIPT rooms. The others have rooms and protocols of their own; docs/benchmarks.md
+# has sources and caveats.
 PUBLISHED = {
     "kd_psnr": (
         Published("IRIS", 57 * 60, 22.33, "RTX 4090"),
         Published("FIPT, HDR input", 50 * 60, 29.95, "RTX 4090"),
         Published("FIPT-LDR*", 50 * 60, 15.49, "RTX 4090"),
         Published("NeILF", 298 * 60, 16.85, "RTX 4090"),
+        Published("IIF", 60 * 60, 20.72, "RTX A6000"),
     ),
     "relight_psnr": (
         Published("IRIS", 57 * 60, 22.86, "RTX 4090"),
         Published("FIPT, HDR input", 50 * 60, 29.01, "RTX 4090"),
         Published("FIPT-LDR*", 50 * 60, 11.63, "RTX 4090"),
+        Published("EAG-PT", 50 * 60, 29.0, "RTX 4090"),
     ),
 }
+SAME_LINE = 0.5
+"""Decibels below which two published figures would have their names at one place; the later one is named below."""
 AXIS_NAMES = {
     "kd_psnr": "diffuse albedo, PSNR in dB",
     "kd_psnr_all_valid": "diffuse albedo, PSNR in dB",
@@ -167,11 +172,12 @@ def _published(axes: Axes, figures: Sequence[Published]) -> None:
         label = f"published: {machines}, other rooms" if number == 0 else None
         axes.axhline(figure.value, color=GREY, linewidth=0.9, linestyle=(0, (5, 4)), zorder=0, label=label)
         axes.plot([figure.seconds], [figure.value], marker="|", color=GREY, markersize=12)
+        taken = any(abs(figure.value - other.value) < SAME_LINE for other in figures[:number])
         axes.annotate(
             f"{figure.name}, {figure.seconds / 60:.0f} min",
             (0.995, figure.value),
             xycoords=("axes fraction", "data"),
-            xytext=(0, 3),
+            xytext=(0, -12 if taken else 3),
             textcoords="offset points",
             ha="right",
             fontsize=9,

@@ -176,7 +176,7 @@ def insert_frames(
 
 
 def _open(args: argparse.Namespace, views: Sequence[View], job: Mapping[str, Any], *, linear: bool = False) -> Frames:
-    length = whole(job.get("length", args.frames.last), "length")
+    length = whole(job.get("length", args.length or args.frames.last), "length")
     made_of = {
         "command": args.command,
         "result": [_digest(result_file(args.result, name)) for name in (REPORT, RESPONSE, EMITTERS)],

@@ -1,25 +1,18 @@
-"""Many captures and presets in one run: ``batch JOBS.toml``.
+"""Many captures in one run: ``batch JOBS.toml``, whose form is that of :mod:`headless.job_file`.
 
-::
-
-    [[job]]
-    capture = "rooms/kitchen"       # relative to this file; the only key a job must have
-    name = "kitchen draft"          # default: the capture's folder name
-    preset = "draft"
-    out = "results/kitchen-draft"   # default: a folder beside this file, named after it, and the job's name in it
-    exposures = "none"              # as the options of solve: also response, hdr, device, seed
-    evaluate = true                 # score maps, light and camera against the capture's ground truth
-
-A job that fails is reported, and the others go on. The summary is written beside the results as JSON and CSV.
+A job that fails is reported, and the others go on. The summary is written beside the results as JSON and CSV. What one
+machine does here, a farm does in tasks: ``--only NAME`` runs one job or one animation of the file, ``--chunk`` some
+frames of it, and ``--summary`` collects what such runs have left behind.
 """
 
 from __future__ import annotations
 
+import argparse
 import csv
 import io
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -27,28 +20,15 @@ from typing import Any
 from iris_addon.base.errors import MAX_QUOTED, BadInput, Cancelled, IrisError, one_line
 from iris_addon.base.files import atomic_write, write_json
 from iris_addon.base.progress import Progress
-from iris_addon.base.untrusted import read_toml
-from iris_addon.config import MAX_SEED, PRESETS, SolveConfig, preset
+from iris_addon.base.untrusted import read_json
 from iris_addon.results.result import Result
 
+from .child import run_command
+from .job_file import Frames, Job, read_jobs
 from .outcome import Outcome, summarise
+from .side_by_side import run_side_by_side
 
-MAX_JOBS_BYTES = 16 << 20
-OPTIONS = ("response", "exposures", "hdr", "device", "seed")
-KEYS = ("name", "capture", "preset", "out", "evaluate", *OPTIONS)
-WORDS = {"response": ("auto", "gamma"), "exposures": ("auto", "none")}
 FIGURES = ("holdout_psnr", "seconds", "lights", "rays_traced", "n_patches")
-
-
-@dataclass(frozen=True)
-class Job:
-    """One job of the file."""
-
-    name: str
-    capture: Path
-    out: Path
-    config: SolveConfig
-    evaluate: bool = False
 
 
 @dataclass
@@ -71,20 +51,52 @@ class Line:
         return {**own, **{name: self.figures.get(name) for name in FIGURES}, **self.metrics, **ends}
 
 
-def run_batch(path: Path, progress: Progress) -> Outcome:
-    """Run every job of ``path``; exit code 0 if all are done, else 1.
+@dataclass(frozen=True)
+class Unit:
+    """What one line of the summary is about: a solve, or the frames of one."""
+
+    job: Job
+    frames: Frames | None = None
+
+    @property
+    def name(self) -> str:
+        """Of the job, or of its frames."""
+        return self.job.name if self.frames is None else self.frames.name
+
+    def line(self) -> Line:
+        """The line before anything has run."""
+        out = self.job.out if self.frames is None else self.frames.out
+        return Line(self.name, self.job.config.preset if self.frames is None else self.frames.command, out=str(out))
+
+
+def run_batch(args: argparse.Namespace, progress: Progress) -> Outcome:
+    """Run the jobs of ``args.jobs``, or those that ``args`` chooses; exit code 0 if all are done, else 1.
 
     Raises:
-        BadInput: ``path`` is not a job file; nothing has run then.
+        BadInput: it is not a job file, or has no such job; nothing has run then.
         Cancelled: between or within jobs; the summary of what was done is written first.
+        IrisError: with ``--only``, what the job fails of.
     """
-    jobs = read_jobs(path)
-    lines = [Line(job.name, job.config.preset, out=str(job.out)) for job in jobs]
-    folder = path.with_suffix("")
+    jobs = read_jobs(args.jobs, args.path_mapping)
+    units = [Unit(job, frames) for job in jobs for frames in (None, *job.frames)]
+    folder = args.jobs.with_suffix("")
+    if args.only is not None:
+        return _run_only(_chosen(units, args), args, folder, progress)
+    lines = [unit.line() for unit in units]
     try:
-        for job, line in zip(jobs, lines, strict=True):
-            with progress.stage(job.name):
-                _run(job, line, progress)
+        if args.summary:
+            lines = [_left_behind(unit, folder) for unit in units]
+        elif args.parallel > 1:
+            for unit in units:
+                _line_file(unit, folder).unlink(missing_ok=True)  # of an earlier run
+            try:
+                run_side_by_side(args, [[u.name for u in units if u.job is job] for job in jobs], progress)
+            finally:
+                lines = [_left_behind(unit, folder) for unit in units]
+        else:
+            for unit, line in zip(units, lines, strict=True):
+                with progress.stage(unit.name):
+                    _run_unit(unit, line, lines, args, folder, progress)
     finally:
         _write_summary(lines, folder)
     failed = sum(line.status != "done" for line in lines)
@@ -93,28 +105,91 @@ def run_batch(path: Path, progress: Progress) -> Outcome:
     return Outcome(text, data, 1 if failed else 0)
 
 
-def _run(job: Job, line: Line, progress: Progress) -> None:
-    begin = time.monotonic()
-    # A separate progress keeps the stages of the jobs apart; cancelling the outer one stops it.
-    inner = Progress(lambda event: progress.update(event.overall))
-    try:
-        result = solve_job(job, inner)
-        line.figures = summarise(result)
-        if job.evaluate:
-            from iris_addon.evaluate.evaluation import evaluate
+def _chosen(units: Sequence[Unit], args: argparse.Namespace) -> Unit:
+    unit = next((unit for unit in units if unit.name == args.only), None)
+    if unit is None:
+        names = ", ".join(unit.name for unit in units[:8])
+        raise BadInput(f"has no job {args.only!r}", f"its jobs are {names}", args.jobs)
+    if args.chunk is not None and (unit.frames is None or args.chunk >= unit.frames.chunks):
+        has = "no frames" if unit.frames is None else f"{unit.frames.chunks} chunks"
+        raise BadInput(f"{unit.name!r} has {has}", "leave out --chunk, or count the chunks from 0", args.jobs)
+    return unit
 
-            scores = evaluate(result, job.capture, progress=inner)
-            line.metrics = {name: value for name, value in scores.items() if isinstance(value, float)}
-        line.status = "done"
+
+def _run_only(unit: Unit, args: argparse.Namespace, folder: Path, progress: Progress) -> Outcome:
+    """Run one job, or a chunk of its frames, as one task of many."""
+    line = unit.line()
+    try:
+        with progress.stage(unit.name):
+            _work(unit, line, args, progress)
+    finally:
+        if args.chunk is None and not args.first_frame:
+            write_json(_line_file(unit, folder), asdict(line))
+    return Outcome.of(unit.name, {"out": line.out, **line.figures})
+
+
+def _run_unit(
+    unit: Unit, line: Line, lines: Sequence[Line], args: argparse.Namespace, folder: Path, progress: Progress
+) -> None:
+    """Run ``unit`` as one of many: a failure is written down, and the others go on."""
+    solved = next(other for other in lines if other.name == unit.job.name)
+    if unit.frames is not None and solved.status != "done":
+        line.status, line.error = "failed", f"{unit.job.name} was not solved"
+        return
+    try:
+        _work(unit, line, args, progress)
     except Cancelled:
         raise
     except IrisError as error:
         line.status, line.error = "failed", str(error)
     except Exception as error:  # the other jobs go on, whatever it is
         line.status, line.error = "failed", one_line(f"{type(error).__name__}: {error}", MAX_QUOTED)
-        _write_traceback(job.out / "traceback.txt", line)
+        _write_traceback(unit.job.out / "traceback.txt", line)
+
+
+def _work(unit: Unit, line: Line, args: argparse.Namespace, progress: Progress) -> None:
+    """Do the work of ``unit`` and fill in its line."""
+    begin = time.monotonic()
+    # A separate progress keeps the stages of the jobs apart; cancelling the outer one stops it.
+    inner = Progress(lambda event: progress.update(event.overall))
+    try:
+        if unit.frames is not None:
+            line.figures = dict(_render(unit, unit.frames, args, inner))
+        else:
+            result = solve_job(unit.job, inner, resume=args.resume)
+            line.figures = summarise(result)
+            if unit.job.evaluate:
+                from iris_addon.evaluate.evaluation import evaluate
+
+                scores = evaluate(result, unit.job.capture, progress=inner)
+                line.metrics = {name: value for name, value in scores.items() if isinstance(value, float)}
+        line.status = "done"
+    except IrisError as error:
+        if not isinstance(error, Cancelled):
+            line.status, line.error = "failed", str(error)
+        raise
     finally:
         line.wall_seconds = round(time.monotonic() - begin, 2)
+
+
+def solve_job(job: Job, progress: Progress, *, resume: bool = False) -> Result:
+    """Read the capture of ``job`` and solve it."""
+    from iris_addon.capture.reader import read_capture
+    from iris_addon.pipeline import solve
+
+    capture = read_capture(job.capture, exposures=job.config.exposures, hdr=job.config.hdr, check=progress.check)
+    return solve(capture, job.config, job.out, progress, resume=resume)
+
+
+def _render(unit: Unit, frames: Frames, args: argparse.Namespace, progress: Progress) -> Mapping[str, Any]:
+    """Render ``frames``, the chunk that ``args`` names or all of them, in a process that Blender may take down."""
+    first, last = frames.first, frames.last
+    if args.first_frame:
+        last = first
+    elif args.chunk is not None:
+        first, last = frames.frames_of(args.chunk)
+    words = [frames.command, str(unit.job.out), "--out", str(frames.out), "--frames", f"{first}-{last}"]
+    return run_command([*words, "--length", str(frames.last), *frames.options], progress)
 
 
 def _write_traceback(path: Path, line: Line) -> None:
@@ -126,66 +201,28 @@ def _write_traceback(path: Path, line: Line) -> None:
         line.error += f"; {unwritten}"
 
 
-def solve_job(job: Job, progress: Progress) -> Result:
-    """Read the capture of ``job`` and solve it."""
-    from iris_addon.capture.reader import read_capture
-    from iris_addon.pipeline import solve
-
-    capture = read_capture(job.capture, exposures=job.config.exposures, hdr=job.config.hdr, check=progress.check)
-    return solve(capture, job.config, job.out, progress)
-
-
-# ---- the job file --------------------------------------------------------------------------------------------------
-
-
-def read_jobs(path: Path) -> list[Job]:
-    """The jobs of a TOML file; raises BadInput for everything that can be checked before the first one runs."""
-    content = read_toml(path, MAX_JOBS_BYTES)
-    entries = content.get("job")
-    if not isinstance(entries, list) or not entries or set(content) != {"job"}:
-        raise BadInput("has no [[job]], or something else beside them", "write one [[job]] table per job", path)
-    jobs = [_job(entry, number, path) for number, entry in enumerate(entries)]
-    for what in ("name", "out"):
-        values = [getattr(job, what) for job in jobs]
-        repeated = next((value for value in values if values.count(value) > 1), None)
-        if repeated is not None:
-            raise BadInput(f"two jobs have the {what} {repeated}", f"give each job its own {what}", path)
-    return jobs
-
-
-def _job(entry: Any, number: int, path: Path) -> Job:
-    where = f"job {number + 1}"
-    if not isinstance(entry, dict) or not isinstance(entry.get("capture"), str):
-        raise BadInput(f"{where} has no capture", 'add capture = "FOLDER"', path)
-    unknown = [key for key in entry if key not in KEYS]
-    if unknown:
-        raise BadInput(f"{where} has an unknown key {unknown[0]!r}", f"keys are {', '.join(KEYS)}", path)
-    for key, value in entry.items():
-        kind = {"seed": int, "evaluate": bool}.get(key, str)
-        if type(value) is not kind:
-            raise BadInput(f"{where}: {key} is {value!r}", f"give a {kind.__name__}", path)
-        if kind is str and not value.isprintable():
-            raise BadInput(f"{where}: {key} has control characters", "leave them out", path)
-    if not 0 <= entry.get("seed", 0) <= MAX_SEED:
-        raise BadInput(f"{where}: seed is {entry['seed']}", f"give a number from 0 to {MAX_SEED}", path)
-    if entry.get("preset", "balanced") not in PRESETS:
-        raise BadInput(f"{where}: preset is {entry['preset']!r}", f"presets are {', '.join(PRESETS)}", path)
-    if entry.get("device", "auto") not in ("auto", "cpu", "cuda"):
-        raise BadInput(f"{where}: device is {entry['device']!r}", "devices are auto, cpu, cuda", path)
-    options = {key: entry[key] for key in OPTIONS if key in entry}
-    for key in ("response", "exposures", "hdr"):
-        if key in options and options[key] not in WORDS.get(key, ()):
-            options[key] = path.parent / options[key]
-    capture = path.parent / entry["capture"]
-    name = entry.get("name", capture.stem if capture.suffix else capture.name)
-    if not name or name != Path(name).name or name.startswith("."):
-        raise BadInput(f"{where}: name is {name!r}", "give a name that can be a folder's", path)
-    out = path.parent / entry["out"] if "out" in entry else path.with_suffix("") / name
-    config = preset(entry.get("preset", "balanced"), **options)
-    return Job(name=name, capture=capture, out=out, config=config, evaluate=entry.get("evaluate", False))
-
-
 # ---- the summary ---------------------------------------------------------------------------------------------------
+
+
+def _line_file(unit: Unit, folder: Path) -> Path:
+    return folder / "lines" / f"{unit.name.replace('/', '.')}.json"
+
+
+def _left_behind(unit: Unit, folder: Path) -> Line:
+    """The line that a run of ``unit`` alone has written; of frames that ran in chunks, how many there are."""
+    line, path = unit.line(), _line_file(unit, folder)
+    if path.is_file():
+        known = {f.name for f in fields(Line)}
+        return Line(**{name: value for name, value in read_json(path).items() if name in known})
+    if unit.frames is not None:
+        wanted = range(unit.frames.first, unit.frames.last + 1)
+        there = sum(any(unit.frames.out.glob(f"frame_{frame:04d}.*")) for frame in wanted)
+        line.figures = {"frames": there}
+        line.status = "done" if there == len(wanted) else "failed"
+        line.error = "" if there == len(wanted) else f"{len(wanted) - there} of {len(wanted)} frames are missing"
+    else:
+        line.status, line.error = "failed", "has not run"
+    return line
 
 
 def _columns(lines: Sequence[Line]) -> list[str]:

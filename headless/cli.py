@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from iris_addon.base.errors import Cancelled, IrisError
-from iris_addon.base.progress import Progress, console, json_lines
+from iris_addon.base.progress import Progress, Sink, console, json_lines
 from iris_addon.config import MAX_SEED, PRESETS
 
 from .cancellation import cancelled_by_signals, stop_with_stdin
@@ -59,7 +59,7 @@ def main(arguments: list[str] | None = None) -> int:
     lines = args.json is True
     if not args.debug:  # what libraries think of a file is for developers; an error about it is one line
         warnings.filterwarnings("ignore", module=r"PIL|trimesh|numpy")
-    progress = Progress(json_lines(sys.stdout) if lines else console(sys.stderr))
+    progress = Progress(_sink(args))
     try:
         missing = missing_packages(args)
         if missing:
@@ -98,6 +98,15 @@ def _never_fail_to_print() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+
+
+def _sink(args: argparse.Namespace) -> Sink:
+    """Where progress goes."""
+    if getattr(args, "openjd", False):
+        from .farm import session_lines
+
+        return session_lines(sys.stdout)
+    return json_lines(sys.stdout) if args.json is True else console(sys.stderr)
 
 
 def _own_arguments(argv: list[str]) -> list[str]:
@@ -202,7 +211,19 @@ def _add_solving(add: Add) -> None:
     apply.add_argument("--views", type=Path, metavar="CAPTURE", help="add the cameras of a transforms.json or capture")
 
     batch = add("batch", "many jobs, one summary; a job that fails does not stop the rest")
-    batch.add_argument("jobs", type=Path, metavar="JOBS.toml", help="one table per solve")
+    batch.add_argument("jobs", type=Path, metavar="JOBS.toml", help="one table per solve, and what to render of it")
+    batch.add_argument("--parallel", type=_positive, default=1, metavar="N", help="jobs at a time, as memory allows")
+    batch.add_argument("--resume", action="store_true", help="solves go on from their last finished stage")
+    batch.add_argument("--only", metavar="NAME", help="run one job, or JOB/FRAMES, and write no summary")
+    batch.add_argument("--chunk", type=_whole, metavar="K", help="of the frames of --only, those of one farm task")
+    batch.add_argument("--first-frame", action="store_true", help="of the frames of --only, the first")
+    batch.add_argument("--summary", action="store_true", help="run nothing; collect what runs with --only have left")
+    batch.add_argument("--path-mapping", type=Path, metavar="FILE", help="rules for absolute paths on this machine")
+    batch.add_argument("--openjd", action="store_true", help="progress as Open Job Description reads it")
+
+    farm = add("farm", "a job file as a bundle for farms that run Open Job Description")
+    farm.add_argument("jobs", type=Path, metavar="JOBS.toml", help="as for batch")
+    farm.add_argument("--out", type=Path, required=True, metavar="BUNDLE", help="folder of the bundle")
 
 
 def _add_rendering(add: Add) -> None:
@@ -230,6 +251,7 @@ def _add_rendering(add: Add) -> None:
             f"(default: {exposure})",
         )
         command.add_argument("--frames", type=_frames, metavar="1-120", help="an animation; finished frames are kept")
+        command.add_argument("--length", type=_positive, help="frames of the whole, where --frames is a part of it")
         command.add_argument("--fps", type=_positive, default=24, help="of film.mp4, made where there is ffmpeg")
         _add_sampling(command)
         command.add_argument("--gpu", action="store_true", help="render on a GPU where Cycles finds one")

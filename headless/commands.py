@@ -26,6 +26,7 @@ __all__ = [
     "composite",
     "demo",
     "evaluate",
+    "farm",
     "insert",
     "inspect",
     "relight",
@@ -116,7 +117,14 @@ def batch(args: argparse.Namespace, progress: Progress) -> Outcome:
     """Many jobs, one summary."""
     from .batch import run_batch
 
-    return run_batch(args.jobs, progress)
+    return run_batch(args, progress)
+
+
+def farm(args: argparse.Namespace, _progress: Progress) -> Outcome:
+    """A job file as a bundle for a farm."""
+    from .farm import write_bundle
+
+    return write_bundle(args.jobs, args.out)
 
 
 def demo(args: argparse.Namespace, progress: Progress) -> Outcome:

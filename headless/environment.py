@@ -25,6 +25,7 @@ NEEDS = {
     "solve": _SOLVER,
     "inspect": (*_IMAGES, "scipy", "trimesh", "embreex", "mapbox_earcut"),
     "batch": _SOLVER,
+    "farm": ("numpy",),
     "apply": ("numpy", "bpy"),
     "render": (*_IMAGES, "scipy", "trimesh", "mapbox_earcut", "bpy"),
     "relight": (*_IMAGES, "scipy", "trimesh", "mapbox_earcut", "bpy"),

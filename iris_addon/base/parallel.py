@@ -30,9 +30,15 @@ CANCEL_LATENCY = 0.1
 """Maximum cancellation latency while another thread works, seconds."""
 
 
+CORES_VARIABLE = "IRIS_CORES"
+"""Environment variable: cores to use, where other work shares the machine."""
+
+
 def cores() -> int:
-    """Cores this process may run on."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Cores this process may run on, at most as many as :data:`CORES_VARIABLE` says."""
+    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    chosen = os.environ.get(CORES_VARIABLE, "")
+    return max(1, min(there, int(chosen))) if chosen.isdecimal() and len(chosen) < 6 else there
 
 
 def blocks(n: int, size: int) -> list[slice]:

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from headless import cli, environment, make_environment
-from headless.batch import read_jobs
 from headless.cancellation import restore_handlers
+from headless.job_file import read_jobs
 from iris_addon.base.errors import BadInput
 from iris_addon.base.images import read_exr, read_image
 from iris_addon.results.folder import SCHEMA_VERSION, load_result, save_result
@@ -307,6 +307,11 @@ def test_a_cancelled_batch_keeps_its_summary(tmp_path, stub_solve):
         ("[[job]]\ncapture = 'a'\nseed = 'x'", "seed"),
         ("[[job]]\ncapture = 'a'\nname = '../a'", "name"),
         ("[[job]]\ncapture = 'a'\n[[job]]\ncapture = 'a'", "two jobs"),
+        ("[[job]]\ncapture = 'a'\n[[job.frames]]\nframes = '5-2'", "frames is '5-2'"),
+        ("[[job]]\ncapture = 'a'\n[[job.frames]]\nframes = '1-2'\ncommand = 'paint'", "command is 'paint'"),
+        ("[[job]]\ncapture = 'a'\n[[job.frames]]\nframes = '1-2'\ncommand = 'relight'", "lights is missing"),
+        ("[[job]]\ncapture = 'a'\n[[job.frames]]\nframes = '1-2'\nlights = 'x'", "lights is not for render"),
+        ("[[job]]\ncapture = 'a'\n[[job.frames]]\nframes = '1-2'\nsamples = -1", "samples is -1"),
     ],
 )
 def test_a_wrong_job_file_is_bad_input_before_anything_runs(tmp_path, text, says):

@@ -1,0 +1,206 @@
+"""Farm bundles: the template is one that farms accept, its tasks do what a batch does, and paths follow the host."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from headless import cli
+from headless.job_file import read_jobs
+from headless.side_by_side import JOB_BYTES
+from iris_addon.base.errors import BadInput
+from tests.blender_home import ROOT
+from tests.box_room import write_nerfstudio_room
+
+LAMPS = json.dumps({"lights": [{"type": "point", "position": [0, 0, 1], "intensity": [5, 5, 5]}]})
+JOBS = """
+[[job]]
+capture = "one"
+preset = "draft"
+
+[[job.frames]]
+name = "still"
+views = "one"
+frames = "1-4"
+chunk = 2
+samples = 1
+
+[[job.frames]]
+command = "relight"
+lights = "lamps.json"
+views = "one"
+frames = "1-2"
+samples = 1
+
+[[job]]
+capture = "two"
+preset = "draft"
+
+[[job]]
+capture = "bad"
+"""
+
+
+@pytest.fixture
+def rooms(tmp_path) -> Path:
+    """Two captures, one that is none, and a job file for all three."""
+    for name in ("one", "two"):
+        write_nerfstudio_room(tmp_path / name)
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "lamps.json").write_text(LAMPS)
+    (tmp_path / "jobs.toml").write_text(JOBS)
+    return tmp_path
+
+
+def bundle(rooms: Path) -> dict:
+    assert cli.main(["farm", str(rooms / "jobs.toml"), "--out", str(rooms / "bundle")]) == 0
+    return json.loads((rooms / "bundle" / "template.json").read_text())
+
+
+def test_the_template_is_valid_and_its_steps_wait_for_what_they_need(rooms):
+    model = pytest.importorskip("openjd.model", reason="openjd-model is not installed")
+    template = bundle(rooms)
+    job = model.decode_job_template(template=template)
+    waits = {s["name"]: [d["dependsOn"] for d in s.get("dependencies", [])] for s in template["steps"]}
+    assert waits["Frames one/still"] == ["Solve one"] and waits["Solve two"] == []
+    assert waits["First frame one/relight"] == ["Solve one"]
+    assert waits["Frames one/relight"] == ["First frame one/relight"]  # all share the exposure of the first
+    assert set(waits["Summary"]) == set(waits) - {"Summary"}
+    assert job.name == "IRIS jobs"
+    chunks = next(s for s in template["steps"] if s["name"] == "Frames one/still")["parameterSpace"]
+    assert chunks["taskParameterDefinitions"][0]["range"] == "0-1"
+    assets = json.loads((rooms / "bundle" / "asset_references.json").read_text())["assetReferences"]
+    assert str(rooms / "lamps.json") in assets["inputs"]["filenames"]
+    assert str(rooms / "one") in assets["inputs"]["directories"]
+
+
+def test_chunks_cover_every_frame_once(rooms):
+    frames = read_jobs(rooms / "jobs.toml")[0].frames[0]
+    covered = [f for chunk in range(frames.chunks) for f in range(*_half_open(frames.frames_of(chunk)))]
+    assert covered == list(range(frames.first, frames.last + 1))
+
+
+def _half_open(frames: tuple[int, int]) -> tuple[int, int]:
+    return frames[0], frames[1] + 1
+
+
+def test_absolute_paths_follow_the_mapping_of_the_host(tmp_path):
+    (tmp_path / "jobs.toml").write_text('[[job]]\ncapture = "Z:\\\\rooms\\\\a"\n[[job]]\ncapture = "/mnt/rooms/b"\n')
+    rules = [
+        {"source_path_format": "WINDOWS", "source_path": "Z:\\rooms", "destination_path": "/srv/rooms"},
+        {"source_path_format": "POSIX", "source_path": "/mnt", "destination_path": "/wrong"},
+        {"source_path_format": "POSIX", "source_path": "/mnt/rooms", "destination_path": "/srv/rooms"},
+    ]
+    (tmp_path / "rules.json").write_text(json.dumps({"version": "pathmapping-1.0", "path_mapping_rules": rules}))
+    jobs = read_jobs(tmp_path / "jobs.toml", tmp_path / "rules.json")
+    assert [job.capture for job in jobs] == [Path("/srv/rooms/a"), Path("/srv/rooms/b")]
+    (tmp_path / "rules.json").write_text("[1]")
+    with pytest.raises(BadInput, match="path mapping rules"):
+        read_jobs(tmp_path / "jobs.toml", tmp_path / "rules.json")
+
+
+def test_only_names_a_job_of_the_file(rooms, capsys):
+    assert cli.main(["batch", str(rooms / "jobs.toml"), "--only", "three"]) == 3
+    assert "its jobs are one, one/still" in capsys.readouterr().err
+    assert cli.main(["batch", str(rooms / "jobs.toml"), "--only", "one", "--chunk", "0"]) == 3
+    assert cli.main(["batch", str(rooms / "jobs.toml"), "--only", "one/still", "--chunk", "2"]) == 3
+
+
+def test_one_job_runs_whatever_the_memory_and_a_second_one_only_with_enough(monkeypatch):
+    from argparse import Namespace
+
+    from headless import side_by_side
+
+    args = Namespace(parallel=2)
+    monkeypatch.setattr(side_by_side, "free_bytes", lambda: JOB_BYTES - 1)
+    assert side_by_side._room(args, 0) and not side_by_side._room(args, 1)
+    monkeypatch.setattr(side_by_side, "free_bytes", lambda: JOB_BYTES)
+    assert side_by_side._room(args, 1) and not side_by_side._room(args, 2)
+
+
+STUB = """
+const fs = require("fs");
+const author = {
+    Task: (name, type) => ({name, type, commands: [], after: [],
+        addCommand(command) { this.commands.push(command); }, addDependency(task) { this.after.push(task.name); }}),
+    Command: (name, parameters) => ({name, ...parameters}),
+};
+const tasks = [];
+const job = JSON.parse(fs.readFileSync(process.argv[3]));
+eval(fs.readFileSync(process.argv[2], "utf8") + "; compileJob({settings: job.settings, addTask: t => tasks.push(t)});");
+console.log(JSON.stringify(tasks));
+"""
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="there is no Node.js to run the job type")
+def test_flamenco_gets_the_same_tasks(rooms):
+    bundle(rooms)
+    (rooms / "stub.js").write_text(STUB)
+    files = [ROOT / "assets" / "farm" / "iris-rooms.js", rooms / "bundle" / "flamenco_job.json"]
+    ran = subprocess.run(
+        ["node", str(rooms / "stub.js"), *map(str, files)], capture_output=True, text=True, check=False
+    )
+    assert ran.returncode == 0, ran.stderr
+    tasks = {task["name"]: task for task in json.loads(ran.stdout)}
+    second = tasks["Frames one/still 2"]
+    assert second["after"] == ["Solve one"] and second["type"] == "blender-render"
+    (command,) = second["commands"]
+    assert command["name"] == "exec" and command["exe"] == "iris"
+    assert command["args"] == ["batch", str(rooms / "jobs.toml"), "--only", "one/still", "--chunk", "1"]
+    assert cli.make_parser().parse_args(command["args"]).chunk == 1  # a command line that iris takes
+    assert set(tasks["Summary"]["after"]) == set(tasks) - {"Summary"}
+
+
+# ---- run -----------------------------------------------------------------------------------------------------------
+
+
+def openjd(rooms: Path, step: str, *more: str) -> subprocess.CompletedProcess:
+    """``openjd run`` of one step, with a program iris of its own."""
+    iris = rooms / "iris"
+    iris.write_text(f"#!{sys.executable}\nimport sys\nsys.path.insert(0, {str(ROOT)!r})\n")
+    iris.write_text(iris.read_text() + "from headless.cli import main\nsys.exit(main())\n")
+    iris.chmod(0o755)
+    command = [sys.executable, "-m", "openjd", "run", str(rooms / "bundle" / "template.json"), "--step", step]
+    parameters = ["-p", f"Jobs={rooms / 'jobs.toml'}", "-p", f"Iris={iris}"]
+    return subprocess.run([*command, *parameters, *more], capture_output=True, text=True, timeout=600, check=False)
+
+
+def contents(folder: Path, pattern: str) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(folder.glob(pattern))}
+
+
+@pytest.mark.slow
+@pytest.mark.bpy
+@pytest.mark.skipif(os.name == "nt", reason="the program is a script with a #! line")
+def test_a_farm_writes_the_bytes_of_a_batch_and_a_bad_capture_fails_alone(rooms):
+    pytest.importorskip("openjd.cli", reason="openjd-cli is not installed")
+    assert cli.main(["batch", str(rooms / "jobs.toml"), "--parallel", "2"]) == 1
+    summary = json.loads((rooms / "jobs" / "summary.json").read_text())["jobs"]
+    status = {line["name"]: line["status"] for line in summary}
+    assert status == {"one": "done", "one/still": "done", "one/relight": "done", "two": "done", "bad": "failed"}
+    (rooms / "jobs").rename(rooms / "by batch")
+
+    bundle(rooms)
+    assert openjd(rooms, "Solve bad").returncode != 0
+    for step in ("Solve two", "Solve one", "First frame one/relight", "Frames one/relight"):
+        ran = openjd(rooms, step)
+        assert ran.returncode == 0, ran.stdout + ran.stderr
+        assert "openjd_progress: 100.0" in ran.stdout
+    one = openjd(rooms, "Frames one/still", "--task-param", "Chunk=1")
+    assert one.returncode == 0 and len(contents(rooms / "jobs" / "one" / "still", "frame_*.png")) == 2
+    assert openjd(rooms, "Frames one/still").returncode == 0  # retried: the frames that are there are kept
+    for name in ("one/still", "one/relight"):
+        expected = contents(rooms / "by batch" / name, "frame_*.png")
+        assert expected and contents(rooms / "jobs" / name, "frame_*.png") == expected
+    for name in ("one", "two"):
+        for pattern in ("materials/*", "emitters.json", "response.json"):
+            expected = contents(rooms / "by batch" / name, pattern)
+            assert expected and contents(rooms / "jobs" / name, pattern) == expected, (name, pattern)
+    assert cli.main(["batch", str(rooms / "jobs.toml"), "--summary"]) == 1
+    lines = json.loads((rooms / "jobs" / "summary.json").read_text())["jobs"]
+    assert {line["name"]: line["status"] for line in lines} == status
+    assert "frames" in lines[1]["figures"] and "has not run" not in lines[0]["error"]
