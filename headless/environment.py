@@ -19,21 +19,22 @@ from iris_addon.blender.worker.process import worker_environment
 from .cancellation import restore_handlers
 
 _IMAGES = ("numpy", "OpenEXR", "PIL")
-_SOLVER = (*_IMAGES, "torch", "scipy", "trimesh", "embreex", "filelock", "numba", "threadpoolctl", "mapbox_earcut")
+_READING = (*_IMAGES, "scipy", "trimesh", "numba", "mapbox_earcut")
+_SOLVER = (*_READING, "torch", "embreex", "filelock", "threadpoolctl")
 NEEDS = {
     "demo": (*_SOLVER, "bpy"),
     "solve": _SOLVER,
-    "inspect": (*_IMAGES, "scipy", "trimesh", "embreex", "mapbox_earcut"),
+    "inspect": (*_READING, "embreex"),
     "batch": _SOLVER,
     "farm": ("numpy",),
     "apply": ("numpy", "bpy"),
-    "render": (*_IMAGES, "scipy", "trimesh", "mapbox_earcut", "bpy"),
-    "relight": (*_IMAGES, "scipy", "trimesh", "mapbox_earcut", "bpy"),
-    "insert": (*_IMAGES, "scipy", "trimesh", "mapbox_earcut", "bpy"),
+    "render": (*_READING, "bpy"),
+    "relight": (*_READING, "bpy"),
+    "insert": (*_READING, "bpy"),
     "composite": ("numpy", "bpy"),
     "camera": (*_IMAGES, "trimesh"),
     "synth": (*_IMAGES, "bpy"),
-    "evaluate": (*_IMAGES, "scipy", "trimesh", "embreex", "mapbox_earcut"),
+    "evaluate": (*_READING, "torch", "embreex"),
 }
 RUN = Path(__file__).with_name("run.py")
 

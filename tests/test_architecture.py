@@ -277,6 +277,8 @@ MAY_OPEN = {
     "iris_addon/edits/light_shares.py": "after the header was read, and writing",
     "iris_addon/results/checkpoints.py": "a table of the same solve, mapped",
     "operators/onto_photo.py": "the picture it has just written",
+    "headless/child.py": "messages of its own child",
+    "headless/side_by_side.py": "a file of the system",
 }
 """Files with such calls, and what they may be for."""
 

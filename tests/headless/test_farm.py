@@ -98,7 +98,7 @@ def test_absolute_paths_follow_the_mapping_of_the_host(tmp_path):
     (tmp_path / "rules.json").write_text(json.dumps({"version": "pathmapping-1.0", "path_mapping_rules": rules}))
     jobs = read_jobs(tmp_path / "jobs.toml", tmp_path / "rules.json")
     assert [job.capture for job in jobs] == [Path("/srv/rooms/a"), Path("/srv/rooms/b")]
-    (tmp_path / "rules.json").write_text("[1]")
+    (tmp_path / "rules.json").write_text('{"path_mapping_rules": [1]}')
     with pytest.raises(BadInput, match="path mapping rules"):
         read_jobs(tmp_path / "jobs.toml", tmp_path / "rules.json")
 
