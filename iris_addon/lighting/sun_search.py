@@ -41,7 +41,7 @@ GRIDS = ((2.6, 21), (0.45, 13), (0.1, 9))
 for the slats of a blind, whose stripes fit again one stripe further."""
 GRID_MOVES = 3
 """Times that a grid is centred again on its best direction, as long as that lies at its edge."""
-REFINED_POOL, REFINED_PIXELS = 400_000, 8000
+REFINED_POOL, REFINED_PIXELS = 60_000, 3000
 """Pixels that are looked through for such as tell directions apart, and of those used at most."""
 MIN_LIT_PIXELS = 50
 """Pixels that tell directions apart below which there is no border to fit."""
