@@ -149,7 +149,7 @@ def _gamma(_capture: Path, _scratch: Path) -> dict[str, Setting]:
 
 def _mean_response(_capture: Path, scratch: Path) -> dict[str, Setting]:
     path = scratch / "mean_response.npy"
-    np.save(path, to_response([PRIOR_MEAN]).samples)
+    np.save(path, to_response(PRIOR_MEAN[None]).samples)
     return {"response": path}
 
 

@@ -186,7 +186,7 @@ def test_a_save_killed_while_it_moves_files_is_read_as_the_new_result_and_comple
                 raise KeyboardInterrupt
             left.pop()(source, target)
 
-        patch.setattr("iris_addon.results.files.os.replace", move)
+        patch.setattr("iris_addon.results.files.replace_when_free", move)
         with pytest.raises(KeyboardInterrupt):
             complete_save(tmp_path / "r")
     listed = sorted((tmp_path / "r").rglob("*"))

@@ -6,6 +6,7 @@ import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -147,7 +148,7 @@ def test_a_solve_refuses_a_linked_folder_before_it_begins(tmp_path: Path, victim
     out.mkdir()
     (out / name).symlink_to(victim)
     with pytest.raises(BadInput, match="is a link or a file where a folder is written — delete it") as caught:
-        solving.solve(None, None, out)  # type: ignore[arg-type] - neither is looked at
+        solving.solve(SimpleNamespace(mismatch=None), None, out)  # type: ignore[arg-type] - nothing else is looked at
     assert str(out / name) in str(caught.value)
     assert contents(victim) == before
 
