@@ -112,7 +112,7 @@ class MaterialProblem:
             return light.material
         n, n_faces = len(seen.radiance), len(light.regions)
         # Few views show a highlight: the radiance that nearly all of them reach is that of the paint.
-        least = np.minimum(seen.radiance, light.brightness.floor)
+        least = np.minimum(seen.radiance, light.brightness.floor[:n])  # the first cells are the patches
         albedo = np.maximum(least, 1e-6) / np.maximum(lights.irradiance[:n], 1e-6)
         patch, face = light.surface.sample_patch, light.samples.face
         known = seen.known.all(1)[patch]
