@@ -11,15 +11,16 @@ import torch
 
 from iris_addon.base.images import read_image
 from iris_addon.capture.exposures import exif_settings
+from iris_addon.decide import Decisions
 from iris_addon.model import response as curve
 from iris_addon.model.response import N_SAMPLES, Response
 from iris_addon.response import family
 from iris_addon.response.observations import Observations
-from iris_addon.response.overlap import fit_overlap
+from iris_addon.response.overlap import clip_margin, fit_overlap
 from iris_addon.response.overlap_problem import OverlapProblem, cauchy_root, geman_mcclure_root
 from iris_addon.response.photometry import Photometry
 from tests.engine_room import observe_off_edges
-from tests.response.photographed_patches import EXPOSURES, observations_of
+from tests.response.photographed_patches import EXPOSURES, by_phone, observations_of
 
 X = np.linspace(0, 1, N_SAMPLES)
 
@@ -142,6 +143,18 @@ def test_highlights_do_not_move_the_radiance_that_clips(name: str) -> None:
     observations = replace(doubled(observations), z=z.astype(np.float32), saturated=saturated)
     fit = fit_overlap(observations, EXPOSURES, len(EXPOSURES), rng)
     assert crf_l2(fit.response, truth.samples) < 0.25
+
+
+@pytest.mark.parametrize(("noise", "limit"), [(0.0, 0.1), (0.02, 0.6)], ids=["rendered", "by phone"])
+def test_noise_below_clipping_does_not_move_the_radiance_that_clips(noise: float, limit: float) -> None:
+    """Noise and JPEG take pixels off 255, so that what clips passes for a value: the error was 2.2 by phone."""
+    rng = np.random.default_rng(1)
+    truth, exposures = response_of(srgb()), 2.0 ** np.random.default_rng(2).uniform(-2, 2.2, 12)
+    observations = by_phone(truth, exposures, rng, noise)
+    assert (clip_margin(observations) > 0) == (noise > 0)
+    one_curve = Decisions({"channel_curves": False, "corrected_exposures": False})
+    fit = fit_overlap(observations, exposures, len(exposures), rng, decisions=one_curve)
+    assert crf_l2(fit.response, truth.samples) < limit
 
 
 @pytest.mark.parametrize("drift", ["exposure", "white balance"])
