@@ -52,30 +52,9 @@ class Shading:
 
     def at_pixels(self, problem: LightProblem, lights: Lights) -> NDArray[np.float32]:
         """(n, 3) irradiance / pi at all pixels: interpolated from patches, sunlight with its sharp borders."""
-        sun, patch = problem.hidden.sun, problem.surface.sample_patch
-        return self._at(problem, lights, problem.samples, patch, None if sun is None else sun.visible)
-
-    def at_points(
-        self, problem: LightProblem, lights: Lights, samples: PixelSamples, patch: NDArray[np.int32]
-    ) -> NDArray[np.float32]:
-        """(k, 3) the same at other points on ``patch`` (k,), such as texels."""
-        sun = problem.hidden.sun
-        visible = None if sun is None else sun.seen_by(problem.tracer, samples, patch, problem.seed)
-        return self._at(problem, lights, samples, patch, visible)
-
-    def _at(
-        self,
-        problem: LightProblem,
-        lights: Lights,
-        samples: PixelSamples,
-        patch: NDArray[np.int32],
-        visible: NDArray[np.float32] | None,
-    ) -> NDArray[np.float32]:
-        light, sun = problem.field.at_samples(samples, patch, self.smooth), problem.hidden.sun
-        if sun is not None and visible is not None:
-            direct = sun.at_pixels(samples, visible, problem.transport.kappa[patch])
-            light += direct[:, None] * lights.hidden_radiance[-1].astype(np.float32)
-        return light
+        sun, samples, patch = problem.hidden.sun, problem.samples, problem.surface.sample_patch
+        light = problem.field.at_samples(samples, patch, self.smooth)
+        return light if sun is None else light + _sunlight(problem, lights, samples, patch, sun.visible)
 
     def view_factor(
         self,
@@ -104,6 +83,30 @@ class Shading:
 def smooth_irradiance(problem: LightProblem, lights: Lights) -> NDArray[np.float32]:
     """(P, 3) denoised irradiance / pi of the seen patches, without direct sunlight."""
     return problem.field.denoise(lights.irradiance[: problem.transport.n_seen] - direct_sunlight(problem, lights))
+
+
+def sunlight_at(
+    problem: LightProblem, lights: Lights, samples: PixelSamples, patch: NDArray[np.int32]
+) -> NDArray[np.float32]:
+    """(k, 3) irradiance / pi by the sun of other points on ``patch`` (k,), such as texels, each seen by a pixel."""
+    sun = problem.hidden.sun
+    if sun is None:
+        return np.zeros((len(patch), 3), np.float32)
+    visible = sun.seen_by(problem.tracer, samples, patch, problem.seed)
+    return _sunlight(problem, lights, samples, patch, visible)
+
+
+def _sunlight(
+    problem: LightProblem,
+    lights: Lights,
+    samples: PixelSamples,
+    patch: NDArray[np.int32],
+    visible: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    sun = problem.hidden.sun
+    assert sun is not None
+    direct = sun.at_pixels(samples, visible, problem.transport.kappa[patch])
+    return direct[:, None] * lights.hidden_radiance[-1].astype(np.float32)
 
 
 def direct_sunlight(problem: LightProblem, lights: Lights) -> NDArray[np.float32]:

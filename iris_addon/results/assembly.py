@@ -20,7 +20,7 @@ from ..lighting.balance import MAX_ALBEDO
 from ..lighting.problem import LightProblem, Lights
 from ..lighting.shell_surface import as_surface
 from ..materials.rounds import MaterialProblem
-from ..materials.shading import Shading
+from ..materials.shading import Shading, sunlight_at
 from ..materials.solution import Solution
 from ..materials.specular import pixel_lobes, subtract_specular
 from ..model.capture import Capture, View
@@ -105,7 +105,7 @@ def make_result(
         photometry=photometry,
         gloss=gloss,
         shading=shading,
-        irradiance_at=partial(shading.at_points, light, lights),
+        sunlight_at=partial(sunlight_at, light, lights),
         light=pixel_light,
         expected=problem.observed.radiance,
         brighter=of_patch,

@@ -109,11 +109,21 @@ class IrradianceField:
         self, samples: PixelSamples, patch: NDArray[np.int32], values: NDArray[np.floating]
     ) -> NDArray[np.float32]:
         """(n, C) patch values (P, C) interpolated at pixels; ``patch`` (n,) is the patch of each pixel."""
+        return self.at_points(samples.position, samples.normal, patch, values)
+
+    def at_points(
+        self,
+        position: NDArray[np.float32],
+        normal: NDArray[np.float32],
+        patch: NDArray[np.int32],
+        values: NDArray[np.floating],
+    ) -> NDArray[np.float32]:
+        """The same at points (n, 3) whose normals (n, 3) are those of the visible side."""
         table, lit = np.ascontiguousarray(values, np.float32), _log_level(values)
         result = np.empty((len(patch), table.shape[1]), np.float32)
 
         def work(block: slice) -> None:
-            at, rows = (samples.position[block], samples.normal[block]), patch[block]
+            at, rows = (position[block], normal[block]), patch[block]
             weight = self._weights(*at, rows, INTERPOLATION_WIDTH, lit=lit, edge=INTERPOLATION_EDGE)
             _average(weight, self.neighbours, rows, table, result[block])
 

@@ -148,25 +148,51 @@ def _add_by_blur(
 
 
 class _Grid(NamedTuple):
-    """Which texels lie beside each other.
+    """Which texels lie beside each other, on the atlas and on the surface.
 
     Attributes:
         at: (N, N) int32 index of each texel of the atlas, -1 for none.
         texel: (T,) int64 flat index in the atlas.
-        position: (T, 3) float32 metres.
-        size: (T,) float32 metres.
+        beside: (T,) uint64, one bit for each texel within REACH rows and columns: whether it lies there in the room.
     """
 
     at: NDArray[np.int32]
     texel: NDArray[np.int64]
-    position: NDArray[np.float32]
-    size: NDArray[np.float32]
+    beside: NDArray[np.uint64]
 
     @staticmethod
     def of(points: TexelPoints, size: int) -> _Grid:
         at = np.full(size * size, -1, np.int32)
         at[points.texel] = np.arange(len(points.texel), dtype=np.int32)
-        return _Grid(at.reshape(size, size), points.texel, points.position, points.size)
+        at, beside = at.reshape(size, size), np.zeros(len(points.texel), np.uint64)
+        surface = at, points.texel, points.position, points.size
+        over_blocks(len(beside), BLOCK, lambda rows: _mark_beside(rows.start, *surface, beside[rows]))
+        return _Grid(at, points.texel, beside)
+
+
+@kernel
+def _mark_beside(
+    begin: Integer,
+    at: NDArray[np.int32],
+    texel: NDArray[np.int64],
+    position: NDArray[np.float32],
+    size: NDArray[np.float32],
+    beside: NDArray[np.uint64],
+) -> None:
+    side = len(at)
+    for k in range(len(beside)):
+        own, bit = begin + k, np.uint64(1)
+        i, j = texel[own] // side, texel[own] % side
+        for down in range(-REACH, REACH + 1):
+            for across in range(-REACH, REACH + 1):
+                row, column = i + down, j + across
+                if 0 <= row < side and 0 <= column < side and at[row, column] >= 0:
+                    near, distance = at[row, column], 0.0
+                    for axis in range(3):
+                        distance += (position[near, axis] - position[own, axis]) ** 2
+                    if distance <= 4 * (down * down + across * across) * size[own] ** 2:
+                        beside[k] |= bit
+                bit = np.uint64(bit << np.uint64(1))
 
 
 def sharpen(
@@ -220,8 +246,7 @@ def _blur(
     reach: Integer,
     at: NDArray[np.int32],
     texel: NDArray[np.int64],
-    position: NDArray[np.float32],
-    size: NDArray[np.float32],
+    beside: NDArray[np.uint64],
     result: NDArray[np.float32],
 ) -> None:
     """Texels beside another chart, or beside unknown ones, are taken to go on as they are."""
@@ -232,16 +257,11 @@ def _blur(
         a = b = c = total = np.float32(0)
         for down in range(-reach, reach + 1):
             for across in range(-reach, reach + 1):
-                row, column = i + down, j + across
-                if row < 0 or row >= side or column < 0 or column >= side:
+                bit = np.uint64((down + REACH) * (2 * REACH + 1) + across + REACH)
+                if not (beside[own] >> bit) & np.uint64(1):
                     continue
-                near = at[row, column]
-                if near < 0 or np.isnan(values[near, 0] + values[near, 1] + values[near, 2]):
-                    continue
-                distance = 0.0
-                for axis in range(3):
-                    distance += (position[near, axis] - position[own, axis]) ** 2
-                if distance > 4 * (down * down + across * across) * size[own] ** 2:
+                near = at[i + down, j + across]
+                if np.isnan(values[near, 0] + values[near, 1] + values[near, 2]):
                     continue
                 w = weights[abs(down)] * weights[abs(across)]
                 a += w * values[near, 0]

@@ -54,6 +54,21 @@ class PixelLight:
 
 
 @dataclass(frozen=True)
+class SideLight:
+    """Light of the solve at the T texels on one side of the surface; it is that of every photo.
+
+    Attributes:
+        patch: (T,) int32, -1 where there is none; there the rest is undefined.
+        irradiance: (T, 3) float32 irradiance / pi, without sunlight in :meth:`Painter.light_of_sides`.
+        brighter: (T, 3) float32 factor by which a texel is brighter than that explains.
+    """
+
+    patch: NDArray[np.int32]
+    irradiance: NDArray[np.float32]
+    brighter: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
 class Painter:
     """What is known before the photos are read again.
 
@@ -62,7 +77,7 @@ class Painter:
         points: the T texels.
         regions: (F,) region of each face.
         photometry, gloss, shading: of the solve.
-        irradiance_at: (k, 3) irradiance / pi of k texels as pixels, on patches (k,).
+        sunlight_at: (k, 3) irradiance / pi by the sun of k texels as pixels, on patches (k,).
         light: at the n pixels.
         expected: (P, 3) radiance of each patch.
         brighter: (P, 3) factor by which each patch is brighter than its irradiance explains.
@@ -77,7 +92,7 @@ class Painter:
     photometry: Photometry
     gloss: Gloss
     shading: Shading
-    irradiance_at: Callable[[PixelSamples, NDArray[np.int32]], NDArray[np.float32]]
+    sunlight_at: Callable[[PixelSamples, NDArray[np.int32]], NDArray[np.float32]]
     light: PixelLight
     expected: NDArray[np.floating]
     brighter: NDArray[np.floating]
@@ -85,11 +100,16 @@ class Painter:
     usual: UsualPixel
     held_out: NDArray[np.bool_]
 
-    def read(self, view: View, index: int) -> NDArray:
+    def light_of_sides(self) -> tuple[SideLight, SideLight]:
+        """Light on the side of the faces' normals, and on the other."""
+        return self._side_light(1), self._side_light(-1)
+
+    def read(self, view: View, index: int, sides: tuple[SideLight, SideLight]) -> NDArray:
         """What photo ``index`` shows of the texels, rows of :data:`.fusion.TEXEL_SAMPLE`.
 
         Args:
             view: of the photo at its full size.
+            sides: of :meth:`light_of_sides`.
         """
         picture = _ReducedPhoto.of(self.room, index)
         seen = seen_texels(self.room.tracer, self.points, view)
@@ -100,9 +120,9 @@ class Painter:
         exposures[~photo.valid] = np.nan
         exposure, averaged = read_texels(exposures, seen, size)
         nearest = picture.nearest[texels.pixel]
-        patch = self.room.patches.grid.patches(texels.position, texels.normal, region)
-        patch = np.where(patch < 0, self.room.patches.sample_patch[nearest], patch)
-        light, metallic = self._light(texels, patch, seen, picture), self.gloss.metallic[region]
+        here = self._light_here(texels, seen.row, self.room.patches.sample_patch[nearest], sides)
+        patch, metallic = here.patch, self.gloss.metallic[region]
+        light = self._light(texels, here, seen, picture)
         linear = self.photometry.linearise_exposures(exposure, texels.view, texels.pixel)
         linear = linear.agreeing_with(self.expected[patch])
         specular = subtract_specular(light.ls0, light.ls1, metallic)
@@ -149,22 +169,67 @@ class Painter:
             footprint=seen.footprint,
         )
 
-    def _light(
-        self, texels: PixelSamples, patch: NDArray[np.int32], seen: SeenTexels, picture: _ReducedPhoto
-    ) -> PixelLight:
-        field, region = self.room.field, self.regions[texels.face]
-        roughness, metallic = self.gloss.roughness[region], self.gloss.metallic[region]
-        irradiance = self.irradiance_at(texels, patch)
-        factor = self.shading.view_factor(patch, roughness, schlick(texels.cosine), texels.direction)
-        brighter = np.where(
-            metallic[:, None] > 0.5, np.float32(1), field.at_samples(texels, patch, self.brighter)
-        )  # of metals base colour is no quotient of irradiance
+    def _side_light(self, side: int) -> SideLight:
+        points, region = self.points, self.regions[self.points.face]
+        normal = points.normal * np.float32(side)
+        patch = self.room.patches.grid.patches(points.position, normal, region)
+        irradiance, brighter = np.zeros((2, len(patch), 3), np.float32)
+        known = np.flatnonzero(patch >= 0)
+        irradiance[known], brighter[known] = self._surface_light(
+            points.position[known], normal[known], region[known], patch[known]
+        )
+        return SideLight(patch, irradiance, brighter)
+
+    def _light_here(
+        self,
+        texels: PixelSamples,
+        row: NDArray[np.integer],
+        otherwise: NDArray[np.int32],
+        sides: tuple[SideLight, SideLight],
+    ) -> SideLight:
+        """Light at the k ``texels`` that a photo shows, texel points ``row`` (k,), on the side that it shows.
+
+        Args:
+            otherwise: (k,) patch of those that lie on none.
+        """
+        front, back = sides
+        flipped = np.flatnonzero((texels.normal * self.points.normal[row]).sum(1) < 0)
+        patch, irradiance, brighter = front.patch[row], front.irradiance[row], front.brighter[row]
+        for values, behind in ((patch, back.patch), (irradiance, back.irradiance), (brighter, back.brighter)):
+            values[flipped] = behind[row[flipped]]
+        lost = np.flatnonzero(patch < 0)
+        patch[lost] = otherwise[lost]
+        region = self.regions[texels.face[lost]]
+        irradiance[lost], brighter[lost] = self._surface_light(
+            texels.position[lost], texels.normal[lost], region, patch[lost]
+        )
+        # The borders of sunlight are as soft as the pixels of the photo.
+        return SideLight(patch, irradiance + self.sunlight_at(texels, patch), brighter)
+
+    def _surface_light(
+        self,
+        position: NDArray[np.float32],
+        normal: NDArray[np.float32],
+        region: NDArray[np.integer],
+        patch: NDArray[np.int32],
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Irradiance / pi without sunlight (k, 3) of points of regions and on patches (k,), and the factor by which
+        they are brighter than it explains."""
+        field, metallic = self.room.field, self.gloss.metallic[region]
+        brighter = field.at_points(position, normal, patch, self.brighter)
+        brighter[metallic > 0.5] = 1  # of metals base colour is no quotient of irradiance
+        return field.at_points(position, normal, patch, self.shading.smooth), brighter
+
+    def _light(self, texels: PixelSamples, here: SideLight, seen: SeenTexels, picture: _ReducedPhoto) -> PixelLight:
+        region, irradiance = self.regions[texels.face], here.irradiance
+        roughness = self.gloss.roughness[region]
+        factor = self.shading.view_factor(here.patch, roughness, schlick(texels.cosine), texels.direction)
         ls0, ls1 = rough_lobes(roughness, texels.cosine, irradiance)
         traced = np.flatnonzero(roughness < SPECULAR_ROUGH)
         place = seen.place[traced] / np.float32(picture.reduction)
         for lobe, of_pixels in ((ls0, self.light.ls0), (ls1, self.light.ls1)):
             lobe[traced] = picture.between_pixels(place, region[traced], self._pixel_regions, of_pixels, lobe[traced])
-        return PixelLight(irradiance, irradiance * factor[:, None] * brighter, ls0, ls1)
+        return PixelLight(irradiance, irradiance * factor[:, None] * here.brighter, ls0, ls1)
 
 
 @dataclass(frozen=True)
@@ -275,9 +340,10 @@ def paint_texels(
     Args:
         keep: stores the table that its second argument makes under a name, or finds it there, and returns it mapped.
     """
+    sides = painter.light_of_sides()
     photos = over_each(
         range(len(views)),
-        lambda index: keep(f"photo-{index:05d}", lambda: painter.read(views[index], index)),
+        lambda index: keep(f"photo-{index:05d}", lambda: painter.read(views[index], index, sides)),
         progress.update,
         photos_at_once(views),
     )
