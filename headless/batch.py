@@ -96,7 +96,7 @@ def run_batch(args: argparse.Namespace, progress: Progress) -> Outcome:
         else:
             for unit, line in zip(units, lines, strict=True):
                 with progress.stage(unit.name):
-                    _run_unit(unit, line, lines, args, folder, progress)
+                    _run_unit(unit, line, lines, args, progress)
     finally:
         _write_summary(lines, folder)
     failed = sum(line.status != "done" for line in lines)
@@ -129,7 +129,7 @@ def _run_only(unit: Unit, args: argparse.Namespace, folder: Path, progress: Prog
 
 
 def _run_unit(
-    unit: Unit, line: Line, lines: Sequence[Line], args: argparse.Namespace, folder: Path, progress: Progress
+    unit: Unit, line: Line, lines: Sequence[Line], args: argparse.Namespace, progress: Progress
 ) -> None:
     """Run ``unit`` as one of many: a failure is written down, and the others go on."""
     solved = next(other for other in lines if other.name == unit.job.name)

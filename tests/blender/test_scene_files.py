@@ -146,7 +146,7 @@ def test_objects_from_files_stand_upright_in_the_room(tmp_path):
     world = np.array([(thing.matrix_world @ vertex.co)[:] for vertex in thing.data.vertices])
     np.testing.assert_allclose(world[0], [0.1, -0.5, 0.2], atol=1e-6)
     np.testing.assert_allclose(world[2], [0.1, 0.5, 0.2], atol=1e-6)  # the capture's up is +Y
-    with pytest.raises(BadInput, match=r"no such object file"):
+    with pytest.raises(BadInput, match=r"none\.glb: no such file"):
         build_scene(solved(), SceneEdit(objects=(replace(placed, file=tmp_path / "none.glb"),)))
 
 

@@ -58,7 +58,7 @@ import sys
 sys.path.insert(0, {str(make_environment.HERE)!r})
 import make_environment
 from pathlib import Path
-make_environment.REQUIREMENTS = make_environment.OPTIONAL = Path({str(foreign / "requirements.txt")!r})
+make_environment.LOCK = make_environment.OPTIONAL = Path({str(foreign / "requirements.txt")!r})
 make_environment.IMPORTS = ("json", "numpy")
 make_environment.main(sys.argv[1:])
 """

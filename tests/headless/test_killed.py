@@ -263,7 +263,7 @@ def test_bad_input_is_one_line_exits_3_and_touches_nothing(capture: Path, out: P
     damage, named = BAD[kind]
     damage(damaged)
     before, names = files_of(out), sorted(out.iterdir())
-    done = solve(damaged, out)
+    done = solve(damaged, out, "--strict")
     assert done.returncode == 3 and not done.stdout
     assert done.stderr.startswith("error: ") and " — " in done.stderr and done.stderr.count("\n") == 1
     assert named in done.stderr

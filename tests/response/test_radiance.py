@@ -7,6 +7,7 @@ import pytest
 
 from iris_addon.model import response as curve
 from iris_addon.model.response import N_SAMPLES, Response
+from iris_addon.response.curve_table import CurveTable
 from iris_addon.response.overlap_problem import OverlapProblem
 from iris_addon.response.radiance import Linearised, group_radiance, linearise, raised_by_clipped, relative_exposure
 from tests.engine_room import observe_off_edges
@@ -143,8 +144,8 @@ def test_the_overlap_of_photos_reads_radiance_where_it_is_not_black() -> None:
     patch, view = (axis.ravel() for axis in np.indices((200, 4)))
     z = np.floor(255 * crushing().apply(np.repeat((radiance[patch] * exposures[view])[:, None], 3, 1))) / 255
     o = observe_off_edges(patch, view, z.astype(np.float32), rng)
-    problem = OverlapProblem.build(o, np.arange(len(o.patch)), exposures, 4)
-    found = problem.solve_radiance(crushing())[1]
+    problem, curves = OverlapProblem.build(o, np.arange(len(o.patch)), exposures, 4), CurveTable.of(crushing())
+    found = problem.exposed(curves).numpy().T[view == 1]  # of the photos whose exposure is 1
     assert found == pytest.approx(np.repeat(radiance[:, None], 3, 1), rel=0.02)
 
 

@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -167,14 +168,15 @@ def test_what_is_no_job_file_is_named(tmp_path: Path, text: str) -> None:
 def test_a_job_whose_traceback_has_no_place_does_not_end_the_batch(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(job: batch.Job, progress: Progress) -> None:
+    def fail(job: batch.Job, progress: Progress, *, resume: bool) -> None:
         raise ValueError("one\ntwo\x1b[2J")
 
     monkeypatch.setattr(batch, "solve_job", fail)
     config = preset("draft")
     for out in (Path(f"{tmp_path}/a\0b"), Path("/proc/nowhere")):
-        line = batch.Line("a", "draft")
-        batch._run(batch.Job(name="a", capture=tmp_path, out=out, config=config), line, Progress())
+        unit = batch.Unit(batch.Job(name="a", capture=tmp_path, out=out, config=config))
+        line = unit.line()
+        batch._run_unit(unit, line, [line], Namespace(resume=False), Progress())
         assert line.status == "failed" and line.error.startswith("ValueError: one two") and line.error.isprintable()
 
 
