@@ -128,9 +128,7 @@ def _run_only(unit: Unit, args: argparse.Namespace, folder: Path, progress: Prog
     return Outcome.of(unit.name, {"out": line.out, **line.figures})
 
 
-def _run_unit(
-    unit: Unit, line: Line, lines: Sequence[Line], args: argparse.Namespace, progress: Progress
-) -> None:
+def _run_unit(unit: Unit, line: Line, lines: Sequence[Line], args: argparse.Namespace, progress: Progress) -> None:
     """Run ``unit`` as one of many: a failure is written down, and the others go on."""
     solved = next(other for other in lines if other.name == unit.job.name)
     if unit.frames is not None and solved.status != "done":
