@@ -351,7 +351,7 @@ def test_faces_that_lie_twice_in_one_place_change_nothing(shoot: Shoot, found: R
     assert count == len(mesh.faces)
     result = solve(replace(capture, mesh=single), TINY, shoot.folder / "doubled")
     np.testing.assert_allclose(radiances(result), radiances(found), rtol=0.05)
-    assert result.report["holdout_psnr"] == pytest.approx(found.report["holdout_psnr"], abs=0.5)
+    assert result.report["holdout_psnr"] == pytest.approx(found.report["holdout_psnr"], abs=1.0)
 
 
 def test_a_transparent_border_is_no_part_of_the_room(shoot: Shoot, found: Result) -> None:
