@@ -155,9 +155,7 @@ class IRIS_OT_add_capture(bpy.types.Operator):  # noqa: N801 - Blender's naming
             if hidden:
                 self.report({"INFO"}, f"Hidden, they would stand in the room: {', '.join(hidden)} of the start-up file")
             return [*cameras]
-        present = {view.name: view.camera for view in settings.views if view.camera is not None}
-        present = {name: camera for name, camera in present.items() if camera.name in scene.objects}
-        cameras = refresh_capture(inspected, scene, settings.room, present)
+        cameras = refresh_capture(inspected, scene, settings.room)
         if APPLIED not in scene:  # a result of another mesh was removed
             settings.lamps.clear()
         return [*cameras]

@@ -457,6 +457,14 @@ def test_checking_again_imports_changes_of_the_capture(package, tmp_path, worker
     assert abs((first.matrix_world.translation - before).length - 0.1) < 1e-5
     assert scene.iris.room == room and "iris_applied" in scene  # its mesh is what it was
 
+    photo = next(capture.rglob("002.png"))
+    photo.rename(home / "away.png")
+    bpy.ops.iris.check()
+    assert [view.name for view in scene.iris.views] == ["000", "001", "003", "004", "005"]
+    (home / "away.png").rename(photo)
+    bpy.ops.iris.check()
+    assert len(scene.iris.views) == 6 and len(scene.objects) == count  # it came back to its own camera
+
     assert len(scene.iris.lamps) > 0
     os.replace({str(higher)!r}, capture / "mesh.ply")
     height = max(v.co.z for v in room.data.vertices) - min(v.co.z for v in room.data.vertices)

@@ -90,6 +90,6 @@ def test_cameras_read_again_forget_their_given_poses(imported):
     inspected, scene, thing, cameras = imported
     move_to_solved_poses(corrected(inspected)[0], cameras, scene)
     elsewhere = replace(inspected.views[0], camera=camera(position=(0.0, 0.2, 0.9)))
-    refresh_capture(replace(inspected, views=(elsewhere, inspected.views[1])), scene, thing, cameras)
+    refresh_capture(replace(inspected, views=(elsewhere, inspected.views[1])), scene, thing)
     restore(scene)
     assert np.allclose(np.array(cameras["a"].matrix_basis)[:3, 3], (0.0, 0.2, 0.9))

@@ -6,7 +6,7 @@ knows is imported in the same way, with only Blender's own Python and numpy.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,8 @@ from ..scene_out.scene_state import require_object_mode
 
 FIX = "check the capture again"
 COLLECTION = "IRIS Capture"
+VIEW = "iris_view"
+"""Custom property of the camera data of a photo: its name, which Blender may have numbered in that of the object."""
 
 
 @dataclass(frozen=True)
@@ -159,15 +161,11 @@ def _as_at_startup(thing: bpy.types.Object) -> bool:
     return len(thing.data.vertices) == 8 and np.allclose(corners, 1.0)
 
 
-def refresh_capture(
-    inspected: Inspected, scene: bpy.types.Scene, room: bpy.types.Object, present: Mapping[str, bpy.types.Object]
-) -> list[bpy.types.Object]:
+def refresh_capture(inspected: Inspected, scene: bpy.types.Scene, room: bpy.types.Object) -> list[bpy.types.Object]:
     """Update the objects of :func:`add_capture` from a capture that was read again; returns the camera of each photo.
 
-    An applied result is removed if it belongs to another mesh.
-
-    Args:
-        present: existing cameras by view. Missing ones are created.
+    An applied result is removed if it belongs to another mesh. Missing cameras are created; that of a photo that is left out
+    stays until it comes back.
 
     Raises:
         BadInput: the room is in edit mode.
@@ -180,6 +178,8 @@ def refresh_capture(
         room.data, spare = spare, room.data
     if not spare.users:
         bpy.data.meshes.remove(spare)
+    ours = [thing for thing in scene.objects if thing.type == "CAMERA" and thing.parent == room.parent]
+    present = {thing.data[VIEW]: thing for thing in reversed(ours) if VIEW in thing.data}
     cameras = []
     for view in inspected.views:
         camera = present.get(view.name)
@@ -205,6 +205,7 @@ def _add_view(
 ) -> bpy.types.Object:
     camera = add_camera(view.camera, view.name, collection)
     camera.parent = anchor
+    camera.data[VIEW] = view.name
     camera.data.display_size = 0.1
     show_photo(camera, view.photo)
     camera.data.iris_exposure = view.exposure or 0.0
