@@ -164,8 +164,8 @@ def _as_at_startup(thing: bpy.types.Object) -> bool:
 def refresh_capture(inspected: Inspected, scene: bpy.types.Scene, room: bpy.types.Object) -> list[bpy.types.Object]:
     """Update the objects of :func:`add_capture` from a capture that was read again; returns the camera of each photo.
 
-    An applied result is removed if it belongs to another mesh. Missing cameras are created; that of a photo that is left out
-    stays until it comes back.
+    An applied result is removed if it belongs to another mesh. Missing cameras are created; that of a photo that is
+    left out stays until it comes back.
 
     Raises:
         BadInput: the room is in edit mode.
