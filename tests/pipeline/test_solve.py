@@ -351,6 +351,11 @@ def test_faces_that_lie_twice_in_one_place_change_nothing(shoot: Shoot, found: R
     assert count == len(mesh.faces)
     result = solve(replace(capture, mesh=single), TINY, shoot.folder / "doubled")
     np.testing.assert_allclose(radiances(result), radiances(found), rtol=0.05)
+    assert result.mesh.uv is not None
+    np.testing.assert_array_equal(result.mesh.uv[:count], found.mesh.uv)
+    seen = (found.textures.confidence > 0.5) & (result.textures.confidence > 0.5)
+    assert np.median(np.abs(result.textures.base_color - found.textures.base_color)[seen]) < 0.01
+    # Draws per face differ; between seeds of the plain room the held-out figure varies by 5 dB (36.7, 41.2, 41.7).
     assert result.report["holdout_psnr"] == pytest.approx(found.report["holdout_psnr"], abs=1.0)
 
 
