@@ -75,7 +75,7 @@ class IRIS_OT_anchor(_OfLamp, bpy.types.Operator):  # noqa: N801 - Blender's nam
         """Set the scale of the scene's radiance."""
         lamp = chosen_lamp(context.scene)
         assert lamp is not None  # by poll
-        emitted = flux([lamp.strength * channel for channel in lamp.color], lamp.area)
+        emitted = lamp_flux(lamp)
         if emitted <= 0:
             self.report({"ERROR"}, f"{lamp.material.name} emits nothing — choose a lamp that shines")
             return {"CANCELLED"}
@@ -130,6 +130,11 @@ def chosen_lamp(scene: bpy.types.Scene) -> bpy.types.PropertyGroup | None:
     lamps = scene.iris.lamps
     lamp = lamps[scene.iris.lamp_index] if 0 <= scene.iris.lamp_index < len(lamps) else None
     return None if lamp is None or lamp.material is None else lamp
+
+
+def lamp_flux(lamp: bpy.types.PropertyGroup) -> float:
+    """Flux of a lamp of the list as it is set now, in the unit of the scene's radiance times square metre."""
+    return flux([lamp.strength * channel for channel in lamp.color], lamp.area)
 
 
 def other_lights(scene: bpy.types.Scene) -> list[bpy.types.Object]:

@@ -10,6 +10,7 @@ is nothing to gain on held-out points, and the acceptance gain keeps them as the
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -134,11 +135,13 @@ def register(
     return replace(capture, views=views), Registration(PoseCorrections.between(given, found), gain)
 
 
-def photo_disagreement(capture: Capture, tracer: Tracer, rng: np.random.Generator, progress: Progress) -> float:
-    """Mean Cauchy loss of the local contrast that photos show at points of the surface around their mean.
+def photo_disagreement(
+    capture: Capture, tracers: Sequence[Tracer], rng: np.random.Generator, progress: Progress
+) -> list[float]:
+    """Mean Cauchy loss of the local contrast that photos show at points of a surface around their mean, per surface.
 
     Args:
-        tracer: of the surface; the same ``rng`` puts points behind the same pixels whatever the surface.
+        tracers: of the surfaces; ``rng`` puts points behind the same pixels of each.
 
     Raises:
         BadInput: a photo cannot be read.
@@ -146,8 +149,12 @@ def photo_disagreement(capture: Capture, tracer: Tracer, rng: np.random.Generato
     views = [view.reduced_to(WIDTHS[-1]) for view in capture.views]
     cameras = [view.camera for view in views]
     pictures = _pictures(_brightness(views, progress), WIDTHS[-1])
-    points = SurfacePoints.of(cameras, tracer, N_POINTS, rng)
-    return _Sightings.of(points, cameras, tracer, rng).disagreement(pictures, cameras)
+    losses = []
+    for tracer in tracers:
+        same = deepcopy(rng)
+        points = SurfacePoints.of(cameras, tracer, N_POINTS, same)
+        losses.append(_Sightings.of(points, cameras, tracer, same).disagreement(pictures, cameras))
+    return losses
 
 
 def _brightness(views: Sequence[View], progress: Progress) -> list[NDArray[np.floating]]:

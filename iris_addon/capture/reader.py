@@ -338,18 +338,6 @@ def check_sees_mesh(views: Sequence[View], mesh: Mesh, path: Path) -> tuple[str,
 
 def seen_shares(views: Sequence[View], mesh: Mesh) -> FloatArray:
     """(n,) share of a grid of rays through each view that hits the mesh."""
-    coarse = [
-        replace(
-            view.camera,
-            width=SEEN_GRID,
-            height=SEEN_GRID,
-            fx=view.camera.fx * SEEN_GRID / view.camera.width,
-            fy=view.camera.fy * SEEN_GRID / view.camera.height,
-            cx=view.camera.cx * SEEN_GRID / view.camera.width,
-            cy=view.camera.cy * SEEN_GRID / view.camera.height,
-        )
-        for view in views
-    ]
-    rays = [camera.rays() for camera in coarse]
+    rays = [view.camera.resized(SEEN_GRID, SEEN_GRID).rays() for view in views]
     hits = Tracer(mesh).closest(np.concatenate([o for o, _ in rays]), np.concatenate([d for _, d in rays]))
     return (hits.face >= 0).reshape(len(views), -1).mean(1)

@@ -61,8 +61,12 @@ class Camera:
         """The camera with at most ``width`` pixels in a row and the same field of view."""
         scale = min(1.0, width / self.width)
         w, h = max(2, round(self.width * scale)), max(2, round(self.height * scale))
-        x, y = w / self.width, h / self.height
-        return replace(self, width=w, height=h, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y)
+        return self.resized(w, h)
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The camera with the same field of view in ``width`` x ``height`` pixels."""
+        x, y = width / self.width, height / self.height
+        return replace(self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y)
 
     def reduced(self, factor: int) -> Camera:
         """The camera whose pixels are blocks of ``factor`` x ``factor`` pixels of this one; what is left over at the

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,15 +52,7 @@ def base_color_of_pixels(
     total, count = np.zeros((len(rows), 3)), np.zeros(len(rows))
     for view in np.unique(samples.view[rows]):
         own, camera = np.flatnonzero(samples.view[rows] == view), room.cameras[view]
-        fine = replace(
-            camera,
-            width=camera.width * SUBPIXELS,
-            height=camera.height * SUBPIXELS,
-            fx=camera.fx * SUBPIXELS,
-            fy=camera.fy * SUBPIXELS,
-            cx=camera.cx * SUBPIXELS,
-            cy=camera.cy * SUBPIXELS,
-        )
+        fine = camera.resized(camera.width * SUBPIXELS, camera.height * SUBPIXELS)
         row, column = np.divmod(samples.pixel[rows[own]].astype(np.int64), camera.width)
         for down in range(SUBPIXELS):
             for across in range(SUBPIXELS):

@@ -17,7 +17,6 @@ Faces and vertices keep their numbers: whatever is found on this surface is writ
 from __future__ import annotations
 
 import math
-from copy import deepcopy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -157,7 +156,7 @@ def choose_surface(
     if not surface.scanned.any():
         return surface, tracer
     given = Tracer(capture.mesh)
-    smaller, larger = (photo_disagreement(capture, each, deepcopy(rng), progress) for each in (given, tracer))
+    smaller, larger = photo_disagreement(capture, (given, tracer), rng, progress)
     if decisions.accept("scan_surface", smaller, larger):
         return surface, tracer
     return replace(surface, mesh=capture.mesh, normals=given.normals, noise=0.0), given

@@ -8,6 +8,8 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...iris_addon.blender.scene_in.scene_capture import read_triangles
+
 SECONDS = 2.0
 COLOR = (1.0, 0.6, 0.1, 0.6)
 
@@ -36,17 +38,10 @@ def lamp_triangles(scene: bpy.types.Scene, lamp: bpy.types.Material) -> NDArray[
     for thing in scene.objects:
         if thing.type != "MESH" or lamp.name not in thing.data.materials:
             continue
-        data, slot = thing.data, thing.data.materials.find(lamp.name)
-        n = len(data.loop_triangles)
-        corners, polygon = np.empty(3 * n, np.int32), np.empty(n, np.int32)
-        slots, points = np.empty(len(data.polygons), np.int32), np.empty(3 * len(data.vertices), np.float32)
-        data.loop_triangles.foreach_get("vertices", corners)
-        data.loop_triangles.foreach_get("polygon_index", polygon)
-        data.polygons.foreach_get("material_index", slots)
-        data.vertices.foreach_get("co", points)
-        used = corners.reshape(n, 3)[slots[polygon] == slot].ravel()
+        points, corners, _, slots = read_triangles(thing.data)
+        used = corners[slots == thing.data.materials.find(lamp.name)].ravel()
         matrix = np.array(thing.matrix_world, np.float32)
-        found.append(points.reshape(-1, 3)[used] @ matrix[:3, :3].T + matrix[:3, 3])
+        found.append(points[used].astype(np.float32) @ matrix[:3, :3].T + matrix[:3, 3])
     return np.concatenate(found)
 
 

@@ -14,10 +14,10 @@ from ...iris_addon.blender.apply.review import model_lines
 from ...iris_addon.blender.render import light_mixing
 from ...iris_addon.blender.scene_out import lights as lamps
 from ...iris_addon.blender.worker import jobs
-from ...iris_addon.edits.light_units import flux, kelvin
+from ...iris_addon.edits.light_units import kelvin
 from ...iris_addon.results.records import read_report
 from ..folders import ROOT_PACKAGE, folder, result_key, solver_python
-from ..relight import BEFORE_PREVIEW, chosen_lamp, other_lights
+from ..relight import BEFORE_PREVIEW, chosen_lamp, lamp_flux, other_lights
 from . import steps
 from .steps import ICONS, Step
 from .widgets import job_box, paragraph, preview_box
@@ -271,13 +271,9 @@ def _chosen_lamp(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     row.prop(lamp.material, "name", text="")
     row.operator("iris.solo", depress=is_solo(scene, lamp.material))
     row.operator("iris.anchor")
-    fluxes = {
-        other.name: flux([other.strength * channel for channel in other.color], other.area) for other in settings.lamps
-    }
-    scale, total = settings.lumens_per_unit, sum(fluxes.values())
-    share = (
-        f"{scale * fluxes[lamp.name]:.0f} lm" if scale else f"{fluxes[lamp.name] / max(total, 1e-12):.0%} of the light"
-    )
+    own, scale = lamp_flux(lamp), settings.lumens_per_unit
+    total = max(sum(lamp_flux(other) for other in settings.lamps), 1e-12)
+    share = f"{scale * own:.0f} lm" if scale else f"{own / total:.0%} of the light"
     temperature = kelvin(lamp.color)
     tint = "" if temperature is None else f", {round(temperature, -1):.0f} K"
     layout.label(text=f"{share}{tint}, {lamp.area:.2g} m², {lamp.confidence:.0%} sure")

@@ -90,8 +90,7 @@ def test_a_modelled_surface_is_itself(mesh: Mesh) -> None:
 @pytest.mark.parametrize(("loss", "taken"), [(0.9, True), (1.0, True), (1.1, False)])
 def test_photos_decide_whether_a_scan_is_smoothed(monkeypatch: pytest.MonkeyPatch, loss: float, taken: bool) -> None:
     given = _scanned(FOLDED)
-    losses = iter([1.0, loss])
-    monkeypatch.setattr(scan_surface, "photo_disagreement", lambda *_: next(losses))
+    monkeypatch.setattr(scan_surface, "photo_disagreement", lambda *_: [1.0, loss])
     camera = Camera(width=4, height=3, fx=4.0, fy=4.0, cx=2.0, cy=1.5, c2w=np.eye(4))
     view = View(name="0", camera=camera, photo=Path("unread.png"))
     capture = Capture(name="room", root=Path(), views=(view,), val_views=(), mesh=given)

@@ -75,7 +75,7 @@ def read_scene_mesh(depsgraph: bpy.types.Depsgraph, objects: Iterable[bpy.types.
         evaluated = instance.object
         data = evaluated.to_mesh()
         if data is not None and len(data.loop_triangles):
-            points, corners, uv, slot = _triangles(data)
+            points, corners, uv, slot = read_triangles(data)
             matrix = np.array(instance.matrix_world)
             points = points @ matrix[:3, :3].T + matrix[:3, 3]
             if np.linalg.det(matrix[:3, :3]) < 0:  # keeps the outside of mirrored instances
@@ -105,7 +105,7 @@ def read_scene_mesh(depsgraph: bpy.types.Depsgraph, objects: Iterable[bpy.types.
     return SceneMesh(mesh, names, runs)
 
 
-def _triangles(data: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray]:
+def read_triangles(data: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray]:
     """Vertices (V, 3), triangles (F, 3), UV per corner (F, 3, 2) or None, and material slot (F,), in object space."""
     n = len(data.loop_triangles)
     points = np.empty(3 * len(data.vertices), np.float32)
@@ -240,16 +240,7 @@ def _view(scene: bpy.types.Scene, thing: bpy.types.Object, scale: float) -> tupl
         )
     c2w = frame.c2w.copy()
     c2w[:3, 3] *= scale
-    down = height / frame.height
-    camera = Camera(
-        width=width,
-        height=height,
-        fx=frame.fx * grow,
-        fy=frame.fy * down,
-        cx=frame.cx * grow,
-        cy=frame.cy * down,
-        c2w=c2w,
-    )
+    camera = replace(frame.resized(width, height), c2w=c2w)
     return thing.name, image, camera, float(getattr(thing.data, "iris_exposure", 0.0))
 
 
