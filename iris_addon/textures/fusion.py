@@ -79,7 +79,7 @@ def fuse_samples(photos: Sequence[NDArray], points: TexelPoints, size: int) -> T
     norm = total.max(1)
     seen = np.flatnonzero(norm > 0)
     mean[total <= CHANNEL_MIN_SHARE * norm[:, None]] = np.nan
-    grid = _Grid.of(points, size)
+    grid = _Grid.of(points, ~np.isnan(mean).any(1), size)
     sharpened = sharpen(mean, shown, weight, grid)
     return TexelAlbedo(points.texel[seen], sharpened[seen], norm[seen])
 
@@ -153,7 +153,8 @@ class _Grid(NamedTuple):
     Attributes:
         at: (N, N) int32 index of each texel of the atlas, -1 for none.
         texel: (T,) int64 flat index in the atlas.
-        beside: (T,) uint64, one bit for each texel within REACH rows and columns: whether it lies there in the room.
+        beside: (T,) uint64, one bit for each texel within REACH rows and columns: whether it lies there in the room
+            and is known.
     """
 
     at: NDArray[np.int32]
@@ -161,11 +162,12 @@ class _Grid(NamedTuple):
     beside: NDArray[np.uint64]
 
     @staticmethod
-    def of(points: TexelPoints, size: int) -> _Grid:
+    def of(points: TexelPoints, known: NDArray[np.bool_], size: int) -> _Grid:
+        """The grid of an atlas of side ``size``, of whose T texels some are ``known`` (T,)."""
         at = np.full(size * size, -1, np.int32)
         at[points.texel] = np.arange(len(points.texel), dtype=np.int32)
         at, beside = at.reshape(size, size), np.zeros(len(points.texel), np.uint64)
-        surface = at, points.texel, points.position, points.size
+        surface = at, points.texel, points.position, points.size, known
         over_blocks(len(beside), BLOCK, lambda rows: _mark_beside(rows.start, *surface, beside[rows]))
         return _Grid(at, points.texel, beside)
 
@@ -177,6 +179,7 @@ def _mark_beside(
     texel: NDArray[np.int64],
     position: NDArray[np.float32],
     size: NDArray[np.float32],
+    known: NDArray[np.bool_],
     beside: NDArray[np.uint64],
 ) -> None:
     side = len(at)
@@ -186,8 +189,9 @@ def _mark_beside(
         for down in range(-REACH, REACH + 1):
             for across in range(-REACH, REACH + 1):
                 row, column = i + down, j + across
-                if 0 <= row < side and 0 <= column < side and at[row, column] >= 0:
-                    near, distance = at[row, column], 0.0
+                near = at[row, column] if 0 <= row < side and 0 <= column < side else -1
+                if near >= 0 and known[near]:
+                    distance = 0.0
                     for axis in range(3):
                         distance += (position[near, axis] - position[own, axis]) ** 2
                     if distance <= 4 * (down * down + across * across) * size[own] ** 2:
@@ -250,24 +254,34 @@ def _blur(
     result: NDArray[np.float32],
 ) -> None:
     """Texels beside another chart, or beside unknown ones, are taken to go on as they are."""
-    side = len(at)
+    side, inner = len(at), np.uint64(0)
+    for down in range(-reach, reach + 1):
+        for across in range(-reach, reach + 1):
+            inner |= np.uint64(1) << np.uint64((down + REACH) * (2 * REACH + 1) + across + REACH)
     for k in range(len(result)):
         own = begin + k
         i, j = texel[own] // side, texel[own] % side
         a = b = c = total = np.float32(0)
-        for down in range(-reach, reach + 1):
-            for across in range(-reach, reach + 1):
-                bit = np.uint64((down + REACH) * (2 * REACH + 1) + across + REACH)
-                if not (beside[own] >> bit) & np.uint64(1):
-                    continue
-                near = at[i + down, j + across]
-                if np.isnan(values[near, 0] + values[near, 1] + values[near, 2]):
-                    continue
-                w = weights[abs(down)] * weights[abs(across)]
-                a += w * values[near, 0]
-                b += w * values[near, 1]
-                c += w * values[near, 2]
-                total += w
+        if beside[own] & inner == inner:  # the usual case: whole rows, which lie side by side in memory
+            for down in range(-reach, reach + 1):
+                first = at[i + down, j - reach]
+                for across in range(2 * reach + 1):
+                    w = weights[abs(down)] * weights[abs(across - reach)]
+                    a += w * values[first + across, 0]
+                    b += w * values[first + across, 1]
+                    c += w * values[first + across, 2]
+            total = np.float32(1)  # which the weights sum to
+        else:
+            for down in range(-reach, reach + 1):
+                for across in range(-reach, reach + 1):
+                    bit = np.uint64((down + REACH) * (2 * REACH + 1) + across + REACH)
+                    if (beside[own] >> bit) & np.uint64(1):
+                        near = at[i + down, j + across]
+                        w = weights[abs(down)] * weights[abs(across)]
+                        a += w * values[near, 0]
+                        b += w * values[near, 1]
+                        c += w * values[near, 2]
+                        total += w
         if total > 0:
             result[k, 0], result[k, 1], result[k, 2] = a / total, b / total, c / total
         else:

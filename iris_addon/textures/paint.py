@@ -25,9 +25,12 @@ from ..surface.irradiance import IrradianceField
 from .bake import DIM_ALBEDO
 
 LIGHT_ERROR, LIGHT_ERROR_PER_SPREAD = 0.015, 0.7
-"""Standard deviation of the log irradiance at a pixel: where irradiance is uniform, and per spread of log irradiance
-over the neighbouring patches. Over surfaces of one colour in four rooms, log albedo departs by 0.012 to 0.019 where
-that spread is below 0.03, and by 0.08 to 0.10 where it is 0.2 to 0.4."""
+"""Standard deviation of the log irradiance at a well-lit pixel: where irradiance is uniform, and per spread of log
+irradiance over the neighbouring patches. Over surfaces of one colour in four rooms, log albedo departs by 0.012 to
+0.019 where that spread is below 0.03, and by 0.08 to 0.10 where it is 0.2 to 0.4."""
+LIGHT_ERROR_EVERYWHERE = 0.02
+"""Standard deviation of the irradiance itself, in medians of the irradiance of all pixels: what reaches a dark corner
+by several reflections is small, its error is not."""
 CHROMA_RATIO = 0.5
 """Departure in colour over that in brightness, of paint and of detail: in those rooms 0.2 to 0.6."""
 DETAIL_MIN_SPREAD, DETAIL_START_SPREAD = 0.05, 0.3
@@ -123,9 +126,15 @@ class Paint:
         return mean + (1 - self.detail[:, None]) * (painted - mean)
 
 
-def light_error(spread: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Standard deviation of log irradiance from its ``spread`` over the neighbouring patches."""
-    return np.hypot(LIGHT_ERROR, LIGHT_ERROR_PER_SPREAD * spread)
+def light_error(spread: NDArray[np.floating], brightness: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Standard deviation of log irradiance.
+
+    Args:
+        spread: (n,) of the log irradiance over the neighbouring patches.
+        brightness: (n,) irradiance in medians of that of all pixels.
+    """
+    everywhere = LIGHT_ERROR_EVERYWHERE / np.maximum(brightness, LIGHT_ERROR_EVERYWHERE)
+    return np.sqrt(LIGHT_ERROR**2 + (LIGHT_ERROR_PER_SPREAD * spread) ** 2 + everywhere**2)
 
 
 def best_lit(error: NDArray[np.floating], region: NDArray[np.integer], n_regions: int) -> NDArray[np.bool_]:

@@ -118,7 +118,8 @@ class Painter:
         photo = read_pixels(view)
         exposures = self.photometry.exposures_of(photo.values)
         exposures[~photo.valid] = np.nan
-        exposure, averaged = read_texels(exposures, seen, size)
+        near_edge = picture.near_edge[texels.pixel]
+        exposure, averaged = read_texels(exposures, seen, size, near_edge)
         nearest = picture.nearest[texels.pixel]
         here = self._light_here(texels, seen.row, self.room.patches.sample_patch[nearest], sides)
         patch, metallic = here.patch, self.gloss.metallic[region]
@@ -128,7 +129,10 @@ class Painter:
         specular = subtract_specular(light.ls0, light.ls1, metallic)
         albedo = pixel_albedo(np.nan_to_num(linear.radiance), specular, light.ls0, light.diffuse, metallic)
         scanned = self.room.regions.scanned[texels.face]
-        edge = on_edges(self.room.tracer, self.points, seen, picture.near_edge[texels.pixel], self.regions, view.camera)
+        if picture.reduction == 1:  # all of its pixels have been looked at already
+            edge = picture.on_edge[texels.pixel] | (self._pixel_regions[nearest] != region)
+        else:
+            edge = on_edges(self.room.tracer, self.points, seen, near_edge, self.regions, view.camera)
         # An outline of a scan may lie beside its place, where rays do not find it.
         edge |= scanned & self.room.mixed.mask[nearest]
         usual = self.usual.at(picture.reduction)
@@ -136,7 +140,7 @@ class Painter:
         weight = weight * linear.unclipped * linear.precision / usual.weight
         weight[self.held_out[nearest]] = 0
         kept = np.flatnonzero((weight > 0).any(1))
-        error = light_error(self.light_spread[patch])
+        error = light_error(self.light_spread[patch], light.irradiance.mean(1) / self.usual.irradiance)
         blur = averaged / (size * np.sqrt(texels.cosine))
         table = np.empty(len(kept), TEXEL_SAMPLE)
         table["row"] = seen.row[kept]
@@ -240,12 +244,14 @@ class _ReducedPhoto:
         reduction: rows and columns of the photo on file in one of its pixels.
         pixel: (h, w) int32 which of the n pixels on the mesh each is, -1 for none.
         nearest: (h * w,) int32 the nearest of those on the mesh to each.
-        near_edge: (h * w,) bool, beside a mixed pixel or one off the mesh.
+        on_edge: (h * w,) bool, a mixed pixel or one off the mesh.
+        near_edge: (h * w,) bool, one of those or beside one.
     """
 
     reduction: int
     pixel: NDArray[np.int32]
     nearest: NDArray[np.int32]
+    on_edge: NDArray[np.bool_]
     near_edge: NDArray[np.bool_]
 
     @staticmethod
@@ -263,7 +269,13 @@ class _ReducedPhoto:
             nearest = pixel[at[0], at[1]]
         else:
             nearest = np.zeros_like(pixel)
-        return _ReducedPhoto(view.reduction, pixel, nearest.ravel(), near_edge.ravel())
+        return _ReducedPhoto(
+            reduction=view.reduction,
+            pixel=pixel,
+            nearest=nearest.ravel(),
+            on_edge=edge.ravel(),
+            near_edge=near_edge.ravel(),
+        )
 
     @property
     def height(self) -> int:

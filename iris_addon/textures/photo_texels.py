@@ -22,11 +22,11 @@ from .texel_points import TexelPoints
 
 LEAST_COSINE = 0.03
 """Cosine between normal and direction to the camera below which a texel is not read."""
-EDGE_REACH = 1.5
-"""Pixels, or texels where these are larger, around a texel within which another surface may not lie."""
+EDGE_DISTANCE = 1.5
+"""Pixels by which what a pixel beside it shows may lie off the plane of a texel."""
 FINER_LEVEL = 1.5
 """Pixels per texel up to which texels are read from the photo itself; beyond, from blocks of 2, 4, 8 ... pixels."""
-EDGE_DIRECTIONS = [(down, across) for down in (-1, 0, 1) for across in (-1, 0, 1) if down or across]
+PIXELS_AROUND = [(down, across) for down in (-1, 0, 1) for across in (-1, 0, 1)]
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,8 @@ def on_edges(
     regions: NDArray[np.integer],
     camera: Camera,
 ) -> NDArray[np.bool_]:
-    """(k,) texels near which the photo shows another region, a crease, a surface off their plane, or no surface.
+    """(k,) texels in mixed pixels: this one or one beside it shows another region, a crease, a surface off their plane
+    or none.
 
     Args:
         candidate: (k,) bool, texels that may be on an edge; the others are not tested.
@@ -131,12 +132,12 @@ def on_edges(
     edge = np.zeros(len(candidate), bool)
     row = seen.row[at]
     face, position, normal = points.face[row], points.position[row].astype(np.float64), points.normal[row]
-    span = np.maximum(seen.footprint[at], points.size[row])
-    step = EDGE_REACH * span / seen.footprint[at]
+    reach = EDGE_DISTANCE * seen.footprint[at]
+    centre = np.floor(seen.place[at]) + 0.5
     found = np.zeros(len(at), bool)
-    for down, across in EDGE_DIRECTIONS:
+    for down, across in PIXELS_AROUND:
         left = np.flatnonzero(~found)
-        place = seen.place[at[left]] + step[left, None] * np.array([across, down])
+        place = centre[left] + np.array([across, down])
         local = np.stack(
             [(place[:, 0] - camera.cx) / camera.fx, (camera.cy - place[:, 1]) / camera.fy, -np.ones(len(left))], -1
         )
@@ -151,7 +152,7 @@ def on_edges(
             (hits.face < 0)
             | (regions[other] != regions[face[left]])
             | (np.abs((near * far).sum(1)) < CREASE_COSINE)
-            | (off_plane > EDGE_REACH * span[left])
+            | (off_plane > reach[left])
         )
     edge[at] = found
     return edge
@@ -161,13 +162,17 @@ def on_edges(
 
 
 def read_texels(
-    photo: NDArray[np.float32], seen: SeenTexels, pixels_per_texel: NDArray[np.floating]
+    photo: NDArray[np.float32],
+    seen: SeenTexels,
+    pixels_per_texel: NDArray[np.floating],
+    near_edge: NDArray[np.bool_],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """What a photo shows at the texels.
 
     Args:
         photo: (H, W, 3) linear values as on file, NaN where a pixel tells nothing.
         pixels_per_texel: (k,) side of each texel in pixels.
+        near_edge: (k,) bool, texels that are read from the pixel over them alone; those beside it may be mixed.
 
     Returns:
         (k, 3) values, NaN where pixels that tell nothing would mix in; and (k,) pixels along the side of what was
@@ -177,13 +182,21 @@ def read_texels(
     level = np.maximum(np.ceil(np.log2(np.maximum(pixels_per_texel, 1e-6) / FINER_LEVEL)), 0).astype(np.int64)
     if len(level):
         level = np.minimum(level, max(0, int(np.log2(min(photo.shape[:2]) / 4))))
+    level[near_edge] = 0
+    value[near_edge] = own_pixel(photo, seen.file_place[near_edge])
     for k in range(int(level.max(initial=0)) + 1):
-        rows = np.flatnonzero(level == k)
+        rows = np.flatnonzero((level == k) & ~near_edge)
         place = seen.file_place[rows] / np.float32(2**k)
         value[rows] = interpolated(photo, place)
         if k < level.max(initial=0):
             photo = halved(photo)
     return value, (2.0**level).astype(np.float32)
+
+
+def own_pixel(photo: NDArray[np.float32], place: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(k, 3) the pixel of a photo (H, W, 3) that covers each place (k, 2)."""
+    column = np.clip(place[:, 0].astype(np.int64), 0, photo.shape[1] - 1)
+    return photo[np.clip(place[:, 1].astype(np.int64), 0, photo.shape[0] - 1), column]
 
 
 def interpolated(photo: NDArray[np.float32], place: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -76,9 +76,9 @@ def make_textures(
     seen = with_expected(fused, kind, mean, size)
     paint = find_paint(seen[sure], error[sure], kind[sure], painted).of_regions(label)
     evened, expected = paint.evened(seen, error, region), paint.colour(mean[label])[regions]
-    base_color = _fill(fused.texel, evened, face, samples.seen_faces(len(regions)), expected)
     # The last entry of each table is for texels without a face, -1.
-    base_color[np.append(lamps, False)[face]] = 0.0
+    black = np.append(lamps, False)[face]
+    base_color = _fill(fused.texel, evened, face, black, samples.seen_faces(len(regions)), expected)
     roughness = np.append(gloss.roughness[regions], 1.0).astype(np.float32)[face]
     metallic = np.append(gloss.metallic[regions], 0.0).astype(np.float32)[face]
     confidence = np.zeros((size, size), np.float32)
@@ -90,6 +90,7 @@ def _fill(
     texel: NDArray[np.integer],
     value: NDArray[np.float32],
     face: NDArray[np.int32],
+    black: NDArray[np.bool_],
     seen_faces: NDArray[np.bool_],
     expected: NDArray[np.floating],
 ) -> NDArray[np.float32]:
@@ -98,12 +99,15 @@ def _fill(
     Args:
         texel: (T,) flat index of the texels of ``value`` (T, 3). Faces that photos show in part are filled from these.
         face: (N, N) face under each texel, -1 for none.
+        black: (N, N) bool, texels that reflect nothing; so do those of the gutter beside them.
         seen_faces: (F,) bool; other faces have the ``expected`` colour (F, 3).
     """
     known = np.zeros(face.shape, bool)
     known.flat[texel] = True
     base_color = np.zeros((*face.shape, 3), np.float32)
     base_color.reshape(-1, 3)[texel] = value
+    known |= black
+    base_color[black] = 0.0
     filled = fill_texels(base_color, known)
     unseen = np.append(~seen_faces, False)[face] & ~known
     filled[unseen] = expected[face[unseen]]

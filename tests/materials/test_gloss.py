@@ -521,4 +521,5 @@ def test_unseen_faces_take_their_regions_mean_and_lamps_are_black() -> None:
     assert bilinear(textures.base_color, interpolate_uv(uv, face, barycentric))[face < 2] == pytest.approx(
         color[face < 2], abs=1e-3
     )
+    assert bilinear(textures.base_color, points)[face >= 6].max() == 0, "no colour runs into a lamp"
     assert np.isfinite(textures.base_color).all()

@@ -87,6 +87,12 @@ def test_metals_and_regions_of_few_texels_stay_as_they_are() -> None:
     assert paint.colour(mean)[2] == pytest.approx(WALL, rel=0.01)
 
 
+def test_the_error_of_light_is_relative_in_light_and_absolute_in_the_dark() -> None:
+    error = light_error(np.zeros(3), np.array([10.0, 0.1, 0.01]))
+    assert error[0] == pytest.approx(LIGHT_ERROR, rel=0.02)
+    assert error[1] == pytest.approx(np.hypot(LIGHT_ERROR, 0.2)) and error[2] == pytest.approx(1, rel=0.01)
+
+
 def test_the_error_of_light_grows_with_its_spread_over_patches() -> None:
     """A floor lit twice as much beyond a line: beside the line the spread is that of half of each."""
     x, y = np.meshgrid(np.arange(30), np.arange(30))
@@ -100,4 +106,6 @@ def test_the_error_of_light_grows_with_its_spread_over_patches() -> None:
     beside = (np.abs(position[:, 0] - 14.5) < 1) & (np.abs(position[:, 1] - 15) < 10)
     share = 0.27  # of the Gaussian kernel over the nine nearest patches, beyond the line
     assert spread[beside] == pytest.approx(np.log(2) * np.sqrt(share * (1 - share)), rel=0.15)
-    assert light_error(np.zeros(1))[0] == LIGHT_ERROR < light_error(spread[beside]).min()
+    lit = np.full(len(spread), 1e6)
+    assert light_error(np.zeros(1), lit[:1])[0] == pytest.approx(LIGHT_ERROR)
+    assert light_error(np.zeros(1), lit[:1])[0] < light_error(spread[beside], lit[beside]).min()

@@ -151,10 +151,13 @@ def test_texels_wider_than_pixels_take_the_mean_over_them() -> None:
         cosine=np.ones(2, np.float32),
         footprint=np.ones(2, np.float32),
     )
-    value, averaged = read_texels(photo, seen, np.array([8.0, 1.0]))
+    nowhere = np.zeros(2, bool)
+    value, averaged = read_texels(photo, seen, np.array([8.0, 1.0]), nowhere)
     assert averaged.tolist() == [8, 1]
     assert value[0] == pytest.approx(np.full(3, 0.5), abs=0.1)
     assert value[1] == pytest.approx(interpolated(photo, place[1:])[0])
+    value, averaged = read_texels(photo, seen, np.array([8.0, 1.0]), ~nowhere)
+    assert averaged.tolist() == [1, 1] and value == pytest.approx(photo[[24, 40], [16, 40]])
 
 
 CAMERA = Camera(width=64, height=48, fx=50, fy=50, cx=32, cy=24, c2w=look_at(np.array([0.7, 0.6, 1.2]), np.ones(3) * 3))
@@ -178,7 +181,7 @@ def test_texels_are_seen_where_the_camera_projects_them() -> None:
     assert len(uncovered.texel) > 0, "faces without a texel's centre have the texel of their middle"
 
 
-def test_what_stands_before_a_wall_hides_it_and_its_outline_is_an_edge() -> None:
+def test_what_stands_before_a_wall_hides_it_and_does_not_colour_it() -> None:
     mesh = assemble([quad([-3, -3, 0], [6, 0, 0], [0, 6, 0]), quad([-0.5, -0.4, 0.5], [1, 0, 0], [0, 0.8, 0])], [0, 1])
     assert mesh.regions is not None
     tracer, size = Tracer(mesh), 60
@@ -191,7 +194,12 @@ def test_what_stands_before_a_wall_hides_it_and_its_outline_is_an_edge() -> None
     outside = offset.max(1)
     assert (outside[on_wall] > -0.1).all() and (outside[~on_wall] < 0.1).all() and (~on_wall).sum() > 50
     edge = on_edges(tracer, points, seen, np.ones(len(seen.row), bool), mesh.regions, camera)
-    middle = np.abs(outside) < 1.2
-    assert edge[middle].all()
-    away = (np.abs(outside) > 3) & (np.abs(seen.place - 30).max(1) < 27)
+    assert edge[np.abs(outside) < 0.45].all()
+    away = (np.abs(outside) > 2.1) & (np.abs(seen.place - 30).max(1) < 27)
     assert not edge[away].any()
+    # Pixels are means over their area, so that those on the outline have a colour between those of table and wall.
+    inside = [np.clip(reach + 0.5 - np.abs(np.arange(size) + 0.5 - 30), 0, 1) for reach in (9.6, 12)]
+    photo = np.repeat(0.8 - 0.6 * np.outer(*inside)[..., None], 3, 2).astype(np.float32)
+    value, _ = read_texels(photo, seen, np.full(len(seen.row), 0.3), np.ones(len(seen.row), bool))
+    beside = ~edge & (np.abs(outside) < 2)
+    assert beside.sum() > 100 and value[~edge, 0] == pytest.approx(np.where(on_wall, 0.8, 0.2)[~edge], abs=1e-6)
