@@ -47,7 +47,8 @@ DEMO = ADDON / "assets" / "demo_room"
 
 class IRIS_OT_import_capture(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blender's naming
     """Read photos, poses and mesh of a room, check them and add them to this scene.
-    Poses of nerfstudio, Polycam, COLMAP, Metashape, RealityScan, Meshroom, Bundler, ScanNet or FIPT"""
+    Poses of nerfstudio, Polycam, COLMAP, Metashape, RealityScan, Meshroom, OpenMVG, Bundler, ScanNet,
+    TUM RGB-D or FIPT"""
 
     bl_idname = "iris.import_capture"
     bl_label = "Import Capture"

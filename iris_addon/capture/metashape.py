@@ -21,7 +21,7 @@ DOWN_FORWARD = np.diag([1.0, -1.0, -1.0, 1.0])
 
 def read_metashape(path: Path) -> list[dict[str, Any]]:
     """The frames of the first chunk; raises BadInput."""
-    root = _parse(path)
+    root = parse_xml(path)
     chunk = root if root.tag == "chunk" else root.find(".//chunk")
     if chunk is None:
         raise BadInput("has no chunk of cameras", "export the cameras as Agisoft XML", path)
@@ -33,7 +33,7 @@ def read_metashape(path: Path) -> list[dict[str, Any]]:
             if camera.get("label") is None or camera.get("enabled") in ("0", "false"):
                 continue
             transform = camera.findtext("transform")
-            pose = None if transform is None else _pose(_numbers(transform, 16).reshape(4, 4), *to_world)
+            pose = None if transform is None else _pose(numbers_in_text(transform, 16).reshape(4, 4), *to_world)
             frames.append(
                 {"file_path": camera.get("label"), "transform_matrix": pose, **sensors[camera.get("sensor_id")]}
             )
@@ -42,8 +42,9 @@ def read_metashape(path: Path) -> list[dict[str, Any]]:
     return frames
 
 
-def _parse(path: Path) -> ElementTree.Element:
-    data = read_bytes(path, MAX_XML_BYTES, mend="export the cameras alone")
+def parse_xml(path: Path, largest: int = MAX_XML_BYTES) -> ElementTree.Element:
+    """The root of an XML file of at most ``largest`` bytes; raises BadInput."""
+    data = read_bytes(path, largest, mend="export the cameras alone")
     # Entities may grow without bound, and no export has them. Nor is it UTF-16, in which they would not be seen here.
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data or b"\0" in data:
         raise BadInput("declares entities", "export the cameras again", path)
@@ -51,7 +52,8 @@ def _parse(path: Path) -> ElementTree.Element:
         return ElementTree.fromstring(data)
 
 
-def _numbers(text: str, count: int) -> np.ndarray:
+def numbers_in_text(text: str, count: int) -> np.ndarray:
+    """(count,) finite numbers between spaces, for use within ``decoding``; raises ValueError."""
     values = np.array([float(word) for word in text.split()])
     if len(values) != count or not np.isfinite(values).all():
         raise ValueError(f"{len(values)} numbers for {count}")
@@ -65,9 +67,9 @@ def _chunk_transform(chunk: ElementTree.Element) -> tuple[np.ndarray, np.ndarray
         return np.eye(3), np.zeros(3), 1.0
     rotation, translation = own.findtext("rotation"), own.findtext("translation")
     return (
-        np.eye(3) if rotation is None else _numbers(rotation, 9).reshape(3, 3),
-        np.zeros(3) if translation is None else _numbers(translation, 3),
-        float(_numbers(own.findtext("scale") or "1", 1)[0]),
+        np.eye(3) if rotation is None else numbers_in_text(rotation, 9).reshape(3, 3),
+        np.zeros(3) if translation is None else numbers_in_text(translation, 3),
+        float(numbers_in_text(own.findtext("scale") or "1", 1)[0]),
     )
 
 

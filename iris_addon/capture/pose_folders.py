@@ -1,4 +1,4 @@
-"""RGB-D data sets with a text file per pose: ScanNet as its reader extracts it, and 7-Scenes.
+"""RGB-D data sets with their poses as text: ScanNet as its reader extracts it, 7-Scenes, and sequences in TUM's format.
 
 Poses are camera to world, x right, y down, z forward; frames where tracking was lost have infinite ones.
 """
@@ -9,13 +9,28 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
 
-from ..base.untrusted import decoding, read_bytes
+from ..base.errors import BadInput
+from ..base.untrusted import decoding, finite, number_in_text, open_text, read_bytes
 from .metashape import DOWN_FORWARD
 
 MAX_POSE_BYTES = 4096
 KINECT = {"w": 640, "h": 480, "fl_x": 585.0, "cx": 320.0, "cy": 240.0}
 """Intrinsics of 7-Scenes, which has no file of them (its web page)."""
+
+MAX_TUM_BYTES = 1 << 30
+TUM_GAP = 0.1
+"""Seconds between two poses of the motion capture, beyond which nothing is known in between."""
+TUM_CLOCKS = 0.02
+"""Seconds that a photo may lie outside of the poses; the benchmark's own tool allows as many."""
+TUM_LENS = ("fl_x", "fl_y", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+TUM_CAMERAS = {
+    "freiburg1": (517.3, 516.5, 318.6, 255.3, 0.2624, -0.9531, -0.0054, 0.0026, 1.1633),
+    "freiburg2": (520.9, 521.0, 325.1, 249.7, 0.2312, -0.7849, -0.0033, -0.0001, 0.9172),
+    "freiburg3": (535.4, 539.2, 320.1, 247.6, 0.0, 0.0, 0.0, 0.0, 0.0),
+}
+"""Intrinsics by a part of the folder's name: the sequences have no file of them (their web page, "colour camera")."""
 
 
 def read_scannet(intrinsics: Path) -> list[dict[str, Any]]:
@@ -33,6 +48,70 @@ def read_seven_scenes(first: Path) -> list[dict[str, Any]]:
     return [
         {"file_path": name, "transform_matrix": _pose(path), **KINECT} for name, path in zip(names, poses, strict=True)
     ]
+
+
+def read_tum(photos: Path) -> list[dict[str, Any]]:
+    """Frames of a sequence in TUM's format around its ``rgb.txt``; raises BadInput.
+
+    ``groundtruth.txt`` has poses at times of its own, between which those of the photos are interpolated. The camera is
+    that of ``calibration.txt`` (fx fy cx cy, then k1 k2 p1 p2 k3 where there are any), as ETH3D's sequences have, or
+    one of the three that the name of the folder tells.
+    """
+    lens = _tum_lens(photos.parent)
+    truth = photos.with_name("groundtruth.txt")
+    rows = []
+    with open_text(truth, MAX_TUM_BYTES, mend="download the sequence again") as file:
+        for line in file:
+            if (words := line.partition("#")[0].split()) and len(words) != 8:
+                raise ValueError(f"{len(words)} numbers for a time, a position and a quaternion")
+            if words:
+                rows.append([number_in_text(word) for word in words])
+        table = finite(rows, (None, 8))
+        if table is None or len(table) < 2:
+            raise ValueError("fewer than two poses")
+        table = table[np.unique(table[:, 0], return_index=True)[1]]
+        turns = Slerp(table[:, 0], Rotation.from_quat(table[:, 4:]))
+    frames = []
+    with open_text(photos, MAX_TUM_BYTES, mend="download the sequence again") as file:
+        for line in file:
+            if words := line.partition("#")[0].split(maxsplit=1):
+                pose = _pose_at(number_in_text(words[0]), table, turns)
+                frames.append({"file_path": words[1].strip(), "transform_matrix": pose, **lens})
+    return frames
+
+
+def _pose_at(time: float, table: np.ndarray, turns: Slerp) -> list[list[float]] | None:
+    """The pose at a time in seconds; None where the motion capture had lost the camera."""
+    times = table[:, 0]
+    inside = float(np.clip(time, times[0], times[-1]))
+    after = min(max(int(np.searchsorted(times, inside)), 1), len(times) - 1)
+    at_one = np.abs(times[after - 1 : after + 1] - time).min() < TUM_CLOCKS
+    if abs(time - inside) > TUM_CLOCKS or (times[after] - times[after - 1] > TUM_GAP and not at_one):
+        return None
+    pose = np.eye(4)
+    pose[:3, :3] = turns(inside).as_matrix()
+    pose[:3, 3] = [np.interp(inside, times, table[:, axis]) for axis in (1, 2, 3)]
+    return (pose @ DOWN_FORWARD).tolist()
+
+
+def _tum_lens(folder: Path) -> dict[str, float]:
+    own = folder / "calibration.txt"
+    if own.is_file():
+        with decoding(own, "is not fx fy cx cy, and five numbers of distortion at most", "write them into one line"):
+            text = read_bytes(own, MAX_POSE_BYTES).split(b"#")[0]
+            values = [number_in_text(word.decode()) for word in text.split()]
+            if not 4 <= len(values) <= len(TUM_LENS):
+                raise ValueError(f"{len(values)} numbers")
+            return dict(zip(TUM_LENS, values, strict=False))
+    name = folder.resolve().name.lower()
+    for part, known in TUM_CAMERAS.items():
+        if part in name:
+            return dict(zip(TUM_LENS, known, strict=True))
+    raise BadInput(
+        "does not tell its camera: its name has none of " + ", ".join(TUM_CAMERAS),
+        "write fx fy cx cy in pixels into calibration.txt there",
+        folder,
+    )
 
 
 def _pose(path: Path) -> list[list[float]]:

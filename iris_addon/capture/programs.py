@@ -4,10 +4,13 @@
 
     Metashape       *.xml                     File > Export > Export Cameras, Agisoft XML
     Meshroom        *.sfm, sfm.json           node ConvertSfMFormat, views, intrinsics and extrinsics
+    OpenMVG         sfm_data.json             openMVG_main_ConvertSfM_DataFormat, with views, intrinsics, extrinsics
     RealityScan     *.csv                     Export > Registration, Internal/External camera parameters
+                    *.xmp beside the photos   Export > Registration, XMP
     Bundler         *.out with list.txt       many programs
     ScanNet         color/ pose/ intrinsic/   as SensReader extracts it
     7-Scenes        frame-*.color.png with frame-*.pose.txt
+    TUM RGB-D       rgb.txt, groundtruth.txt, rgb/
 
 Each reader turns its file into frames with the keys of a transforms.json. Poses there are camera to world, x right, y
 up, z backward; None where the program did not find one.
@@ -38,13 +41,17 @@ from .listing import (
 )
 from .meshroom import read_meshroom
 from .metashape import read_metashape
+from .openmvg import read_openmvg
 from .photo_files import PHOTO_SUFFIXES, check_photo
-from .pose_folders import read_scannet, read_seven_scenes
+from .pose_folders import read_scannet, read_seven_scenes, read_tum
+from .xmp_sidecars import is_sidecar, read_sidecars
 
 Frame = Mapping[str, Any]
 
 
 MAX_PROGRAM_BYTES = 8 << 30
+PHOTO_FOLDERS = ("images", "photos", "color", "rgb")
+"""Where photos lie beside the folder of the capture itself."""
 
 
 @dataclass(frozen=True)
@@ -92,13 +99,31 @@ def _seven_scenes(path: Path) -> Path | None:
     return next(iter(sorted(path.glob("frame-*.pose.txt"))), None) if path.is_dir() else None
 
 
+def _tum(path: Path) -> Path | None:
+    photos = path / "rgb.txt"
+    return photos if photos.is_file() and (path / "groundtruth.txt").is_file() else None
+
+
+def _sidecar(path: Path) -> Path | None:
+    if path.is_file():
+        return path if is_sidecar(path) else None
+    for folder in (path, *(path / name for name in PHOTO_FOLDERS)):
+        for entry in sorted(folder.iterdir()) if folder.is_dir() else ():
+            if is_sidecar(entry):
+                return entry
+    return None
+
+
 PROGRAMS = (
     Program("Metashape", _file_that(".xml", begins=(b"<chunk", b"<document")), read_metashape),
     Program("Meshroom", _file_that(".sfm", "sfm.json", begins=(b'"version"', b'"views"')), read_meshroom),
     Program("RealityScan", _file_that(".csv", begins=(b"heading,pitch,roll",)), read_reality_scan, has_unit=True),
+    Program("RealityScan", _sidecar, read_sidecars),
+    Program("OpenMVG", _file_that(".json", begins=(b'"sfm_data_version"',)), read_openmvg),
     Program("Bundler", _file_that(".out", begins=(b"# Bundle file",)), read_bundler),
     Program("ScanNet", _scannet, read_scannet, has_unit=True),
     Program("7-Scenes", _seven_scenes, read_seven_scenes, has_unit=True),
+    Program("TUM RGB-D", _tum, read_tum, has_unit=True),
 )
 
 
@@ -173,7 +198,7 @@ class _Photos:
     def __init__(self, root: Path, source: Path) -> None:
         self._root, self._source = root, source
         self._by_name: dict[str, list[Path]] = {}
-        for folder in (root, *(root / name for name in ("images", "photos", "color", "rgb"))):
+        for folder in (root, *(root / name for name in PHOTO_FOLDERS)):
             for path in sorted(folder.iterdir()) if folder.is_dir() else ():
                 if path.suffix.lower() in PHOTO_SUFFIXES:
                     for key in {path.name.casefold(), path.stem.casefold()}:

@@ -146,7 +146,7 @@ def _list(path: Path, photos: PhotoSet) -> Listing:
     if found is None:
         raise BadInput(
             "neither transforms.json nor train/transforms.json nor a COLMAP model in the folder, nor cameras of "
-            "Metashape, Meshroom, RealityScan, Bundler, ScanNet or 7-Scenes",
+            "Metashape, Meshroom, RealityScan, OpenMVG, Bundler, ScanNet, 7-Scenes or TUM RGB-D",
             "export the poses in one of these formats, or name the file itself",
             path,
         )

@@ -101,7 +101,75 @@ def write_reality_scan(root: Path, capture: Capture) -> Path:
     return path
 
 
-FILES = (write_metashape, write_meshroom, write_bundler, write_reality_scan)
+def write_openmvg(root: Path, capture: Capture) -> Path:
+    """As cereal writes it: classes are named at their first object only."""
+    camera = capture.views[0].camera
+    views, poses = [], []
+    for number, view in enumerate(capture.views):
+        assert view.photo is not None
+        pose = view.camera.c2w @ DOWN_FORWARD
+        size = {"width": camera.width, "height": camera.height}
+        ids = {"id_view": number, "id_intrinsic": 3, "id_pose": number}
+        data = {"local_path": "", "filename": view.photo.name, **size, **ids}
+        pointer = {"id": 2147483649 + number, "data": data}
+        views.append({"key": number, "value": {"polymorphic_id": 1073741824, "ptr_wrapper": pointer}})
+        poses.append({"key": number, "value": {"rotation": pose[:3, :3].T.tolist(), "center": pose[:3, 3].tolist()}})
+    views.append({"key": 99, "value": {"polymorphic_id": 1073741824, "ptr_wrapper": {"id": 1, "data": {**data}}}})
+    views[-1]["value"]["ptr_wrapper"]["data"] |= {"filename": "lost.png", "id_pose": 99, "id_intrinsic": 4294967295}
+    data = {"width": camera.width, "height": camera.height, "focal_length": camera.fx}
+    data |= {"principal_point": [camera.cx, camera.cy], "disto_k3": [0.0, 0.0, 0.0]}
+    kind = {"polymorphic_id": 2147483649, "polymorphic_name": "pinhole_radial_k3"}
+    intrinsic = {"key": 3, "value": {**kind, "ptr_wrapper": {"id": 2147483700, "data": data}}}
+    content = {"sfm_data_version": "0.3", "root_path": "/home/else/images", "views": views, "intrinsics": [intrinsic]}
+    path = root / "sfm_data.json"
+    path.write_text(json.dumps({**content, "extrinsics": poses, "structure": [], "control_points": []}, indent=4))
+    return path
+
+
+def write_sidecars(root: Path, capture: Capture) -> Path:
+    """Some values as elements and some as attributes, as RealityScan does; and what another program wrote."""
+    for number, view in enumerate(capture.views):
+        assert view.photo is not None
+        camera = view.camera
+        pose, side = camera.c2w @ DOWN_FORWARD, max(camera.width, camera.height)
+        turn, place = numbers(pose[:3, :3].T), numbers(pose[:3, 3])
+        as_attribute = f'xcr:Rotation="{turn}"' if number % 2 else ""
+        as_element = "" if number % 2 else f"<xcr:Rotation>{turn}</xcr:Rotation>"
+        u, v = (camera.cx - camera.width / 2) / side, (camera.cy - camera.height / 2) / side
+        view.photo.with_suffix(".xmp").write_text(
+            '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">\n'
+            f'<rdf:Description xcr:Version="3" xcr:PosePrior="initial" xcr:Coordinates="absolute" {as_attribute}\n'
+            f'xcr:DistortionModel="brown3" xcr:FocalLength35mm="{camera.fx / side * 36}" xcr:Skew="0"\n'
+            f'xcr:AspectRatio="1" xcr:PrincipalPointU="{u}" xcr:PrincipalPointV="{v}" xcr:InTexturing="1"\n'
+            f'xmlns:xcr="http://www.capturingreality.com/ns/xcr/1.1#">{as_element}\n'
+            f"<xcr:Position>{place}</xcr:Position><xcr:DistortionCoeficients>0 0 0 0 0 0</xcr:DistortionCoeficients>\n"
+            "</rdf:Description></rdf:RDF></x:xmpmeta>\n"
+        )
+    (root / "images" / "aaa.xmp").write_text('<x:xmpmeta xmlns:x="adobe:ns:meta/"/>')
+    return root
+
+
+def write_tum(root: Path, capture: Capture) -> Path:
+    """Poses at times before and after each photo's, on a straight path through it at constant speed."""
+    (root / "images").rename(root / "rgb")
+    photos, poses = ["# color images", "# timestamp filename"], ["# timestamp tx ty tz qx qy qz qw"]
+    for number, view in enumerate(capture.views):
+        assert view.photo is not None
+        pose, time = view.camera.c2w @ DOWN_FORWARD, 1305031102.175304 + number
+        photos.append(f"{time:.6f} rgb/{view.photo.name}")
+        for away in (-0.01, 0.01):
+            turn = Rotation.from_rotvec(away * np.array([3.0, 5, 2])) * Rotation.from_matrix(pose[:3, :3])
+            place = pose[:3, 3] + away * np.array([2.0, -7, 1])
+            poses.append(f"{time + away:.6f} {numbers(place)} {numbers(turn.as_quat())}")
+    photos.append("1305039999.000000 rgb/lost.png")
+    (root / "rgb.txt").write_text("\n".join(photos) + "\n")
+    (root / "groundtruth.txt").write_text("\n".join(poses) + "\n")
+    camera = capture.views[0].camera
+    (root / "calibration.txt").write_text(f"{camera.fx} {camera.fy} {camera.cx} {camera.cy}\n")
+    return root
+
+
+FILES = (write_metashape, write_meshroom, write_bundler, write_reality_scan, write_openmvg)
 
 
 def write_scannet(root: Path, capture: Capture) -> Path:
@@ -119,11 +187,7 @@ def write_scannet(root: Path, capture: Capture) -> Path:
     return root
 
 
-@pytest.mark.parametrize(
-    "write",
-    [write_metashape, write_meshroom, write_bundler, write_reality_scan, write_scannet],
-    ids=lambda w: w.__name__,
-)
+@pytest.mark.parametrize("write", [*FILES, write_scannet, write_sidecars, write_tum], ids=lambda w: w.__name__)
 @pytest.mark.parametrize("by_file", [False, True])
 def test_cameras_are_those_of_the_room(write: Writer, by_file: bool, nerfstudio_room: RoomCapture) -> None:
     expected = read_capture(nerfstudio_room.root)
@@ -156,6 +220,63 @@ def test_distortion_of_metashape_is_that_of_opencv_with_the_tangential_terms_exc
     nerfstudio_room.transforms.unlink()
     lens = read_capture(nerfstudio_room.root).views[0].distortion
     assert lens == Distortion(k1=-0.1, k2=0.02, p1=0.004, p2=0.003)
+
+
+def test_distortion_of_openmvg_is_that_of_its_kind(nerfstudio_room: RoomCapture) -> None:
+    path = write_openmvg(nerfstudio_room.root, read_capture(nerfstudio_room.root))
+    text = path.read_text()
+    nerfstudio_room.transforms.unlink()
+    start = text.index('"disto_k3"')
+    given = text[start : text.index("]", start) + 1]
+    path.write_text(text.replace(given, '"disto_t2": [-0.1, 0.02, 0.001, 0.003, 0.004]'))
+    lens = read_capture(path).views[0].distortion
+    assert lens == Distortion(k1=-0.1, k2=0.02, k3=0.001, p1=0.003, p2=0.004)
+    path.write_text(text.replace(given, '"fisheye": [0.1, 0.02, 0.003, 0.0004]'))
+    assert read_capture(path).views[0].distortion == Distortion(k1=0.1, k2=0.02, k3=0.003, k4=0.0004, fisheye=True)
+    path.write_text(text.replace(given, '"spherical": [0.1]'))
+    with pytest.raises(BadInput, match=r"sfm_data\.json: .*an intrinsic with spherical"):
+        read_capture(path)
+
+
+def test_distortion_of_a_sidecar_is_that_of_its_model(nerfstudio_room: RoomCapture) -> None:
+    root = write_sidecars(nerfstudio_room.root, read_capture(nerfstudio_room.root))
+    nerfstudio_room.transforms.unlink()
+    texts = {path: path.read_text() for path in (root / "images").glob("0*.xmp")}
+
+    def written(model: str) -> Distortion | None:
+        for path, text in texts.items():
+            lens = text.replace(">0 0 0 0 0 0<", ">-0.1 0.02 0.001 0.5 0.003 0.004<")
+            path.write_text(lens.replace("brown3", model))
+        return read_capture(root).views[0].distortion
+
+    assert written("brown3") == Distortion(k1=-0.1, k2=0.02, k3=0.001)
+    assert written("brown4t2") == Distortion(k1=-0.1, k2=0.02, k3=0.001, k4=0.5, p1=0.003, p2=0.004)
+    assert written("perspective") is None
+    with pytest.raises(BadInput, match=r"000\.xmp: .*distortion model division"):
+        written("division")
+
+
+def test_a_damaged_sidecar_is_named(nerfstudio_room: RoomCapture) -> None:
+    root = write_sidecars(nerfstudio_room.root, read_capture(nerfstudio_room.root))
+    nerfstudio_room.transforms.unlink()
+    path = root / "images" / "002.xmp"
+    path.write_text(path.read_text().replace("<xcr:Position>", "<xcr:Position>x "))
+    with pytest.raises(BadInput, match=r"002\.xmp"):
+        read_capture(root)
+
+
+def test_tum_photos_far_from_any_pose_have_none_and_names_tell_the_camera(
+    nerfstudio_room: RoomCapture, tmp_path: Path
+) -> None:
+    root = write_tum(nerfstudio_room.root, read_capture(nerfstudio_room.root))
+    nerfstudio_room.transforms.unlink()
+    assert any("lost (no pose)" in warning for warning in read_capture(root).warnings)
+    (root / "calibration.txt").unlink()
+    with pytest.raises(BadInput, match="freiburg1"):
+        read_views(root)
+    root = root.rename(tmp_path / "rgbd_dataset_freiburg3_room")
+    with pytest.raises(BadInput, match="principal point"):  # of 640 x 480 pixels, which these photos have not
+        read_views(root)
 
 
 def test_entities_of_an_xml_are_not_expanded(nerfstudio_room: RoomCapture) -> None:
