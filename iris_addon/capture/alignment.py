@@ -34,6 +34,8 @@ DEPTH_EDGE = 0.05
 """Relative bend of the inverse depth between neighbours that counts as a full edge; 0 on any plane."""
 
 Verdict = Literal["aligned", "shifted", "unclear"]
+EdgePair = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Edges (h, w) of a photo and of the mesh."""
 
 
 @dataclass(frozen=True)
@@ -51,12 +53,13 @@ class Alignment:
     verdict: Verdict
 
 
-def alignment(camera: Camera, photo: Photo, tracer: Tracer) -> tuple[float, Alignment]:
-    """Share of the photo that shows the mesh, and the alignment of its edges with those of the mesh."""
+def alignment(camera: Camera, photo: Photo, tracer: Tracer) -> tuple[float, Alignment, EdgePair]:
+    """Share of the photo that shows the mesh, the alignment of its edges with those of the mesh, and both (h, w)."""
     small = camera.shrunk(ALIGN_WIDTH)
     depth, normal = seen_geometry(small, tracer)
     seen = float(np.isfinite(depth).mean())
-    return seen, compare(shown_edges(photo, small), geometry_edges(depth, normal), camera.width / small.width)
+    edges = shown_edges(photo, small), geometry_edges(depth, normal)
+    return seen, compare(*edges, camera.width / small.width), edges
 
 
 def shown_edges(photo: Photo, small: Camera) -> NDArray[np.float64]:

@@ -25,7 +25,8 @@ from ..base.progress import Progress
 from ..model.capture import Capture, Mesh, View
 from ..model.response import SATURATED
 from ..rays.tracer import Tracer
-from .alignment import alignment
+from .alignment import EdgePair, alignment, band
+from .exchanged_photos import Edges, exchanged
 from .photos import load_photo
 
 BLACK_VALUE = 0.5 / 255
@@ -49,30 +50,34 @@ def inspect(capture: Capture, folder: Path, progress: Progress) -> dict[str, Any
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "capture.json").unlink(missing_ok=True)
     tracer = Tracer(capture.mesh)
-    rows = []
+    rows, photos, poses = [], [], []
     with progress.stage("photos"):
         for index, view in enumerate(capture.views):
-            rows.append(_inspect_view(view, tracer, folder))
+            row, (of_photo, of_mesh) = _inspect_view(view, tracer, folder)
+            rows.append(row)
+            photos.append(band(of_photo).astype(np.float32))
+            poses.append(band(of_mesh).astype(np.float32))
             progress.update((index + 1) / len(capture.views))
     _write_mesh(folder / "mesh.npz", capture.mesh)
     content = {
         "name": capture.name,
         "root": capture.root.resolve(),
         "up": capture.up,
-        "warnings": [*capture.warnings, *_mismatch(capture), *_warnings(rows)],
+        "warnings": [*capture.warnings, *_mismatch(capture), *_exchanged(rows, photos, poses), *_warnings(rows)],
         "views": rows,
     }
     write_json(folder / "capture.json", content)
     return content
 
 
-def _inspect_view(view: View, tracer: Tracer, folder: Path) -> dict[str, Any]:
+def _inspect_view(view: View, tracer: Tracer, folder: Path) -> tuple[dict[str, Any], EdgePair]:
+    """The row of a photo, and the edges (h, w) of the photo and of the mesh under its pose."""
     photo = load_photo(view)
     shown = view.photo
     if view.distortion is not None and not photo.hdr:
         shown = folder / "photos" / f"{view.name}.png"
         write_png(shown, to_codes(photo.values))
-    seen, fit = alignment(view.camera, photo, tracer)
+    seen, fit, edges = alignment(view.camera, photo, tracer)
     values = photo.values[photo.valid]
     histogram, _ = (
         np.histogram(values.max(axis=1), HISTOGRAM_BINS, (0.0, 1.0))
@@ -90,7 +95,15 @@ def _inspect_view(view: View, tracer: Tracer, folder: Path) -> dict[str, Any]:
         "histogram": histogram / max(int(np.sum(histogram)), 1),
         "seen": seen,
         "alignment": asdict(fit),
-    }
+    }, edges
+
+
+def _exchanged(rows: list[dict[str, Any]], photos: list[Edges], poses: list[Edges]) -> list[str]:
+    found = exchanged(photos, poses)
+    if not found:
+        return []
+    pairs = _some([f"{rows[k]['name']} shows what {rows[j]['name']} should" for k, j in found.items()])
+    return [f"{len(found)} photos lie under the pose of another ({pairs}): check that each photo belongs to its pose"]
 
 
 def _mismatch(capture: Capture) -> list[str]:

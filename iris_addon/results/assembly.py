@@ -36,7 +36,7 @@ from ..textures.painting import Painter, PixelLight, paint_texels
 from ..textures.principled import make_textures
 from ..textures.texel_points import TexelPoints
 from .checkpoints import Checkpoints
-from .held_out import base_color_of_pixels, hold_out
+from .held_out import base_color_of_pixels, errors_of_photos, hold_out, misfits
 from .maps import bilinear
 from .report import MAX_WIDTH
 from .result import Result
@@ -130,10 +130,15 @@ def make_result(
     tested = np.flatnonzero(held_out.tested)
     shown = photos.z[tested]
     found = explained(tested, base_color_of_pixels(textures, atlas, room, tested))
-    error = found - (shown if photos.hdr else np.clip(shown + 0.5 / 255, 0, 1))
-    psnr, residual = -10 * np.log10(np.mean(error**2)), np.log(of_patch).std()
+    shown = shown if photos.hdr else np.clip(shown + 0.5 / 255, 0, 1)
+    psnr, residual = -10 * np.log10(np.mean((found - shown) ** 2)), np.log(of_patch).std()
+    of_photos = errors_of_photos(found, shown, samples.view[tested], len(capture.views))
     paints = {"paints": paint.paints, "parts_of_one_colour": paint.plain_regions}
-    report = {"holdout_psnr": float(psnr), "model": {"residual_light": round(float(residual), 4), **paints}}
+    report = {
+        "holdout_psnr": float(psnr),
+        "model": {"residual_light": round(float(residual), 4), **paints},
+        "warnings": _misfit_warnings(capture, of_photos),
+    }
     mesh = capture.mesh.with_uv(atlas.uv)
     if room.surface.scanned.any():
         mesh = replace(mesh, normals=room.surface.normals)
@@ -260,6 +265,20 @@ def _sun(problem: LightProblem, lights: Lights) -> Sunlight | None:
     return None if sun is None else Sunlight(sun.direction, lights.hidden_radiance[-1])
 
 
+def _misfit_warnings(capture: Capture, errors: NDArray[np.floating]) -> list[str]:
+    """A warning that names the photos that are explained far worse than the others, or none."""
+    worst = misfits(errors)
+    if not len(worst):
+        return []
+    names = ", ".join(f"{capture.views[k].name} ({errors[k]:.0%})" for k in worst[:5]) + (
+        " …" if len(worst) > 5 else ""
+    )
+    return [
+        f"{len(worst)} of {len(errors)} photos are not explained by the solved room, their typical error against "
+        f"{np.nanmedian(errors):.0%} of brightness in the others: {names}: check that each photo belongs to its pose"
+    ]
+
+
 def with_figures(
     result: Result,
     room: TracedRoom,
@@ -298,6 +317,12 @@ def with_figures(
         "n_patches": int(transport.n_patches),
         "n_views": len(room.capture.views),
         "model": model,
-        "warnings": [*room.capture.warnings, *cameras.warnings, *photometry.warnings, *lights.warnings],
+        "warnings": [
+            *room.capture.warnings,
+            *cameras.warnings,
+            *photometry.warnings,
+            *lights.warnings,
+            *result.report["warnings"],
+        ],
     }
     return replace(result, report={**result.report, **figures})

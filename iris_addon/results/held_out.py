@@ -20,6 +20,14 @@ texels are interpolated, show a little of them."""
 SUBPIXELS = 4
 """Rays along the side of a tested pixel over which base colour is averaged."""
 
+MIN_TESTED = 16
+"""Tested pixels of a photo, below which its error says nothing."""
+DARK = 0.02
+"""Least brightness, of that of the brightest hundredth, that an error is relative to: display values are coarse."""
+MISFIT_ERROR, MISFIT_FACTOR = 0.25, 5.0
+"""Error of a photo relative to its brightness, and as a multiple of the median photo's, beyond both of which it shows
+something else than its pose does (experiment 0160)."""
+
 
 @dataclass(frozen=True)
 class HeldOut:
@@ -65,3 +73,33 @@ def base_color_of_pixels(
                 count[own] += same
     centre = interpolate_uv(atlas.uv, samples.face[rows], samples.barycentric[rows])
     return np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], bilinear(textures.base_color, centre))
+
+
+def errors_of_photos(
+    found: NDArray[np.floating], shown: NDArray[np.floating], view: NDArray[np.integer], n_views: int
+) -> NDArray[np.float64]:
+    """(V,) error of the typical tested pixel of each photo relative to its brightness; NaN where few are tested.
+
+    Medians over the pixels of a photo: its mean squared error is that of its lamps and edges, and of how bright it is.
+
+    Args:
+        found, shown: (k, 3) values of the tested pixels as explained and as photographed.
+        view: (k,) photo of each.
+    """
+    error, brightness = np.abs(found - shown).mean(1), shown.mean(1)
+    errors, dark = np.full(n_views, np.nan), DARK * float(np.quantile(brightness, 0.99)) if len(brightness) else DARK
+    for k in np.unique(view):
+        own = view == k
+        if own.sum() >= MIN_TESTED:
+            errors[k] = np.median(error[own]) / max(float(np.median(brightness[own])), dark, 1e-9)
+    return errors
+
+
+def misfits(errors: NDArray[np.floating]) -> NDArray[np.intp]:
+    """Photos that the solved room does not explain at all, though it does the others, worst first."""
+    known = errors[np.isfinite(errors)]
+    if not len(known):
+        return np.zeros(0, np.intp)
+    worst_first = np.argsort(-np.nan_to_num(errors, nan=-1.0), kind="stable")
+    limit = max(MISFIT_ERROR, MISFIT_FACTOR * float(np.median(known)))
+    return worst_first[np.nan_to_num(errors, nan=-1.0)[worst_first] > limit]

@@ -15,6 +15,7 @@ from iris_addon.capture.reader import read_capture
 from iris_addon.model.capture import Camera, Mesh
 from iris_addon.rays.tracer import Tracer
 from tests.box_room import RoomCapture, box_mesh, look_at
+from tests.demo_capture import demo_capture
 
 SEEN_FROM = look_at(np.array([3.2, 2.4, 1.6]), np.array([0.5, 0.3, 0.8]))
 
@@ -74,6 +75,23 @@ def test_alignment_is_unclear_without_common_edges():
     noise = np.random.default_rng(0).random((view.height, view.width, 3))
     assert align(noise, depth, normal, 1.0).verdict == "unclear"
     assert align(np.full((view.height, view.width, 3), 0.5), depth, normal, 1.0).verdict == "unclear"
+
+
+@pytest.mark.parametrize("swapped", [(), (0, 9), (3, 11, 20)])
+def test_photos_under_the_pose_of_another_are_named(swapped: tuple[int, ...], tmp_path):
+    demo = demo_capture(tmp_path / "demo", count=24)
+    photos = [demo.root / "images" / name for name in demo.names]
+    contents = [path.read_bytes() for path in photos]
+    names = [path.stem for path in photos]
+    for k, source in zip(swapped, [*swapped[1:], *swapped[:1]], strict=True):
+        photos[k].write_bytes(contents[source])
+    inspect(read_capture(demo.save()), tmp_path / "look", Progress())
+    warnings = json.loads((tmp_path / "look" / "capture.json").read_text())["warnings"]
+    said = [warning for warning in warnings if "check that each photo belongs to its pose" in warning]
+    assert len(said) == bool(swapped)
+    for k, source in zip(swapped, [*swapped[1:], *swapped[:1]], strict=True):
+        assert f"{names[k]} shows what {names[source]} should" in said[0]
+    assert not said or said[0].startswith(f"{len(swapped)} photos")
 
 
 def test_a_plane_has_no_edges_however_slanted():

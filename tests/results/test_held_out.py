@@ -1,0 +1,50 @@
+"""Photos that the solved room does not explain are named, and no others."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from iris_addon.results.held_out import MIN_TESTED, errors_of_photos, misfits
+
+PHOTOS, PIXELS = 20, 300
+
+
+def pixels(rng: np.random.Generator, exposures: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Display values explained with 5 % of error, those shown, and the photo of each pixel."""
+    view = np.repeat(np.arange(len(exposures)), PIXELS)
+    shown = np.clip(rng.uniform(0.1, 0.9, (len(view), 3)) * exposures[view, None], 0, 1)
+    return shown * (1 + 0.05 * rng.normal(size=shown.shape)), shown, view
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e4])
+def test_exchanged_photos_are_named_whatever_the_exposures_and_the_unit(unit: float) -> None:
+    rng = np.random.default_rng(0)
+    found, shown, view = pixels(rng, 2.0 ** rng.uniform(-4, 1, PHOTOS))
+    assert not len(misfits(errors_of_photos(unit * found, unit * shown, view, PHOTOS)))
+    a, b = view == 3, view == 17
+    shown[a], shown[b] = shown[b].copy(), shown[a].copy()
+    assert sorted(misfits(errors_of_photos(unit * found, unit * shown, view, PHOTOS))) == [3, 17]
+
+
+def test_lamps_and_edges_make_no_misfit() -> None:
+    """A third of the pixels of one photo are wrong by the whole range: its mean squared error is a hundredfold."""
+    rng = np.random.default_rng(1)
+    found, shown, view = pixels(rng, np.ones(PHOTOS))
+    lamp = (view == 5) & (rng.random(len(view)) < 0.33)
+    found[lamp] = 1 - np.round(shown[lamp])
+    assert ((found - shown)[view == 5] ** 2).mean() > 50 * ((found - shown)[view == 6] ** 2).mean()
+    assert not len(misfits(errors_of_photos(found, shown, view, PHOTOS)))
+
+
+def test_a_capture_that_is_explained_badly_as_a_whole_names_no_photo() -> None:
+    rng = np.random.default_rng(2)
+    _, shown, view = pixels(rng, np.ones(PHOTOS))
+    assert not len(misfits(errors_of_photos(shown[::-1], shown, view, PHOTOS)))
+
+
+def test_few_pixels_say_nothing() -> None:
+    shown, view = np.full((2 * MIN_TESTED - 1, 3), 0.5), np.repeat([0, 1], [MIN_TESTED, MIN_TESTED - 1])
+    errors = errors_of_photos(shown + 0.4, shown, view, 3)
+    assert np.isfinite(errors).tolist() == [True, False, False]
+    assert not len(misfits(np.full(3, np.nan)))
