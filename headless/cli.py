@@ -33,6 +33,8 @@ MAX_FRAMES = 1_000_000
 MAX_RESOLUTION = 200_000_000
 """Pixels of a rendered photo."""
 MAX_EXPOSURE = 1e12
+MAX_METRES = 1e6
+"""Of a unit; and one by it the least."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -185,6 +187,7 @@ def _add_solving(add: Add) -> None:
     )
     solve.add_argument("--hdr", type=Path, metavar="DIR", help="one EXR of radiance per photo, in place of the photos")
     solve.add_argument("--strict", action="store_true", help="refuse a capture that lacks photos or poses")
+    _add_unit(solve)
     solve.add_argument("--resume", action="store_true", help="go on from the last finished stage")
     solve.add_argument("--seed", type=_whole, default=0, help="of all randomness")
 
@@ -202,6 +205,7 @@ def _add_solving(add: Add) -> None:
     inspect.add_argument(
         "--strict", action="store_true", help="refuse a capture that lacks some of its photos or poses"
     )
+    _add_unit(inspect)
 
     apply = add("apply", "Principled materials and emissive lights as a .blend")
     apply.add_argument("result", type=Path, help="folder of a result")
@@ -224,6 +228,15 @@ def _add_solving(add: Add) -> None:
     farm = add("farm", "a job file as a bundle for farms that run Open Job Description")
     farm.add_argument("jobs", type=Path, metavar="JOBS.toml", help="as for batch")
     farm.add_argument("--out", type=Path, required=True, metavar="BUNDLE", help="folder of the bundle")
+
+
+def _add_unit(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--metres-per-unit",
+        type=_metres,
+        metavar="METRES",
+        help="unit of poses and mesh, where they have none: a wall of 4 m that measures 2.5 has 1.6",
+    )
 
 
 def _add_rendering(add: Add) -> None:
@@ -347,6 +360,18 @@ def _resolution(text: str) -> tuple[int, int]:
     if _positive(width) * _positive(height) > MAX_RESOLUTION:
         raise argparse.ArgumentTypeError(f"{text!r} is more than {MAX_RESOLUTION // 1_000_000} million pixels")
     return int(width), int(height)
+
+
+def _metres(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 1 / MAX_METRES <= value <= MAX_METRES:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a number of metres from {1 / MAX_METRES:g} to {MAX_METRES:g}"
+        )
+    return value
 
 
 def _exposure(text: str) -> str | float:

@@ -44,7 +44,12 @@ def solve(args: argparse.Namespace, progress: Progress) -> Outcome:
         args.preset, response=args.response, exposures=args.exposures, hdr=args.hdr, device=args.device, seed=args.seed
     )
     capture = read_capture(
-        args.capture, exposures=config.exposures, hdr=config.hdr, strict=args.strict, check=progress.check
+        args.capture,
+        exposures=config.exposures,
+        hdr=config.hdr,
+        strict=args.strict,
+        metres_per_unit=args.metres_per_unit,
+        check=progress.check,
     )
     from iris_addon.pipeline import solve as run_solve  # slow to import: errors of the capture come first
 
@@ -59,7 +64,13 @@ def inspect(args: argparse.Namespace, progress: Progress) -> Outcome:
     from iris_addon.capture.reader import read_capture
 
     with progress.stage("reading"):
-        capture = read_capture(args.capture, exposures=args.exposures, strict=args.strict, check=progress.check)
+        capture = read_capture(
+            args.capture,
+            exposures=args.exposures,
+            strict=args.strict,
+            metres_per_unit=args.metres_per_unit,
+            check=progress.check,
+        )
     content = measure(capture, args.out, progress)
     return Outcome.of(f"Looked at {capture.name}", {"photos": len(capture.views), "warnings": content["warnings"]})
 

@@ -111,7 +111,7 @@ def band(edges: NDArray[np.float64]) -> NDArray[np.float64]:
     return smooth - gaussian_filter(smooth, 8.0)
 
 
-def correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def correlation(a: NDArray[np.floating], b: NDArray[np.floating]) -> NDArray[np.float64] | None:
     """(h, w) correlation of two maps (h, w) under every cyclic shift, [0, 0] being none; None where one is flat."""
     energy = np.sqrt((a**2).sum() * (b**2).sum())
     if energy < 1e-9:

@@ -98,7 +98,7 @@ def read_colmap(path: Path, model: Path) -> Listing:
     """List the capture ``path`` whose sparse model lies in ``model``; raises BadInput."""
     root, source = _root(path), _source(model)
     views = read_colmap_views(path, model)
-    warnings = ["a COLMAP model has no unit: one unit of it is taken as one metre"]
+    warnings = []
     others = [other for other in _models(path) if other != model]
     if others:
         counts = ", ".join(f"{other.relative_to(path).as_posix()} has {_count_images(other)}" for other in others)
@@ -116,6 +116,7 @@ def read_colmap(path: Path, model: Path) -> Listing:
         mesh_file=_mesh_file(root, source),
         up=up_axis(root, mean_up(views) or (0.0, 0.0, 1.0)),
         warnings=tuple(warnings),
+        unit="a COLMAP model has no unit",
     )
 
 

@@ -62,6 +62,7 @@ class Listing:
         mesh_file: the mesh to read.
         up: unit vector that points away from the floor.
         unposed: names of photos that the file lists without a pose.
+        unit: why one unit of poses and mesh is assumed to be one metre; "" where the source says so.
         one_frame: poses and mesh are known to be in one frame, because they were written together; none is searched.
     """
 
@@ -75,6 +76,7 @@ class Listing:
     warnings: tuple[str, ...] = ()
     unposed: tuple[str, ...] = ()
     one_frame: bool = False
+    unit: str = ""
 
 
 # ---- Values and paths -----------------------------------------------------------------------------------------------

@@ -47,7 +47,7 @@ def read_nerfstudio(transforms: Path) -> Listing:
     if len(views) < len(listed):
         warnings.append(f"{len(listed) - len(views)} frames are in no split and are left out")
     mesh_file, mesh_named = _mesh_file(meta, root, transforms)
-    warnings += _check_applied(meta, mesh_named, transforms)
+    unit = _check_applied(meta, mesh_named, transforms)
     return Listing(
         name=root.resolve().name or "capture",
         root=root,
@@ -59,6 +59,7 @@ def read_nerfstudio(transforms: Path) -> Listing:
         unposed=tuple(unposed),
         one_frame=meta.get("one_frame") is True,
         warnings=tuple(warnings),
+        unit=unit,
     )
 
 
@@ -158,8 +159,8 @@ def _mesh_file(meta: Mapping[str, Any], root: Path, source: Path) -> tuple[Path,
     return only_mesh(root, source), False
 
 
-def _check_applied(meta: Mapping[str, Any], mesh_named: bool, source: Path) -> list[str]:
-    """Refuse a capture whose poses were moved away from its mesh; warn when its unit may not be the metre.
+def _check_applied(meta: Mapping[str, Any], mesh_named: bool, source: Path) -> str:
+    """Refuse a capture whose poses were moved away from its mesh; why its unit may not be the metre, or "".
 
     "applied_transform" and "applied_scale" tell what was done to the poses in the file, and to the geometry it names.
     A mesh that merely lies in the folder may still be where it was before.
@@ -177,4 +178,4 @@ def _check_applied(meta: Mapping[str, Any], mesh_named: bool, source: Path) -> l
             'bring the mesh into the frame of the poses and name it with "mesh"',
             source,
         )
-    return [] if scale == 1.0 else [f'"applied_scale" is {scale:g}: one unit of the file is taken as one metre']
+    return "" if scale == 1.0 else f'"applied_scale" is {scale:g}'

@@ -142,7 +142,6 @@ def read_program(path: Path, program: Program, source: Path) -> Listing:
     views, unposed = _views(program.read(source), root, source)
     if not views:
         raise BadInput("has no camera with a pose", "align the photos first, and export their cameras again", source)
-    warnings = [] if program.has_unit else [f"{program.name}'s cameras: one unit is taken as one metre"]
     return Listing(
         name=root.resolve().name or "capture",
         root=root,
@@ -151,7 +150,7 @@ def read_program(path: Path, program: Program, source: Path) -> Listing:
         val_views=(),
         mesh_file=only_mesh(root, source, "leave one of them in the folder"),
         up=up_axis(root, upright(views)),
-        warnings=tuple(warnings),
+        unit="" if program.has_unit else f"{program.name}'s cameras have no unit",
         unposed=tuple(unposed),
     )
 

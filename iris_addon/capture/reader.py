@@ -15,7 +15,7 @@ import numpy as np
 
 from ..base.errors import BadInput
 from ..base.images import HDR_SUFFIXES
-from ..model.capture import Capture, FloatArray, Mesh, View
+from ..model.capture import Capture, FloatArray, Mesh, View, in_metres
 from ..rays.tracer import Tracer
 from .colmap import colmap_model, read_colmap, read_colmap_views
 from .common_frame import OURS, bring_together, extent
@@ -52,6 +52,7 @@ def read_capture(
     hdr: Path | None = None,
     photos: PhotoSet = "Image",
     strict: bool = False,
+    metres_per_unit: float | None = None,
     check: Callable[[], None] = lambda: None,
 ) -> Capture:
     """Read and check a capture.
@@ -66,6 +67,8 @@ def read_capture(
         hdr: folder with an EXR of linear radiance for each training photo, matched by file name.
         photos: which set of a FIPT-layout capture, varying or constant exposure.
         strict: refuse a capture that lacks photos or poses; otherwise up to a third of them are left out and listed.
+        metres_per_unit: what poses and mesh are multiplied by, in whatever unit they are; without, a unit that the
+            files do not tell is taken as one metre, which a warning says.
         check: called often; may raise, as for a cancel.
 
     Raises:
@@ -90,6 +93,11 @@ def read_capture(
         warnings.append(f"{unknown} of {len(views)} photos have no exposure time: all exposures are estimated")
 
     mesh, mesh_warnings = read_mesh(listing.mesh_file)
+    if metres_per_unit is not None:
+        views, val_views = ([in_metres(view, metres_per_unit) for view in group] for group in (views, val_views))
+        mesh = replace(mesh, vertices=mesh.vertices * metres_per_unit)
+    elif listing.unit:
+        warnings.append(f"{listing.unit}: one unit is taken as one metre; --metres-per-unit gives it another length")
     check_origin(views, mesh, listing.mesh_file)
     mesh, turned = _turn_glb(mesh, views, listing)
     together = bring_together(views, val_views, mesh, check, may_mend=not listing.one_frame)
@@ -108,6 +116,7 @@ def read_capture(
         up=up,
         warnings=tuple(warnings),
         mismatch=None if together.mismatch is None else BadInput(*together.mismatch, listing.mesh_file),
+        metres_per_unit=1.0 if metres_per_unit is None else metres_per_unit,
     )
 
 

@@ -192,6 +192,13 @@ class Mesh:
         return replace(self, uv=uv)
 
 
+def in_metres(view: View, metres_per_unit: float) -> View:
+    """The view, its pose multiplied by ``metres_per_unit``."""
+    pose = view.camera.c2w.copy()
+    pose[:3, 3] *= metres_per_unit
+    return replace(view, camera=replace(view.camera, c2w=pose))
+
+
 @dataclass(frozen=True)
 class Capture:
     """A capture folder, read and checked.
@@ -202,6 +209,7 @@ class Capture:
         up: unit vector that points away from the floor; (0, 0, 1) where the capture does not give it.
         warnings: what a user should know before waiting for a solve.
         mismatch: what a solve raises, where photos and mesh do not belong together.
+        metres_per_unit: what poses and mesh of the files were multiplied by.
     """
 
     name: str
@@ -212,6 +220,7 @@ class Capture:
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     warnings: tuple[str, ...] = field(default=())
     mismatch: BadInput | None = None
+    metres_per_unit: float = 1.0
 
     @property
     def exposures_known(self) -> bool:

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..model.capture import Camera, Mesh, View
+from ..base.untrusted import finite
+from ..model.capture import Camera, Mesh, View, in_metres
 from ..model.corrections import CameraCorrection, PoseCorrections
 from ..model.local_exposure import UNIFORM, LocalSettings
 from ..model.recovered import Backdrop, DiffuseLobe, Emitter, OutsideLight, Sunlight, Textures
@@ -167,6 +168,9 @@ class Result:
     def as_taken(self, views: Iterable[View]) -> list[View]:
         """Views of the capture, which it gives by the same cameras as its photos, as these cameras were found to be."""
         together, single = self.camera_correction, self.pose_corrections
+        scale = finite(self.report.get("metres_per_unit", 1.0))
+        if scale is not None and scale > 0 and scale != 1:
+            views = [in_metres(view, float(scale)) for view in views]
         taken = [view if together is None else together.view(view) for view in views]
         return taken if single is None else [replace(view, camera=single.camera(view.camera)) for view in taken]
 

@@ -204,6 +204,25 @@ def test_cameras_are_those_of_the_room(write: Writer, by_file: bool, nerfstudio_
     assert len(read_views(source)) == len(expected.views)
 
 
+@pytest.mark.parametrize("write", [write_openmvg, write_scannet], ids=lambda w: w.__name__)
+def test_a_unit_is_stated_where_it_is_assumed_and_taken_where_it_is_given(
+    write: Writer, nerfstudio_room: RoomCapture
+) -> None:
+    expected = read_capture(nerfstudio_room.root)
+    nerfstudio_room.transforms.unlink()
+    root = nerfstudio_room.root
+    write(root, expected)
+    assumed = any("one unit is taken as one metre" in warning for warning in read_capture(root).warnings)
+    assert assumed == (write is write_openmvg)  # ScanNet is in metres
+    scaled = read_capture(root, metres_per_unit=1.6)
+    assert not any("one unit" in warning for warning in scaled.warnings)
+    np.testing.assert_allclose(scaled.mesh.vertices, 1.6 * expected.mesh.vertices, atol=1e-6)
+    for view, wanted in zip(scaled.views, expected.views, strict=True):
+        np.testing.assert_allclose(view.camera.position, 1.6 * wanted.camera.position, atol=1e-6)
+        np.testing.assert_allclose(view.camera.c2w[:3, :3], wanted.camera.c2w[:3, :3], atol=1e-6)
+    assert scaled.metres_per_unit == 1.6
+
+
 def test_photos_without_a_pose_are_left_out_and_named(nerfstudio_room: RoomCapture) -> None:
     expected = read_capture(nerfstudio_room.root)
     nerfstudio_room.transforms.unlink()
