@@ -24,7 +24,7 @@ MIN_TESTED = 16
 """Tested pixels of a photo, below which its error says nothing."""
 DARK = 0.02
 """Least brightness, of that of the brightest hundredth, that an error is relative to: display values are coarse."""
-MISFIT_ERROR, MISFIT_FACTOR = 0.25, 5.0
+MISFIT_ERROR, MISFIT_FACTOR = 0.2, 3.0
 """Error of a photo relative to its brightness, and as a multiple of the median photo's, beyond both of which it shows
 something else than its pose does (experiment 0160)."""
 
