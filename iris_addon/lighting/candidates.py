@@ -124,6 +124,33 @@ def voted(
     return result
 
 
+def with_specks_filled(
+    emitting: NDArray[np.bool_],
+    areas: NDArray[np.floating],
+    adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
+    scanned: NDArray[np.bool_],
+) -> NDArray[np.bool_]:
+    """(F,) emitting faces, and specks of a scan that one lamp encloses: what is beside most lamps is no part of them.
+
+    Args:
+        areas: (F,) of each face.
+        scanned: (F,) faces of scans.
+    """
+    a, b = adjacency
+    inside = scanned[a] & scanned[b]
+    a, b = a[inside], b[inside]
+    alike = emitting[a] == emitting[b]
+    label = component_labels(len(emitting), a[alike], b[alike])
+    area = np.bincount(label, areas)
+    dark, bright = (np.where(emitting[a] == side, a, b)[~alike] for side in (False, True))
+    island, lamp = label[dark], label[bright]
+    least, most = np.full(len(area), len(area)), np.full(len(area), -1)
+    np.minimum.at(least, island, lamp)
+    np.maximum.at(most, island, lamp)
+    enclosed = (least == most) & (area < SPECK_MAX_SHARE * area[np.maximum(most, 0)])
+    return emitting | (scanned & enclosed[label])
+
+
 def with_gaps_closed(
     emitting: NDArray[np.bool_],
     seen: NDArray[np.bool_],

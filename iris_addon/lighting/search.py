@@ -29,6 +29,7 @@ from .candidates import (
     voted,
     whole_regions,
     with_gaps_closed,
+    with_specks_filled,
 )
 from .highlights import without_highlights
 from .lamp_radiance import (
@@ -217,6 +218,7 @@ def _candidates(
     whole = whole_regions(emitting, count, problem.regions)[problem.regions] & ~scanned
     emitting &= certain | whole
     emitting = with_gaps_closed(emitting, count > 0, tracer.normals, adjacency)
+    emitting = with_specks_filled(emitting, tracer.areas, adjacency, scanned)
     lamps = group_emitters(emitting, count, tracer.areas, problem.regions, adjacency, among, scanned)
     return fewer_lamps(joined_pieces(lamps, level, tracer, scanned), level, tracer)
 

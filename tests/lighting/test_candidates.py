@@ -15,6 +15,7 @@ from iris_addon.lighting.candidates import (
     tie_fixtures,
     voted,
     with_gaps_closed,
+    with_specks_filled,
 )
 from iris_addon.model.response import gamma
 from iris_addon.rays.tracer import Tracer
@@ -202,6 +203,21 @@ def test_faces_of_a_scan_vote_with_their_neighbours_and_modelled_ones_do_not() -
     assert voted(noisy, count, adjacency, np.zeros(n, bool)).tolist() == noisy.tolist()
     smooth = voted(noisy, count, adjacency, np.ones(n, bool))
     assert np.mean(smooth == lamp) > 0.98 > 0.92 > np.mean(noisy == lamp)
+
+
+def test_specks_within_a_lamp_of_a_scan_are_lamp_and_large_or_open_gaps_are_not() -> None:
+    mesh = assemble([quad([0, 0, 0], [1, 0, 0], [0, 1, 0], 0.025)], [0])
+    adjacency, n = edge_adjacency(mesh), len(mesh.faces)
+    area, centre = np.full(n, 1.0), mesh.vertices[mesh.faces].mean(1)
+    within = np.abs(centre[:, :2] - 0.5).max(1) < 0.4
+    speck = np.abs(centre[:, :2] - [0.3, 0.3]).max(1) < 0.04
+    picture = np.abs(centre[:, :2] - 0.6).max(1) < 0.15  # a fifth of the lamp: a thing of its own
+    lamp = within & ~speck & ~picture
+    filled = with_specks_filled(lamp, area, adjacency, np.ones(n, bool))
+    assert speck.sum() > 10 and (filled == (lamp | speck)).all()
+    assert (with_specks_filled(lamp, area, adjacency, np.zeros(n, bool)) == lamp).all()
+    halves = within & (np.abs(centre[:, 0] - 0.5) > 0.02)  # two lamps with a bar between them
+    assert (with_specks_filled(halves, area, adjacency, np.ones(n, bool)) == halves).all()
 
 
 def test_pieces_of_a_window_are_one_lamp_and_specks_beside_it_none() -> None:
