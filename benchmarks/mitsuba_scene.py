@@ -20,7 +20,8 @@ from iris_addon.model.capture import Camera, Capture
 from iris_addon.model.response import Response
 from iris_addon.rays.tracer import Tracer
 from iris_addon.surface.primary_rays import PixelSamples, trace_pixels
-from iris_addon.textures.charts import build_atlas, texel_density_from_footprint
+from iris_addon.textures.charts import build_atlas
+from iris_addon.textures.texel_density import texel_density_from_footprint
 
 from .configurations import true_emitters
 

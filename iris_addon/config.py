@@ -57,7 +57,7 @@ class SolveConfig:
         gather_rays: cosine-distributed rays per patch for light that arrives from other patches.
         shadow_rays: rays per patch over all emitters.
         specular_rays: rays per glossy observation; half as many per glossy pixel, whose neighbours serve it too.
-        atlas_size: side of the texture atlas in texels.
+        atlas_size: side of the texture atlas in texels, at most; photos that resolve less get a smaller one.
         rounds: alternations of lights and materials.
     """
 

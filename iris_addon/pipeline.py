@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
@@ -130,7 +131,8 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         stream(config.seed, "response.observations"),
     )
     # One core at most, and not needed before there are textures.
-    atlas = aside(lambda: atlas_for_photos(capture.mesh, room.samples, config.atlas_size))
+    reduction = np.array([view.reduction for view in reduced.views])
+    atlas = aside(lambda: atlas_for_photos(capture.mesh, room.samples, reduction, config.atlas_size))
     with progress.stage("response"):
         measure = partial(
             measure_photometry,

@@ -20,6 +20,7 @@ from ..surface.primary_rays import PixelSamples
 from ..surface.topology import component_labels, edge_adjacency
 from .atlas import Atlas, covered_texels
 from .packing import pack
+from .texel_density import resolved_side, texel_density_from_footprint
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -30,8 +31,6 @@ MOST_UNSEEN = 0.15
 """Most texels of all unseen faces, relative to all seen ones."""
 MOST_OF_ONE_FACE = 4
 """A single face gets at most one in so many texels."""
-DENSITY_RANGE = 8.0
-"""How far the density of a seen face may lie from the median, either way."""
 EXPECTED_FILL = 0.6
 """Share of the atlas that charts cover, before it is known."""
 MOST_CHARTS = 1 / 8
@@ -56,42 +55,21 @@ FINEST_CHECK = 2048
 """Finest grid, points per side, on which overlaps are looked for."""
 
 
-def atlas_for_photos(mesh: Mesh, samples: PixelSamples, size: int) -> Atlas:
-    """The atlas of ``mesh``, of ``size`` squared texels, with the texel under each pixel of ``samples``.
+def atlas_for_photos(mesh: Mesh, samples: PixelSamples, reduction: NDArray[np.integer], most: int) -> Atlas:
+    """The atlas of ``mesh``, with as many texels as the photos resolve, and the texel under each pixel of ``samples``.
 
     Its texture coordinates are the mesh's own, or else new ones whose texels are as large as the pixels of the photos.
-    """
-    uv = mesh.uv
-    if uv is None:
-        density = texel_density_from_footprint(samples.face, samples.footprint, len(mesh.faces))
-        uv = build_atlas(mesh, density, size)
-    return Atlas.of(uv, size, samples.face, samples.barycentric)
-
-
-def texel_density_from_footprint(
-    face: NDArray[np.integer], footprint: NDArray[np.floating], n_faces: int
-) -> NDArray[np.float64]:
-    """(n_faces,) texels per metre that the photos can fill, 0 for unseen faces.
-
-    One texel per pixel at the lower quartile of a face's footprints, within :data:`DENSITY_RANGE` of the median face.
 
     Args:
-        face: (n,) face under each pixel.
-        footprint: (n,) metres on the surface spanned by that pixel.
+        samples: pixels of reduced photos.
+        reduction: (n_views,) rows and columns of the photo on file in one of those.
+        most: side of the atlas in texels, at most.
     """
-    # One sort of 64-bit keys: positive floats order like their bits.
-    keys = (face.astype(np.uint64) << np.uint64(32)) | footprint.astype(np.float32).view(np.uint32)
-    keys.sort()
-    bounds = np.searchsorted(keys >> np.uint64(32), np.arange(n_faces + 1, dtype=np.uint64))
-    count = np.diff(bounds)
-    seen = count > 0
-    density = np.zeros(n_faces)
-    if seen.any():
-        quartile = keys[(bounds[:-1] + count // 4)[seen]] & np.uint64(0xFFFFFFFF)
-        wanted = 1 / np.maximum(quartile.astype(np.uint32).view(np.float32), 1e-9)
-        median = np.median(wanted)
-        density[seen] = np.clip(wanted, median / DENSITY_RANGE, median * DENSITY_RANGE)
-    return density
+    footprint = samples.footprint / reduction[samples.view].astype(np.float32)
+    density = texel_density_from_footprint(samples.face, footprint, len(mesh.faces))
+    size = min(resolved_side(mesh, density), most)
+    uv = build_atlas(mesh, density, size) if mesh.uv is None else mesh.uv
+    return Atlas.of(uv, size, samples.face, samples.barycentric)
 
 
 def build_atlas(mesh: Mesh, texel_density: NDArray[np.floating], size: int) -> NDArray[np.float32]:

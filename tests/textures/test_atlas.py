@@ -12,8 +12,14 @@ from scipy.spatial import Delaunay
 from iris_addon.capture.mesh_files import uv_overlap
 from iris_addon.model.capture import DEGENERATE_AREA, Mesh
 from iris_addon.textures.atlas import covered_texels, interpolate_uv, rasterise_atlas, texel_index
-from iris_addon.textures.charts import UNSEEN_SHARE, build_atlas, texel_density_from_footprint
+from iris_addon.textures.charts import UNSEEN_SHARE, build_atlas
 from iris_addon.textures.fill import fill_texels
+from iris_addon.textures.texel_density import (
+    SIDE_STEP,
+    TEXELS_PER_PIXEL,
+    resolved_side,
+    texel_density_from_footprint,
+)
 from tests.box_room import box_mesh
 
 SIZE = 256
@@ -211,6 +217,24 @@ def test_density_follows_the_near_photos() -> None:
 def test_one_pixel_next_to_a_camera_does_not_take_the_atlas() -> None:
     density = texel_density_from_footprint(np.array([0, 1, 2]), np.array([1e-6, 0.01, 0.01], np.float32), 3)
     assert density.max() / density.min() <= 10
+
+
+def test_an_atlas_has_the_texels_that_photos_resolve() -> None:
+    """Twice as many pixels a metre need twice the side."""
+    mesh, density = box_mesh(), np.full(12, 200.0)
+    side = resolved_side(mesh, density)
+    assert resolved_side(mesh, 2 * density) == pytest.approx(2 * side, abs=SIDE_STEP)
+    uv = build_atlas(mesh, density, side)
+    on_atlas = 0.5 * np.abs(np.cross(uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]))
+    corners = mesh.vertices[mesh.faces]
+    areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    texels = np.sqrt(on_atlas * side**2 / areas)
+    assert texels.min() > TEXELS_PER_PIXEL * 200 * 0.9 and texels.max() < TEXELS_PER_PIXEL * 200 * 1.3
+    # Its own texture coordinates, which cover a quarter of the square, need twice the side.
+    own = resolved_side(mesh.with_uv(uv), density)
+    assert own == pytest.approx(side, abs=SIDE_STEP)
+    assert resolved_side(mesh.with_uv(uv / 2), density) == pytest.approx(2 * own, abs=SIDE_STEP)
+    assert resolved_side(mesh, np.zeros(12)) == SIDE_STEP, "photos that show nothing"
 
 
 @pytest.mark.parametrize("size", [64, 100])
