@@ -212,18 +212,26 @@ def sharpen(
         shown, weight: (L, T, 3) what photos of each kind show, and its weight.
     """
     texture = mean.copy()
-    kernels = [pixel_kernel(blur) for blur in BLURS]
+    everywhere = np.arange(len(mean))
+    kinds = [(at, pixel_kernel(b)) for at, b in zip(map(_shown_by, weight), BLURS, strict=True)]
     norm = np.zeros_like(mean)
-    for of_kind, kernel_ in zip(weight, kernels, strict=True):
-        norm += _blurred(of_kind, kernel_, grid)
+    for of_kind, (at, kernel_) in zip(weight, kinds, strict=True):
+        if len(at):
+            norm += _blurred(of_kind, kernel_, grid, everywhere)
     for _ in range(steps):
         change = np.zeros_like(texture)
-        for values, of_kind, kernel_ in zip(shown, weight, kernels, strict=True):
-            if of_kind.any():
-                error = np.where(of_kind > 0, of_kind * (values - _blurred(texture, kernel_, grid)), 0)
-                change += _blurred(np.nan_to_num(error), kernel_, grid)
+        for values, of_kind, (at, kernel_) in zip(shown, weight, kinds, strict=True):
+            if len(at):
+                error = np.zeros_like(texture)
+                error[at] = np.nan_to_num(of_kind[at] * (values[at] - _blurred(texture, kernel_, grid, at)))
+                change += _blurred(error, kernel_, grid, everywhere)
         texture = np.clip(texture + STEP_LENGTH * change / np.maximum(norm, 1e-12), 0.0, MAX_ALBEDO)
     return texture
+
+
+def _shown_by(weight: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Texels that photos of a kind with the ``weight`` (T, 3) show."""
+    return np.flatnonzero((weight > 0).any(1))
 
 
 def pixel_kernel(blur: float) -> NDArray[np.float32]:
@@ -234,17 +242,19 @@ def pixel_kernel(blur: float) -> NDArray[np.float32]:
     return (weights / (weights[0] + 2 * weights[1:].sum())).astype(np.float32)
 
 
-def _blurred(values: NDArray[np.float32], weights: NDArray[np.float32], grid: _Grid) -> NDArray[np.float32]:
-    """(T, 3) ``values`` as pixels of one kind show them."""
-    result = np.empty_like(values)
+def _blurred(
+    values: NDArray[np.float32], weights: NDArray[np.float32], grid: _Grid, at: NDArray[np.int64]
+) -> NDArray[np.float32]:
+    """(k, 3) ``values`` (T, 3) as pixels of one kind show them, at the texels ``at`` (k,)."""
+    result = np.empty((len(at), 3), np.float32)
     reach = int(np.flatnonzero(weights > 0).max())
-    over_blocks(len(values), BLOCK, lambda rows: _blur(rows.start, values, weights, reach, *grid, result[rows]))
+    over_blocks(len(at), BLOCK, lambda rows: _blur(at[rows], values, weights, reach, *grid, result[rows]))
     return result
 
 
 @kernel
 def _blur(
-    begin: Integer,
+    rows: NDArray[np.int64],
     values: NDArray[np.float32],
     weights: NDArray[np.float32],
     reach: Integer,
@@ -258,8 +268,8 @@ def _blur(
     for down in range(-reach, reach + 1):
         for across in range(-reach, reach + 1):
             inner |= np.uint64(1) << np.uint64((down + REACH) * (2 * REACH + 1) + across + REACH)
-    for k in range(len(result)):
-        own = begin + k
+    for k in range(len(rows)):
+        own = rows[k]
         i, j = texel[own] // side, texel[own] % side
         a = b = c = total = np.float32(0)
         if beside[own] & inner == inner:  # the usual case: whole rows, which lie side by side in memory
