@@ -57,6 +57,12 @@ def interpolate_uv(
     return corners[:, 0] * (1 - u - v) + corners[:, 1] * u + corners[:, 2] * v
 
 
+def plane_areas(corners: NDArray[np.floating]) -> NDArray[np.floating]:
+    """(F,) areas of triangles (F, 3, 2) in a plane."""
+    edges = corners[:, 1:] - corners[:, :1]
+    return 0.5 * np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
+
+
 def texel_index(
     uv: NDArray[np.floating], face: NDArray[np.integer], barycentric: NDArray[np.floating], size: int
 ) -> NDArray[np.int64]:

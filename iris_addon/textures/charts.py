@@ -18,7 +18,7 @@ from ..base.random_streams import stream
 from ..model.capture import DEGENERATE_AREA, Mesh
 from ..surface.primary_rays import PixelSamples
 from ..surface.topology import component_labels, edge_adjacency
-from .atlas import Atlas, covered_texels
+from .atlas import Atlas, covered_texels, plane_areas
 from .packing import pack
 from .texel_density import resolved_side, texel_density_from_footprint
 
@@ -173,8 +173,7 @@ def _flatten(faces: _Faces, chart: IntArray) -> _Flat:
     some_face[chart] = np.arange(len(chart))
     local = np.einsum("fij,fcj->fci", axes[chart], faces.corners - faces.corners[some_face[chart], :1])
     flat, depth = local[..., :2], local[..., 2]
-    edges = flat[:, 1:] - flat[:, :1]
-    projected = 0.5 * np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
+    projected = plane_areas(flat)
     # A grain that closes on itself projects to nothing; its density must not explode.
     covered = np.maximum(np.bincount(chart, projected, n), 0.1 * np.bincount(chart, faces.areas, n))
     density = np.sqrt(np.bincount(chart, faces.wanted, n) / covered)

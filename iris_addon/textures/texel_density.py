@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..capture.mesh_files import face_areas
 from ..model.capture import Mesh
+from .atlas import plane_areas
 
 DENSITY_RANGE = 8.0
 """How far the density of a seen face may lie from the median, either way."""
@@ -51,14 +53,11 @@ def resolved_side(mesh: Mesh, density: NDArray[np.floating]) -> int:
     Args:
         density: (F,) pixels of the photos per metre, 0 for unseen faces.
     """
-    corners = mesh.vertices[mesh.faces].astype(np.float64)
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    pixels = area * density**2
+    pixels = face_areas(mesh) * density**2
     if mesh.uv is None:
         side = np.sqrt(pixels.sum() / RESOLVED_FILL)
     else:
-        edges = mesh.uv[:, 1:].astype(np.float64) - mesh.uv[:, :1]
-        on_atlas = 0.5 * np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
+        on_atlas = plane_areas(mesh.uv.astype(np.float64))
         shown = np.flatnonzero((pixels > 0) & (on_atlas > 0))
         sides = np.sqrt(pixels[shown] / on_atlas[shown])
         order = np.argsort(sides)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..rays.tracer import Tracer, points_on_faces
-from .atlas import covered_texels, texel_index
+from .atlas import covered_texels, plane_areas, texel_index
 
 
 @dataclass(frozen=True)
@@ -47,9 +47,7 @@ class TexelPoints:
         order = np.argsort(texel, kind="stable")  # of several faces, the first: those that cover its centre
         order = order[np.concatenate([[True], texel[order][1:] != texel[order][:-1]])] if len(order) else order
         face, barycentric = face[order], barycentric[order]
-        edges = uv[:, 1:] - uv[:, :1]
-        on_atlas = 0.5 * np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
-        side = np.sqrt(tracer.areas / np.maximum(on_atlas, 1e-12)) / size
+        side = np.sqrt(tracer.areas / np.maximum(plane_areas(uv), 1e-12)) / size
         return TexelPoints(
             texel=texel[order],
             face=face,
