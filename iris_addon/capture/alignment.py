@@ -35,7 +35,7 @@ DEPTH_EDGE = 0.05
 
 Verdict = Literal["aligned", "shifted", "unclear"]
 EdgePair = tuple[NDArray[np.float64], NDArray[np.float64]]
-"""Edges (h, w) of a photo and of the mesh."""
+"""Band-passed edges (h, w) of a photo and of the mesh."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def alignment(camera: Camera, photo: Photo, tracer: Tracer) -> tuple[float, Alig
     small = camera.shrunk(ALIGN_WIDTH)
     depth, normal = seen_geometry(small, tracer)
     seen = float(np.isfinite(depth).mean())
-    edges = shown_edges(photo, small), geometry_edges(depth, normal)
+    edges = band(shown_edges(photo, small)), band(geometry_edges(depth, normal))
     return seen, compare(*edges, camera.width / small.width), edges
 
 
@@ -89,12 +89,12 @@ def align(photo: FloatArray, depth: FloatArray, normal: FloatArray, pixels: floa
     Args:
         pixels: how many pixels of the photo one small pixel is wide.
     """
-    return compare(photo_edges(photo), geometry_edges(depth, normal), pixels)
+    return compare(band(photo_edges(photo)), band(geometry_edges(depth, normal)), pixels)
 
 
 def compare(photo: NDArray[np.float64], geometry: NDArray[np.float64], pixels: float) -> Alignment:
-    """Compare edges (h, w) of a photo with those of the mesh; ``pixels`` as for :func:`align`."""
-    full = correlation(band(photo), band(geometry))
+    """Compare band-passed edges (h, w) of a photo with those of the mesh; ``pixels`` as for :func:`align`."""
+    full = correlation(photo, geometry)
     if full is None:
         return Alignment(0.0, 0.0, "unclear")
     near, reach = near_no_shift(full)

@@ -25,7 +25,7 @@ from ..base.progress import Progress
 from ..model.capture import Capture, Mesh, View
 from ..model.response import SATURATED
 from ..rays.tracer import Tracer
-from .alignment import EdgePair, alignment, band
+from .alignment import EdgePair, alignment
 from .exchanged_photos import Edges, exchanged
 from .photos import load_photo
 
@@ -55,8 +55,8 @@ def inspect(capture: Capture, folder: Path, progress: Progress) -> dict[str, Any
         for index, view in enumerate(capture.views):
             row, (of_photo, of_mesh) = _inspect_view(view, tracer, folder)
             rows.append(row)
-            photos.append(band(of_photo).astype(np.float32))
-            poses.append(band(of_mesh).astype(np.float32))
+            photos.append(of_photo.astype(np.float32))
+            poses.append(of_mesh.astype(np.float32))
             progress.update((index + 1) / len(capture.views))
     _write_mesh(folder / "mesh.npz", capture.mesh)
     content = {
@@ -71,7 +71,7 @@ def inspect(capture: Capture, folder: Path, progress: Progress) -> dict[str, Any
 
 
 def _inspect_view(view: View, tracer: Tracer, folder: Path) -> tuple[dict[str, Any], EdgePair]:
-    """The row of a photo, and the edges (h, w) of the photo and of the mesh under its pose."""
+    """The row of a photo, and the band-passed edges (h, w) of the photo and of the mesh under its pose."""
     photo = load_photo(view)
     shown = view.photo
     if view.distortion is not None and not photo.hdr:
