@@ -36,7 +36,7 @@ from ..textures.painting import Painter, PixelLight, paint_texels
 from ..textures.principled import make_textures
 from ..textures.texel_points import TexelPoints
 from .checkpoints import Checkpoints
-from .held_out import base_color_of_pixels, errors_of_photos, hold_out, misfits
+from .held_out import MISFIT_ERROR, base_color_of_pixels, errors_of_photos, hold_out, misfits
 from .maps import bilinear
 from .report import MAX_WIDTH
 from .result import Result
@@ -266,7 +266,13 @@ def _sun(problem: LightProblem, lights: Lights) -> Sunlight | None:
 
 
 def _misfit_warnings(capture: Capture, errors: NDArray[np.floating]) -> list[str]:
-    """A warning that names the photos that are explained far worse than the others, or none."""
+    """A warning that the photos are not explained, as a whole or those that it names; or none."""
+    typical = float(np.nanmedian(errors)) if np.isfinite(errors).any() else 0.0
+    if typical > MISFIT_ERROR:
+        return [
+            f"the solved room does not explain the photos: their typical error is {typical:.0%} of brightness: check "
+            "that photos, poses and mesh are of one room, and that no photo is edited"
+        ]
     worst = misfits(errors)
     if not len(worst):
         return []
@@ -275,7 +281,7 @@ def _misfit_warnings(capture: Capture, errors: NDArray[np.floating]) -> list[str
     )
     return [
         f"{len(worst)} of {len(errors)} photos are not explained by the solved room, their typical error against "
-        f"{np.nanmedian(errors):.0%} of brightness in the others: {names}: check that each photo belongs to its pose"
+        f"{typical:.0%} of brightness in the others: {names}: check that each photo belongs to its pose"
     ]
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from iris_addon.base.images import read_image, write_png
 from iris_addon.capture.reader import read_capture
 from iris_addon.config import preset
 from iris_addon.pipeline import solve
@@ -48,6 +49,16 @@ def test_a_capture_that_is_explained_badly_as_a_whole_names_no_photo() -> None:
     rng = np.random.default_rng(2)
     _, shown, view = pixels(rng, np.ones(PHOTOS))
     assert not len(misfits(errors_of_photos(shown[::-1], shown, view, PHOTOS)))
+
+
+def test_photos_that_are_negatives_are_said_to_be_unexplained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("IRIS_CACHE", str(tmp_path / "cache"))
+    demo = demo_capture(tmp_path / "demo", count=12)
+    for name in demo.names[::2]:
+        path = demo.root / "images" / name
+        write_png(path, 255 - read_image(path).astype(np.uint8))
+    result = solve(read_capture(demo.save()), SMALL, tmp_path / "out")
+    assert any("does not explain the photos" in warning for warning in result.report["warnings"])
 
 
 def test_few_pixels_say_nothing() -> None:
