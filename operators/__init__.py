@@ -6,6 +6,7 @@ import bpy
 
 from . import (
     apply,
+    area_lamp,
     check,
     compositing,
     environment,
@@ -45,6 +46,7 @@ CLASSES = (
     relight.IRIS_OT_look,
     relight.IRIS_OT_solo,
     relight.IRIS_OT_anchor,
+    area_lamp.IRIS_OT_area_lamp,
     relight.IRIS_OT_hide_lights,
     relight.IRIS_OT_preview,
     compositing.IRIS_OT_match_photo,

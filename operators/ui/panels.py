@@ -271,6 +271,9 @@ def _chosen_lamp(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     row.prop(lamp.material, "name", text="")
     row.operator("iris.solo", depress=is_solo(scene, lamp.material))
     row.operator("iris.anchor")
+    replaced = bool(lamps.camera_only_mode(lamp.material))
+    text = "Area Light Shines for It" if replaced else "Replace by Area Light"
+    layout.operator("iris.area_lamp", text=text, icon="LIGHT_AREA", depress=replaced).on = not replaced
     own, scale = lamp_flux(lamp), settings.lumens_per_unit
     total = max(sum(lamp_flux(other) for other in settings.lamps), 1e-12)
     share = f"{scale * own:.0f} lm" if scale else f"{own / total:.0%} of the light"

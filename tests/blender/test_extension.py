@@ -176,7 +176,7 @@ def test_from_capture_to_files_and_back(package, tmp_path, worker, nerfstudio_ro
     settings.overlay = 0.0
     bpy.ops.iris.step_photo(by=0)
     assert settings.overlay == behind.alpha == 0.5
-    bpy.ops.ed.undo_push(message="before")
+
     plain = settings.room.data.name
     bpy.ops.iris.apply()
     bpy.ops.ed.undo_push(message="applied")
@@ -547,6 +547,21 @@ def test_looks_solo_and_known_lumens(package, tmp_path, worker, nerfstudio_room)
     assert sun.hide_render and sun.hide_viewport
     bpy.ops.iris.solo()
     assert lamp.on
+
+    bpy.ops.iris.area_lamp()
+    light = bpy.data.objects[lamp.material.name + " Light"]
+    assert light.data.type == "AREA" and not light.visible_camera
+    assert abs(light.data.energy - math.pi * 10 * 12) < 0.01  # a wall of ten square metres
+    assert abs(lamp.strength - 12) < 1e-5
+    lamp.on = False
+    assert light.data.energy == 0
+    fails(bpy.ops.iris.area_lamp, "replaced already")
+    bpy.ops.iris.hide_lights()
+    assert not light.hide_render
+    lamp.on = True
+    bpy.ops.iris.area_lamp(on=False)
+    assert not [thing for thing in bpy.data.lights if thing.type == "AREA"]
+    assert abs(lamp.strength - 12) < 1e-5
     """
     in_blender(package, tmp_path, body)
 

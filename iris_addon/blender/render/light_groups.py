@@ -24,6 +24,7 @@ from ...results.result import Result
 from ..camera import add_camera, look_through
 from ..scene_out.backdrop import is_backdrop
 from ..scene_out.build import build_scene
+from ..scene_out.lights import STANDS_FOR
 from ..version import can_denoise, compositor_denoise, compositor_mix, multilayer_exr
 from .cycles import denoise_pictures, set_cycles
 
@@ -86,9 +87,10 @@ def group_lights(scene: bpy.types.Scene, things: Sequence[bpy.types.Object]) -> 
 def _group_name(thing: bpy.types.Object) -> str:
     """The object's name, without the number that Blender appends where another scene has an object of that name.
 
-    Names of passes in image files have no dots.
+    Names of passes in image files have no dots. A light in place of a lamp is grouped with what cameras see of it.
     """
-    name = thing.name.removesuffix(" Mesh")
+    lamp = thing.get(STANDS_FOR)
+    name = thing.name.removesuffix(" Mesh") if lamp is None else lamp.name
     return re.sub(r"\.\d{3,}$", "", name) if name.startswith("IRIS ") else name.replace(".", "_")
 
 

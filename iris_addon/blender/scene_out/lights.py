@@ -5,7 +5,8 @@ is the power that would leave in all directions, whatever the cone: its radiant 
 is its irradiance.
 
 A recovered lamp is an emissive material; switching, dimming and tinting it changes two sockets of that material. The
-functions do nothing where the artist has rebuilt it with other nodes.
+functions do nothing where the artist has rebuilt it with other nodes. Where lights of Blender shine in place of the
+lamp (:mod:`iris_addon.blender.apply.area_lamps`), the material is what cameras see, and the lights follow it.
 """
 
 from __future__ import annotations
@@ -113,6 +114,14 @@ OFF_STRENGTH = "iris_strength"
 """Custom property of a lamp that is switched off: its strength."""
 
 
+STAND_INS = ("iris_light_0", "iris_light_1")
+"""Custom properties of a lamp's material: the lights that shine in its place."""
+STANDS_FOR, ENERGY_PER_RADIANCE = "iris_stands_for", "iris_energy_per_radiance"
+"""Custom properties of such a light: the material of its lamp, and its energy at a radiance of 1."""
+CAMERA_ONLY = ("IRIS Camera Only", "IRIS Light Path", "IRIS See Through")
+"""Names of the nodes that show a material to cameras alone."""
+
+
 def lamp_materials(objects: Iterable[bpy.types.Object]) -> list[bpy.types.Material]:
     """The materials of lamps on ``objects``, by the id of their emitter."""
     used = {slot.material for thing in objects for slot in thing.material_slots if slot.material is not None}
@@ -135,6 +144,7 @@ def switch(material: bpy.types.Material | None, on: bool) -> None:
     shader = _shader(material)
     if material is None or shader is None or on == is_on(material):
         return
+    _take_from_stand_ins(material)
     socket = shader.inputs["Emission Strength"]
     if on:
         socket.default_value = material[OFF_STRENGTH]
@@ -142,6 +152,7 @@ def switch(material: bpy.types.Material | None, on: bool) -> None:
     else:
         material[OFF_STRENGTH] = socket.default_value
         socket.default_value = 0.0
+    _let_stand_ins_follow(material)
 
 
 def strength(material: bpy.types.Material | None) -> float:
@@ -149,6 +160,9 @@ def strength(material: bpy.types.Material | None) -> float:
     shader = _shader(material)
     if material is None or shader is None:
         return 0.0
+    lights = stand_ins(material)
+    if lights and OFF_STRENGTH not in material:  # the artist may have changed the light itself
+        return float(lights[0].data.energy / lights[0][ENERGY_PER_RADIANCE])
     return float(material.get(OFF_STRENGTH, shader.inputs["Emission Strength"].default_value))
 
 
@@ -157,10 +171,12 @@ def set_strength(material: bpy.types.Material | None, value: float) -> None:
     shader = _shader(material)
     if material is None or shader is None:
         return
+    _take_from_stand_ins(material)
     if OFF_STRENGTH in material:
         material[OFF_STRENGTH] = value
     else:
         shader.inputs["Emission Strength"].default_value = value
+    _let_stand_ins_follow(material)
 
 
 def color(material: bpy.types.Material | None) -> tuple[float, float, float]:
@@ -168,6 +184,9 @@ def color(material: bpy.types.Material | None) -> tuple[float, float, float]:
     shader = _shader(material)
     if material is None or shader is None:
         return (0.0, 0.0, 0.0)
+    if lights := stand_ins(material):
+        red, green, blue = lights[0].data.color
+        return (red, green, blue)
     red, green, blue, _ = shader.inputs["Emission Color"].default_value
     return (red, green, blue)
 
@@ -175,8 +194,11 @@ def color(material: bpy.types.Material | None) -> tuple[float, float, float]:
 def set_color(material: bpy.types.Material | None, value: Sequence[float]) -> None:
     """Set the linear colour of the light."""
     shader = _shader(material)
-    if shader is not None:
-        shader.inputs["Emission Color"].default_value = (*value, 1.0)
+    if material is None or shader is None:
+        return
+    _take_from_stand_ins(material)
+    shader.inputs["Emission Color"].default_value = (*value, 1.0)
+    _let_stand_ins_follow(material)
 
 
 def reset(material: bpy.types.Material) -> None:
@@ -184,6 +206,11 @@ def reset(material: bpy.types.Material) -> None:
     shader = _shader(material)
     if shader is None or RECOVERED not in material:
         return
+    _emit_recovered(shader, material)
+    _let_stand_ins_follow(material)
+
+
+def _emit_recovered(shader: bpy.types.Node, material: bpy.types.Material) -> None:
     radiance = [float(value) for value in material[RECOVERED]]
     shader.inputs["Emission Strength"].default_value = max(radiance)
     shader.inputs["Emission Color"].default_value = (*(value / max(radiance) for value in radiance), 1.0)
@@ -192,7 +219,10 @@ def reset(material: bpy.types.Material) -> None:
 @contextmanager
 def as_recovered(materials: Iterable[bpy.types.Material], objects: Iterable[bpy.types.Object] = ()) -> Iterator[None]:
     """Inside, lamps emit what was recovered, and the sun among ``objects`` shines from where it was found; materials
-    that the artist has rebuilt stay as they are."""
+    that the artist has rebuilt stay as they are. Lamps that lights stand in for emit, and these lights are hidden."""
+    materials = list(materials)
+    replaced = [(material, mode) for material in materials if (mode := camera_only_mode(material))]
+    lights = [thing for material, _ in replaced for thing in stand_ins(material) if not thing.hide_render]
     before, suns = [], [thing for thing in objects if is_recovered_sun(thing)]
     shone = [(thing.data.energy, tuple(thing.data.color), thing.matrix_basis.copy()) for thing in suns]
     for thing in suns:
@@ -204,10 +234,18 @@ def as_recovered(materials: Iterable[bpy.types.Material], objects: Iterable[bpy.
             continue
         tint, level = shader.inputs["Emission Color"], shader.inputs["Emission Strength"]
         before.append((tint, tuple(tint.default_value), level, level.default_value))
-        reset(material)
+        _emit_recovered(shader, material)
+    for material, _ in replaced:
+        show_to_all(material)
+    for thing in lights:
+        thing.hide_render = True
     try:
         yield
     finally:
+        for thing in lights:
+            thing.hide_render = False
+        for material, mode in replaced:
+            show_to_cameras_only(material, see_through=mode == "see through")
         for thing, (energy, tint_of_sun, basis) in zip(suns, shone, strict=True):
             thing.data.energy, thing.data.color, thing.matrix_basis = energy, tint_of_sun, basis
         for tint, color_before, level, strength_before in before:
@@ -218,3 +256,72 @@ def _shader(material: bpy.types.Material | None) -> bpy.types.Node | None:
     """The Principled BSDF; None without a material, and where the artist has rebuilt it."""
     nodes = material.node_tree.nodes if material is not None and material.node_tree is not None else ()
     return next((node for node in nodes if node.bl_idname == "ShaderNodeBsdfPrincipled"), None)
+
+
+# ---- lights in place of lamps --------------------------------------------------------------------------------------
+
+
+def stand_ins(material: bpy.types.Material | None) -> list[bpy.types.Object]:
+    """The lights in a scene that shine in place of the lamp; those that the artist has deleted are not among them."""
+    lights = [] if material is None else [material.get(key) for key in STAND_INS]
+    return [thing for thing in lights if thing is not None and thing.users_collection]
+
+
+def _let_stand_ins_follow(material: bpy.types.Material) -> None:
+    """Give the lights in place of a lamp the colour and the radiance of its material."""
+    shader = _shader(material)
+    assert shader is not None  # callers have looked
+    for thing in stand_ins(material):
+        thing.data.color = tuple(shader.inputs["Emission Color"].default_value)[:3]
+        thing.data.energy = shader.inputs["Emission Strength"].default_value * thing[ENERGY_PER_RADIANCE]
+
+
+def _take_from_stand_ins(material: bpy.types.Material) -> None:
+    """Give the material what the artist has changed at the light in its place."""
+    shader, level, tint = _shader(material), strength(material), color(material)
+    assert shader is not None  # callers have looked
+    if stand_ins(material):
+        shader.inputs["Emission Color"].default_value = (*tint, 1.0)
+        if OFF_STRENGTH not in material:
+            shader.inputs["Emission Strength"].default_value = level
+
+
+def camera_only_mode(material: bpy.types.Material) -> str:
+    """How :func:`show_to_cameras_only` has changed ``material``: "black", "see through", or "" where it has not."""
+    nodes = material.node_tree.nodes if material.node_tree is not None else {}
+    return "" if CAMERA_ONLY[0] not in nodes else "see through" if CAMERA_ONLY[2] in nodes else "black"
+
+
+def show_to_cameras_only(material: bpy.types.Material, *, see_through: bool) -> None:
+    """Keep the look of a lamp, but let it light nothing: all rays but those from cameras find it black or, with
+    ``see_through``, pass."""
+    shader = _shader(material)
+    if shader is None or camera_only_mode(material):
+        return
+    tree = material.node_tree
+    mix, path = tree.nodes.new("ShaderNodeMixShader"), tree.nodes.new("ShaderNodeLightPath")
+    mix.name, path.name = CAMERA_ONLY[:2]
+    mix.location, path.location = (180, 150), (-50, 450)
+    tree.links.new(path.outputs["Is Camera Ray"], mix.inputs["Fac"])
+    if see_through:
+        passing = tree.nodes.new("ShaderNodeBsdfTransparent")
+        passing.name, passing.location = CAMERA_ONLY[2], (-50, 250)
+        tree.links.new(passing.outputs["BSDF"], mix.inputs[1])
+    for link in list(shader.outputs["BSDF"].links):
+        tree.links.new(mix.outputs["Shader"], link.to_socket)
+    tree.links.new(shader.outputs["BSDF"], mix.inputs[2])
+    material.cycles.emission_sampling = "NONE"
+
+
+def show_to_all(material: bpy.types.Material) -> None:
+    """Undo :func:`show_to_cameras_only`."""
+    shader = _shader(material)
+    if shader is None or not camera_only_mode(material):
+        return
+    tree = material.node_tree
+    for link in list(tree.nodes[CAMERA_ONLY[0]].outputs["Shader"].links):
+        tree.links.new(shader.outputs["BSDF"], link.to_socket)
+    for name in CAMERA_ONLY:
+        if name in tree.nodes:
+            tree.nodes.remove(tree.nodes[name])
+    material.cycles.emission_sampling = "FRONT_BACK"

@@ -1,0 +1,53 @@
+"""Replace a recovered lamp by Blender's own light, and put it back."""
+# Blender declares properties as annotations.
+# pyright: reportInvalidTypeForm=false
+
+from __future__ import annotations
+
+import bpy
+
+from ..iris_addon.base.errors import IrisError
+from ..iris_addon.blender.apply.area_lamps import put_lamp_back, replace_lamp
+from .polls import NeedsApplied
+from .relight import chosen_lamp
+
+
+class IRIS_OT_area_lamp(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Let an area light of the same place, size, color and flux shine in place of the chosen lamp: less noise, a spread
+    to set, and light linking. Cameras see the lamp as before; its row in the list leads the light. Pressed again, the
+    lamp shines itself"""
+
+    bl_idname = "iris.area_lamp"
+    bl_label = "Replace Lamp by Area Light"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
+
+    on: bpy.props.BoolProperty(name="Replace", default=True, options={"SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """A result was applied, and a lamp is chosen."""
+        return super().poll(context) and chosen_lamp(context.scene) is not None
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Replace the lamp, or put it back."""
+        scene, lamp = context.scene, chosen_lamp(context.scene)
+        assert lamp is not None  # by poll
+        if context.window is not None:
+            context.window.cursor_set("WAIT")  # the first ray builds the search tree of the room
+        try:
+            if not self.on:
+                put_lamp_back(scene, lamp.material)
+                return {"FINISHED"}
+            eyes = [view.camera.matrix_world.translation for view in scene.iris.views if view.camera is not None]
+            lights, faithful = replace_lamp(scene, lamp.material, eyes)
+        except IrisError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        finally:
+            if context.window is not None:
+                context.window.cursor_set("DEFAULT")
+        if faithful:
+            self.report({"INFO"}, f"{' and '.join(thing.name for thing in lights)} in place of {lamp.material.name}")
+        else:
+            self.report({"WARNING"}, f"{lamp.material.name} is neither flat nor a ball: its light is an approximation")
+        return {"FINISHED"}
