@@ -105,8 +105,8 @@ def replace_lamp(
     mean = samples.normals.mean(0)
     frame = _frame(samples, _flat_normal(samples))
     leaning = np.abs(samples.normals @ frame.axes[2])
-    flat = frame.size[2] <= FLAT_THICKNESS * frame.size[:2].min() and (leaning > FLAT_COSINE).mean() >= FLAT_SHARE
-    closed = not flat and np.linalg.norm(mean) < CLOSED_SHARE
+    flat = bool(frame.size[2] <= FLAT_THICKNESS * frame.size[:2].min() and (leaning > FLAT_COSINE).mean() >= FLAT_SHARE)
+    closed = not flat and float(np.linalg.norm(mean)) < CLOSED_SHARE
     if flat:
         lights = _flat_lights(scene, material.name, samples, frame, eyes)
     elif closed:
