@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import io
 import json
+import math
 import sys
 import traceback
 import warnings
@@ -34,7 +35,8 @@ MAX_RESOLUTION = 200_000_000
 """Pixels of a rendered photo."""
 MAX_EXPOSURE = 1e12
 MAX_METRES = 1e6
-"""Of a unit; and one by it the least."""
+"""Of a unit, and one by it the least; of a coordinate."""
+MAX_PANORAMA_WIDTH = 16384
 
 
 class _Parser(argparse.ArgumentParser):
@@ -280,6 +282,15 @@ def _add_rendering(add: Add) -> None:
     _add_sampling(composite)
     composite.add_argument("--gpu", action="store_true", help="render on a GPU where Cycles finds one")
 
+    probe = add("probe", "all light at one point of a solved room, as an equirectangular EXR (HDRI)")
+    probe.add_argument("source", type=Path, metavar="RESULT|SCENE.blend", help="folder of a result, or a solved room")
+    probe.add_argument("--at", type=_coordinate, nargs=3, required=True, metavar=("X", "Y", "Z"), help="the point")
+    probe.add_argument("--out", type=Path, required=True, metavar="FILE.exr", help="the panorama to write")
+    probe.add_argument("--width", type=_panorama_width, default=1024, help="pixels; half as many high (default: 1024)")
+    probe.add_argument("--lights", type=Path, metavar="FILE", help="JSON of changed lights, as for relight")
+    _add_sampling(probe)
+    probe.add_argument("--gpu", action="store_true", help="render on a GPU where Cycles finds one")
+
     camera = add("camera", "response, exposures and white balance as .cube tables and an OpenColorIO configuration")
     camera.add_argument("result", type=Path, help="folder of a result")
     camera.add_argument("--out", type=Path, required=True, help="folder of the tables")
@@ -346,6 +357,23 @@ def _positive(text: str) -> int:
     if _whole(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to {MAX_SEED}")
     return int(text)
+
+
+def _coordinate(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.inf
+    if not abs(value) <= MAX_METRES:
+        raise argparse.ArgumentTypeError(f"{text[:40]!r} is not a coordinate in metres")
+    return value
+
+
+def _panorama_width(text: str) -> int:
+    width = _positive(text)
+    if width % 2 or not 8 <= width <= MAX_PANORAMA_WIDTH:
+        raise argparse.ArgumentTypeError(f"{text!r} is not an even number of pixels from 8 to {MAX_PANORAMA_WIDTH}")
+    return width
 
 
 def _frames(text: str) -> FrameRange:

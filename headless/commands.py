@@ -17,6 +17,7 @@ from iris_addon.model.capture import View
 from iris_addon.results.folder import load_result
 
 from .outcome import Outcome, summarise
+from .probing import probe
 from .relighting import camera, composite, insert, relight, render
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "farm",
     "insert",
     "inspect",
+    "probe",
     "relight",
     "render",
     "solve",

@@ -32,6 +32,7 @@ NEEDS = {
     "relight": (*_READING, "bpy"),
     "insert": (*_READING, "bpy"),
     "composite": ("numpy", "bpy"),
+    "probe": ("numpy", "bpy"),
     "camera": (*_IMAGES, "trimesh"),
     "synth": (*_IMAGES, "bpy"),
     "evaluate": (*_READING, "torch", "embreex"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -40,6 +41,15 @@ def _exr(settings: bpy.types.ImageFormatSettings, media_type: str, file_format: 
         settings.media_type = media_type
     settings.file_format = file_format
     settings.color_depth, settings.exr_codec = "32", "NONE"
+
+
+def set_panoramic(camera: bpy.types.Camera) -> None:
+    """Let ``camera`` render equirectangular pictures of all directions; their lens was Cycles' own up to 4.5."""
+    camera.type = "PANO"
+    owner = camera.cycles if bpy.app.version < (5, 0, 0) else camera
+    owner.panorama_type = "EQUIRECTANGULAR"
+    owner.latitude_min, owner.latitude_max = -math.pi / 2, math.pi / 2
+    owner.longitude_min, owner.longitude_max = -math.pi, math.pi
 
 
 def compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:

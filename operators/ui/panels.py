@@ -341,6 +341,8 @@ class IRIS_PT_insert(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
             name = settings.views[min(settings.view_index, len(settings.views) - 1)].name
             layout.operator("iris.onto_photo", text=f"Put Onto Photo {name}", icon="IMAGE_RGB_ALPHA")
             job_box(layout, "composite", context)
+        layout.operator("iris.probe", icon="WORLD")
+        job_box(layout, "probe", context)
 
 
 class IRIS_PT_export(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming

@@ -559,6 +559,17 @@ def test_looks_solo_and_known_lumens(package, tmp_path, worker, nerfstudio_room)
     bpy.ops.iris.hide_lights()
     assert not light.hide_render
     lamp.on = True
+    from mathutils import Vector
+    corners = [scene.iris.room.matrix_world @ Vector(corner) for corner in scene.iris.room.bound_box]
+    scene.cursor.location = sum(corners, Vector()) / 8
+    bpy.ops.iris.probe(width=64, samples=4)
+    bpy.ops.iris.probe(width=64, samples=4)
+    probe = bpy.data.images["IRIS probe-02"]
+    assert tuple(probe.size) == (64, 32) and probe.packed_file
+    assert 11 < max(probe.pixels) < 13, max(probe.pixels)
+    assert "probe-02.exr" in bpy.context.preferences.studio_lights
+    assert sorted(path.name for path in Path(bpy.path.abspath(probe.filepath)).parent.iterdir()) == [
+        "probe-01.exr", "probe-02.exr"]
     bpy.ops.iris.area_lamp(on=False)
     assert not [thing for thing in bpy.data.lights if thing.type == "AREA"]
     assert abs(lamp.strength - 12) < 1e-5

@@ -131,7 +131,7 @@ def test_evaluate_without_rendering_needs_no_blender_and_names_what_it_left_out(
     assert "left out: relight_psnr (nothing was rendered)" in capsys.readouterr().out
 
 
-IN_BLENDER = ("render", "apply")
+IN_BLENDER = ("render", "apply", "probe")
 
 
 @pytest.mark.parametrize("command", ["evaluate", *(pytest.param(name, marks=pytest.mark.bpy) for name in IN_BLENDER)])
@@ -148,6 +148,8 @@ def test_a_command_needs_no_more_packages_than_it_names(solved, command):
         more = ["--views", room_ + "/val", "--samples", "1", "--out", str(solved / "png")]
     if command == "apply":
         more = ["--blend", str(solved / "room.blend")]
+    if command == "probe":
+        more = ["--at", "2", "1.5", "1.25", "--width", "8", "--samples", "1", "--out", str(solved / "probe.exr")]
     done = run(command, result, *more, python=(sys.executable, "-c", start))
     assert done.returncode == 0, done.stderr
 
@@ -384,3 +386,25 @@ def test_apply_writes_a_blend(solved):
     blend = solved / "scene.blend"
     assert cli.main(["apply", str(solved / "result"), "--blend", str(blend)]) == 0
     assert blend.stat().st_size > 1000
+
+
+@pytest.mark.bpy
+def test_a_probe_is_written_of_a_result_and_of_a_blend(solved, capsys):
+    """Both hold the same light; the .blend has its room turned upright."""
+    pytest.importorskip("bpy")
+    result, blend = str(solved / "result"), solved / "room.blend"
+    few = ["--at", "2", "1.5", "1.25", "--width", "32", "--samples", "16", "--out"]
+    assert cli.main(["probe", result, *few, str(solved / "a.exr")]) == 0
+    assert cli.main(["apply", result, "--blend", str(blend)]) == 0
+    assert cli.main(["probe", str(blend), *few, str(solved / "b.exr")]) == 0
+    one, other = read_exr(solved / "a.exr"), read_exr(solved / "b.exr")
+    assert one.shape == (16, 32, 3) and one.max() > 1
+    assert np.allclose(one.mean((0, 1)), other.mean((0, 1)), rtol=0.1)
+
+    (solved / "off.json").write_text('{"recovered": {"all": {"off": true}}, "outside": 0}')
+    assert cli.main(["probe", result, *few, str(solved / "c.exr"), "--lights", str(solved / "off.json")]) == 0
+    assert read_exr(solved / "c.exr").max() < 1e-3
+    capsys.readouterr()
+    for wrong, told in (([result, *few, str(solved / "x.png")], ".exr"), ([str(solved / "no"), *few, "x.exr"], "no")):
+        assert cli.main(["probe", *wrong]) == 3
+        assert told in capsys.readouterr().err

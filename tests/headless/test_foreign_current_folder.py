@@ -10,7 +10,13 @@ from pathlib import Path
 import pytest
 
 from headless import animation, make_environment
-from iris_addon.blender.worker.jobs import composite_command, environment_command, inspect_command, solve_command
+from iris_addon.blender.worker.jobs import (
+    composite_command,
+    environment_command,
+    inspect_command,
+    probe_command,
+    solve_command,
+)
 from iris_addon.blender.worker.process import Worker
 
 PLANTED = (  # what -m and -c would find first
@@ -105,6 +111,7 @@ def test_paths_of_a_worker_are_absolute(foreign: Path) -> None:
         inspect_command("python", a, b),
         solve_command("python", a, b, "draft"),
         composite_command("blender", a, b, Path("photo.png"), "view", Path("picture.png"), 4),
+        probe_command("blender", a, (0.0, -1.0, 2.0), b, 64, 4),
         environment_command(a),
     ]
     for command in commands:

@@ -114,17 +114,21 @@ def render_coverage(scene: bpy.types.Scene) -> NDArray[np.float32]:
 
 
 def _render(scene: bpy.types.Scene, color_mode: str) -> NDArray[np.float32]:
-    # A 32-bit EXR is free of the view transform, and works alike in background and with a window.
-    settings = scene.render.image_settings
-    single_layer_exr(settings)
-    settings.color_mode = color_mode
+    single_layer_exr(scene.render.image_settings)
+    scene.render.image_settings.color_mode = color_mode
     with tempfile.TemporaryDirectory(prefix="iris-") as folder:
         path = Path(folder) / "render.exr"
-        bpy.ops.render.render(scene=scene.name)
-        bpy.data.images["Render Result"].save_render(str(path), scene=scene)
-        if not path.is_file():
-            raise IrisError("Cycles gave no image", "look at Blender's console for the reason, often memory")
+        render_exr(scene, path)
         return read_pixels(path)
+
+
+def render_exr(scene: bpy.types.Scene, path: Path) -> None:
+    """Render ``scene`` from its active camera into ``path``, in the EXR format its output is set to."""
+    # A 32-bit EXR is free of the view transform, and works alike in background and with a window.
+    bpy.ops.render.render(scene=scene.name)
+    bpy.data.images["Render Result"].save_render(str(path), scene=scene)
+    if not path.is_file():
+        raise IrisError("Cycles gave no image", "look at Blender's console for the reason, often memory")
 
 
 # ---- denoising -----------------------------------------------------------------------------------------------------

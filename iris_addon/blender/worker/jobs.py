@@ -21,7 +21,7 @@ from ...base.files import write_json
 from ...base.untrusted import read_json
 from .process import ADDON, Worker
 
-JobName = Literal["inspect", "solve", "composite", "environment", "test"]
+JobName = Literal["inspect", "solve", "composite", "probe", "environment", "test"]
 MAX_RECORD_BYTES = 1 << 20
 State = Literal["missing", "running", "done", "failed", "cancelled", "interrupted"]
 
@@ -208,10 +208,22 @@ def composite_command(
     Args:
         blender: path of the program; empty where Blender is a module of this Python.
     """
-    in_blender = [blender, "-b", "--factory-startup", "--python-exit-code", "1", "-P", str(RUN), "--"]
-    program = in_blender if blender else _program(sys.executable)
     files = _absolute(blend, "--result", result, "--photo", photo, "--view", view, "--out", out)
-    return [*program, "composite", *files, "--samples", str(samples), *JSON_LINES]
+    return [*_in_blender(blender), "composite", *files, "--samples", str(samples), *JSON_LINES]
+
+
+def probe_command(
+    blender: str, blend: Path, at: tuple[float, float, float], out: Path, width: int, samples: int
+) -> list[str]:
+    """Render the light at the point ``at`` of the room of ``blend`` as the panorama ``out``; ``blender`` as above."""
+    sampling = ["--at", *(f"{value:.6f}" for value in at), "--width", str(width), "--samples", str(samples)]
+    return [*_in_blender(blender), "probe", *_absolute(blend, "--out", out), *sampling, *JSON_LINES]
+
+
+def _in_blender(blender: str) -> list[str]:
+    if not blender:
+        return _program(sys.executable)
+    return [blender, "-b", "--factory-startup", "--python-exit-code", "1", "-P", str(RUN), "--"]
 
 
 def environment_command(folder: Path, test_only: Path | None = None) -> list[str]:
