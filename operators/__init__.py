@@ -19,6 +19,7 @@ from . import (
     review,
     run_job,
     solve,
+    solved_demo,
 )
 from .ui import lamp_highlight, panels, preferences, settings, solve_preview
 
@@ -34,6 +35,7 @@ CLASSES = (
     run_job.IRIS_OT_show_log,
     import_capture.IRIS_OT_import_capture,
     import_capture.IRIS_OT_import_demo,
+    solved_demo.IRIS_OT_open_demo,
     import_capture.IRIS_OT_use_scene,
     import_capture.IRIS_OT_add_capture,
     import_capture.IRIS_FH_capture,

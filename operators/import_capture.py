@@ -23,8 +23,9 @@ from ..iris_addon.blender.scene_in.capture_objects import (
     refresh_capture,
 )
 from ..iris_addon.blender.scene_in.scene_capture import read_view_cameras, write_scene_capture
+from ..iris_addon.blender.scene_in.solved_demo import CAPTURE as CAPTURE_OF_DEMO
 from ..iris_addon.blender.worker import jobs
-from ..iris_addon.blender.worker.jobs import ADDON, inspect_command
+from ..iris_addon.blender.worker.jobs import inspect_command
 from .editors import show_cameras
 from .folders import (
     ROOT_PACKAGE,
@@ -42,7 +43,6 @@ from .run_job import run
 CAPTURE = "iris_capture"
 """Custom property of a room: its capture."""
 COLMAP_FILES = [f"{name}.{kind}" for name in ("cameras", "images", "points3D") for kind in ("bin", "txt")]
-DEMO = ADDON / "assets" / "demo_room"
 
 
 class IRIS_OT_import_capture(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -87,7 +87,9 @@ class IRIS_OT_import_demo(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blen
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Import it; results go to the user's folder, never to the extension's."""
-        return import_from(self, context, DEMO, bpy.utils.extension_path_user(ROOT_PACKAGE, path="demo_room-iris"))
+        return import_from(
+            self, context, CAPTURE_OF_DEMO, bpy.utils.extension_path_user(ROOT_PACKAGE, path="demo_room-iris")
+        )
 
 
 class IRIS_OT_use_scene(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blender's naming

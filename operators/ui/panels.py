@@ -42,6 +42,8 @@ class IRIS_PT_iris(_Sidebar, bpy.types.Panel):  # noqa: N801 - Blender's naming
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the next thing to do."""
         layout = self.layout
+        if not context.scene.iris.views:
+            layout.operator("iris.open_demo", icon="HOME")
         if not solver_python(context):
             box = layout.box()
             box.label(text="The solver needs a Python of its own", icon="ERROR")

@@ -1,0 +1,77 @@
+"""The demo room that comes solved: opened, relit and rendered by a Blender without a solver, as fast as promised."""
+
+import json
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from iris_addon.capture.reader import read_capture
+from iris_addon.evaluate.evaluation import evaluate
+from iris_addon.results.folder import load_result
+from tests.blender_home import ROOT, build_package, in_blender
+
+pytestmark = [pytest.mark.bpy, pytest.mark.skipif(sys.platform == "win32", reason="as the other tests of the package")]
+
+SOLVED, ROOM = ROOT / "assets" / "demo_solved", ROOT / "assets" / "demo_room"
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory) -> Path:
+    return build_package(tmp_path_factory.mktemp("package") / "iris.zip")
+
+
+def test_it_is_a_solve_of_the_bundled_room_by_this_version():
+    """Made anew by assets/make_solved_demo.py whenever the schema or the room changes."""
+    result, capture = load_result(SOLVED), read_capture(ROOM)
+    np.testing.assert_array_equal(result.mesh.faces, capture.mesh.faces)
+    np.testing.assert_allclose(result.mesh.vertices, capture.mesh.vertices, atol=1e-6)
+    checked = json.loads((SOLVED / "inspection" / "capture.json").read_text())
+    assert [row["name"] for row in checked["views"]] == [view.name for view in capture.views]
+    for row, view in zip(checked["views"], capture.views, strict=True):
+        np.testing.assert_allclose(row["camera"]["c2w"], view.camera.c2w, atol=1e-9)
+    scores = evaluate(result, ROOM, render=None)
+    assert scores["emission_iou"] > 0.9 and scores["kd_psnr"] > 22
+
+
+def test_from_installing_to_the_relit_room_without_a_solver(package, tmp_path):
+    """Opened with one press from the start-up scene, in evening light with one more; a picture within a minute."""
+    picture = tmp_path / "evening.png"
+    body = f"""
+    started = time.monotonic()
+    settings = scene.iris
+    assert not preferences.python and not bpy.ops.iris.import_demo.poll()
+    assert bpy.ops.iris.open_demo() == {{"FINISHED"}}
+    opened = time.monotonic() - started
+    assert len(settings.views) == 28 and len(settings.lamps) == 3, len(settings.lamps)
+    hidden = [thing for thing in scene.objects if thing.name in ("Cube", "Light")]
+    assert hidden and all(thing.hide_render for thing in hidden)
+    assert all(view.camera is not None for view in settings.views)
+    images = [view.camera.data.background_images[0].image for view in settings.views]
+    assert all(tuple(image.size) == (320, 240) for image in images)
+    for kind in ("photo", "render", "error", "curve"):
+        assert bpy.ops.iris.review(kind=kind) == {{"FINISHED"}}, kind
+    room = [thing for thing in scene.objects if thing.type == "MESH" and "iris_original" in thing]
+    assert len(room) == 1
+
+    day = [lamp for lamp in settings.lamps if lamp.area > 1]  # the window
+    assert len(day) == 1
+    day[0].on = False
+    scene.render.resolution_percentage, scene.cycles.samples = 50, 16
+    scene.render.filepath = {str(picture)!r}
+    bpy.ops.render.render(write_still=True)
+    whole = time.monotonic() - started
+    print("SECONDS", json.dumps([opened, whole]))
+    assert whole < 60, whole
+
+    key = scene["iris_applied"]
+    bpy.ops.iris.export(format="GLB", filepath={str(tmp_path / "room.glb")!r})
+    assert bpy.ops.iris.open_demo() == {{"FINISHED"}} and scene["iris_applied"] == key
+    assert len([thing for thing in bpy.data.objects if thing.type == "CAMERA" and "iris_view" in thing.data]) == 28
+    bpy.ops.iris.restore()
+    """
+    print(in_blender(package, tmp_path, body))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    assert picture.is_file() and (tmp_path / "room.glb").stat().st_size > 100_000
