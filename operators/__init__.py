@@ -12,6 +12,7 @@ from . import (
     environment,
     export,
     import_capture,
+    menus,
     onto_photo,
     place,
     probe,
@@ -58,6 +59,7 @@ CLASSES = (
     onto_photo.IRIS_OT_onto_photo,
     probe.IRIS_OT_probe,
     export.IRIS_OT_export,
+    menus.IRIS_MT_object,
     panels.IRIS_UL_views,
     panels.IRIS_UL_lamps,
     panels.IRIS_PT_iris,
@@ -79,14 +81,14 @@ def register() -> None:
     bpy.types.Camera.iris_exposure = settings.EXPOSURE
     solve_preview.register()
     lamp_highlight.register()
-    import_capture.register()
+    menus.register()
     run_job.register()
 
 
 def unregister() -> None:
     """Stop all jobs and unregister everything."""
     run_job.unregister()
-    import_capture.unregister()
+    menus.unregister()
     lamp_highlight.unregister()
     solve_preview.unregister()
     del bpy.types.Scene.iris, bpy.types.Camera.iris_exposure

@@ -117,3 +117,8 @@ def job_folder(name: str, context: bpy.types.Context) -> Path:
     if name in ("environment", "test"):
         return environment_folder()
     return check_folder(context.scene) if name == "inspect" else folder(context.scene)
+
+
+def folds() -> bool:
+    """Whether only the current step is open in the sidebar, by the preferences."""
+    return bool(bpy.context.preferences.addons[ROOT_PACKAGE].preferences.fold_steps)

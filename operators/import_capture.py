@@ -296,18 +296,3 @@ class IRIS_FH_capture(bpy.types.FileHandler):  # noqa: N801 - Blender's naming
     def poll_drop(cls, context: bpy.types.Context) -> bool:
         """The mouse is over a 3D view."""
         return context.area is not None and context.area.type == "VIEW_3D"
-
-
-def menu(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
-    """The entry of File > Import."""
-    self.layout.operator("iris.import_capture", text="IRIS Capture (transforms.json, COLMAP, Metashape …)")
-
-
-def register() -> None:
-    """Add the menu entry."""
-    bpy.types.TOPBAR_MT_file_import.append(menu)
-
-
-def unregister() -> None:
-    """Remove the menu entry."""
-    bpy.types.TOPBAR_MT_file_import.remove(menu)

@@ -14,6 +14,7 @@ import bpy
 from ..iris_addon.base.errors import IrisError
 from ..iris_addon.base.untrusted import open_file
 from ..iris_addon.blender.worker import jobs
+from . import status_bar
 from .editors import show_in_editor
 from .folders import job_folder
 
@@ -36,8 +37,17 @@ def run(
     Returns:
         The result of the operator.
     """
+
+    def ended(record: jobs.Record) -> None:
+        try:
+            on_end(record)
+        except IrisError as error:
+            status_bar.ended(job, jobs.Record("failed", error.what, error.fix))
+            raise
+        status_bar.ended(job, record)
+
     try:
-        job = jobs.start(name, folder, command, on_end)
+        job = jobs.start(name, folder, command, ended)
     except IrisError as error:
         on_end(jobs.Record("failed", error.what, error.fix))
         operator.report({"ERROR"}, str(error))
@@ -50,6 +60,7 @@ def run(
     jobs.wait(job)
     record = jobs.record(name, folder)
     if record.state == "done":
+        operator.report({"INFO"}, status_bar.ended(job, record))
         return {"FINISHED"}
     operator.report({"ERROR"}, f"{record.what} — {record.fix}" if record.what else record.state)
     return {"CANCELLED"}
@@ -58,7 +69,8 @@ def run(
 def _tick() -> float | None:
     if jobs.poll():
         redraw_sidebars()
-    return TICK_SECONDS if any(True for _ in jobs.all_running()) else None
+    changes = status_bar.redraw()
+    return TICK_SECONDS if changes or any(True for _ in jobs.all_running()) else None
 
 
 def redraw_sidebars() -> None:
@@ -72,6 +84,7 @@ def redraw_sidebars() -> None:
 
 def register() -> None:
     """Make sure that no job outlives Blender."""
+    status_bar.register()
     atexit.register(jobs.stop_all)
 
 
@@ -80,6 +93,7 @@ def unregister() -> None:
     if bpy.app.timers.is_registered(_tick):
         bpy.app.timers.unregister(_tick)
     jobs.stop_all()
+    status_bar.unregister()
     atexit.unregister(jobs.stop_all)
 
 

@@ -25,6 +25,9 @@ from .widgets import job_box, paragraph, preview_box
 UNSURE = 0.2
 """Lamps of lower confidence are folded away."""
 
+WORDS = ("stale", "running", "failed")
+"""States that the heading of a step says in a word; the icon says the others."""
+
 StepOf = Callable[[bpy.types.Scene], Step]
 
 
@@ -44,43 +47,56 @@ class IRIS_PT_iris(_Sidebar, bpy.types.Panel):  # noqa: N801 - Blender's naming
         layout = self.layout
         if not context.scene.iris.views:
             layout.operator("iris.open_demo", icon="HOME")
-        if not solver_python(context):
+        name, step = steps.current(context.scene)
+        if name in ("data", "check", "solve") and not solver_python(context):
             box = layout.box()
             box.label(text="The solver needs a Python of its own", icon="ERROR")
             opened = box.operator("preferences.addon_show", text="Open Preferences", icon="PREFERENCES")
             opened.module = ROOT_PACKAGE
-        for panel in STEPS:
-            step = panel.step(context.scene)
-            if step.state not in ("done",):
-                paragraph(layout, f"{panel.bl_label}: {step.hint or step.state}", context, "FORWARD")
-                return
-        layout.label(text="All done", icon="CHECKMARK")
+        if step.state != "done":
+            paragraph(layout, f"{name.capitalize()}: {step.hint or step.state}", context, "FORWARD")
+            return
+        layout.label(text="Relight, insert or export", icon="CHECKMARK")
 
 
 class _Step(_Sidebar):
+    """A section whose heading folds it; which one is open follows from the work (:mod:`.steps`)."""
+
     bl_parent_id = "IRIS_PT_iris"
+    bl_options = {"HIDE_HEADER"}  # noqa: RUF012 - Blender's form
+    section: str
     step: StepOf
 
-    def draw_header(self, context: bpy.types.Context) -> None:
-        """The state as an icon."""
-        self.layout.label(text="", icon=ICONS[type(self).step(context.scene).state])  # type: ignore[attr-defined]
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the heading with the state as an icon and, while it matters, a word; and the section if it is open."""
+        state = type(self).step(context.scene).state
+        layout = self.layout  # type: ignore[attr-defined]
+        header, body = layout.panel_prop(context.scene.iris, f"open_{self.section}")
+        header.label(text=self.bl_label, icon=ICONS[state])  # type: ignore[attr-defined]
+        word = header.row()
+        word.alignment, word.active = "RIGHT", False
+        if self.section == "check" and context.scene.iris.warnings:
+            word.label(text="", icon="ERROR")
+        if state in WORDS:
+            word.label(text=state)
+        if body is not None:
+            self.draw_section(body, context)
 
-    def draw_header_preset(self, context: bpy.types.Context) -> None:
-        """The state as a word."""
-        row = self.layout.row()  # type: ignore[attr-defined]
-        row.active = False
-        row.label(text=type(self).step(context.scene).state)
+    def draw_section(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+        """Draw what stands under the heading."""
+        raise NotImplementedError
 
 
 class IRIS_PT_data(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
     """Import of photos, poses and mesh."""
 
     bl_label = "Data"
+    section = "data"
     step = staticmethod(steps.data_step)
 
-    def draw(self, context: bpy.types.Context) -> None:
+    def draw_section(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         """Draw import buttons, and a summary of what was imported."""
-        layout, settings = self.layout, context.scene.iris
+        settings = context.scene.iris
         column = layout.column(align=True)
         column.operator("iris.import_capture", icon="IMPORT")
         column.operator("iris.use_scene", icon="CAMERA_DATA")
@@ -106,11 +122,12 @@ class IRIS_PT_check(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
     """Photo over mesh, and measurements."""
 
     bl_label = "Check"
+    section = "check"
     step = staticmethod(steps.check_step)
 
-    def draw(self, context: bpy.types.Context) -> None:
+    def draw_section(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         """Draw the current photo, the list of all, and warnings."""
-        layout, settings = self.layout, context.scene.iris
+        settings = context.scene.iris
         job_box(layout, "inspect", context)
         if not settings.views:
             return
@@ -152,11 +169,12 @@ class IRIS_PT_solve(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
     """Preset, solve, progress."""
 
     bl_label = "Solve"
+    section = "solve"
     step = staticmethod(steps.solve_step)
 
-    def draw(self, context: bpy.types.Context) -> None:
+    def draw_section(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         """Draw the settings, and progress while a solve runs."""
-        layout, settings = self.layout, context.scene.iris
+        settings = context.scene.iris
         running = jobs.running("solve", folder(context.scene)) is not None
         column = layout.column()
         column.use_property_split, column.use_property_decorate = True, False
@@ -170,6 +188,8 @@ class IRIS_PT_solve(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
             text = "Resume" if record.state in ("cancelled", "interrupted", "failed") else again
             column.operator("iris.solve", text=text, icon="PLAY")
         job_box(layout, "solve", context)
+        if not running and (line := steps.solved_line(folder(context.scene))):
+            layout.label(text=line, icon="CHECKMARK")
         if running:
             preview_box(layout, context)
 
@@ -178,11 +198,12 @@ class IRIS_PT_review(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
     """Review of the result, before it is applied to the objects."""
 
     bl_label = "Review"
+    section = "review"
     step = staticmethod(steps.review_step)
 
-    def draw(self, context: bpy.types.Context) -> None:
+    def draw_section(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         """Draw Apply, buttons for pictures and the figures of the model; what undoes an applied result at any time."""
-        layout, scene = self.layout, context.scene
+        scene = context.scene
         if not result_key(scene):
             layout.label(text="No result yet", icon="INFO")
         else:
@@ -223,11 +244,12 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
     """The recovered lamps."""
 
     bl_label = "Relight"
+    section = "relight"
     step = staticmethod(steps.relight_step)
 
-    def draw(self, context: bpy.types.Context) -> None:
+    def draw_section(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         """Draw looks, the lamps with switch, color and strength, and how renders are shown."""
-        layout, scene = self.layout, context.scene
+        scene = context.scene
         settings = scene.iris
         if APPLIED not in scene:
             layout.label(text="Apply a result first", icon="INFO")
@@ -272,7 +294,6 @@ def _chosen_lamp(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     row = layout.row(align=True)
     row.prop(lamp.material, "name", text="")
     row.operator("iris.solo", depress=is_solo(scene, lamp.material))
-    row.operator("iris.anchor")
     replaced = bool(lamps.camera_only_mode(lamp.material))
     text = "Area Light Shines for It" if replaced else "Replace by Area Light"
     layout.operator("iris.area_lamp", text=text, icon="LIGHT_AREA", depress=replaced).on = not replaced
@@ -281,7 +302,10 @@ def _chosen_lamp(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     share = f"{scale * own:.0f} lm" if scale else f"{own / total:.0%} of the light"
     temperature = kelvin(lamp.color)
     tint = "" if temperature is None else f", {round(temperature, -1):.0f} K"
-    layout.label(text=f"{share}{tint}, {lamp.area:.2g} m², {lamp.confidence:.0%} sure")
+    row = layout.row(align=True)
+    row.label(text=f"{share}{tint}")
+    row.operator("iris.anchor")
+    layout.label(text=f"{lamp.area:.2g} m², {lamp.confidence:.0%} sure")
 
 
 def _mixing(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
@@ -328,11 +352,12 @@ class IRIS_PT_insert(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
     """Objects put into the room."""
 
     bl_label = "Insert"
+    section = "insert"
     step = staticmethod(steps.relight_step)
 
-    def draw(self, context: bpy.types.Context) -> None:
+    def draw_section(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         """Draw what can be placed, and the button that puts it onto the photo."""
-        layout, settings = self.layout, context.scene.iris
+        settings = context.scene.iris
         if APPLIED not in context.scene:
             layout.label(text="Apply a result first", icon="INFO")
             return
@@ -351,12 +376,11 @@ class IRIS_PT_export(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
     """The room as a file."""
 
     bl_label = "Export"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 - Blender's form
+    section = "export"
     step = staticmethod(steps.export_step)
 
-    def draw(self, context: bpy.types.Context) -> None:
+    def draw_section(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         """Draw a button per format."""
-        layout = self.layout
         row = layout.row(align=True)
         row.operator("iris.export", text=".blend").format = "BLEND"
         row.operator("iris.export", text=".glb").format = "GLB"
@@ -366,6 +390,3 @@ class IRIS_PT_export(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         row.operator("iris.export", text="Textures").format = "TEXTURES"
         if not bpy.app.build_options.usd:
             paragraph(layout, "This Blender was built without USD", context, "INFO")
-
-
-STEPS = (IRIS_PT_data, IRIS_PT_check, IRIS_PT_solve, IRIS_PT_review, IRIS_PT_relight)

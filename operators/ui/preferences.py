@@ -21,6 +21,12 @@ class IrisPreferences(bpy.types.AddonPreferences):
         subtype="FILE_PATH",
     )
 
+    fold_steps: bpy.props.BoolProperty(
+        name="Only Current Step Open",
+        description="Fold the sections of the sidebar but that of the current step; a click on a heading unfolds one",
+        default=True,
+    )
+
     def draw(self, _context: bpy.types.Context) -> None:
         """Draw the preferences."""
         layout = self.layout
@@ -30,6 +36,7 @@ class IrisPreferences(bpy.types.AddonPreferences):
         row.operator("iris.make_environment", icon="IMPORT")
         if not self.python:
             layout.label(text="Needed to read captures and to solve; applying a result works without", icon="INFO")
+        layout.prop(self, "fold_steps")
         _draw_job(layout, "environment", "Environment")
         _draw_job(layout, "test", "Test")
 

@@ -12,6 +12,7 @@ import bpy
 from ...iris_addon.blender.scene_out import lights as lamps
 from ..editors import look_at_photo, show_cameras
 from ..place import PLACEABLE
+from . import steps
 from .lamp_highlight import highlight
 
 # ---- callbacks -----------------------------------------------------------------------------------------------------
@@ -43,6 +44,17 @@ def _set_overlay(settings: bpy.types.PropertyGroup, _context: bpy.types.Context)
         if view.camera is not None:
             for behind in view.camera.data.background_images:
                 behind.alpha = settings.overlay
+
+
+def _open(section: str) -> bpy.props.BoolProperty:
+    """Whether a section of the sidebar is unfolded."""
+    return bpy.props.BoolProperty(
+        name=section.capitalize(),
+        description="Fold or unfold this section",
+        get=lambda settings: steps.is_open(settings.id_data, section),
+        set=lambda settings, value: steps.set_open(settings.id_data, section, value),
+        options={"SKIP_SAVE"},
+    )
 
 
 EXPOSURE = bpy.props.FloatProperty(
@@ -173,6 +185,14 @@ class IrisSettings(bpy.types.PropertyGroup):
         description="Show the cameras of all photos in 3D views, not only that of the current one",
         update=_show_cameras,
     )
+    folds: bpy.props.StringProperty(description="Sections that the artist has folded or unfolded", options={"HIDDEN"})
+    open_data: _open("data")
+    open_check: _open("check")
+    open_solve: _open("solve")
+    open_review: _open("review")
+    open_relight: _open("relight")
+    open_insert: _open("insert")
+    open_export: _open("export")
     lamps: bpy.props.CollectionProperty(type=IrisLamp)
     lamp_index: bpy.props.IntProperty(name="Lamp", update=_show_lamp)
     show_unsure: bpy.props.BoolProperty(

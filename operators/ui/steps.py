@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import bpy
 
+from ...iris_addon.base.errors import IrisError
 from ...iris_addon.blender.apply.on_objects import APPLIED
 from ...iris_addon.blender.worker import jobs
 from ...iris_addon.results.files import REPORT, result_file
-from ..folders import capture_changed, capture_path, check_folder, folder, result_key
+from ...iris_addon.results.records import read_report
+from ..folders import capture_changed, capture_path, check_folder, folder, folds, result_key
 
 
 @dataclass(frozen=True)
@@ -95,3 +98,70 @@ def relight_step(scene: bpy.types.Scene) -> Step:
 def export_step(scene: bpy.types.Scene) -> Step:
     """Whether there is a result to export."""
     return Step("done") if result_key(scene) else Step("missing", "First: solve")
+
+
+# ---- which sections are open ---------------------------------------------------------------------------------------
+
+ORDER = {
+    "data": data_step,
+    "check": check_step,
+    "solve": solve_step,
+    "review": review_step,
+    "relight": relight_step,
+}
+SECTIONS = (*ORDER, "insert", "export")
+
+
+def current(scene: bpy.types.Scene) -> tuple[str, Step]:
+    """Name and state of the step that is next: the first that is not done, else the last."""
+    for name, step_of in ORDER.items():
+        step = step_of(scene)
+        if step.state != "done":
+            return name, step
+    return name, step
+
+
+def is_open(scene: bpy.types.Scene, section: str) -> bool:
+    """Whether a section is unfolded: as the artist left it since the current step has begun, else the current one.
+
+    A check with warnings is read before a solve, so that it is open with it.
+    """
+    now = current(scene)[0]
+    left = _left(scene, now)
+    if section in left:
+        return left[section]
+    if not folds():
+        return section != "export"
+    return section == now or ((section, now) == ("check", "solve") and bool(scene.iris.warnings))
+
+
+def set_open(scene: bpy.types.Scene, section: str, unfolded: bool) -> None:
+    """Fold or unfold a section, until another step is current."""
+    now = current(scene)[0]
+    left = {**_left(scene, now), section: unfolded}
+    scene.iris.folds = " ".join([now, *(f"{name}{'+' if value else '-'}" for name, value in left.items())])
+
+
+def _left(scene: bpy.types.Scene, now: str) -> dict[str, bool]:
+    """What the artist has unfolded and folded since the step ``now`` is current: "solve check+ data-" in the scene."""
+    step, *left = scene.iris.folds.split() or [""]
+    return {word[:-1]: word.endswith("+") for word in left} if step == now else {}
+
+
+def solved_line(folder: Path) -> str:
+    """What the solve in ``folder`` ended with, "Solved: 4 lights in 52 s"; empty where there is no result."""
+    try:
+        report = read_report(folder)
+    except IrisError:
+        return ""
+    model, seconds = report.get("model"), report.get("seconds")
+    lights = model.get("lamps") if isinstance(model, dict) else None
+    if not isinstance(lights, int) or not isinstance(seconds, dict):
+        return "Solved"
+    spent = sum(value for value in seconds.values() if isinstance(value, int | float))
+    return f"Solved: {lights} {'light' if lights == 1 else 'lights'} in {duration(spent)}"
+
+
+def duration(seconds: float) -> str:
+    """``seconds`` as a person says them."""
+    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"

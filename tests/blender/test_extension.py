@@ -122,7 +122,8 @@ def test_enabling_and_disabling_leaves_no_trace(package, tmp_path):
             types = {name for name in dir(bpy.types) if "IRIS" in name.upper() and name != "ShaderFxIris"}
             handlers = [len(getattr(bpy.app.handlers, n)) for n in dir(bpy.app.handlers) if n[0] != "_"
                         and isinstance(getattr(bpy.app.handlers, n), list)]
-            menu = len(bpy.types.TOPBAR_MT_file_import._dyn_ui_initialize())
+            places = ("TOPBAR_MT_file_import", "TOPBAR_MT_file_export", "VIEW3D_MT_object", "STATUSBAR_HT_header")
+            menu = sum(len(getattr(bpy.types, place)._dyn_ui_initialize()) for place in places)
             scene = hasattr(bpy.types.Scene, "iris") or hasattr(bpy.types.Camera, "iris_exposure")
             return types, handlers, menu, scene, dir(bpy.ops.iris)
 
@@ -130,7 +131,7 @@ def test_enabling_and_disabling_leaves_no_trace(package, tmp_path):
         bpy.ops.preferences.addon_disable(module=KEY)
         off = traces()
         assert not off[0] and not off[3] and not off[4], off
-        assert on[2] == off[2] + 1 and on[1] == off[1]
+        assert on[2] == off[2] + 4 and on[1] == off[1]
         for _ in range(2):
             bpy.ops.preferences.addon_enable(module=KEY)
             assert traces() == on
@@ -138,6 +139,16 @@ def test_enabling_and_disabling_leaves_no_trace(package, tmp_path):
             assert traces() == off
         """,
     )
+
+
+def test_every_operator_of_an_artist_stands_in_a_menu():
+    """The search (F3) finds what menus have."""
+    texts = [path.read_text() for path in (ROOT / "operators").rglob("*.py")]
+    every = {name for text in texts for name in re.findall(r'bl_idname = "(iris\.\w+)"', text)}
+    menus = set(re.findall(r'"(iris\.\w+)"', (ROOT / "operators" / "menus.py").read_text()))
+    of_panels = {"cancel", "copy_error", "show_log", "add_capture", "step_photo", "review"}
+    of_preferences = {"test_python", "make_environment"}
+    assert every - menus == {f"iris.{name}" for name in of_panels | of_preferences}
 
 
 # ---- in use --------------------------------------------------------------------------------------------------------
@@ -565,6 +576,13 @@ def test_looks_solo_and_known_lumens(package, tmp_path, worker, nerfstudio_room)
     bpy.ops.iris.probe(width=64, samples=4)
     bpy.ops.iris.probe(width=64, samples=4)
     probe = bpy.data.images["IRIS probe-02"]
+    bar = sys.modules[KEY + ".operators.status_bar"]
+    assert bar._end["text"].startswith("Rendering the HDRI Probe: done in ") and not bar.lines(), bar._end
+    header = bpy.types.STATUSBAR_HT_header
+    header.draw = lambda self, context: None  # as setting its text does
+    bar.register()
+    bar.register()
+    assert header.draw._draw_funcs.count(bar.draw) == 1
     assert tuple(probe.size) == (64, 32) and probe.packed_file
     assert 11 < max(probe.pixels) < 13, max(probe.pixels)
     assert "probe-02.exr" in bpy.context.preferences.studio_lights

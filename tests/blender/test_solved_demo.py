@@ -42,6 +42,7 @@ def test_from_installing_to_the_relit_room_without_a_solver(package, tmp_path):
     body = f"""
     started = time.monotonic()
     settings = scene.iris
+    assert settings.open_data and not settings.open_solve
     assert not preferences.python and not bpy.ops.iris.import_demo.poll()
     assert bpy.ops.iris.open_demo() == {{"FINISHED"}}
     opened = time.monotonic() - started
@@ -66,6 +67,21 @@ def test_from_installing_to_the_relit_room_without_a_solver(package, tmp_path):
     print("SECONDS", json.dumps([opened, whole]))
     assert whole < 60, whole
 
+    sections = ("data", "check", "solve", "review", "relight", "insert", "export")
+    unfolded = lambda: [name for name in sections if getattr(settings, f"open_{{name}}")]
+    assert unfolded() == ["relight"]
+    settings.open_insert = True
+    settings.open_relight = False
+    assert unfolded() == ["insert"]
+    steps = sys.modules[KEY + ".operators.ui.steps"]
+    assert steps.solved_line(Path(settings.result)).startswith("Solved: 3 lights in "), steps.solved_line(home)
+    assert steps.solved_line(home) == "" and (steps.duration(52.3), steps.duration(180)) == ("52 s", "3 min")
+    preferences.fold_steps = False
+    assert unfolded() == [name for name in sections if name not in ("relight", "export")]
+    preferences.fold_steps = True
+    bpy.ops.iris.restore()
+    assert unfolded() == ["review"]  # another step, another section
+    bpy.ops.iris.apply()
     key = scene["iris_applied"]
     bpy.ops.iris.export(format="GLB", filepath={str(tmp_path / "room.glb")!r})
     assert bpy.ops.iris.open_demo() == {{"FINISHED"}} and scene["iris_applied"] == key

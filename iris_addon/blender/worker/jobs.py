@@ -12,7 +12,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -42,7 +42,7 @@ CANCELLED = Record("cancelled")
 
 @dataclass
 class Job:
-    """A process that writes into ``folder``.
+    """A process that writes into ``folder``; ``began`` is when, on the monotonic clock.
 
     ``on_end`` is called once, on the thread that polls. If it raises IrisError, the job has failed.
     """
@@ -51,6 +51,7 @@ class Job:
     folder: Path
     worker: Worker
     on_end: Callable[[Record], None]
+    began: float = field(default_factory=time.monotonic)
 
 
 _running: dict[tuple[JobName, Path], Job] = {}
