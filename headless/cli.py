@@ -262,7 +262,7 @@ def _add_rendering(add: Add) -> None:
             type=_exposure,
             default=exposure,
             metavar="photo|auto|FACTOR",
-            help="that of the photos, one that maps the median of each picture to middle grey, or a factor "
+            help="that of the photos, one that maps the median of each picture to middle gray, or a factor "
             f"(default: {exposure})",
         )
         command.add_argument("--frames", type=_frames, metavar="1-120", help="an animation; finished frames are kept")
@@ -365,7 +365,7 @@ def _coordinate(text: str) -> float:
     except ValueError:
         value = math.inf
     if not abs(value) <= MAX_METRES:
-        raise argparse.ArgumentTypeError(f"{text[:40]!r} is not a coordinate in metres")
+        raise argparse.ArgumentTypeError(f"{text[:40]!r} is not a coordinate in meters")
     return value
 
 
@@ -397,7 +397,7 @@ def _metres(text: str) -> float:
         value = 0.0
     if not 1 / MAX_METRES <= value <= MAX_METRES:
         raise argparse.ArgumentTypeError(
-            f"{text!r} is not a number of metres from {1 / MAX_METRES:g} to {MAX_METRES:g}"
+            f"{text!r} is not a number of meters from {1 / MAX_METRES:g} to {MAX_METRES:g}"
         )
     return value
 

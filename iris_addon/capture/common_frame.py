@@ -78,7 +78,7 @@ CONVENTIONS = (
     Convention("camera to world with transposed rotations of OpenCV's axes", lambda p: _transposed(p) @ _DOWN_FORWARD),
     Convention("camera to world with FIPT's axes (x left, z forward)", lambda pose: pose @ _LEFT_FORWARD),
 )
-UNITS = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}
+UNITS = {"millimeters": 0.001, "centimeters": 0.01, "inches": 0.0254, "feet": 0.3048}
 """Metres."""
 
 
@@ -154,9 +154,9 @@ def axes(rotation: Rotation) -> str:
 def _unit_names(scale: float) -> str:
     for name, metres in UNITS.items():
         if np.isclose(scale, metres):
-            return f"{name} against metres of the poses"
+            return f"{name} against meters of the poses"
         if np.isclose(scale, 1 / metres):
-            return f"metres against {name} of the poses"
+            return f"meters against {name} of the poses"
     return f"units of {scale:g}"
 
 

@@ -118,7 +118,7 @@ def _check_extensions(document: dict[str, Any], path: Path) -> None:
         for primitive in mesh.get("primitives", [])
     }
     if any(number in used_as_position and accessor.get("normalized") for number, accessor in enumerate(accessors)):
-        raise BadInput("has normalised integer coordinates", "export it without quantisation, or as PLY", path)
+        raise BadInput("has normalized integer coordinates", "export it without quantization, or as PLY", path)
     needed = sorted((required - READ_EXTENSIONS) | (used & CHANGES_GEOMETRY))
     if needed:
         what = "is compressed with meshopt" if "EXT_meshopt_compression" in needed else f"needs {', '.join(needed)}"
@@ -172,7 +172,7 @@ def _check_geometry(mesh: Mesh, path: Path) -> None:
         what = f"has {count} vertices with NaN or coordinates beyond {MAX_COORDINATE:g}"
         raise BadInput(what, "remove these vertices", path)
     if (face_areas(mesh) <= DEGENERATE_AREA).all():
-        raise BadInput("has only triangles without area", "export the mesh again, in metres", path)
+        raise BadInput("has only triangles without area", "export the mesh again, in meters", path)
 
 
 def face_areas(mesh: Mesh) -> FloatArray:

@@ -206,7 +206,7 @@ def _to_srgb(image: Image.Image, profile: bytes | None, path: Path) -> NDArray[n
         )
         codes = np.array(ImageCms.applyTransform(rgb, transform))
     except ImageCms.PyCMSError as error:
-        raise BadInput(f"has a colour profile that cannot be used ({error})", "save it as sRGB", path) from error
+        raise BadInput(f"has a color profile that cannot be used ({error})", "save it as sRGB", path) from error
     # Rounding takes clipped channels one code down on their way.
     codes[codes == 254] = 255
     return codes

@@ -97,7 +97,7 @@ def read_capture(
         views, val_views = ([in_metres(view, metres_per_unit) for view in group] for group in (views, val_views))
         mesh = replace(mesh, vertices=mesh.vertices * metres_per_unit)
     elif listing.unit:
-        warnings.append(f"{listing.unit}: one unit is taken as one metre; --metres-per-unit gives it another length")
+        warnings.append(f"{listing.unit}: one unit is taken as one meter; --metres-per-unit gives it another length")
     check_origin(views, mesh, listing.mesh_file)
     mesh, turned = _turn_glb(mesh, views, listing)
     together = bring_together(views, val_views, mesh, check, may_mend=not listing.one_frame)
@@ -282,7 +282,7 @@ def _two_devices(views: Sequence[View]) -> list[str]:
         return []
     names = ", ".join(f"{name or 'unknown'} ({count})" for name, count in devices.most_common())
     return [
-        f"the photos come from {len(devices)} cameras, and one response is fitted to all: {names}. Colours and gloss "
+        f"the photos come from {len(devices)} cameras, and one response is fitted to all: {names}. Colors and gloss "
         "suffer; solve the photos of one camera alone"
     ]
 
@@ -297,14 +297,14 @@ def check_units(views: Sequence[View], mesh: Mesh, path: Path) -> None:
     ratio = size / max(spread, 0.5)
     if ratio > MAX_UNIT_RATIO:
         raise BadInput(
-            f"is {ratio:.0f} times as large as the path of the cameras: millimetres against metres?",
-            f"scale the mesh to metres (by {_nearest_unit(1 / ratio):g}) or bring the poses to its unit",
+            f"is {ratio:.0f} times as large as the path of the cameras: millimeters against meters?",
+            f"scale the mesh to meters (by {_nearest_unit(1 / ratio):g}) or bring the poses to its unit",
             path,
         )
     if spread > MAX_UNIT_RATIO * max(size, 1e-9):
         raise BadInput(
-            f"is {spread / max(size, 1e-9):.0f} times smaller than the path of the cameras: poses in millimetres?",
-            "bring mesh and poses to metres",
+            f"is {spread / max(size, 1e-9):.0f} times smaller than the path of the cameras: poses in millimeters?",
+            "bring mesh and poses to meters",
             path,
         )
 

@@ -259,7 +259,7 @@ def _size(thing: Json, shape: str, where: str) -> Vector:
         size = [size] * 3
     sides = array(size, (3,), f"{where}.size")
     if sides.min() <= 0:
-        raise BadInput(f"'{where}.size' is {sides.tolist()}", "give metres above 0")
+        raise BadInput(f"'{where}.size' is {sides.tolist()}", "give meters above 0")
     return vector(sides, f"{where}.size")
 
 
@@ -351,7 +351,7 @@ def _area(light: Json, where: str, turn: Turn) -> Quad:
 def _rectangle(light: Json, normal: FloatArray, where: str) -> FloatArray:
     width, height = array(light.get("size", [0.5, 0.5]), (2,), f"{where}.size")
     if min(width, height) <= 0:
-        raise BadInput(f"'{where}.size' is {[width, height]}", "give metres above 0")
+        raise BadInput(f"'{where}.size' is {[width, height]}", "give meters above 0")
     # Any two sides perpendicular to the normal are right; the axis least along it keeps them level where possible.
     right = np.cross(np.eye(3)[np.argmin(np.abs(normal))], normal)
     right /= np.linalg.norm(right)

@@ -141,7 +141,7 @@ def _maps(saver: Pictures, shown: Sequence[View], maps: Mapping[str, ViewMaps]) 
         lights = np.log1p(m.emission) / np.log1p(peak) if peak > 0 else m.emission
         rows.append(
             '<div class="grid">'
-            + saver.figure(f"{view.name}-albedo", srgb(m.base_color), f"{view.name}: base colour")
+            + saver.figure(f"{view.name}-albedo", srgb(m.base_color), f"{view.name}: base color")
             + saver.figure(f"{view.name}-roughness", m.roughness, "roughness")
             + saver.figure(f"{view.name}-metallic", m.metallic, "metallic")
             + saver.figure(f"{view.name}-lights", lights, f"lights (log, white = {peak:.3g})")
@@ -247,7 +247,7 @@ def _emitters(result: Result) -> str:
         ]
         for emitter in ordered
     ]
-    head = ("id", "colour", "radiance R G B", "area, m²", "power per side", "faces", "confidence")
+    head = ("id", "color", "radiance R G B", "area, m²", "power per side", "faces", "confidence")
     body = _table(head, rows) if rows else "<p>No light was found in the room itself.</p>"
     return f"<section><h2>Lights</h2>{body}</section>"
 

@@ -95,7 +95,7 @@ class IrisLamp(bpy.types.PropertyGroup):
     """A recovered lamp; reads and writes the values of its material."""
 
     material: bpy.props.PointerProperty(type=bpy.types.Material)
-    area: bpy.props.FloatProperty(name="Area", description="Square metres")
+    area: bpy.props.FloatProperty(name="Area", description="Square meters")
     confidence: bpy.props.FloatProperty(name="Confidence", min=0.0, max=1.0)
     on: bpy.props.BoolProperty(
         name="On",
@@ -199,7 +199,7 @@ class IrisSettings(bpy.types.PropertyGroup):
         name="Unsure Lamps", description="List lamps too whose light explains little of what the photos show"
     )
     lumens_per_unit: bpy.props.FloatProperty(
-        description="Lumens per unit of radiance times square metre; 0 while no lamp's lumens are known", min=0.0
+        description="Lumens per unit of radiance times square meter; 0 while no lamp's lumens are known", min=0.0
     )
     placed: bpy.props.EnumProperty(name="Object", description="The object that Place adds", items=PLACEABLE)
     overlay: bpy.props.FloatProperty(

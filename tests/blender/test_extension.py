@@ -1,5 +1,6 @@
 """The extension: built, validated, installed into a Blender of its own, used from import to export, disabled."""
 
+import ast
 import re
 import sys
 import tomllib
@@ -680,3 +681,31 @@ def test_a_histogram_becomes_a_line_of_blocks():
     assert sparkline([0, 0.01, 0.25, 1]) == "▁▂▅█"
     assert sparkline([0, 0]) == "▁▁"
     assert sparkline([1] * 31 + [0]) == "█" * 15 + "▆"
+
+
+def test_the_interface_is_in_the_english_of_blender():
+    """Names, tooltips and reports; a class of Blender has its docstring for a tooltip."""
+    british = re.compile(
+        r"\b(colour|grey|centre|metre|behaviour|normalis|recognis|optimis|neighbour|favour)", re.IGNORECASE
+    )
+    found = []
+    for path in (ROOT / "operators").rglob("*.py"):
+        tree = ast.parse(path.read_text())
+        docs = {
+            id(node.body[0].value)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef)
+            and not (isinstance(node, ast.ClassDef) and node.name.startswith("IRIS_OT"))
+            and isinstance(node.body[0], ast.Expr)
+        }
+        said = [
+            node
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docs
+        ]
+        found += [
+            f"{path.name}:{node.lineno} {node.value}"
+            for node in said
+            if british.search(node.value) and " " in node.value
+        ]
+    assert found == []

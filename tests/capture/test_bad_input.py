@@ -253,7 +253,7 @@ def test_point_cloud_named_as_mesh(nerfstudio_room: RoomCapture) -> None:
     [
         (lambda v: v * [1, 1, np.nan], "8 vertices with NaN"),
         (lambda v: v * 0, "only triangles without area"),
-        (lambda v: v * 1000, r"millimetres against metres? — scale the mesh to metres (by 0.001)"),
+        (lambda v: v * 1000, r"millimeters against meters? — scale the mesh to meters (by 0.001)"),
         (lambda v: v + [500, 0, 0], "no photo sees the mesh"),
     ],
 )
@@ -270,7 +270,7 @@ def test_poses_in_millimetres(nerfstudio_room: RoomCapture) -> None:
         pose = np.array(frame["transform_matrix"])
         pose[:3, 3] *= 1000
         frame["transform_matrix"] = pose.tolist()
-    assert "poses in millimetres?" in refused(nerfstudio_room)
+    assert "poses in millimeters?" in refused(nerfstudio_room)
 
 
 def test_map_coordinates(nerfstudio_room: RoomCapture) -> None:

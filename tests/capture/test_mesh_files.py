@@ -196,7 +196,7 @@ def test_normalised_coordinates_are_refused_because_they_would_come_in_another_u
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
     }
     (tmp_path / "a.glb").write_bytes(glb(document))
-    with pytest.raises(BadInput, match="has normalised integer coordinates"):
+    with pytest.raises(BadInput, match="has normalized integer coordinates"):
         read_mesh(tmp_path / "a.glb")
 
 

@@ -212,7 +212,7 @@ def test_a_unit_is_stated_where_it_is_assumed_and_taken_where_it_is_given(
     nerfstudio_room.transforms.unlink()
     root = nerfstudio_room.root
     write(root, expected)
-    assumed = any("one unit is taken as one metre" in warning for warning in read_capture(root).warnings)
+    assumed = any("one unit is taken as one meter" in warning for warning in read_capture(root).warnings)
     assert assumed == (write is write_openmvg)  # ScanNet is in metres
     scaled = read_capture(root, metres_per_unit=1.6)
     assert not any("one unit" in warning for warning in scaled.warnings)

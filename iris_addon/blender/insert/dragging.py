@@ -17,9 +17,9 @@ SIZE = 0.3
 """Initial width of a new shape, metres."""
 SHAPES: dict[str, tuple[str, Shape, Material]] = {
     "MIRROR": ("Mirror Ball", "sphere", Material((0.95, 0.95, 0.95), roughness=0.0, metallic=1.0)),
-    "GREY": ("Grey Ball", "sphere", Material((0.5, 0.5, 0.5), roughness=1.0, specular=0.0)),
+    "GREY": ("Gray Ball", "sphere", Material((0.5, 0.5, 0.5), roughness=1.0, specular=0.0)),
     "BOX": ("White Box", "box", Material()),
-    "CARD": ("Grey Card", "card", Material((0.18, 0.18, 0.18), roughness=1.0, specular=0.0)),
+    "CARD": ("Gray Card", "card", Material((0.18, 0.18, 0.18), roughness=1.0, specular=0.0)),
 }
 """New shapes that can be placed: name, shape and material by key."""
 

@@ -50,7 +50,7 @@ def read_response(response: str | Path) -> Response:
         raise BadInput(f"is not a response (its shape is {curves.shape})", mend, path)
     samples = np.broadcast_to(curves, (3, N_SAMPLES)).copy()
     if (np.diff(samples) < 0).any() or np.abs(samples[:, [0, -1]] - [0, 1]).max() > 1e-3:
-        raise BadInput("is not a monotone curve from 0 to 1", "normalise it first", path)
+        raise BadInput("is not a monotone curve from 0 to 1", "normalize it first", path)
     return Response(samples, "file")
 
 

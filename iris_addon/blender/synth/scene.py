@@ -196,7 +196,7 @@ def emitted_radiance(material: bpy.types.Material) -> NDArray[np.float64]:
         if color.is_linked or strength.is_linked or node != surface_shader(material):
             raise BadInput(
                 f"the emission of material '{material.name}' is mixed or driven by nodes",
-                "give it a plain Emission or Principled surface with a constant colour and strength",
+                "give it a plain Emission or Principled surface with a constant color and strength",
                 bpy.data.filepath or None,
             )
         radiance = radiance + np.array(color.default_value[:3]) * strength.default_value
