@@ -115,6 +115,22 @@ def test_a_lamp_in_the_ceiling_becomes_one_light_that_faces_the_room():
         assert light.data.energy * light.data.color[0] == pytest.approx(np.pi * 0.4 * 3.0, rel=1e-4)
 
 
+def test_a_window_behind_a_bar_keeps_its_light():
+    """What stands close before a single layer takes the same from the area light as from the mesh; none goes outside."""
+    cube("bar", location=(0, 0, HALF - 0.03), scale=(0.1, 0.1, 0.01))
+    scene = bpy.context.scene
+    thing = lamp("sheet", at=(0, 0, HALF + 0.248), turn=(0, 0, 0))
+    cube("walls", scale=(HALF,) * 3)
+    bpy.context.view_layer.update()
+    _, runs = solve()
+    faces = next(np.arange(run.start, run.stop) for run in runs if run.object == thing.name)
+    result, runs = solve(lamp_faces=faces, uv=np.zeros((runs[-1].stop, 3, 2), np.float32))
+    apply_to_objects(replace(result, outside=None), runs, scene, "key")
+    (material,) = lamp_materials(scene.objects)
+    (light,), _ = replace_lamp(scene, material, [EYE])
+    assert light.data.energy == pytest.approx(np.pi * 0.4 * 6.0, rel=1e-4)
+
+
 def test_cameras_see_the_lamp_as_before_and_the_room_does_not_shine_twice():
     scene = lit_by(lamp("slab"))
     (material,) = lamp_materials(scene.objects)

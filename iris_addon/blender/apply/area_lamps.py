@@ -39,6 +39,8 @@ CLOSED_SHARE = 0.35
 """Length of the mean normal below which a lamp is a closed body; that of half a ball is 0.5."""
 ELLIPSE_SHARE = 0.97
 """Share of the area within the inscribed ellipse from which on a lamp is round; of a rectangle it is 0.785."""
+SINGLE_LAYER = 0.9
+"""Length of the mean normal above which a flat lamp has one layer; that of a slab is 0."""
 CLEARANCE = 0.05
 """Metres: what is nearer than this before a face receives its light, and the room does not."""
 SIDE_SHARE = 0.1
@@ -227,14 +229,15 @@ def _flat_lights(
 ) -> list[_Light]:
     """An area light for every side to which the lamp shines.
 
-    A face that has room to one side alone, as those of a slab have, shines there; one that has it to both sides, as
-    that of a sheet in the ceiling of a mesh without a storey above, to the sides that cameras see.
+    A single layer shines to the sides that cameras see. Of several layers, a face that has room to one side alone, as
+    those of a slab have, shines there; one that has it to both, to the sides that cameras see.
     """
     seen = _shown_sides(scene, samples, frame, eyes)
     front, back = (_free(scene, samples, side * frame.axes[2], CLEARANCE + frame.size[2]) for side in (1, -1))
     visible = [amount > SIDE_SHARE * max(seen) for amount in seen]
     share = [float((front & (~back | visible[0])).mean()), float((back & (~front | visible[1])).mean())]
-    if not max(share):  # things stand close on all sides
+    single = np.linalg.norm(samples.normals.mean(0)) > SINGLE_LAYER
+    if single or not max(share):  # bars and curtains close before a window take no light from it that they do not block
         share = [float(side) for side in visible]
     kept = [index for index in (0, 1) if share[index] > SIDE_SHARE * max(share)]
     return [_area_light(name, frame, 1 - 2 * index, samples, share[index]) for index in kept]
