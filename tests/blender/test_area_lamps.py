@@ -116,7 +116,7 @@ def test_a_lamp_in_the_ceiling_becomes_one_light_that_faces_the_room():
 
 
 def test_a_window_behind_a_bar_keeps_its_light():
-    """What stands close before a single layer takes the same from the area light as from the mesh; none goes outside."""
+    """What stands close before a single layer takes as much from the area light as from the mesh."""
     cube("bar", location=(0, 0, HALF - 0.03), scale=(0.1, 0.1, 0.01))
     scene = bpy.context.scene
     thing = lamp("sheet", at=(0, 0, HALF + 0.248), turn=(0, 0, 0))
