@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..base.errors import BadInput
-from ..base.untrusted import open_text
+from ..base.untrusted import finite, open_text
 
 MAX_TABLE_BYTES = 1 << 30
 MAX_CAMERAS = 100_000
@@ -39,12 +39,13 @@ def read_bundler(path: Path) -> list[dict[str, Any]]:
         for name in names:
             values = np.array([float(next(words, "")) for _ in range(15)])
             focal, k1, k2 = values[:3].tolist()
-            pose = np.eye(4)
-            pose[:3, :3] = values[3:12].reshape(3, 3).T
-            pose[:3, 3] = -pose[:3, :3] @ values[12:]
-            posed = focal > 0 and bool(np.isfinite(values).all())
-            own = {"fl_x": focal, "k1": k1, "k2": k2}
-            frames.append({"file_path": name, "transform_matrix": pose.tolist() if posed else None, **own})
+            own = {"file_path": name, "transform_matrix": None, "fl_x": focal, "k1": k1, "k2": k2}
+            if focal > 0 and finite(values, (15,)) is not None:
+                pose = np.eye(4)
+                pose[:3, :3] = values[3:12].reshape(3, 3).T
+                pose[:3, 3] = -pose[:3, :3] @ values[12:]
+                own["transform_matrix"] = pose.tolist()
+            frames.append(own)
     return frames
 
 

@@ -2,192 +2,28 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from iris_addon.base.errors import BadInput
 from iris_addon.capture.reader import read_capture, read_views
-from iris_addon.model.capture import Capture, Distortion
+from iris_addon.model.capture import Distortion
 from tests.box_room import RoomCapture
-
-DOWN_FORWARD = np.diag([1.0, -1.0, -1.0, 1.0])
-Writer = Callable[[Path, Capture], Path]
-
-
-def numbers(values: np.ndarray) -> str:
-    return " ".join(f"{x:.12g}" for x in np.asarray(values).ravel())
-
-
-def write_metashape(root: Path, capture: Capture) -> Path:
-    """A chunk that is turned, moved and scaled against the world, as after setting a reference."""
-    turn, shift, scale = Rotation.from_euler("xyz", (0.3, 0.2, 0.1)).as_matrix(), np.array([1.0, 2, 3]), 2.5
-    camera = capture.views[0].camera
-    rows = []
-    for number, view in enumerate(capture.views):
-        pose = view.camera.c2w @ DOWN_FORWARD
-        own = np.eye(4)
-        own[:3, :3], own[:3, 3] = turn.T @ pose[:3, :3], turn.T @ (pose[:3, 3] - shift) / scale
-        assert view.photo is not None
-        named = f'<camera id="{number}" sensor_id="0" label="{view.photo.stem}">'
-        rows.append(f"{named}<transform>{numbers(own)}</transform></camera>")
-    size = f'<resolution width="{camera.width}" height="{camera.height}"/>'
-    lens = f"<f>{camera.fx}</f><cx>{camera.cx - camera.width / 2}</cx><cy>{camera.cy - camera.height / 2}</cy>"
-    path = root / "cameras.xml"
-    path.write_text(
-        f'<document version="2.0.0"><chunk label="c"><sensors><sensor id="0" type="frame">{size}'
-        f'<calibration type="frame" class="initial">{size}<f>1</f></calibration>'
-        f'<calibration type="frame" class="adjusted">{size}{lens}</calibration></sensor></sensors>'
-        f"<cameras><group>{''.join(rows)}</group><camera id='99' sensor_id='0' label='lost'/></cameras>"
-        f"<transform><rotation>{numbers(turn)}</rotation><translation>{numbers(shift)}</translation>"
-        f"<scale>{scale}</scale></transform></chunk></document>"
-    )
-    return path
+from tests.program_cameras import (
+    FILES,
+    WRITERS,
+    Writer,
+    write_metashape,
+    write_openmvg,
+    write_scannet,
+    write_sidecars,
+    write_tum,
+)
 
 
-def write_meshroom(root: Path, capture: Capture) -> Path:
-    camera = capture.views[0].camera
-    views, poses = [], []
-    for number, view in enumerate(capture.views):
-        assert view.photo is not None
-        pose = view.camera.c2w @ DOWN_FORWARD
-        views.append({"poseId": str(number), "intrinsicId": "7", "path": f"/home/else/{view.photo.name}"})
-        transform = {"rotation": [str(x) for x in pose[:3, :3].ravel()], "center": [str(x) for x in pose[:3, 3]]}
-        poses.append({"poseId": str(number), "pose": {"transform": transform, "locked": "1"}})
-    intrinsic = {
-        "intrinsicId": "7",
-        "width": str(camera.width),
-        "height": str(camera.height),
-        "sensorWidth": "36",
-        "focalLength": str(camera.fx / camera.width * 36),
-        "type": "radial3",
-        "principalPoint": [str(camera.cx - camera.width / 2), str(camera.cy - camera.height / 2)],
-        "distortionParams": ["0.0", "0.0", "0.0"],
-    }
-    path = root / "sfm.sfm"
-    path.write_text(json.dumps({"version": ["1", "2", "3"], "views": views, "intrinsics": [intrinsic], "poses": poses}))
-    return path
-
-
-def write_bundler(root: Path, capture: Capture) -> Path:
-    lines, names = ["# Bundle file v0.3", f"{len(capture.views)} 0"], []
-    for view in capture.views:
-        assert view.photo is not None
-        world_to_camera = np.linalg.inv(view.camera.c2w)
-        lines.append(f"{view.camera.fx} 0 0")
-        lines += [numbers(row) for row in world_to_camera[:3, :3]] + [numbers(world_to_camera[:3, 3])]
-        names.append(f"images/{view.photo.name} 0 {view.camera.fx}")
-    (root / "list.txt").write_text("\n".join(names) + "\n")
-    path = root / "bundle.out"
-    path.write_text("\n".join(lines) + "\n")
-    return path
-
-
-def write_reality_scan(root: Path, capture: Capture) -> Path:
-    lines = ["#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2"]
-    for view in capture.views:
-        assert view.photo is not None
-        camera = view.camera
-        yaw, pitch, roll = Rotation.from_matrix(camera.c2w[:3, :3]).as_euler("ZXY", degrees=True)
-        x, y, z = camera.position
-        focal = camera.fx / max(camera.width, camera.height) * 36
-        lines.append(f"{view.photo.name},{x},{y},{z},{-yaw},{pitch},{roll},{focal},0,0,0,0,0,0,0,0")
-    path = root / "cameras.csv"
-    path.write_text("\n".join(lines) + "\n")
-    return path
-
-
-def write_openmvg(root: Path, capture: Capture) -> Path:
-    """As cereal writes it: classes are named at their first object only."""
-    camera = capture.views[0].camera
-    views, poses = [], []
-    for number, view in enumerate(capture.views):
-        assert view.photo is not None
-        pose = view.camera.c2w @ DOWN_FORWARD
-        size = {"width": camera.width, "height": camera.height}
-        ids = {"id_view": number, "id_intrinsic": 3, "id_pose": number}
-        data = {"local_path": "", "filename": view.photo.name, **size, **ids}
-        pointer = {"id": 2147483649 + number, "data": data}
-        views.append({"key": number, "value": {"polymorphic_id": 1073741824, "ptr_wrapper": pointer}})
-        poses.append({"key": number, "value": {"rotation": pose[:3, :3].T.tolist(), "center": pose[:3, 3].tolist()}})
-    views.append({"key": 99, "value": {"polymorphic_id": 1073741824, "ptr_wrapper": {"id": 1, "data": {**data}}}})
-    views[-1]["value"]["ptr_wrapper"]["data"] |= {"filename": "lost.png", "id_pose": 99, "id_intrinsic": 4294967295}
-    data = {"width": camera.width, "height": camera.height, "focal_length": camera.fx}
-    data |= {"principal_point": [camera.cx, camera.cy], "disto_k3": [0.0, 0.0, 0.0]}
-    kind = {"polymorphic_id": 2147483649, "polymorphic_name": "pinhole_radial_k3"}
-    intrinsic = {"key": 3, "value": {**kind, "ptr_wrapper": {"id": 2147483700, "data": data}}}
-    content = {"sfm_data_version": "0.3", "root_path": "/home/else/images", "views": views, "intrinsics": [intrinsic]}
-    path = root / "sfm_data.json"
-    path.write_text(json.dumps({**content, "extrinsics": poses, "structure": [], "control_points": []}, indent=4))
-    return path
-
-
-def write_sidecars(root: Path, capture: Capture) -> Path:
-    """Some values as elements and some as attributes, as RealityScan does; and what another program wrote."""
-    for number, view in enumerate(capture.views):
-        assert view.photo is not None
-        camera = view.camera
-        pose, side = camera.c2w @ DOWN_FORWARD, max(camera.width, camera.height)
-        turn, place = numbers(pose[:3, :3].T), numbers(pose[:3, 3])
-        as_attribute = f'xcr:Rotation="{turn}"' if number % 2 else ""
-        as_element = "" if number % 2 else f"<xcr:Rotation>{turn}</xcr:Rotation>"
-        u, v = (camera.cx - camera.width / 2) / side, (camera.cy - camera.height / 2) / side
-        view.photo.with_suffix(".xmp").write_text(
-            '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">\n'
-            f'<rdf:Description xcr:Version="3" xcr:PosePrior="initial" xcr:Coordinates="absolute" {as_attribute}\n'
-            f'xcr:DistortionModel="brown3" xcr:FocalLength35mm="{camera.fx / side * 36}" xcr:Skew="0"\n'
-            f'xcr:AspectRatio="1" xcr:PrincipalPointU="{u}" xcr:PrincipalPointV="{v}" xcr:InTexturing="1"\n'
-            f'xmlns:xcr="http://www.capturingreality.com/ns/xcr/1.1#">{as_element}\n'
-            f"<xcr:Position>{place}</xcr:Position><xcr:DistortionCoeficients>0 0 0 0 0 0</xcr:DistortionCoeficients>\n"
-            "</rdf:Description></rdf:RDF></x:xmpmeta>\n"
-        )
-    (root / "images" / "aaa.xmp").write_text('<x:xmpmeta xmlns:x="adobe:ns:meta/"/>')
-    return root
-
-
-def write_tum(root: Path, capture: Capture) -> Path:
-    """Poses at times before and after each photo's, on a straight path through it at constant speed."""
-    (root / "images").rename(root / "rgb")
-    photos, poses = ["# color images", "# timestamp filename"], ["# timestamp tx ty tz qx qy qz qw"]
-    for number, view in enumerate(capture.views):
-        assert view.photo is not None
-        pose, time = view.camera.c2w @ DOWN_FORWARD, 1305031102.175304 + number
-        photos.append(f"{time:.6f} rgb/{view.photo.name}")
-        for away in (-0.01, 0.01):
-            turn = Rotation.from_rotvec(away * np.array([3.0, 5, 2])) * Rotation.from_matrix(pose[:3, :3])
-            place = pose[:3, 3] + away * np.array([2.0, -7, 1])
-            poses.append(f"{time + away:.6f} {numbers(place)} {numbers(turn.as_quat())}")
-    photos.append("1305039999.000000 rgb/lost.png")
-    (root / "rgb.txt").write_text("\n".join(photos) + "\n")
-    (root / "groundtruth.txt").write_text("\n".join(poses) + "\n")
-    camera = capture.views[0].camera
-    (root / "calibration.txt").write_text(f"{camera.fx} {camera.fy} {camera.cx} {camera.cy}\n")
-    return root
-
-
-FILES = (write_metashape, write_meshroom, write_bundler, write_reality_scan, write_openmvg)
-
-
-def write_scannet(root: Path, capture: Capture) -> Path:
-    (root / "images").rename(root / "color")
-    (root / "pose").mkdir()
-    (root / "intrinsic").mkdir()
-    camera = capture.views[0].camera
-    matrix = np.eye(4)
-    matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2] = camera.fx, camera.fy, camera.cx, camera.cy
-    np.savetxt(root / "intrinsic" / "intrinsic_color.txt", matrix)
-    for view in capture.views:
-        assert view.photo is not None
-        np.savetxt(root / "pose" / f"{view.photo.stem}.txt", view.camera.c2w @ DOWN_FORWARD)
-    np.savetxt(root / "pose" / "lost.txt", np.full((4, 4), -np.inf))
-    return root
-
-
-@pytest.mark.parametrize("write", [*FILES, write_scannet, write_sidecars, write_tum], ids=lambda w: w.__name__)
+@pytest.mark.parametrize("write", WRITERS, ids=lambda w: w.__name__)
 @pytest.mark.parametrize("by_file", [False, True])
 def test_cameras_are_those_of_the_room(write: Writer, by_file: bool, nerfstudio_room: RoomCapture) -> None:
     expected = read_capture(nerfstudio_room.root)

@@ -12,8 +12,9 @@ from pathlib import Path
 
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
+from .checks import Target, check
 from .mutations import DAMAGE, EDITS, Edit
-from .readers import Target, check, targets
+from .readers import targets
 
 CORPUS = Path(__file__).parent / "corpus"
 AT_ONCE = 50

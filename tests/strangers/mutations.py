@@ -6,9 +6,11 @@ import copy
 import json
 import re
 import struct
+import tomllib
 import zlib
 from collections.abc import Callable
 from typing import Any, NamedTuple
+from xml.etree import ElementTree
 
 from hypothesis import strategies as st
 
@@ -41,6 +43,10 @@ WORDS = [
     b"4294967296", b"18446744073709551616", b"1e38", b"1e300",
 ]  # fmt: skip
 """What text may hold in the place of a word."""
+XML_TEXTS = ["", " ", "0", "-1", "1e400", "nan", "inf", "9" * 5000, "1e-320", "1e38", "1e300", "x", "1 2 3", "0 " * 9,
+    "nan " * 16, "0 " * 16, "1e300 " * 9, "1 " * 5000, "true", "../x", "/dev/zero", "a\nb", "\u202e", "fisheye",
+    "brown4t2", "4294967296"]  # fmt: skip
+"""What XML may hold in the place of a text."""
 INTEGERS = [
     0,
     1,
@@ -210,18 +216,103 @@ def damaged_glb(data: bytes, edit: Edit) -> bytes:
     return head + text + rest
 
 
+def damaged_toml(data: bytes, edit: Edit) -> bytes:
+    """``data`` with a value replaced, removed, nested or doubled, and written again; now and then as text."""
+    try:
+        content = tomllib.loads(data.decode())
+    except ValueError:
+        return damaged_text(data, edit)
+    if edit.how % 3 == 2:
+        return damaged_text(data, Edit(edit.what, edit.where, edit.how))
+    content = damaged_value(content, edit)
+    if not isinstance(content, dict):
+        return damaged_text(data, edit)
+    lines = (f"{json.dumps(str(key))} = {_toml(value)}\n" for key, value in content.items())
+    return "".join(lines).encode(errors="replace")
+
+
+def _toml(value: Any) -> str:
+    """``value`` in one line."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{json.dumps(str(key))} = {_toml(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    if isinstance(value, float):
+        return repr(value)
+    return json.dumps("" if value is None else value)
+
+
+def damaged_xml(data: bytes, edit: Edit) -> bytes:
+    """``data`` with an attribute or a text replaced, or an element removed, repeated, nested or emptied; now and then
+    as text."""
+    kind = edit.how % 8
+    try:
+        root = ElementTree.fromstring(data)
+    except (ElementTree.ParseError, ValueError, LookupError):
+        return damaged_text(data, edit)
+    if kind == 7:
+        return damaged_text(data, Edit(edit.what, edit.where, edit.how))
+    elements = list(root.iter())
+    parent = elements[edit.where % len(elements)]
+    word = XML_TEXTS[edit.what % len(XML_TEXTS)]
+    if kind < 2 and parent.attrib:
+        parent.set(list(parent.attrib)[edit.where // 7 % len(parent.attrib)], word)
+    elif kind == 2 and parent.attrib:
+        del parent.attrib[list(parent.attrib)[edit.where // 7 % len(parent.attrib)]]
+    elif kind < 4 or not len(parent):
+        parent.text = word
+    elif kind == 4:
+        del parent[edit.where // 7 % len(parent)]
+    elif kind == 5:
+        parent.extend([copy.deepcopy(parent[edit.where // 7 % len(parent)])] * (1 + edit.what % 3))
+    else:
+        parent.append(copy.deepcopy(elements[edit.what % len(elements)]))
+    return ElementTree.tostring(root)
+
+
+def damaged_exr(data: bytes, edit: Edit) -> bytes:
+    """``data`` with an attribute of its header changed, removed, repeated or retyped; now and then as bytes."""
+    if edit.how % 5 == 4 or data[:4] != b"\x76\x2f\x31\x01":
+        return damaged_head(data, edit)
+    attributes, at = [], 8
+    while at < len(data) and data[at]:
+        name, kind, rest = data[at:].split(b"\0", 2)
+        size = int.from_bytes(rest[:4], "little")
+        attributes.append((name, kind, rest[4 : 4 + size]))
+        at += len(name) + len(kind) + 6 + size
+    if not attributes:
+        return damaged_head(data, edit)
+    n = edit.where % len(attributes)
+    name, kind, value = attributes[n]
+    if edit.how % 5 == 0:
+        del attributes[n]
+    elif edit.how % 5 == 1:
+        attributes.insert(edit.what % len(attributes), attributes[n])
+    elif edit.how % 5 == 2:
+        attributes[n] = (name, attributes[edit.what % len(attributes)][1], value)
+    else:
+        inner = Edit(edit.what, edit.where // len(attributes), edit.what // 11)
+        attributes[n] = (name, kind, damaged_bytes(value, inner)[: 1 << 20])
+    whole = (n + b"\0" + k + b"\0" + struct.pack("<I", len(v)) + v for n, k, v in attributes)
+    return data[:8] + b"".join(whole) + data[at:]
+
+
 DAMAGE: dict[str, Callable[[bytes, Edit], bytes]] = {
     ".json": damaged_json,
-    ".toml": damaged_text,
+    ".sfm": damaged_json,
+    ".toml": damaged_toml,
+    ".xml": damaged_xml,
+    ".xmp": damaged_xml,
     ".csv": damaged_text,
     ".txt": damaged_text,
     ".obj": damaged_text,
+    ".out": damaged_text,
     ".png": damaged_png,
     ".glb": damaged_glb,
     ".ply": damaged_head,
     ".jpg": damaged_head,
     ".hdr": damaged_head,
-    ".exr": damaged_head,
+    ".exr": damaged_exr,
     ".npy": damaged_head,
     ".npz": damaged_bytes,
     ".bin": damaged_bytes,

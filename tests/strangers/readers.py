@@ -1,15 +1,9 @@
-"""Every reader of the package with a small good file of each kind it takes, and what it owes for a damaged one."""
+"""Every reader of the package with a small good file of each kind it takes."""
 
 from __future__ import annotations
 
-import contextlib
 import json
-import signal
-import sys
-import time
-import warnings
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +14,6 @@ from headless import batch
 from headless.animation import open_frames
 from headless.outcome import summarise
 from headless.relighting import _naming
-from iris_addon.base.errors import BadInput
 from iris_addon.base.files import write_arrays
 from iris_addon.base.image_headers import announced_size
 from iris_addon.base.images import read_image, write_exr, write_png
@@ -41,104 +34,15 @@ from tests.box_room import box_mesh, write_fipt_room, write_nerfstudio_room, wri
 from tests.colmap_model import camera_of, poses, write_binary, write_text
 from tests.result_room import room
 
-SLOW_SECONDS = 10.0
-LARGE_BYTES = 1 << 30
-"""Of memory that a reader may take for a damaged file, beyond what the process has."""
-
-
-@dataclass(frozen=True)
-class Target:
-    """A file to damage and what reads it.
-
-    Attributes:
-        path: the file, within ``root``.
-        good: its content before it is damaged.
-    """
-
-    name: str
-    root: Path
-    path: Path
-    read: Callable[[], object]
-    good: bytes
-
-
-class Hang(BaseException):
-    """A reader took longer than SLOW_SECONDS, of the processor: other programs take their share of the clock's."""
-
-
-def check(target: Target, data: bytes) -> str | None:
-    """What is wrong with how the reader of ``target`` took ``data``; None if it read it or refused it as it should."""
-    target.path.write_bytes(data)
-    forget_peak()
-    before, begin = peak(), time.process_time()
-    wrong: str | None = None
-    if sys.platform != "win32":
-        signal.signal(signal.SIGPROF, _too_slow)
-        signal.setitimer(signal.ITIMER_PROF, SLOW_SECONDS)
-    try:
-        with warnings.catch_warnings(record=True) as warned:
-            warnings.simplefilter("always")
-            target.read()
-        ours = [warning for warning in warned if "iris_addon" in warning.filename or "headless" in warning.filename]
-        wrong = f"warns: {ours[0].message}"[:300] if ours else None
-    except BadInput as error:
-        wrong = unfit(str(error), target)
-    except Hang:
-        wrong = "hangs"
-    except Exception as error:
-        wrong = f"raises {type(error).__name__}: {error}"[:300]
-    finally:
-        if sys.platform != "win32":
-            signal.setitimer(signal.ITIMER_PROF, 0)
-        target.path.write_bytes(target.good)
-    if wrong is None and time.process_time() - begin > SLOW_SECONDS:
-        wrong = f"takes {time.process_time() - begin:.0f} s"
-    if wrong is None and peak() - before > LARGE_BYTES:
-        wrong = f"takes {(peak() - before) >> 20} MiB"
-    return wrong
-
-
-def unfit(message: str, target: Target) -> str | None:
-    """Why ``message`` is not what a person should see; None if it is."""
-    if not message.isprintable():
-        return f"says more than a line: {message!r}"[:300]
-    if " — " not in message or str(target.root) not in message:
-        return f"names no file, or no way out: {message}"[:300]
-    return None
-
-
-def _too_slow(*_: object) -> None:
-    raise Hang
-
-
-def forget_peak() -> None:
-    """Begin a new measurement of the most memory that this process has."""
-    with contextlib.suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5")
-
-
-def peak() -> int:
-    """The most memory that this process had since :func:`forget_peak`, bytes; 0 where it cannot be told."""
-    with contextlib.suppress(OSError):
-        for line in Path("/proc/self/status").read_text().splitlines():
-            if line.startswith("VmHWM:"):
-                return int(line.split()[1]) << 10
-    return 0
-
+from .camera_files import camera_targets
+from .checks import Target, files
 
 # ---- good files -----------------------------------------------------------------------------------------------------
 
 
 def targets(root: Path) -> list[Target]:
     """Every kind of file with its reader, in folders below ``root``."""
-    return [*_captures(root), *_results(root), *_jobs(root)]
-
-
-def _files(name: str, folder: Path, read: Callable[[], object], *files: str) -> Iterator[Target]:
-    for file in files:
-        path = folder / file
-        label = f"{name}-{file.replace('/', '-')}"
-        yield Target(name=label, root=folder, path=path, read=read, good=path.read_bytes())
+    return [*_captures(root), *camera_targets(root), *_results(root), *_jobs(root)]
 
 
 def _captures(root: Path) -> Iterator[Target]:
@@ -154,7 +58,7 @@ def _captures(root: Path) -> Iterator[Target]:
     transforms["frames"][0] |= {"exposure_time": 0.1, "iso": 100, "f_number": 4}
     (nerfstudio / "transforms.json").write_text(json.dumps(transforms))
     names = ("transforms.json", "mesh.ply", "meta.json", "images/001.png")
-    yield from _files("nerfstudio", nerfstudio, lambda: photos(nerfstudio), *names)
+    yield from files("nerfstudio", nerfstudio, lambda: photos(nerfstudio), *names)
 
     jpeg = write_nerfstudio_room(root / "jpeg")
     exif = Image.Exif()
@@ -166,7 +70,7 @@ def _captures(root: Path) -> Iterator[Target]:
     jpeg.save()
     (jpeg.root / "mesh.ply").unlink()
     write_obj(jpeg.root / "mesh.obj", box_mesh(), groups=True)
-    yield from _files("jpeg", jpeg.root, lambda: photos(jpeg.root), "images/001.jpg", "mesh.obj")
+    yield from files("jpeg", jpeg.root, lambda: photos(jpeg.root), "images/001.jpg", "mesh.obj")
 
     radiance = write_nerfstudio_room(root / "radiance")
     for k, frame in enumerate(radiance.meta["frames"]):
@@ -177,11 +81,11 @@ def _captures(root: Path) -> Iterator[Target]:
     plain = trimesh.Trimesh(box_mesh().vertices, box_mesh().faces, process=False)
     plain.visual = trimesh.visual.TextureVisuals(uv=np.random.default_rng(0).random((8, 2)))
     plain.export(radiance.root / "mesh.glb")
-    yield from _files("radiance", radiance.root, lambda: photos(radiance.root), "images/001.exr", "mesh.glb")
+    yield from files("radiance", radiance.root, lambda: photos(radiance.root), "images/001.exr", "mesh.glb")
     ascii_ = write_nerfstudio_room(root / "ascii").root
     text = trimesh.Trimesh(box_mesh().vertices, box_mesh().faces).export(file_type="ply", encoding="ascii")
     (ascii_ / "mesh.ply").write_bytes(text)  # type: ignore[arg-type]
-    yield from _files("ascii", ascii_, lambda: photos(ascii_), "mesh.ply")
+    yield from files("ascii", ascii_, lambda: photos(ascii_), "mesh.ply")
 
     fipt = write_fipt_room(root / "fipt").root
     maps = fipt / "gt" / "train" / "DiffCol"
@@ -197,7 +101,7 @@ def _captures(root: Path) -> Iterator[Target]:
         found.map("DiffCol", "train", 0)
 
     names = ("train/transforms.json", "val/transforms.json", "cam/exposure.npy", "gt/cam/crf_gt.npy")
-    yield from _files("fipt", fipt, truth, *names, "gt/train/DiffCol/000_0001.exr", "scene.obj")
+    yield from files("fipt", fipt, truth, *names, "gt/train/DiffCol/000_0001.exr", "scene.obj")
 
     for form, write in (("txt", write_text), ("bin", write_binary)):
         colmap = write_nerfstudio_room(root / f"colmap-{form}").root
@@ -206,7 +110,7 @@ def _captures(root: Path) -> Iterator[Target]:
         (colmap / "sparse" / "0").mkdir(parents=True)
         write(colmap / "sparse" / "0", camera_of(capture), poses(capture))
         names = (f"sparse/0/cameras.{form}", f"sparse/0/images.{form}")
-        yield from _files("colmap", colmap, lambda colmap=colmap: photos(colmap), *names)
+        yield from files("colmap", colmap, lambda colmap=colmap: photos(colmap), *names)
 
     given = root / "exposures"
     given.mkdir()
@@ -216,7 +120,7 @@ def _captures(root: Path) -> Iterator[Target]:
     np.save(given / "e.npy", np.full(6, 0.5))
     other = write_nerfstudio_room(root / "other").root
     for file in ("e.csv", "e.json", "e.npy"):
-        yield from _files("exposures", given, lambda file=file: read_capture(other, exposures=given / file), file)
+        yield from files("exposures", given, lambda file=file: read_capture(other, exposures=given / file), file)
 
 
 def _results(root: Path) -> Iterator[Target]:
@@ -236,7 +140,7 @@ def _results(root: Path) -> Iterator[Target]:
         summarise(loaded)
 
     names = ("report.json", "response.json", "emitters.json", "materials/mesh.glb", "materials/base_color.exr")
-    yield from _files("result", folder, whole, *names, "materials/roughness.png")
+    yield from files("result", folder, whole, *names, "materials/roughness.png")
 
     curves = root / "curves"
     curves.mkdir()
@@ -244,8 +148,8 @@ def _results(root: Path) -> Iterator[Target]:
     (curves / "c.json").write_text(json.dumps({"samples": np.linspace(0, 1, 1024).tolist()}))
     np.save(curves / "c.npy", np.linspace(0, 1, 1024))
     for file in ("c.txt", "c.json", "c.npy"):
-        yield from _files("response", curves, lambda file=file: read_response(curves / file), file)
-        yield from _files("synth", curves, lambda file=file: read_synth_response(curves / file), file)
+        yield from files("response", curves, lambda file=file: read_response(curves / file), file)
+        yield from files("synth", curves, lambda file=file: read_synth_response(curves / file), file)
 
     arrays = root / "arrays"
     arrays.mkdir()
@@ -253,7 +157,7 @@ def _results(root: Path) -> Iterator[Target]:
     for compressed in (False, True):
         file = arrays / f"a{compressed:d}.npz"
         write_arrays(file, values, compressed=compressed)
-        yield from _files("arrays", arrays, lambda file=file: read_arrays(file), file.name)
+        yield from files("arrays", arrays, lambda file=file: read_arrays(file), file.name)
 
 
 def _jobs(root: Path) -> Iterator[Target]:
@@ -303,13 +207,13 @@ def _jobs(root: Path) -> Iterator[Target]:
         with _naming(folder / "objects.json"):
             insertion_edits(result, job, folder, cameras, 0.5)
 
-    yield from _files("relight", folder, relit, "lights.json")
-    yield from _files("insert", folder, inserted, "objects.json")
-    yield from _files("batch", folder, lambda: batch.read_jobs(folder / "jobs.toml"), "jobs.toml")
+    yield from files("relight", folder, relit, "lights.json")
+    yield from files("insert", folder, inserted, "objects.json")
+    yield from files("batch", folder, lambda: batch.read_jobs(folder / "jobs.toml"), "jobs.toml")
 
     shares = root / "shares"
     write_shares(shares / "a.exr", LightShares(np.ones((4, 6, 3), np.float32), {"x": np.ones((4, 6, 3), np.float32)}))
-    yield from _files("shares", shares, lambda: read_shares(shares / "a.exr"), "a.exr")
+    yield from files("shares", shares, lambda: read_shares(shares / "a.exr"), "a.exr")
 
     pictures = root / "pictures"
     write_png(pictures / "a.png", np.zeros((4, 6), np.uint8))
@@ -317,12 +221,12 @@ def _jobs(root: Path) -> Iterator[Target]:
     write_exr(pictures / "a.exr", np.zeros((4, 6, 3)))
     (pictures / "a.hdr").write_bytes(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4 +X 6\n" + bytes(96))
     for file in ("a.png", "a.jpg", "a.exr", "a.hdr"):
-        yield from _files("header", pictures, lambda file=file: announced_size(pictures / file), file)
+        yield from files("header", pictures, lambda file=file: announced_size(pictures / file), file)
     for file in ("a.png", "a.jpg"):
-        yield from _files("pixels", pictures, lambda file=file: read_image(pictures / file), file)
+        yield from files("pixels", pictures, lambda file=file: read_image(pictures / file), file)
 
     frames = root / "frames"
     open_frames(frames, 3, ".png", {})
     (frames / "job-solve.json").write_text('{"state": "done", "what": "", "fix": "", "time": 1.0}')
-    yield from _files("frames", frames, lambda: open_frames(frames, 3, ".png", {}), "frames.json")
-    yield from _files("record", frames, lambda: jobs.record("solve", frames), "job-solve.json")
+    yield from files("frames", frames, lambda: open_frames(frames, 3, ".png", {}), "frames.json")
+    yield from files("record", frames, lambda: jobs.record("solve", frames), "job-solve.json")

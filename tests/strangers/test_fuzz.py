@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.strangers.checks import Target, check
 from tests.strangers.fuzz import CORPUS, fuzz
 from tests.strangers.mutations import DAMAGE, Edit
-from tests.strangers.readers import Target, check, targets
+from tests.strangers.readers import targets
 
 SECONDS = 120.0
 
@@ -35,7 +36,7 @@ def test_everything_ever_found_stays_mended(known: dict[str, Target]) -> None:
 
 
 def test_a_reader_that_fails_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tests.strangers.readers.LARGE_BYTES", 100 << 20)
+    monkeypatch.setattr("tests.strangers.checks.LARGE_BYTES", 100 << 20)
     path = tmp_path / "a.json"
     path.write_bytes(b"{}")
 
