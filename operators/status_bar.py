@@ -14,6 +14,7 @@ DOING = {
     "solve": "Solving",
     "composite": "Putting onto the Photo",
     "probe": "Rendering the HDRI Probe",
+    "farm": "Exporting the Farm Job",
     "environment": "Creating the Environment",
     "test": "Testing the Environment",
 }

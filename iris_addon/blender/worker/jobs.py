@@ -21,7 +21,7 @@ from ...base.files import write_json
 from ...base.untrusted import read_json
 from .process import ADDON, Worker
 
-JobName = Literal["inspect", "solve", "composite", "probe", "environment", "test"]
+JobName = Literal["inspect", "solve", "composite", "probe", "farm", "environment", "test"]
 MAX_RECORD_BYTES = 1 << 20
 State = Literal["missing", "running", "done", "failed", "cancelled", "interrupted"]
 
@@ -219,6 +219,11 @@ def probe_command(
     """Render the light at the point ``at`` of the room of ``blend`` as the panorama ``out``; ``blender`` as above."""
     sampling = ["--at", *(f"{value:.6f}" for value in at), "--width", str(width), "--samples", str(samples)]
     return [*_in_blender(blender), "probe", *_absolute(blend, "--out", out), *sampling, *JSON_LINES]
+
+
+def farm_command(job_file: Path, bundle: Path) -> list[str]:
+    """Write the farm bundle of ``job_file`` into the folder ``bundle``; Blender's own Python has all it needs."""
+    return [*_program(sys.executable), "farm", *_absolute(job_file, "--out", bundle), *JSON_LINES]
 
 
 def _in_blender(blender: str) -> list[str]:

@@ -1,0 +1,113 @@
+"""Export a farm job: the solve of the current capture and the frames of the scene, as a bundle that farms run."""
+# Blender declares properties as annotations.
+# pyright: reportInvalidTypeForm=false
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..iris_addon.base.errors import IrisError
+from ..iris_addon.base.files import atomic_write, require_own_folder, write_json
+from ..iris_addon.blender.apply.farm_frames import relit_frames
+from ..iris_addon.blender.apply.on_objects import APPLIED
+from ..iris_addon.blender.worker import jobs
+from ..iris_addon.blender.worker.jobs import farm_command
+from .folders import capture_path, folder
+from .import_capture import write_scene
+from .run_job import run
+
+MAX_NAME = 30
+"""Characters of the name of the job, which steps of the farm repeat."""
+
+
+class IRIS_OT_export_farm(bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Write the solve of this capture, and the frames of the scene's camera under its lamps, as a job that render
+    farms run: Open Job Description (Deadline Cloud and others) and Flamenco. Placed objects are not in the frames"""
+
+    bl_idname = "iris.export_farm"
+    bl_label = "Export Farm Job"
+
+    directory: bpy.props.StringProperty(subtype="DIR_PATH")
+    frames: bpy.props.BoolProperty(
+        name="Frames", description="Also render the frames of this scene, where a result is applied", default=True
+    )
+    samples: bpy.props.IntProperty(name="Samples", description="Paths per pixel", default=64, min=2, soft_max=1024)
+    chunk: bpy.props.IntProperty(name="Chunk", description="Frames of one task", default=10, min=1, max=1000)
+    gpu: bpy.props.BoolProperty(name="GPU", description="Ask for hosts with a GPU, and render on it")
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There is a capture, and no export runs."""
+        capture = capture_path(context.scene)
+        if capture is None or (context.scene.iris.source == "SCENE" and not context.scene.iris.views):
+            cls.poll_message_set("Import a capture first")
+            return False
+        return jobs.running("farm", folder(context.scene)) is None
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        """Ask for a folder."""
+        self.directory = str(folder(context.scene).parent)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Write the job file and what it names, and let the command line make the bundle of it."""
+        if not self.directory:
+            self.report({"ERROR"}, "no folder is named — give the folder of the bundle")
+            return {"CANCELLED"}
+        scene, bundle = context.scene, Path(bpy.path.abspath(self.directory)).absolute()
+        name = bpy.path.clean_name(scene.name)[:MAX_NAME]
+        job_file = bundle / f"{name}.toml"
+        if not write_scene(self, context):
+            return {"CANCELLED"}
+        try:
+            require_own_folder(bundle)
+            text = self._job(scene, name)
+            if self.frames and APPLIED in scene:
+                text += self._frames(scene, bundle, name)
+            atomic_write(job_file, lambda part: part.write_text(text, encoding="utf-8"))
+        except IrisError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return run(self, "farm", folder(scene), farm_command(job_file, bundle))
+
+    def _job(self, scene: bpy.types.Scene, name: str) -> str:
+        settings, capture = scene.iris, capture_path(scene)
+        job = {
+            "name": name,
+            "capture": str(capture),
+            "out": str(folder(scene).absolute()),
+            **{"preset": settings.preset, "device": settings.device, "seed": settings.seed},
+        }
+        return _table("[[job]]", job)
+
+    def _frames(self, scene: bpy.types.Scene, bundle: Path, name: str) -> str:
+        room = scene.iris.room
+        # Cameras and suns of a scene that is its own capture stand in its world.
+        own = room is None or scene.iris.source == "SCENE"
+        to_capture = np.eye(4) if own else np.linalg.inv(np.array(room.matrix_world))  # type: ignore[union-attr]
+        views, lights, count = relit_frames(scene, to_capture)
+        for part, content in (("views", views), ("lights", lights)):
+            write_json(bundle / f"{name}-{part}.json", content)
+        frames = {
+            "name": "frames",
+            "command": "relight",
+            "lights": f"{name}-lights.json",
+            "views": f"{name}-views.json",
+            "frames": f"1-{count}",
+            "chunk": self.chunk,
+            "samples": self.samples,
+            "fps": max(1, round(scene.render.fps / scene.render.fps_base)),
+            "gpu": self.gpu,
+        }
+        return _table("[[job.frames]]", frames)
+
+
+def _table(head: str, values: dict[str, str | int | bool]) -> str:
+    """A table of TOML, whose numbers, words and truth values are written like those of JSON."""
+    lines = (f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in values.items())
+    return f"{head}\n{''.join(lines)}\n"
