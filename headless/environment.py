@@ -20,7 +20,7 @@ from .cancellation import restore_handlers
 
 _IMAGES = ("numpy", "OpenEXR", "PIL")
 _READING = (*_IMAGES, "scipy", "trimesh", "numba", "mapbox_earcut")
-_SOLVER = (*_READING, "torch", "embreex", "filelock", "threadpoolctl")
+_SOLVER = (*_READING, "torch", "embreex", "xatlas", "filelock", "threadpoolctl")
 NEEDS = {
     "demo": (*_SOLVER, "bpy"),
     "solve": _SOLVER,

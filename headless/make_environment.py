@@ -30,7 +30,7 @@ LONGEST_MEMBER = 170
 WINDOWS_PATH = 259
 """Characters of a path that Windows takes by default."""
 IMPORTS = (
-    *("numpy", "scipy", "torch", "trimesh", "embreex.rtcore_scene", "OpenEXR", "PIL.Image", "numba"),
+    *("numpy", "scipy", "torch", "trimesh", "embreex.rtcore_scene", "xatlas", "OpenEXR", "PIL.Image", "numba"),
     *("filelock", "threadpoolctl", "mapbox_earcut"),
 )
 FAILED, CANCELLED = 1, 130

@@ -1,99 +1,165 @@
-"""Rectangles into a square: bottom-left skyline over columns of texels, small ones chained to strips first.
+"""Charts into a square: their convex hulls, packed by xatlas; those of a few texels laid to strips first.
 
-Upright rectangles by falling height fill 92 to 97 % of the square; lying ones, or other orders, 75 to 94 %.
+xatlas is given hulls and not faces, so that a scan of a million triangles packs as fast as a model. Its time rises with
+the square of the number of charts, of which most are grains: a strip of them is one chart to it. It moves charts only:
+left to turn them it mirrors some, and it stretches thin ones to whole texels.
 """
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
+import ctypes
 
+import numpy as np
+import xatlas
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 GRAIN = 12
-"""Rectangles up to this height, texels, are chained to strips before they are placed."""
+"""Charts up to this height, texels, are laid to strips."""
 STRIP = 256
 """Longest strip, texels."""
-TRIALS = 12
-"""Scales tried in the search for the largest, at most."""
-CLOSE_ENOUGH = 0.99
-"""Filled share of the height at which the search for the largest scale ends."""
+MARGIN = 1.0
+"""Texels that are kept free on every side of a chart. No two hulls with their margins touch one texel: those beside a
+texel of a chart, which get its colour and which linear lookups read, are beside no other chart."""
+GRID = 1 / 16
+"""Texels to which corners of hulls are rounded. xatlas ignores slivers, and takes what they join for two charts."""
+RECTANGLE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+COARSEST_STEP, FINEST_STEP = 1.06, 1.01
+"""Ratio of scales by which the search for the largest moves, and at which it ends."""
+TRIALS = 24
+"""Scales tried, at most; a search tries five."""
 
 
-def pack(extent: NDArray[np.float64], size: int, gutter: int) -> tuple[IntArray, IntArray, float]:
-    """Place all rectangles in ``size`` x ``size`` texels at the largest common scale found.
+def pack(corners: FloatArray, chart: IntArray, size: int) -> FloatArray:
+    """Place all charts in ``size`` x ``size`` texels at the largest common scale found.
 
     Args:
-        extent: (n, 2) width and height in texels at scale 1; higher than wide packs best.
-        gutter: texels that each rectangle gets beside its own, shared between its two sides.
+        corners: (F, 3, 2) of faces in the rectangle of their chart, which starts at 0 and is higher than wide.
+        chart: (F,) chart of each face, numbered from 0 without gaps.
 
     Returns:
-        (n, 2) first column and row of each cell, (n, 2) its width and height in texels, and the scale. A rectangle
-        larger than the square at that scale has to shrink to its cell less the gutter.
+        (F, 3, 2) in texels of the atlas: charts moved and scaled by one factor; those longer than the atlas are
+        shrunk to fit.
 
     Raises:
-        ValueError: they do not fit even at one texel each.
+        ValueError: there are more charts than the square holds at a texel each.
     """
-    smallest = np.full(extent.shape, 1 + gutter)
-    corners, height = _skyline(smallest, size)
-    if height > size:
-        raise ValueError(f"{len(extent)} charts do not fit into {size} x {size} texels")
-    best, low, high = (corners, smallest, 0.0), 0.0, np.inf
-    scale = 0.9 * size / np.sqrt(max(float(extent.prod(1).sum()), 1e-12))
+    hulls = _hulls(corners, chart)
+    extent = np.array([hull.max(0) for hull in hulls])
+    found, low, high = None, 0.0, np.inf
+    scale = _expected_scale(extent, size)
     for _ in range(TRIALS):
-        cells = _cell_sizes(extent, scale, size, gutter)
-        corners, height = _skyline(cells, size)
-        if height <= size:
-            best, low = (corners, cells, scale), scale
-        else:
+        layout = _layout(hulls, extent, scale, size)
+        if layout is None:
             high = scale
-        if high < low * 1.004 or CLOSE_ENOUGH * size <= height <= size:
+        else:
+            found, low = layout, scale
+        if high < FINEST_STEP * low:
             break
-        guess = scale * np.sqrt(size / height)
-        scale = guess if low < guess < high else (low + min(high, 2 * low)) / 2
-    return best
+        scale = min(np.sqrt(low * high), low * COARSEST_STEP) if low else scale / COARSEST_STEP
+    if found is None:
+        raise ValueError(f"{len(hulls)} charts do not fit into {size} x {size} texels")
+    start, scales = found
+    return corners * scales[chart, None, None] + start[chart, None]
 
 
-def _cell_sizes(extent: NDArray[np.float64], scale: float, size: int, gutter: int) -> IntArray:
-    """(n, 2) whole texels for each rectangle and its gutter, at most ``size``."""
-    return np.clip(np.ceil(extent * scale).astype(np.int64), 1, size - gutter) + gutter
+def shelves(extent: FloatArray, length: float) -> tuple[IntArray, FloatArray]:
+    """Rectangles side by side on shelves, the highest first: the (n,) shelf of each, and where on it it starts.
+
+    Args:
+        extent: (n, 2) width and height.
+        length: of a shelf; the last rectangle may reach beyond.
+    """
+    order = np.argsort(-extent[:, 1], kind="stable")
+    start = np.cumsum(extent[order, 0]) - extent[order, 0]
+    shelf = np.unique((start // length).astype(np.int64), return_inverse=True)[1]
+    head = start[np.searchsorted(shelf, shelf)]
+    of_rectangle, place = np.empty(len(extent), np.int64), np.empty(len(extent))
+    of_rectangle[order], place[order] = shelf, start - head
+    return of_rectangle, place
 
 
-def _skyline(cells: IntArray, size: int) -> tuple[IntArray, int]:
-    """First column and row of each cell (n, 2), and the height of the whole."""
-    order = np.lexsort((-cells[:, 0], -cells[:, 1]))
-    group, offset = _strips(cells[order], size)
-    first = np.flatnonzero(np.concatenate([[True], group[1:] != group[:-1]]))
-    last = np.append(first[1:], len(order)) - 1
-    widths = offset[last] + cells[order[last], 0]
-    heights = cells[order[first], 1]
-    corners = np.empty((len(first), 2), np.int64)
-    level = np.zeros(size, np.int64)
-    for k, (width, height) in enumerate(zip(widths.tolist(), heights.tolist(), strict=True)):
-        # Highest column under the rectangle for every place of its left side.
-        under = maximum_filter1d(level, width, origin=-(width // 2), mode="nearest")[: size - width + 1]
-        x = int(under.argmin())
-        corners[k] = x, under[x]
-        level[x : x + width] = under[x] + height
-    placed = corners[group]
-    placed[:, 0] += offset
-    result = np.empty_like(placed)
-    result[order] = placed
-    return result, int(level.max())
+def _expected_scale(extent: FloatArray, size: int) -> float:
+    """Scale at which rectangles of (n, 2) ``extent`` and their room in between fill the square."""
+    low, high = 0.0, 4 * size / np.sqrt(max(float(extent.prod(1).sum()), 1e-12))
+    for _ in range(40):
+        scale = (low + high) / 2
+        cells = np.clip(extent * scale, 1, size) + 2 * MARGIN + 0.5
+        low, high = (scale, high) if cells.prod(1).sum() < size**2 else (low, scale)
+    return max(low, 1e-12)
 
 
-def _strips(cells: IntArray, size: int) -> tuple[IntArray, IntArray]:
-    """Strip (n,) of each cell, cells sorted by falling height, and its first column within the strip."""
-    grain = cells[:, 1] <= GRAIN
-    limit = min(STRIP, size)
-    # Cells of one height, cut where their summed width passes a multiple of what leaves room for the widest of them.
-    run = np.concatenate([[0], np.cumsum(cells[1:, 1] != cells[:-1, 1])])
-    start = np.cumsum(cells[:, 0]) - cells[:, 0]
-    first_of_run = np.searchsorted(run, run)
-    widest = cells[first_of_run, 0]
-    room = np.maximum(limit - widest, 1)
-    chunk = (start - start[first_of_run]) // room
-    fresh = np.concatenate([[True], (run[1:] != run[:-1]) | (chunk[1:] != chunk[:-1]) | ~grain[1:] | ~grain[:-1]])
-    group = np.cumsum(fresh) - 1
-    return group, start - start[np.flatnonzero(fresh)][group]
+def _hulls(corners: FloatArray, chart: IntArray) -> list[FloatArray]:
+    """Convex hull (m, 2) of each chart's ``corners`` (F, 3, 2); of one that has no width, its rectangle."""
+    order = np.argsort(chart, kind="stable")
+    points = corners[order].reshape(-1, 2)
+    first = 3 * np.searchsorted(chart[order], np.arange(int(chart.max()) + 1))
+    end = np.append(first[1:], len(points))
+    extent = np.maximum.reduceat(points, first)
+    thin = extent.min(1) <= 1e-6 * extent.max(1)
+    return [
+        extent[k] * RECTANGLE if thin[k] else points[a:b][ConvexHull(points[a:b]).vertices]
+        for k, (a, b) in enumerate(zip(first, end, strict=True))
+    ]
+
+
+def _layout(
+    hulls: list[FloatArray], extent: FloatArray, scale: float, size: int
+) -> tuple[FloatArray, FloatArray] | None:
+    """(n, 2) texel at which the rectangle of each chart starts, and its (n,) scale; None if all do not fit."""
+    # xatlas would shrink what is longer than the square, and stretch what is no whole number of texels.
+    scales = np.minimum(scale, (size - 2 * MARGIN) / np.maximum(extent.max(1), 1e-12))
+    inside = extent * scales[:, None]
+    room = np.ceil(np.maximum(inside, 1) + 2 * MARGIN - 1e-6)
+    grain = room[:, 1] <= GRAIN
+    # What is packed as one: a chart, or grains side by side.
+    piece, column = np.cumsum(~grain) - 1, np.zeros(len(hulls))
+    shelf, column[grain] = shelves(room[grain], min(STRIP, size / 4))
+    piece[grain] = np.count_nonzero(~grain) + shelf
+    pieces = np.zeros((int(piece.max()) + 1, 2))
+    np.maximum.at(pieces, piece, room + np.column_stack([column, np.zeros(len(hulls))]))
+    outlines = [_grown(hulls[k] * scales[k], room[k] - inside[k]) for k in np.flatnonzero(~grain)]
+    outlines += list(pieces[len(outlines) :, None] * RECTANGLE)
+    corner = _packed(outlines, size)
+    if corner is None:
+        return None
+    start = corner[piece] + (room - inside) / 2
+    start[:, 0] += column
+    return start, scales
+
+
+def _grown(hull: FloatArray, free: FloatArray) -> FloatArray:
+    """Convex polygon (m, 2) of all places of ``hull`` (h, 2) in a rectangle that is ``free`` (2,) wider and higher."""
+    grown = (hull[:, None] + free * RECTANGLE).reshape(-1, 2)
+    grown = (grown / GRID).round() * GRID
+    return grown[ConvexHull(grown).vertices]
+
+
+def _packed(outlines: list[FloatArray], size: int) -> FloatArray | None:
+    """(m, 2) first texel of the rectangles of convex polygons where xatlas puts them; None if not all fit."""
+    points = np.concatenate([np.vstack([outline, outline.mean(0)]) for outline in outlines])
+    corners = np.array([len(outline) for outline in outlines])
+    first = np.cumsum(corners + 1) - corners - 1
+    # Triangles between each side and the middle.
+    polygon = np.repeat(np.arange(len(outlines)), corners)
+    side = np.arange(len(polygon)) - (np.cumsum(corners) - corners)[polygon]
+    after = (side + 1) % corners[polygon]
+    fan = first[polygon, None] + np.column_stack([side, after, corners[polygon]])
+    atlas = xatlas.Atlas()
+    # Its destructor joins threads and, once in ten thousand times, never returns; what it holds is small.
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(atlas))
+    atlas.add_uv_mesh(points.astype(np.float32), fan.astype(np.uint32), polygon[:, None].astype(np.uint32))
+    options = xatlas.PackOptions()
+    options.resolution, options.texels_per_unit, options.padding = size, 1.0, 0
+    options.bilinear = False  # margins are there for it
+    options.rotate_charts = options.rotate_charts_to_axis = False
+    atlas.generate(xatlas.ChartOptions(), options)
+    if atlas.atlas_count > 1:
+        return None
+    _, triangles, uv = atlas.get_mesh(0)
+    placed = uv[triangles] * [atlas.width, atlas.height]
+    # xatlas adds half a texel to all places.
+    return np.minimum.reduceat(placed.min(1), np.cumsum(corners) - corners) - 0.5

@@ -11,10 +11,10 @@ from .atlas import plane_areas
 
 DENSITY_RANGE = 8.0
 """How far the density of a seen face may lie from the median, either way."""
-TEXELS_PER_PIXEL = 1.2
-"""Texels along a pixel of the nearest photos. In the bundled room 1.3 and 1.8 have the same errors, 0.9 has 0.2 dB
+TEXELS_PER_PIXEL = 1.1
+"""Texels along a pixel of the nearest photos. In the bundled room 1.2 and 1.7 have the same errors, 0.8 has 0.2 dB
 more, and time grows with the square."""
-RESOLVED_FILL, RESOLVED_SHARE = 0.85, 0.9
+RESOLVED_FILL, RESOLVED_SHARE = 0.72, 0.9
 """Share of an atlas that charts of our own cover; and share of the pixels that texels of the mesh's own atlas must
 resolve, whose density may differ from place to place."""
 SIDE_STEP = 256

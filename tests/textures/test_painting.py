@@ -177,7 +177,7 @@ def test_texels_are_seen_where_the_camera_projects_them() -> None:
     r2 = (x**2).sum(1, keepdims=True)
     assert bent.file_place == pytest.approx(x * (1 - 0.2 * r2 + 0.05 * r2**2) * 50 + [32, 24], abs=1e-3)
     assert len(points.texel) == len(np.unique(points.texel)) and set(points.face) == set(range(12))
-    uncovered = TexelPoints.of(tracer, build_atlas(mesh, np.full(12, 50.0), 8) * 0.1, 8)
+    uncovered = TexelPoints.of(tracer, build_atlas(mesh, np.full(12, 50.0), 16) * 0.05, 8)
     assert len(uncovered.texel) > 0, "faces without a texel's centre have the texel of their middle"
 
 
