@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..base.errors import BadInput
-from ..base.untrusted import finite, open_text
+from ..base.untrusted import finite, number_in_text, open_text
 
 MAX_TABLE_BYTES = 1 << 30
 MAX_CAMERAS = 100_000
@@ -70,7 +70,7 @@ def read_reality_scan(path: Path) -> list[dict[str, Any]]:
     with open_text(path, MAX_TABLE_BYTES, mend=mend, newline="") as file:
         for row in csv.DictReader(file):
             name = row.get("#name") or row["name"]
-            value = {key: float(row[key]) for key in row if key not in ("#name", "name") and row[key]}
+            value = {key: number_in_text(row[key]) for key in row if key not in ("#name", "name") and row[key]}
             pose = np.eye(4)
             pose[:3, :3] = _rotation(-value["heading"], value["pitch"], value["roll"])
             pose[:3, 3] = value["x"], value["y"], value["alt"]

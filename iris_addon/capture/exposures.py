@@ -25,8 +25,9 @@ MAX_CSV_BYTES = 16 * 1024 * 1024
 
 
 def factor(seconds: float, iso: float = 100.0, f_number: float = 1.0) -> float:
-    """Relative exposure t · ISO/100 / N² of a photo."""
-    return seconds * iso / 100.0 / f_number**2
+    """Relative exposure t · ISO/100 / N² of a photo; infinite for an f-number whose square is too small for one."""
+    square = f_number**2
+    return seconds * iso / 100.0 / square if square > 0 else np.inf
 
 
 def checked(value: float, label: str, path: Path) -> float:
@@ -71,8 +72,10 @@ _ISO = {
 }
 """Places where cameras write the ISO. The first is one number of 16 bits, full where the ISO is larger."""
 ISO_OVERFLOW = 65535
-MAX_EXIF = 1e7
-"""Largest magnitude of a setting."""
+MIN_EXIF, MAX_EXIF = 1e-7, 1e7
+"""Smallest and largest setting that is one; what lies outside is nonsense."""
+MAX_APEX = 32.0
+"""Of the logarithm of a time or an f-number."""
 
 
 def exif_settings(photo: Path) -> dict[str, float]:
@@ -90,10 +93,10 @@ def exif_settings(photo: Path) -> dict[str, float]:
         return {}
     time = _positive(block.get(ExifTags.Base.ExposureTime))
     if time is None and (apex := _finite(block.get(ExifTags.Base.ShutterSpeedValue))) is not None:
-        time = 2.0**-apex
+        time = _positive(2.0 ** -np.clip(apex, -MAX_APEX, MAX_APEX))
     f_number = _positive(block.get(ExifTags.Base.FNumber))
     if f_number is None and (apex := _finite(block.get(ExifTags.Base.ApertureValue))) is not None:
-        f_number = 2.0 ** (apex / 2)
+        f_number = _positive(2.0 ** (np.clip(apex, -MAX_APEX, MAX_APEX) / 2))
     isos = [_positive(block.get(tag)) for tag in _ISO.values()]
     iso = next((value for value in isos if value is not None and value != ISO_OVERFLOW), None)
     found = {"seconds": time, "f_number": f_number, "iso": iso}
@@ -112,7 +115,7 @@ def _finite(value: Any) -> float | None:
 
 def _positive(value: Any) -> float | None:
     number_ = _finite(value)
-    return number_ if number_ is not None and number_ > 0 else None
+    return number_ if number_ is not None and number_ > MIN_EXIF else None
 
 
 def from_exif(photos: Mapping[str, Path]) -> dict[str, float]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.errors import BadInput
+from ..base.untrusted import decoding, finite, number_in_text
 from .listing import read_json_object
 from .metashape import DOWN_FORWARD
 
@@ -31,7 +31,7 @@ _DISTORTION = {
 def read_meshroom(path: Path) -> list[dict[str, Any]]:
     """The frames of a .sfm file; raises BadInput."""
     content = read_json_object(path)
-    try:
+    with decoding(path, mend="export it again with views, intrinsics and poses"):
         intrinsics = {item["intrinsicId"]: _intrinsics(item) for item in content["intrinsics"]}
         poses = {item["poseId"]: _pose(item["pose"]["transform"]) for item in content.get("poses", ())}
         return [
@@ -42,14 +42,15 @@ def read_meshroom(path: Path) -> list[dict[str, Any]]:
             }
             for view in content["views"]
         ]
-    except (KeyError, TypeError, ValueError) as error:
-        raise BadInput(f"is damaged ({error!r})", "export it again with views, intrinsics and poses", path) from error
 
 
-def _pose(transform: dict[str, Any]) -> list[list[float]]:
+def _pose(transform: dict[str, Any]) -> list[list[float]] | None:
+    """None where its numbers are none, as where a photo was not placed."""
+    turn, place = ([float(x) for x in transform[key]] for key in ("rotation", "center"))
+    if finite([*turn, *place], (12,)) is None:
+        return None
     pose = np.eye(4)
-    pose[:3, :3] = np.array([float(x) for x in transform["rotation"]]).reshape(3, 3)
-    pose[:3, 3] = [float(x) for x in transform["center"]]
+    pose[:3, :3], pose[:3, 3] = np.array(turn).reshape(3, 3), place
     return (pose @ DOWN_FORWARD).tolist()
 
 
@@ -57,15 +58,15 @@ def _intrinsics(item: dict[str, Any]) -> dict[str, Any]:
     width, height = int(item["width"]), int(item["height"])
     if "pxFocalLength" in item:
         given = item["pxFocalLength"]
-        focal = float(given[0] if isinstance(given, list) else given)
+        focal = _number(given[0] if isinstance(given, list) else given)
     else:
-        focal = float(item["focalLength"]) / float(item["sensorWidth"]) * width
-    x, y = (float(value) for value in item.get("principalPoint", (0, 0)))
+        focal = _number(item["focalLength"]) / _number(item["sensorWidth"]) * width
+    x, y = (_number(value) for value in item.get("principalPoint", (0, 0)))
     if abs(x) < width / 4 and abs(y) < height / 4:  # newer files count from the middle of the photo
         x, y = x + width / 2, y + height / 2
     kind = str(item["type"])
     names = _DISTORTION.get(str(item.get("distortionType", kind))) or _DISTORTION.get(kind)
-    given = [float(value) for value in item.get("distortionParams", ())]
+    given = [_number(value) for value in item.get("distortionParams", ())]
     if names is None or (names and len(given) != len(names)):
         if any(given):
             raise ValueError(f"distortion of type {item.get('distortionType', kind)}")
@@ -76,3 +77,8 @@ def _intrinsics(item: dict[str, Any]) -> dict[str, Any]:
         **{"w": width, "h": height, "fl_x": focal, "cx": x, "cy": y},
         **dict(zip(names, given, strict=False)),
     }
+
+
+def _number(value: object) -> float:
+    """A usable number, as one or spelled; raises ValueError."""
+    return number_in_text(str(value))

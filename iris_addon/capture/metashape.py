@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from ..base.errors import BadInput
-from ..base.untrusted import decoding, read_bytes
+from ..base.untrusted import decoding, number_in_text, read_bytes
 
 MAX_XML_BYTES = 256 << 20
 DOWN_FORWARD = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -53,9 +53,9 @@ def parse_xml(path: Path, largest: int = MAX_XML_BYTES) -> ElementTree.Element:
 
 
 def numbers_in_text(text: str, count: int) -> np.ndarray:
-    """(count,) finite numbers between spaces, for use within ``decoding``; raises ValueError."""
-    values = np.array([float(word) for word in text.split()])
-    if len(values) != count or not np.isfinite(values).all():
+    """(count,) usable numbers between spaces, for use within ``decoding``; raises ValueError."""
+    values = np.array([number_in_text(word) for word in text.split()])
+    if len(values) != count:
         raise ValueError(f"{len(values)} numbers for {count}")
     return values
 
@@ -92,7 +92,7 @@ def _intrinsics(sensor: ElementTree.Element) -> dict[str, Any]:
         raise ValueError("a sensor without a resolution")
     width, height = (int(resolution.get(key, "")) for key in ("width", "height"))
     values = {
-        name: float(found.findtext(name) or 0) for name in ("f", "cx", "cy", "b1", "k1", "k2", "k3", "k4", "p1", "p2")
+        name: number_in_text(found.findtext(name) or "0") for name in ("f", "cx", "cy", "b1", "k1", "k2", "k3", "k4", "p1", "p2")
     }
     kind = found.get("type") or sensor.get("type") or "frame"
     if kind not in ("frame", "fisheye"):

@@ -358,3 +358,15 @@ def test_all_sections_are_written_unless_some_are_named(monkeypatch, said):
     monkeypatch.setattr(report, "write", written.extend)
     assert report.main(said) == 0
     assert written == (said or list(report.SECTIONS))
+
+
+def test_what_was_published_stands_in_the_chart_and_on_the_page_with_its_caveat():
+    """Figures of other rooms and protocols would pass for points of ours."""
+    charts = pytest.importorskip("benchmarks.charts", reason="matplotlib is not installed")
+    page = (runs.ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8")
+    for source, name in (("2512.13157", "IIF"), ("2601.23065", "EAG-PT"), ("2601.15283", "LuxRemix")):
+        (row,) = [line for line in page.splitlines() if source in line]
+        *_, caveat = [cell.strip() for cell in row.strip("| ").split("|")]
+        assert name in row and len(caveat) > 20
+        drawn = [p for figures in charts.PUBLISHED.values() for p in figures if p.name.startswith(name)]
+        assert drawn and all("," in figure.name and f"{figure.value:g}" in row for figure in drawn)

@@ -9,7 +9,8 @@ import pytest
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
-from iris_addon.capture.exposures import exif_settings, from_exif
+from iris_addon.base.errors import BadInput
+from iris_addon.capture.exposures import exif_settings, from_exif, from_frame
 
 TIME, F_NUMBER, ISO, KIND, STANDARD, RECOMMENDED = 0x829A, 0x829D, 0x8827, 0x8830, 0x8831, 0x8832
 SHUTTER_APEX, APERTURE_APEX = 0x9201, 0x9202
@@ -53,3 +54,19 @@ def test_exposures_follow_an_iso_that_is_only_in_its_newer_place(tmp_path: Path)
     }
     found = from_exif(photos)
     assert [found[str(iso)] / found["100"] for iso in isos] == pytest.approx([1, 4, 16])
+
+
+def test_settings_that_no_camera_has_count_as_none(tmp_path: Path) -> None:
+    """Their squares and powers are no numbers."""
+    tiny = IFDRational(1, 4294967295)
+    found = exif_settings(photo(tmp_path / "a.jpg", {TIME: 0.01, F_NUMBER: tiny, ISO: 100}))
+    assert found == {"seconds": pytest.approx(0.01), "iso": 100}
+    for apex in (IFDRational(9_000_000, 1), IFDRational(-9_000_000, 1)):
+        settings = exif_settings(photo(tmp_path / "a.jpg", {SHUTTER_APEX: apex, APERTURE_APEX: apex, ISO: 100}))
+        assert all(1e-10 < value < 1e10 for value in settings.values()), settings
+
+
+def test_an_f_number_whose_square_vanishes_is_refused(tmp_path: Path) -> None:
+    frame = {"exposure_time": 0.1, "f_number": 1e-200}
+    with pytest.raises(BadInput, match=r"t\.json: a: exposure"):
+        from_frame(frame, "a", tmp_path / "t.json")
