@@ -56,10 +56,15 @@ class Points:
 
 @dataclass(frozen=True)
 class Published:
-    """A published figure: of other rooms and another machine, hence a mark and not a point."""
+    """A published figure: of other rooms and another machine, hence a mark and not a point.
+
+    Attributes:
+        name: with what makes its protocol another one, where the figure would mislead without.
+        seconds: None where no time was published.
+    """
 
     name: str
-    seconds: float
+    seconds: float | None
     value: float
     machine: str
 
@@ -72,13 +77,14 @@ PUBLISHED = {
         Published("FIPT, HDR input", 50 * 60, 29.95, "RTX 4090"),
         Published("FIPT-LDR*", 50 * 60, 15.49, "RTX 4090"),
         Published("NeILF", 298 * 60, 16.85, "RTX 4090"),
-        Published("IIF", 60 * 60, 20.72, "RTX A6000"),
+        Published("IIF, learned prior", 60 * 60, 20.72, "RTX A6000"),
     ),
     "relight_psnr": (
         Published("IRIS", 57 * 60, 22.86, "RTX 4090"),
         Published("FIPT, HDR input", 50 * 60, 29.01, "RTX 4090"),
         Published("FIPT-LDR*", 50 * 60, 11.63, "RTX 4090"),
-        Published("EAG-PT", 50 * 60, 29.0, "RTX 4090"),
+        Published("EAG-PT, Gaussians", 50 * 60, 29.0, "RTX 4090"),
+        Published("LuxRemix, each picture rescaled", None, 30.76, ""),
     ),
 }
 SAME_LINE = 0.5
@@ -167,14 +173,15 @@ def _speed_panel(axes: Axes, metric: str, methods: Sequence[Points]) -> None:
 
 def _published(axes: Axes, figures: Sequence[Published]) -> None:
     """Published figures as dashed lines with a tick at the time they took."""
-    machines = ", ".join(sorted({figure.machine for figure in figures}))
+    machines = ", ".join(sorted({figure.machine for figure in figures if figure.machine}))
     for number, figure in enumerate(figures):
         label = f"published: {machines}, other rooms" if number == 0 else None
         axes.axhline(figure.value, color=GREY, linewidth=0.9, linestyle=(0, (5, 4)), zorder=0, label=label)
-        axes.plot([figure.seconds], [figure.value], marker="|", color=GREY, markersize=12)
+        if figure.seconds is not None:
+            axes.plot([figure.seconds], [figure.value], marker="|", color=GREY, markersize=12)
         taken = any(abs(figure.value - other.value) < SAME_LINE for other in figures[:number])
         axes.annotate(
-            f"{figure.name}, {figure.seconds / 60:.0f} min",
+            f"{figure.name}, {'no time' if figure.seconds is None else f'{figure.seconds / 60:.0f} min'}",
             (0.995, figure.value),
             xycoords=("axes fraction", "data"),
             xytext=(0, -12 if taken else 3),
