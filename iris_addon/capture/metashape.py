@@ -92,7 +92,8 @@ def _intrinsics(sensor: ElementTree.Element) -> dict[str, Any]:
         raise ValueError("a sensor without a resolution")
     width, height = (int(resolution.get(key, "")) for key in ("width", "height"))
     values = {
-        name: number_in_text(found.findtext(name) or "0") for name in ("f", "cx", "cy", "b1", "k1", "k2", "k3", "k4", "p1", "p2")
+        name: number_in_text(found.findtext(name) or "0")
+        for name in ("f", "cx", "cy", "b1", "k1", "k2", "k3", "k4", "p1", "p2")
     }
     kind = found.get("type") or sensor.get("type") or "frame"
     if kind not in ("frame", "fisheye"):

@@ -276,7 +276,7 @@ def damaged_exr(data: bytes, edit: Edit) -> bytes:
         return damaged_head(data, edit)
     attributes, at = [], 8
     while at < len(data) and data[at]:
-        name, kind, rest = data[at:].split(b"\0", 2)
+        name, kind, rest = (data[at:] + b"\0\0").split(b"\0", 2)
         size = int.from_bytes(rest[:4], "little")
         attributes.append((name, kind, rest[4 : 4 + size]))
         at += len(name) + len(kind) + 6 + size
