@@ -14,7 +14,15 @@ from pathlib import Path
 
 from iris_addon.base.files import atomic_write
 
-from . import ablation_section, curves_section, profile_section, scaling_section, speed_section, stability_section
+from . import (
+    ablation_section,
+    curves_section,
+    farm_section,
+    profile_section,
+    scaling_section,
+    speed_section,
+    stability_section,
+)
 from .machine import ROOT
 from .records import COMMITTED, IMAGES, Record, pack, unpack
 
@@ -28,6 +36,7 @@ SECTIONS: Mapping[str, Section] = {
     "ablation": ablation_section.describe,
     "scaling": scaling_section.describe,
     "profile": profile_section.describe,
+    "farm": farm_section.describe,
 }
 NOT_MEASURED = "Not measured yet."
 
