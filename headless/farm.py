@@ -26,6 +26,8 @@ from .job_file import Frames, Job, read_jobs
 from .outcome import Outcome
 
 SPECIFICATION = "jobtemplate-2023-09"
+MAX_TASKS = 200_000
+"""Of one bundle; a hundred thousand frames in chunks of ten are a twentieth."""
 MAX_NAME = 64
 """Characters of the name of a step, by the specification."""
 CORES, MEMORY_MIB = 2, 8192
@@ -38,16 +40,18 @@ def write_bundle(path: Path, out: Path) -> Outcome:
     """Write the bundle of the job file ``path`` into the folder ``out``: the template and the values of its parameters.
 
     Raises:
-        BadInput: ``path`` is no job file, or a name is too long for a step.
+        BadInput: ``path`` is no job file, a name is too long for a step, or there are too many tasks.
     """
     jobs = read_jobs(path)
     steps = steps_of(path, jobs)
+    tasks = sum(step.chunks or 1 for step in steps)
+    if tasks > MAX_TASKS:
+        raise BadInput(f"makes {tasks} tasks, more than {MAX_TASKS}", "give larger chunks, or two job files", path)
     values = [{"name": "Jobs", "value": str(path.absolute())}, {"name": "Iris", "value": "iris"}]
     write_json(out / "template.json", job_template(path, steps))
     write_json(out / "parameter_values.json", {"parameterValues": values})
     write_json(out / "asset_references.json", {"assetReferences": _assets(path, jobs)})
     write_json(out / "flamenco_job.json", flamenco_job(path, steps))
-    tasks = sum(step.chunks or 1 for step in steps)
     return Outcome.of("Wrote the bundle", {"folder": out, "steps": len(steps), "tasks": tasks})
 
 

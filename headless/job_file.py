@@ -23,6 +23,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +33,7 @@ from iris_addon.base.errors import BadInput
 from iris_addon.base.untrusted import read_json, read_toml
 from iris_addon.config import MAX_SEED, PRESETS, SolveConfig, preset
 
-MAX_JOBS_BYTES = 16 << 20
+MAX_JOBS_BYTES = 4 << 20
 OPTIONS = ("response", "exposures", "hdr", "device", "seed")
 KEYS = ("name", "capture", "preset", "out", "evaluate", "frames", *OPTIONS)
 WORDS = {"response": ("auto", "gamma"), "exposures": ("auto", "none")}
@@ -111,9 +112,9 @@ def read_jobs(path: Path, mapping: Path | None = None) -> list[Job]:
     jobs = [_job(entry, number, path, located) for number, entry in enumerate(entries)]
     units = [*jobs, *(frames for job in jobs for frames in job.frames)]
     for what in ("name", "out"):
-        values = [getattr(unit, what) for unit in units]
-        repeated = next((value for value in values if values.count(value) > 1), None)
-        if repeated is not None:
+        counts = Counter(getattr(unit, what) for unit in units)
+        repeated, count = counts.most_common(1)[0]
+        if count > 1:
             raise BadInput(f"two jobs have the {what} {repeated}", f"give each job its own {what}", path)
     return jobs
 

@@ -236,6 +236,17 @@ def require_own_folder(path: Path) -> None:
         raise BadInput("is a link or a file where a folder is written", "delete it, or choose another folder", path)
 
 
+def require_only_name(path: Path) -> None:
+    """Require that ``path`` does not exist or is a regular file without a second name, which an archive can give it.
+
+    Raises:
+        BadInput: a link, a pipe or a folder has its name, or the file lies elsewhere as well.
+    """
+    found = _lstat(path)
+    if found is not None and not (stat.S_ISREG(found.st_mode) and found.st_nlink == 1):
+        raise BadInput("is a link, or no file of this folder alone", "delete it, or choose another folder", path)
+
+
 def _lstat(path: Path) -> os.stat_result | None:
     try:
         return path.lstat()

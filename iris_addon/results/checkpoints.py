@@ -19,7 +19,7 @@ from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
 from ..base.errors import BadInput, IrisError
-from ..base.files import atomic_write, is_own_folder, remove_abandoned, write_arrays
+from ..base.files import atomic_write, is_own_file, is_own_folder, remove_abandoned, require_only_name, write_arrays
 from ..base.untrusted import read_arrays
 from ..config import SolveConfig
 from ..model.capture import Capture
@@ -116,6 +116,8 @@ class Checkpoints:
 
 def _mapped(path: Path) -> NDArray | None:
     """The table in a file, mapped into memory; None where it is missing or damaged."""
+    if not is_own_file(path):  # a pipe would block
+        return None
     try:
         table = np.load(path, mmap_mode="r", allow_pickle=False)
     except ValueError:  # damaged, or without rows, which cannot be mapped
@@ -139,12 +141,13 @@ def sole_writer(folder: Path) -> Iterator[None]:
     let two waiting processes in.
 
     Raises:
-        BadInput: another process holds it.
+        BadInput: another process holds it, or it is no file of its own.
         IrisError: it cannot be made or written.
     """
     lock = FileLock(folder / LOCK)
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        require_only_name(folder / LOCK)  # the lock empties the file that it opens
         lock.acquire(timeout=0)
     except Timeout as error:
         fix = "wait until it is done, cancel it, or choose another folder"

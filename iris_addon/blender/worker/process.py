@@ -215,13 +215,14 @@ def worker_environment() -> dict[str, str]:
 
 
 def _open_log(path: Path | None) -> IO[str] | None:
+    """A new file. What had its name in a folder from an untrusted source may be a link, a second name of any file, or a
+    pipe that blocks whoever opens it: it is removed and never opened."""
     if path is None:
         return None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        if path.is_symlink():  # in a folder from an untrusted source it may lead to any file
-            path.unlink()
-        return path.open("w", encoding="utf-8")
+        path.unlink(missing_ok=True)
+        return path.open("x", encoding="utf-8")
     except OSError as error:
         fix = "free some disk space, or choose another folder for the result"
         raise IrisError(f"cannot be written ({error.strerror})", fix, path) from error
