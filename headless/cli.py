@@ -70,12 +70,12 @@ def main(arguments: list[str] | None = None) -> int:
             return delegate(argv, missing)
         if getattr(args, "stop_with_stdin", False):  # an option of the commands that write JSON lines
             stop_with_stdin(progress)
-        with cancelled_by_signals(progress, lambda: _fail(Cancelled(), lines)):
+        with cancelled_by_signals(progress, lambda: _fail(_cancelled(args), lines)):
             from . import commands
 
             outcome = getattr(commands, args.command)(args, progress)
-    except KeyboardInterrupt:
-        return _fail(Cancelled(), lines)
+    except (KeyboardInterrupt, Cancelled):
+        return _fail(_cancelled(args), lines)
     except IrisError as error:
         if args.debug:
             traceback.print_exc()
@@ -127,6 +127,11 @@ def _unexpected(error: Exception) -> IrisError:
         return IrisError(f"cannot be used ({error.strerror})", fix, Path(error.filename))
     what = f"{type(error).__name__}: {' '.join(str(error).split()) or 'no message'}"
     return IrisError(what, "run again with --debug and report what it prints")
+
+
+def _cancelled(args: argparse.Namespace) -> Cancelled:
+    """What to say of a command that was stopped."""
+    return Cancelled() if hasattr(args, "resume") else Cancelled("run again")
 
 
 def _fail(error: IrisError, lines: bool) -> int:

@@ -47,5 +47,5 @@ class Cancelled(IrisError):
 
     exit_code = 130
 
-    def __init__(self) -> None:
-        super().__init__("cancelled", "run again with --resume to go on from the last finished stage")
+    def __init__(self, fix: str = "run again with --resume to go on from the last finished stage") -> None:
+        super().__init__("cancelled", fix)

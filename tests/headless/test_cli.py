@@ -229,6 +229,14 @@ def test_the_test_of_an_environment_imports_all_that_a_solve_needs():
     assert {name.partition(".")[0] for name in make_environment.IMPORTS} == {*environment.NEEDS["solve"]}
 
 
+def test_a_cancelled_command_speaks_of_resuming_only_if_it_can():
+    def fix(*argv):
+        return str(cli._cancelled(cli.make_parser().parse_args(argv)))
+
+    assert "--resume" in fix("solve", "room", "--out", "out")
+    assert "--resume" not in fix("inspect", "room", "--out", "out")
+
+
 def test_interrupting_cancels_and_exits_130(fipt_room, tmp_path, stub_solve, capsys):
     fipt_room.root.rename(tmp_path / "interrupted")
     handler = signal.getsignal(signal.SIGINT)
