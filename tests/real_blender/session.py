@@ -18,6 +18,7 @@ from .root import Root
 START_SECONDS = 180.0
 ANSWER_SECONDS = 180.0
 ROW_PIXELS = 12  # a button is 20 high
+PAGES = 7  # of the sidebar with every step open, and more
 EDGE_PIXELS = 12  # at the lower edge, where buttons are cut off and a press would drag the edge
 MARGIN_PIXELS = 5  # left of every list, which would take the wheel for itself
 PAGE_NOTCHES = 8  # of the mouse wheel
@@ -154,7 +155,7 @@ class Session:
         place = self.find(name, area, region, window, columns)
         if place is None:
             self.display.scroll(left + MARGIN_PIXELS, top + height / 2, -60)
-        for _ in range(4):
+        for _ in range(PAGES):
             if place is not None:
                 return place
             place = self.find(name, area, region, window, columns)
