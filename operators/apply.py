@@ -18,6 +18,7 @@ from ..iris_addon.results.result import Result
 from .editors import view_shadings
 from .folders import folder, result_key
 from .polls import NeedsResult
+from .wait_cursor import wait_cursor
 
 
 class IRIS_OT_apply(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -30,18 +31,14 @@ class IRIS_OT_apply(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Apply the result."""
         scene = context.scene
-        if context.window is not None:
-            context.window.cursor_set("WAIT")  # decoding and packing large textures takes seconds
         try:
-            result = load_result(folder(scene), read_image=read_image)
-            runs = face_runs(scene)
-            changed = apply_to_objects(result, runs, scene, result_key(scene))
+            with wait_cursor(context):  # decoding and packing large textures takes seconds
+                result = load_result(folder(scene), read_image=read_image)
+                runs = face_runs(scene)
+                changed = apply_to_objects(result, runs, scene, result_key(scene))
         except IrisError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        finally:
-            if context.window is not None:
-                context.window.cursor_set("DEFAULT")
         if not changed:
             self.report({"INFO"}, "This result is applied already")
             return {"FINISHED"}

@@ -10,6 +10,7 @@ from ..iris_addon.base.errors import IrisError
 from ..iris_addon.blender.apply.area_lamps import put_lamp_back, replace_lamp
 from .polls import NeedsApplied
 from .relight import chosen_lamp
+from .wait_cursor import wait_cursor
 
 
 class IRIS_OT_area_lamp(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -32,20 +33,16 @@ class IRIS_OT_area_lamp(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blend
         """Replace the lamp, or put it back."""
         scene, lamp = context.scene, chosen_lamp(context.scene)
         assert lamp is not None  # by poll
-        if context.window is not None:
-            context.window.cursor_set("WAIT")  # the first ray builds the search tree of the room
         try:
             if not self.on:
                 put_lamp_back(scene, lamp.material)
                 return {"FINISHED"}
             eyes = [view.camera.matrix_world.translation for view in scene.iris.views if view.camera is not None]
-            lights, faithful = replace_lamp(scene, lamp.material, eyes)
+            with wait_cursor(context):  # the first ray builds the search tree of the room
+                lights, faithful = replace_lamp(scene, lamp.material, eyes)
         except IrisError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        finally:
-            if context.window is not None:
-                context.window.cursor_set("DEFAULT")
         if faithful:
             self.report({"INFO"}, f"{' and '.join(thing.name for thing in lights)} in place of {lamp.material.name}")
         else:

@@ -10,6 +10,7 @@ from bpy_extras.view3d_utils import region_2d_to_origin_3d, region_2d_to_vector_
 from ..iris_addon.base.errors import BadInput
 from ..iris_addon.blender.insert.dragging import SHAPES, DraggedObject
 from .polls import NeedsApplied
+from .wait_cursor import wait_cursor
 
 SELECTED = "SELECTED"
 PLACEABLE = (
@@ -72,13 +73,11 @@ class IRIS_OT_place(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's
             return self._refuse(BadInput("there is no 3D view here", "press the button in the sidebar of one"))
         self._region = next(region for region in context.area.regions if region.type == "WINDOW")
         self._view = context.area.spaces.active.region_3d
-        context.window.cursor_set("WAIT")  # reading the room takes seconds for a million triangles
         try:
-            self._dragged = self._pick_up(context)
+            with wait_cursor(context):  # reading the room takes seconds for a million triangles
+                self._dragged = self._pick_up(context)
         except BadInput as error:
             return self._refuse(error)
-        finally:
-            context.window.cursor_set("DEFAULT")
         self._on_surface = False
         self._show_help(context)
         context.window_manager.modal_handler_add(self)

@@ -10,6 +10,7 @@ from ..iris_addon.base.errors import IrisError
 from ..iris_addon.blender.scene_in.solved_demo import CAPTURE, unpack_solved_demo
 from ..iris_addon.blender.worker import jobs
 from .folders import ROOT_PACKAGE
+from .wait_cursor import wait_cursor
 
 
 class IRIS_OT_open_demo(bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -27,26 +28,18 @@ class IRIS_OT_open_demo(bpy.types.Operator):  # noqa: N801 - Blender's naming
         if jobs.running("solve", out) is not None:
             self.report({"ERROR"}, "the demo is being solved again — wait for it, or cancel it")
             return {"CANCELLED"}
-        if context.window is not None:
-            context.window.cursor_set("WAIT")
         before = {name: getattr(settings, name) for name in ("source", "capture", "result", "importing")}
         try:
-            unpack_solved_demo(out)
-            settings.source, settings.capture, settings.result, settings.importing = (
-                "CAPTURE",
-                str(CAPTURE),
-                str(out),
-                "",
-            )
-            bpy.ops.iris.add_capture()
-            bpy.ops.iris.apply()
+            with wait_cursor(context):
+                unpack_solved_demo(out)
+                settings.source, settings.importing = "CAPTURE", ""
+                settings.capture, settings.result = str(CAPTURE), str(out)
+                bpy.ops.iris.add_capture()
+                bpy.ops.iris.apply()
         except (IrisError, RuntimeError) as error:  # Blender raises what an operator reports
             for key, value in before.items():
                 setattr(settings, key, value)
             self.report({"ERROR"}, str(error).strip().removeprefix("Error: "))
             return {"CANCELLED"}
-        finally:
-            if context.window is not None:
-                context.window.cursor_set("DEFAULT")
         self.report({"INFO"}, f"{len(settings.views)} photos, {len(settings.lamps)} lamps: change them under Relight")
         return {"FINISHED"}

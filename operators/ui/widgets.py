@@ -9,6 +9,7 @@ import bpy
 from ...iris_addon.blender.worker import jobs
 from ..folders import folder, job_folder
 from . import solve_preview
+from .steps import duration
 
 
 def paragraph(layout: bpy.types.UILayout, text: str, context: bpy.types.Context, icon: str = "NONE") -> None:
@@ -64,4 +65,4 @@ def time_left(seconds: float | None) -> str:
     """The estimated time left as text."""
     if seconds is None:
         return ""
-    return f", {seconds:.0f} s left" if seconds < 90 else f", {seconds / 60:.0f} min left"
+    return f", {duration(seconds)} left"
