@@ -24,6 +24,8 @@ from ..scene_out.lights import (
     camera_only_mode,
     color,
     is_on,
+    set_color,
+    set_strength,
     show_to_all,
     show_to_cameras_only,
     stand_ins,
@@ -133,7 +135,7 @@ def replace_lamp(
 def put_lamp_back(scene: bpy.types.Scene, material: bpy.types.Material) -> None:
     """Undo :func:`replace_lamp`; colour and strength stay as they are now. Raises BadInput while lights are mixed."""
     _require_unmixed(scene)
-    level, tint, lit = strength(material), color(material), is_on(material)
+    level, tint = strength(material), color(material)
     gone = [material[key] for key in STAND_INS if material.get(key) is not None]
     for key in STAND_INS:
         material.pop(key, None)
@@ -141,10 +143,8 @@ def put_lamp_back(scene: bpy.types.Scene, material: bpy.types.Material) -> None:
     bpy.data.batch_remove(gone)
     bpy.data.batch_remove([block for block in data if not block.users])
     show_to_all(material)
-    shader = next(node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
-    shader.inputs["Emission Color"].default_value = (*tint, 1.0)
-    if lit:
-        shader.inputs["Emission Strength"].default_value = level
+    set_color(material, tint)
+    set_strength(material, level)
 
 
 def _require_unmixed(scene: bpy.types.Scene) -> None:
@@ -279,7 +279,7 @@ def _shown_sides(
     Without cameras, or where none sees it, the side of the middle of the scene counts.
     """
     seen = [0.0, 0.0]
-    graph = bpy.context.evaluated_depsgraph_get() if scene == bpy.context.scene else _graph(scene)
+    graph = _graph(scene)
     for eye in list(eyes)[:: max(1, -(-len(eyes) // EYES))]:
         for at in samples.at[:: SAMPLES // SEEN_SAMPLES]:
             to_lamp = Vector(at) - eye
@@ -300,12 +300,15 @@ def _free(
     scene: bpy.types.Scene, samples: _Samples, direction: NDArray[np.float64], distance: float
 ) -> NDArray[np.bool_]:
     """(K,) whether nothing stands before a point on this side of the lamp."""
-    graph = bpy.context.evaluated_depsgraph_get() if scene == bpy.context.scene else _graph(scene)
+    graph = _graph(scene)
     starts = samples.at + 1e-4 * direction
     return np.array([not scene.ray_cast(graph, Vector(at), Vector(direction), distance=distance)[0] for at in starts])
 
 
 def _graph(scene: bpy.types.Scene) -> bpy.types.Depsgraph:
+    """What rays into ``scene`` hit, evaluated."""
+    if scene == bpy.context.scene:
+        return bpy.context.evaluated_depsgraph_get()
     layer = scene.view_layers[0]
     layer.update()
     return layer.depsgraph
