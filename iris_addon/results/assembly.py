@@ -36,7 +36,7 @@ from ..textures.painting import Painter, PixelLight, paint_texels
 from ..textures.principled import make_textures
 from ..textures.texel_points import TexelPoints
 from .checkpoints import Checkpoints
-from .held_out import MISFIT_ERROR, base_color_of_pixels, errors_of_photos, hold_out, misfits
+from .held_out import MISFIT_ERROR, POOR_PSNR, base_color_of_pixels, errors_of_photos, hold_out, misfits
 from .maps import bilinear
 from .report import MAX_WIDTH
 from .result import Result
@@ -137,7 +137,7 @@ def make_result(
     report = {
         "holdout_psnr": float(psnr),
         "model": {"residual_light": round(float(residual), 4), **paints},
-        "warnings": _misfit_warnings(capture, of_photos),
+        "warnings": _misfit_warnings(capture, of_photos, np.inf if photos.hdr else float(psnr)),
     }
     mesh = capture.mesh.with_uv(atlas.uv)
     if room.surface.scanned.any():
@@ -265,8 +265,13 @@ def _sun(problem: LightProblem, lights: Lights) -> Sunlight | None:
     return None if sun is None else Sunlight(sun.direction, lights.hidden_radiance[-1])
 
 
-def _misfit_warnings(capture: Capture, errors: NDArray[np.floating]) -> list[str]:
-    """A warning that the photos are not explained, as a whole or those that it names; or none."""
+def _misfit_warnings(capture: Capture, errors: NDArray[np.floating], psnr: float) -> list[str]:
+    """A warning that the photos are not explained, as a whole or those that it names; or none.
+
+    Args:
+        errors: (V,) of photos, as by :func:`errors_of_photos`.
+        psnr: of all tested pixels as displayed; of radiance it says nothing.
+    """
     typical = float(np.nanmedian(errors)) if np.isfinite(errors).any() else 0.0
     if typical > MISFIT_ERROR:
         return [
@@ -274,6 +279,12 @@ def _misfit_warnings(capture: Capture, errors: NDArray[np.floating]) -> list[str
             "that photos, poses and mesh are of one room, and that no photo is edited"
         ]
     worst = misfits(errors)
+    if not len(worst) and psnr < POOR_PSNR:
+        return [
+            f"the solved room explains the photos poorly, at {psnr:.1f} dB of pixels it was not fitted to, where good "
+            "captures reach 21 and more: inspect the capture, and check that the mesh lies under all photos and is not "
+            "mirrored"
+        ]
     if not len(worst):
         return []
     names = ", ".join(f"{capture.views[k].name} ({errors[k]:.0%})" for k in worst[:5]) + (

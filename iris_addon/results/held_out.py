@@ -27,6 +27,8 @@ DARK = 0.02
 MISFIT_ERROR, MISFIT_FACTOR = 0.2, 3.0
 """Error of a photo relative to its brightness, and as a multiple of the median photo's, beyond both of which it shows
 something else than its pose does (experiment 0160)."""
+POOR_PSNR = 18.0
+"""Of all tested pixels as displayed, dB, below which something is wrong though the typical pixel is right (0160)."""
 
 
 @dataclass(frozen=True)

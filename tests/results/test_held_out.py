@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +60,22 @@ def test_photos_that_are_negatives_are_said_to_be_unexplained(tmp_path: Path, mo
         write_png(path, 255 - read_image(path).astype(np.uint8))
     result = solve(read_capture(demo.save()), SMALL, tmp_path / "out")
     assert any("does not explain the photos" in warning for warning in result.report["warnings"])
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_mirrored_mesh_whose_walls_still_lie_in_place_is_said_to_explain_little(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mirrored: bool
+) -> None:
+    """Most pixels show walls and the floor, which are as before: the typical error stays below that of a scan."""
+    monkeypatch.setenv("IRIS_CACHE", str(tmp_path / "cache"))
+    capture = read_capture(demo_capture(tmp_path / "demo", count=12).save())
+    mesh = capture.mesh
+    middle = (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2
+    if mirrored:
+        turned = mesh.vertices * [-1, 1, 1] + middle * [2, 0, 0]
+        capture = replace(capture, mesh=replace(mesh, vertices=turned, faces=mesh.faces[:, ::-1]))
+    result = solve(capture, SMALL, tmp_path / "out")
+    assert any("photos poorly" in warning for warning in result.report["warnings"]) == mirrored
 
 
 def test_few_pixels_say_nothing() -> None:
