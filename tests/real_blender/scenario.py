@@ -26,8 +26,7 @@ def install(stage: Stage) -> str:
     session.new_window(lambda: session.choose(left + width - 22, top + 18, -1), "File View", (300, 150, 1000, 650))
     session.choose_file(f"{session.root.HOME}/iris.zip", lambda: stage.photograph("01_install"))
     until(lambda: session.ask(f"{ADDON!r} in bpy.context.preferences.addons"), "the extension is enabled", 60)
-    # The steps press buttons of every section; tests/blender/test_solved_demo.py has which one is open.
-    session.ask(f"setattr(bpy.context.preferences.addons[{ADDON!r}].preferences, 'fold_steps', False)")
+    stage.open_every_section()
     return "enabled"
 
 
@@ -167,6 +166,7 @@ def enable_again(stage: Stage) -> str:
     session.close_newest_window()
     # Blender forgets an extension's preferences when it is disabled.
     session.ask(f"set_solver('{session.root.REPOSITORY}/.venv/bin/python')")
+    stage.open_every_section()
     return "twice"
 
 

@@ -79,6 +79,10 @@ class Stage:
         session.type_into((x, field_y - 6), python)
         assert session.ask(f"bpy.context.preferences.addons[{ADDON!r}].preferences.python") == python
 
+    def open_every_section(self) -> None:
+        """The steps press buttons of every section; tests/blender/test_solved_demo.py has which one is open."""
+        self.session.ask(f"setattr(bpy.context.preferences.addons[{ADDON!r}].preferences, 'fold_steps', False)")
+
     def show_sidebar(self) -> None:
         """The sidebar of a file that was saved with it open, at its tab."""
         until(lambda: self.session.ask("sidebar_tab()") == "IRIS", "the sidebar is where it was", 20)
