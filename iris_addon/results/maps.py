@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..brdf.diffuse import albedo_gain
 from ..brdf.ggx import directional_albedo
+from ..lighting.backdrop import SeenBackdrop
 from ..model.capture import Camera
 from ..model.recovered import DiffuseLobe
 from ..rays.tracer import Tracer
@@ -23,10 +24,13 @@ FloatArray = NDArray[np.floating]
 
 @dataclass(frozen=True)
 class ViewMaps:
-    """Maps at the pixel centres of one camera; zero where the ray escapes. Colours scene-linear Rec.709.
+    """Maps at the pixel centres of one camera. Colours scene-linear Rec.709.
+
+    A ray that escapes through a hole of the mesh meets the backdrop, whose surfaces are matte. Where one looks outside
+    maps are zero.
 
     Attributes:
-        hit: (H, W) bool.
+        hit: (H, W) bool, pixels on the mesh.
         base_color, kd: (H, W, 3); kd = base colour · (1 − metallic).
         directional_albedo: (H, W, 3) a' towards the camera, of a Lambertian diffuse part.
         lobed_albedo: (H, W, 3) the same of the diffuse lobe that the result names.
@@ -56,12 +60,14 @@ class MapRenderer:
         self._tracer = tracer or Tracer(result.mesh)
         self._emission = result.face_emission()
         self._lobe: DiffuseLobe = result.diffuse_lobe
+        lit = result.backdrop is not None and result.backdrop.albedo is not None
+        self._backdrop = SeenBackdrop(result.backdrop if lit else None)
 
     def maps(self, camera: Camera) -> ViewMaps:
         """The maps through all pixel centres of ``camera``."""
         origins, directions = camera.rays()
         hits = self._tracer.closest(origins, directions)
-        seen = np.flatnonzero(hits.face >= 0)
+        seen, escaping = np.flatnonzero(hits.face >= 0), np.flatnonzero(hits.face < 0)
         face, weights = hits.face[seen], hits.barycentric[seen]
         uv = interpolate_uv(self._uv, face, weights)
         textures = self._textures
@@ -75,22 +81,35 @@ class MapRenderer:
         lambertian = directional_albedo(base_color, rough[:, 0], metal[:, 0], cosine)
         lobed = lambertian + kd * (albedo_gain(self._lobe, rough[:, 0], cosine) - 1)[:, None]
 
-        def image(values: FloatArray) -> FloatArray:
+        behind, paint = self._backdrop_at(origins[escaping], directions[escaping])
+        behind = escaping[behind]
+
+        def image(values: FloatArray, of_backdrop: FloatArray | float = 0.0) -> FloatArray:
             full = np.zeros((camera.height * camera.width, *values.shape[1:]), np.float32)
-            full[seen] = values
+            full[seen], full[behind] = values, of_backdrop
             return full.reshape(camera.height, camera.width, *values.shape[1:])
 
         return ViewMaps(
             hit=image(np.ones(len(seen))) > 0,
-            base_color=image(base_color),
-            kd=image(kd),
-            directional_albedo=image(lambertian),
-            lobed_albedo=image(lobed),
-            roughness=image(rough[:, 0]),
+            base_color=image(base_color, paint),
+            kd=image(kd, paint),
+            directional_albedo=image(lambertian, paint),
+            lobed_albedo=image(lobed, paint),
+            roughness=image(rough[:, 0], 1.0),
             metallic=image(metal[:, 0]),
             confidence=image(confidence[:, 0]),
             emission=image(self._emission[face]),
         )
+
+    def _backdrop_at(self, origins: FloatArray, directions: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+        """Of escaping rays those (n,) that meet a surface of the backdrop, and its albedo (n, 3) there."""
+        texel = self._backdrop.texels(origins, directions)
+        recovered = self._backdrop.recovered
+        if recovered is None or recovered.albedo is None:
+            return np.zeros(0, np.int64), np.zeros((0, 3))
+        albedo = recovered.albedo.reshape(-1, 3)[texel]
+        met = np.flatnonzero((texel >= 0) & albedo.any(1))
+        return met, albedo[met]
 
 
 def bilinear(texture: FloatArray, uv: FloatArray) -> FloatArray:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 from iris_addon.base.errors import BadInput
 from iris_addon.base.images import read_exr, write_exr
@@ -11,7 +12,7 @@ from iris_addon.evaluate import metrics
 from iris_addon.evaluate.evaluation import evaluate
 from iris_addon.evaluate.pictures import fit_gains
 from iris_addon.model.capture import Photo
-from iris_addon.model.recovered import Textures
+from iris_addon.model.recovered import Backdrop, Textures
 from iris_addon.model.response import Response, gamma
 from iris_addon.results.maps import MapRenderer, bilinear
 from tests.box_room import HEIGHT, WIDTH
@@ -190,6 +191,38 @@ def test_degenerate_faces_do_not_disturb_the_maps(tmp_path):
 
     camera = read_views(write_truth_room(tmp_path / "room") / "train" / "transforms.json")[0].camera
     assert np.array_equal(MapRenderer(broken).maps(camera).kd, MapRenderer(result).maps(camera).kd)
+
+
+@pytest.mark.parametrize("albedo", [None, 0.0, 0.4])
+def test_maps_show_the_surfaces_of_the_backdrop_through_holes(tmp_path, albedo):
+    """The room without a quarter of its faces, before a shell that is a surface, an opening, or lights nothing."""
+    from iris_addon.capture.reader import read_views
+
+    result = true_result()
+    mesh, holed = result.mesh, np.arange(len(result.mesh.faces)) % 4 != 0
+    shell = trimesh.creation.box(extents=3 * np.ptp(mesh.vertices, axis=0))
+    shell.apply_translation(mesh.vertices.mean(0))
+    picture = np.full((16, 32, 3), 0.5, np.float32)
+    backdrop = Backdrop(
+        np.array(shell.vertices),
+        np.array(shell.faces)[:, ::-1].astype(np.int64),
+        picture,
+        None if albedo is None else np.full_like(picture, albedo),
+    )
+    with_holes = replace(
+        result,
+        mesh=replace(mesh, faces=mesh.faces[holed], uv=mesh.uv[holed]),
+        regions=result.regions[holed],
+        emitters=(),
+        backdrop=backdrop,
+    )
+    camera = read_views(write_truth_room(tmp_path / "room") / "train" / "transforms.json")[0].camera
+    maps = MapRenderer(with_holes).maps(camera)
+    through = ~maps.hit
+    assert 0.02 < through.mean() < 0.9
+    assert maps.kd[through] == pytest.approx(albedo or 0.0)
+    assert maps.roughness[through] == pytest.approx(1.0 if albedo else 0.0)
+    assert not maps.emission[through].any() and not maps.confidence[through].any()
 
 
 @pytest.mark.slow
