@@ -11,7 +11,7 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -31,23 +31,15 @@ from .records import Record, write_record
 
 
 class Replaced(NamedTuple):
-    """An attribute of a module of the engine, and what takes its place; ``wraps`` makes that out of what was there."""
+    """An attribute of a module of the engine, and what takes its place."""
 
     module: str
     name: str
     by: Any
-    wraps: bool = False
 
 
 def _own_labels(regions: np.ndarray, *_: object) -> np.ndarray:
     return np.arange(int(regions.max()) + 1, dtype=np.int32)
-
-
-def _any_region_painted(make: Callable[..., Any]) -> Callable[..., Any]:
-    def made(atlas: Any, regions: Any, lamps: Any, gloss: Any, *rest: Any) -> Any:
-        return make(atlas, regions, lamps, gloss, *rest[:-1], gloss.metallic < 0.5)
-
-    return made
 
 
 MECHANISMS: Mapping[str, tuple[Replaced, ...]] = {
@@ -69,7 +61,6 @@ MECHANISMS: Mapping[str, tuple[Replaced, ...]] = {
     "paint: texels of one colour evened": (
         Replaced("textures.paint", "Paint.evened", lambda _self, albedo, _error, _region: albedo),
     ),
-    "paint: none on scans": (Replaced("results.assembly", "make_textures", _any_region_painted, wraps=True),),
     "textures: residual light": (
         Replaced("results.assembly", "residual_light", lambda _field, region, *_: np.ones((len(region), 3))),
     ),
@@ -93,13 +84,12 @@ def left_out(name: str) -> Iterator[None]:
             refused = replace(decide.REFINEMENTS[name], gain=np.inf)
             undone.enter_context(patch.dict(decide.REFINEMENTS, {name: refused}))  # type: ignore[arg-type]
         elif name != NOTHING:
-            for module, attribute, by, wraps in MECHANISMS[name]:
+            for module, attribute, by in MECHANISMS[name]:
                 owner: Any = importlib.import_module(f"iris_addon.{module}")
                 *inside, attribute = attribute.split(".")
                 for part in inside:
                     owner = getattr(owner, part)
-                new = by(getattr(owner, attribute)) if wraps else by
-                undone.enter_context(patch.object(owner, attribute, new))
+                undone.enter_context(patch.object(owner, attribute, by))
         yield
 
 

@@ -115,11 +115,24 @@ REFINEMENTS: Mapping[str, Refinement] = {
         gain=-0.1,
         experiment="0081-is-a-hole-a-wall-that-photos-show",
     ),
+    "light_of_unseen": Refinement(
+        "light from parts of the backdrop that no photo shows, beside the light that photos show",
+        BALANCE,
+        gain=0.02,
+        experiment="0111-what-lights-a-scan-where-no-photo-looks",
+    ),
     "lamp": Refinement(
         "a lamp, or a side of one, that its own pixels do not prove; per stop that it is brighter than they show",
         BALANCE,
         gain=0.005,
         experiment="0032-what-does-choosing-lamps-cost",
+    ),
+    # No surface is so bright; only where the balance clearly falls without it may the light be wrong instead.
+    "bright_lamp": Refinement(
+        "a lamp that, left out, would be too bright for the light that reaches it",
+        BALANCE,
+        gain=-0.02,
+        experiment="0111-what-lights-a-scan-where-no-photo-looks",
     ),
     "unconstrained_lamp": Refinement(
         "a lamp where photos say nothing against one: clipped in all, or shown by none",

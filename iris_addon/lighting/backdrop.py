@@ -11,6 +11,7 @@ the mesh meet the same picture (:class:`SeenBackdrop`), as glossy rays do in Cyc
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from ..model.capture import Mesh, View
 from ..model.recovered import Backdrop
-from ..model.sphere import equirect_texels
+from ..model.sphere import dodecahedron, equirect_directions, equirect_texels
 from ..rays.tracer import Tracer
 from ..response.photometry import Photometry
 from ..surface.photo_samples import BackdropPixels
@@ -34,6 +35,8 @@ BACKDROP_FLOOR = 0.01
 """Share of the mean radiance that is added before the logarithm is taken."""
 BACKDROP_MIN_WEIGHT = 1e-3
 """Pixels per texel above which the texel is not mixed with its surroundings."""
+BACKDROP_REACH = 2
+"""Texels from one that photos show to which its radiance is taken to go on."""
 BACKDROP_ROUNDS = 4
 """Iterations of the robust mean."""
 SHELL_DIRECTIONS = 400
@@ -44,7 +47,7 @@ SHELL_STEP_BACK = 0.1
 """Distance from each photo's position that the shell encloses, as a share of the room's size."""
 
 
-def fit_backdrop(pixels: BackdropPixels, photometry: Photometry, mesh: Mesh, views: Sequence[View]) -> Backdrop | None:
+def fit_backdrop(pixels: BackdropPixels, photometry: Photometry, mesh: Mesh, views: Sequence[View]) -> SeenBackdrop:
     """A shell around mesh and cameras, painted with the radiance of the pixels that miss the mesh.
 
     Args:
@@ -52,25 +55,28 @@ def fit_backdrop(pixels: BackdropPixels, photometry: Photometry, mesh: Mesh, vie
         photometry: turns their display values into radiance, scene-linear Rec.709.
 
     Returns:
-        The backdrop, or None if fewer than BACKDROP_MIN_SHARE of all pixels miss the mesh.
+        The backdrop; none if fewer than BACKDROP_MIN_SHARE of all pixels miss the mesh.
     """
     if pixels.share < BACKDROP_MIN_SHARE:
-        return None
+        return SeenBackdrop(None)
     positions = np.stack([view.camera.position for view in views])
     shell = shell_around(mesh, positions)
     if shell is None:
-        return None
+        return SeenBackdrop(None)
     linear = photometry.linearise_pixels(pixels.z, pixels.view, pixels.pixel)
     radiance = np.where(linear.unclipped, linear.radiance, linear.bound).astype(np.float64)
     texel = shell.texels(positions[pixels.view], pixels.direction, (BACKDROP_HEIGHT, 2 * BACKDROP_HEIGHT))
     met = texel >= 0
     if not met.any():
-        return None
-    return Backdrop(shell.vertices, shell.faces, _picture(texel[met], radiance[met]))
+        return SeenBackdrop(None)
+    picture, painted = _picture(texel[met], radiance[met])
+    return SeenBackdrop(Backdrop(shell.vertices, shell.faces, picture), painted)
 
 
-def _picture(texel: NDArray[np.integer], radiance: NDArray[np.floating]) -> NDArray[np.float32]:
-    """(H, 2 H, 3) robust mean of ``radiance`` (n, 3) per texel.
+def _picture(
+    texel: NDArray[np.integer], radiance: NDArray[np.floating]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """(H, 2 H, 3) robust mean of ``radiance`` (n, 3) per texel, and which texels (H, 2 H) photos show or nearly so.
 
     Args:
         texel: (n,) index of each pixel's texel. Texels without a pixel are filled from their surroundings.
@@ -86,7 +92,8 @@ def _picture(texel: NDArray[np.integer], radiance: NDArray[np.floating]) -> NDAr
         weight = 1 / (1 + (np.abs(log - mean[texel]).mean(1) / BACKDROP_OUTLIER) ** 2)
     shape = (BACKDROP_HEIGHT, 2 * BACKDROP_HEIGHT)
     filled = _filled(mean.reshape(*shape, 3), total.reshape(shape))
-    return np.maximum(np.exp(filled) - floor, 0.0).astype(np.float32)
+    painted = blurred_panorama(total.reshape(*shape, 1), BACKDROP_REACH)[..., 0] > BACKDROP_MIN_WEIGHT
+    return np.maximum(np.exp(filled) - floor, 0.0).astype(np.float32), painted
 
 
 def _filled(values: NDArray[np.floating], weight: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -115,16 +122,33 @@ def blurred_panorama(values: NDArray[np.floating], sigma: float) -> NDArray[np.f
 class SeenBackdrop:
     """The backdrop, or none, as escaping rays see it from inside the room.
 
+    Args:
+        painted: (H, 2 H) texels whose radiance photos show; all by default.
+
     Attributes:
         recovered: the backdrop; None where the mesh has hardly any holes.
         radiance: (T, 3) float32 of its texels, row by row; scene-linear Rec.709.
+        unseen: (T,) part that each texel lies in which no photo shows, -1 where one does. Each part lies around one of
+            the directions :func:`iris_addon.model.sphere.dodecahedron` from the centre of the shell.
         shell: the surface that carries the texels.
     """
 
-    def __init__(self, recovered: Backdrop | None) -> None:
+    def __init__(self, recovered: Backdrop | None, painted: NDArray[np.bool_] | None = None) -> None:
         self.recovered = recovered
         self.radiance = np.zeros((0, 3), np.float32) if recovered is None else recovered.picture.reshape(-1, 3)
+        self.unseen = np.full(len(self.radiance), -1)
         self.shell = None if recovered is None else Shell(recovered.vertices, recovered.faces)
+        if painted is not None:
+            towards = equirect_directions(*painted.shape[::-1]).reshape(-1, 3) @ dodecahedron().T
+            self.unseen = np.where(painted.reshape(-1), -1, towards.argmax(1))
+
+    def with_unseen(self, radiance: NDArray[np.floating]) -> SeenBackdrop:
+        """The same with the ``radiance`` (K, 3) of the parts that no photo shows."""
+        if self.recovered is None:
+            return self
+        lit = np.where(self.unseen[:, None] < 0, self.radiance, radiance[self.unseen]).astype(np.float32)
+        picture = lit.reshape(self.recovered.picture.shape)
+        return SeenBackdrop(replace(self.recovered, picture=picture), (self.unseen < 0).reshape(picture.shape[:2]))
 
     def texels(self, origins: NDArray[np.floating], directions: NDArray[np.floating]) -> NDArray[np.int32]:
         """(n,) texel that each ray meets, -1 for none.

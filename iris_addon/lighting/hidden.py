@@ -2,12 +2,14 @@
 
 Hidden emitters are lamps like others, on which photos give no evidence. Light from outside enters the light balance by
 the gather rays that escape the mesh, in one of two ways: as further emitters, soft lobes around twelve directions,
-equation (21); or as the radiance that photos show through the holes, where these are gaps in a scan of walls.
+equation (21); or as the radiance that photos show through the holes, where these are gaps in a scan of walls. Parts of
+the backdrop that no photo shows are then further emitters where the light balance asks for them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +18,7 @@ from scipy.sparse import csr_array, vstack
 from ..base.group_by import counts
 from ..base.parallel import BLOCK, over_blocks
 from ..brdf.diffuse import under_lobe
-from ..model.sphere import sh_basis
+from ..model.sphere import dodecahedron, sh_basis
 from ..rays.sampling import Origins
 from ..transport.form_factors import with_schlick
 from ..transport.gather import ESCAPED, GatherRays
@@ -46,11 +48,13 @@ class ThroughHoles:
         share: (N, T) share of each patch's rays that end on each texel.
         schlick: (N, T) the same times Schlick's S.
         radiance: (T, 3) of the texels, scene-linear Rec.709.
+        unseen: (T,) part that each texel lies in which no photo shows, -1 where one does.
     """
 
     share: csr_array
     schlick: csr_array
     radiance: NDArray[np.floating]
+    unseen: NDArray[np.integer]
 
     def irradiance(self, kappa: NDArray[np.floating]) -> NDArray[np.float32]:
         """(N, 3) irradiance / pi of surfaces whose lobe has the grazing gain ``kappa`` (N,)."""
@@ -60,6 +64,29 @@ class ThroughHoles:
     def raised(self, g: float) -> ThroughHoles:
         """The same with all radiance raised to the power ``g``."""
         return replace(self, radiance=self.radiance**g)
+
+    def shown(self) -> ThroughHoles:
+        """The same without the light of what no photo shows."""
+        return replace(self, radiance=np.where(self.unseen[:, None] < 0, self.radiance, 0))
+
+    def form_factors_of_unseen(self) -> NDArray[np.float32]:
+        """(N, K, 2) irradiance / pi of each patch by each part that no photo shows, plain and times Schlick's S."""
+        part = (self.unseen[:, None] == np.arange(self.unseen.max(initial=-1) + 1)).astype(np.float32)
+        return np.stack([self.share @ part, self.schlick @ part], -1)
+
+
+class OutsideKind(NamedTuple):
+    """How light from outside the mesh is modelled.
+
+    Attributes:
+        directions: number of lobes.
+        shown: whether it is the radiance that photos show through the holes, in place of lobes.
+        unseen: whether that of parts of the backdrop which no photo shows is unknown.
+    """
+
+    directions: int
+    shown: bool = False
+    unseen: bool = False
 
 
 @dataclass(frozen=True)
@@ -71,7 +98,8 @@ class HiddenSources:
             The search tries them as lamps.
         directions: (D, 3) unit vectors to the centres of the lobes of outside light, D in {0, 1, 12}. A single lobe is
             constant over the sphere. The radiance of each lobe is an unknown of the light balance.
-        form_factors: (N, D, 2) irradiance / pi of each patch by each lobe, plain and times Schlick's S.
+        form_factors: (N, D, 2) irradiance / pi of each patch by each lobe, plain and times Schlick's S; (N, K, 2) by
+            each part of the backdrop that no photo shows, where these are unknowns in place of lobes.
         holes: light through holes in place of lobes, None where lobes are used.
         sun: parallel light through openings, beside lobes or light through holes; its irradiance is an unknown too.
     """
@@ -84,13 +112,13 @@ class HiddenSources:
 
     @property
     def columns(self) -> NDArray[np.float32]:
-        """(N, H, 2) irradiance / pi of each patch by each unknown: the lobes, then the sun if there is one."""
+        """(N, H, 2) irradiance / pi of each patch by each unknown: lobes or parts, then the sun if there is one."""
         return self.form_factors if self.sun is None else np.concatenate([self.form_factors, self.sun.form_factors], 1)
 
     def start(self, outside: NDArray[np.floating], sunlight: NDArray[np.floating] | None = None) -> NDArray[np.float64]:
-        """(H, 3) unknowns to start from: lobes of radiance ``outside`` (3,), and the sun's irradiance, by default as
-        its search knows it."""
-        lobes = np.tile(outside, (len(self.directions), 1))
+        """(H, 3) unknowns to start from: lobes or parts of radiance ``outside`` (3,), and the sun's irradiance, by
+        default as its search knows it."""
+        lobes = np.tile(outside, (self.form_factors.shape[1], 1))
         if self.sun is None:
             return lobes
         return np.concatenate([lobes, (self.sun.irradiance if sunlight is None else sunlight)[None]])
@@ -101,6 +129,16 @@ class HiddenSources:
             return np.zeros((len(kappa), 3), np.float32)
         return under_lobe(self.sun.form_factors, kappa) @ radiance[-1:]
 
+    @property
+    def kind(self) -> OutsideKind:
+        """How light from outside is modelled."""
+        shown = self.holes is not None
+        return OutsideKind(len(self.directions), shown, shown and self.form_factors.shape[1] > 0)
+
+    def of_kind(self, kind: OutsideKind) -> HiddenSources:
+        """The same sources, all lobes and light through holes among them, with light from outside of that ``kind``."""
+        return self.as_shown(kind.unseen) if kind.shown else self.with_directions(kind.directions)
+
     def with_directions(self, count: int) -> HiddenSources:
         """The same sources with 0, 1 (constant) or all lobes of outside light, and none through holes."""
         if count == len(self.directions):
@@ -108,9 +146,21 @@ class HiddenSources:
         outside = self.form_factors.sum(1, keepdims=True)[:, :count]
         return replace(self, directions=np.array([[0.0, 0.0, 1.0]])[:count], form_factors=outside, holes=None)
 
-    def as_shown(self) -> HiddenSources:
-        """The same sources with the light that photos show through the holes in place of lobes."""
-        return replace(self.with_directions(0), holes=self.holes)
+    def as_shown(self, unseen: bool = False) -> HiddenSources:
+        """The same sources with the light that photos show through the holes in place of lobes.
+
+        Args:
+            unseen: whether the light of what no photo shows is unknown, in place of that of its surroundings.
+        """
+        if not unseen or self.holes is None:
+            return replace(self.with_directions(0), holes=self.holes)
+        factors = self.holes.form_factors_of_unseen()
+        return replace(self, directions=np.zeros((0, 3)), form_factors=factors, holes=self.holes.shown())
+
+    def completed(self, backdrop: SeenBackdrop, radiance: NDArray[np.floating]) -> SeenBackdrop:
+        """``backdrop`` under the unknowns ``radiance`` (H, 3), of which those of its unseen parts come first."""
+        parts = 0 if self.holes is None else self.form_factors.shape[1]
+        return backdrop.with_unseen(radiance[:parts]) if parts else backdrop
 
     def irradiance(self, radiance: NDArray[np.floating], kappa: NDArray[np.floating]) -> NDArray[np.floating]:
         """(N, 3) irradiance / pi from outside, by lobes or through holes, and by the sun.
@@ -142,14 +192,6 @@ def lobes(directions: NDArray[np.floating], middles: NDArray[np.floating]) -> ND
     if len(middles) == 1:
         return np.ones((*directions.shape[:-1], 1), directions.dtype)
     return (1 + directions @ middles.T.astype(directions.dtype)) ** 2 / 16
-
-
-def dodecahedron() -> NDArray[np.float64]:
-    """(12, 3) unit normals of a dodecahedron's faces: evenly spread directions."""
-    golden = (1 + 5**0.5) / 2
-    corners = [(0, s, t * golden) for s in (-1, 1) for t in (-1, 1)]
-    points = np.array([np.roll(c, k) for c in corners for k in range(3)])
-    return points / np.linalg.norm(points[0])
 
 
 def nothing_hidden(transport: Transport) -> HiddenSources:
@@ -190,7 +232,7 @@ def through_holes(transport: Transport, backdrop: SeenBackdrop) -> ThroughHoles 
     seen = _share_of_texels(transport.target, transport.origins, transport.rays, backdrop)
     unseen = _share_of_texels(transport.unseen_target, transport.unseen_origins, transport.unseen_rays, backdrop)
     share, schlick = (csr_array(vstack(both)) for both in zip(seen, unseen, strict=True))
-    return ThroughHoles(share, schlick, backdrop.radiance)
+    return ThroughHoles(share, schlick, backdrop.radiance, backdrop.unseen)
 
 
 def _share_of_texels(

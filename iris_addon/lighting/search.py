@@ -136,6 +136,12 @@ def choose_outside(
         error = best[1].paired_error(lights)
         if decisions.accept(name, best[1].held_out, lights.held_out, error, subject="as photos show it"):
             best = shown, lights
+        if (problem.hidden.holes.unseen >= 0).any():
+            completed = replace(problem, hidden=problem.hidden.as_shown(unseen=True))
+            lights = _with_outside(completed, observed, best[1], progress)
+            error = best[1].paired_error(lights)
+            if decisions.accept("light_of_unseen", best[1].held_out, lights.held_out, error):
+                best = completed, lights
     return best
 
 

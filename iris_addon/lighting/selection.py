@@ -44,6 +44,8 @@ UNCONSTRAINED_MAX_CLIPPED = 8
 """Regions that clip in all photos and are tried, at most."""
 UNCONSTRAINED_MIN_REFLECTANCE = 1.25
 """Reflectance needed above which an unconstrained region emits; below, its colour is light."""
+TOO_BRIGHT_REFLECTANCE = 2.5
+"""Reflectance needed above which a lamp stays unless the room is better explained without it."""
 SHOWN_MAX_REFLECTANCE = 1.0
 """Reflectance needed up to which the pixels of a lamp may show reflected light."""
 LAMP_MAX_SIDES = 12
@@ -191,13 +193,14 @@ def _without_idle(
         kept = [lamp for lamp in left if all(lamp is not other for other in lamps)]
         return solved(problem, observed, [*sure, *kept], lights, progress, weight, warm_start=True)
 
-    def idle(tried: Lights, subject: str, stops: float = 1.0) -> bool:
-        share = share_of_rise("lamp", stops)
+    def idle(tried: Lights, lamps: list[NDArray[np.int64]], subject: str, stops: float = 1.0) -> bool:
+        bright = any(_too_bright(problem, tried, lamp) for lamp in lamps)
+        name, share = ("bright_lamp", 1.0) if bright else ("lamp", share_of_rise("lamp", stops))
         return not problem.decisions.accept(
-            "lamp", tried.held_out, lights.held_out, tried.paired_error(lights), share, subject
+            name, tried.held_out, lights.held_out, tried.paired_error(lights), share, subject
         )
 
-    if sure and left and idle(tried := without(left), f"{len(left)} together"):
+    if sure and left and idle(tried := without(left), left, f"{len(left)} together"):
         return tried
     seen = problem.samples.seen_faces(len(problem.regions))
     for lamp in sorted(left, key=lambda lamp: (not seen[lamp].any(), problem.tracer.areas[lamp].sum())):
@@ -206,9 +209,18 @@ def _without_idle(
         tried = without([lamp])
         radiance = lights.radiance[len(sure) + next(k for k, other in enumerate(left) if other is lamp)]
         dim = not seen[lamp].any() and not _glows(problem, lights, lamp)
-        if dim or idle(tried, _named(lamp), _stops_beyond_photos(problem, lamp, radiance)):
+        if dim or idle(tried, [lamp], _named(lamp), _stops_beyond_photos(problem, lamp, radiance)):
             lights, left = tried, [other for other in left if other is not lamp]
     return lights
+
+
+def _too_bright(problem: LightProblem, without: Lights, lamp: NDArray[np.int64]) -> bool:
+    """Whether a lamp is too bright to reflect the light that reaches it where it is left out."""
+    on = lamp_of_cell(problem, [lamp]) == 0
+    if not on.any():
+        return False
+    needed = reflectance_needed(problem.brightness, without.irradiance[problem.cells.patch])[on]
+    return bool(np.median(needed) * (1 - _share_beside_brighter(problem, [lamp])[0]) > TOO_BRIGHT_REFLECTANCE)
 
 
 def _named(faces: NDArray[np.int64]) -> str:

@@ -22,7 +22,7 @@ from ..decide import Decisions
 from ..lighting.backdrop import SeenBackdrop, fit_backdrop
 from ..lighting.brightness import Cells
 from ..lighting.candidates import read_given_emitters
-from ..lighting.hidden import HiddenSources, through_holes
+from ..lighting.hidden import HiddenSources, OutsideKind, through_holes
 from ..lighting.problem import LightProblem, Lights
 from ..lighting.search import choose_exponent, choose_outside
 from ..lighting.sun import Sun
@@ -69,7 +69,7 @@ def pose_problem(
     backdrop = SeenBackdrop(None)
     if not decisions.forbids("hidden_light"):
         capture = room.capture
-        backdrop = SeenBackdrop(fit_backdrop(photos.backdrop, photometry, capture.mesh, capture.views))
+        backdrop = fit_backdrop(photos.backdrop, photometry, capture.mesh, capture.views)
     rough = rough_everywhere(room.n_regions)
     emitters_file = config.emitters
     cells = Cells.on_scans(photos, photometry, room.patches.sample_patch, observations, room.regions.scanned)
@@ -120,29 +120,26 @@ class FirstLights:
     Attributes:
         lights: the lamps and the light from outside.
         material: (n_regions,) label that regions of a scan share if they are one material under that light.
-        directions: number of lobes of outside light.
-        shown: whether light through holes of the mesh is the radiance that photos show there, in place of lobes.
+        outside: how light from outside the mesh is modelled.
         exponent: exponent of equation (16) where exposures leave it undetermined, else 1.
         sun: the sun where it shines into the room.
     """
 
     lights: Lights
     material: NDArray[np.int32]
-    directions: int
-    shown: bool
+    outside: OutsideKind
     exponent: float
     sun: Sun | None = None
 
     def settle(self, problem: MaterialProblem) -> MaterialProblem:
         """``problem`` with regions of one material joined and the chosen kind of light from outside."""
-        return problem.with_materials(self.material).with_outside(self.directions, self.shown, self.sun)
+        return problem.with_materials(self.material).with_outside(self.outside, self.sun)
 
     def arrays(self) -> dict[str, NDArray]:
         """Plain arrays for a checkpoint."""
         return {
             **self.lights.arrays(),
-            "directions": np.array(self.directions),
-            "shown": np.array(self.shown),
+            "outside": np.array(self.outside),
             "exponent": np.array(self.exponent),
             "material": self.material,
             **({} if self.sun is None else self.sun.arrays()),
@@ -154,8 +151,7 @@ class FirstLights:
         return FirstLights(
             lights=Lights.from_arrays(arrays),
             material=arrays["material"],
-            directions=int(arrays["directions"]),
-            shown=bool(arrays["shown"]),
+            outside=OutsideKind(int(arrays["outside"][0]), *(bool(flag) for flag in arrays["outside"][1:])),
             exponent=float(arrays["exponent"]),
             sun=Sun.from_arrays(arrays),
         )
@@ -195,8 +191,7 @@ def find_first_lights(
     return FirstLights(
         lights=lights,
         material=material,
-        directions=len(light.hidden.directions),
-        shown=light.hidden.holes is not None,
+        outside=light.hidden.kind,
         exponent=exponent,
         sun=light.hidden.sun,
     )

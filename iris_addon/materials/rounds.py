@@ -17,6 +17,7 @@ from ..base.random_streams import stream
 from ..brdf.diffuse import grazing_gain
 from ..brdf.ggx import layered_factor
 from ..lighting.backdrop import SeenBackdrop
+from ..lighting.hidden import OutsideKind
 from ..lighting.lamp_radiance import mean_radiance, patch_weight
 from ..lighting.problem import LightProblem, Lights
 from ..lighting.screens import Shown, with_screens
@@ -140,14 +141,13 @@ class MaterialProblem:
             patch_radiance=lights.patch_radiance,
             face_emission=lights.face_emission(len(light.regions)),
             unknown=mean_radiance(lights.patch_radiance, light),
-            backdrop=self.backdrop,
+            backdrop=light.hidden.completed(self.backdrop, lights.hidden_radiance),
             aim=LampAim.at(light.tracer, lights.emitters, lights.radiance, lights.form_factors[:seen, :, 0]),
         )
 
-    def with_outside(self, directions: int, shown: bool, sun: Sun | None) -> MaterialProblem:
-        """The same problem with so many lobes of outside light, or with light through holes if ``shown``, and a sun."""
-        hidden = self.light.hidden
-        hidden = hidden.as_shown() if shown else hidden.with_directions(directions)
+    def with_outside(self, outside: OutsideKind, sun: Sun | None) -> MaterialProblem:
+        """The same problem with that kind of light from outside, and a sun."""
+        hidden = self.light.hidden.of_kind(outside)
         return replace(self, light=replace(self.light, hidden=replace(hidden, sun=sun)))
 
 

@@ -54,3 +54,11 @@ def equirect_texels(directions: NDArray[np.floating], width: int, height: int) -
     column = np.floor(u * width).astype(np.int64) % width
     row = np.clip(np.floor(v * height).astype(np.int64), 0, height - 1)
     return row * width + column
+
+
+def dodecahedron() -> NDArray[np.float64]:
+    """(12, 3) unit normals of a dodecahedron's faces: evenly spread directions."""
+    golden = (1 + 5**0.5) / 2
+    corners = [(0, s, t * golden) for s in (-1, 1) for t in (-1, 1)]
+    points = np.array([np.roll(c, k) for c in corners for k in range(3)])
+    return points / np.linalg.norm(points[0])

@@ -94,9 +94,8 @@ def make_result(
     # Of metals base colour is no quotient of irradiance; interpolation would bring in the factor of neighbours.
     brighter = np.where(metallic[:, None] > 0.5, np.float32(1), light.field.at_samples(samples, patch, of_patch))
     albedo, diffuse_light = np.minimum(albedo / brighter, MAX_ALBEDO), pixel_light.diffuse * brighter
-    # The base colour of a metal is no quotient of irradiance, and a region of a scan need not be one object.
+    # The base colour of a metal is no quotient of irradiance.
     painted = gloss.metallic < 0.5
-    painted[region[room.scanned_pixels]] = False
     held_out = hold_out(room, stream(config.seed, "results.held_out_pixels"))
     painter = Painter(
         room=room,
@@ -157,7 +156,7 @@ def make_result(
         local=UNIFORM if photometry.local is None else photometry.local.settings,
         backdrop=problem.backdrop.recovered
         if light.hidden.holes is None
-        else as_surface(problem.backdrop, light, lights, progress),
+        else as_surface(light.hidden.completed(problem.backdrop, lights.hidden_radiance), light, lights, progress),
     )
     return result, _rerenders(capture, samples, rerender)
 
@@ -315,7 +314,8 @@ def with_figures(
         "unseen_lamps": int(_unseen(problem.light, lights).sum()),
         "outside_directions": len(problem.light.hidden.directions),
         "sun": problem.light.hidden.sun is not None,
-        "light_through_holes": problem.light.hidden.holes is not None,
+        "light_through_holes": problem.light.hidden.kind.shown,
+        "light_of_unseen": problem.light.hidden.kind.unseen,
         "regions": len(problem.light.material),
         "materials": len(np.unique(problem.light.material)),
         "glossy_regions": int(((gloss.roughness < 1) & (gloss.metallic < 0.5)).sum()),

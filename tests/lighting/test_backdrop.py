@@ -75,7 +75,7 @@ PHOTOMETRY = Photometry(
 def test_a_missing_wall_is_painted_in_its_place(hidden: float) -> None:
     """Stripes seen from three places are one set of stripes: by directions alone they would be blurred to grey."""
     rng = np.random.default_rng(0)
-    found = fit_backdrop(seen(rng, 60000, hidden), PHOTOMETRY, ROOM, VIEWS)
+    found = fit_backdrop(seen(rng, 60000, hidden), PHOTOMETRY, ROOM, VIEWS).recovered
     assert found is not None
     points = rng.uniform([0.5, 4, 0.5], [4.5, 4, 2.0], (2000, 3))
     height, width = found.picture.shape[:2]
@@ -83,6 +83,26 @@ def test_a_missing_wall_is_painted_in_its_place(hidden: float) -> None:
     error = np.abs(shown / paint(points) - 1)
     assert np.median(error) < 0.08 and np.quantile(error, 0.9) < 0.25
     assert np.isfinite(found.picture).all() and found.picture.min() >= 0
+
+
+def test_what_no_photo_shows_is_known_as_such_and_takes_the_radiance_it_is_given() -> None:
+    """Photos show the wall y = 4 alone; the rest of the shell falls into parts."""
+    rng = np.random.default_rng(0)
+    backdrop = fit_backdrop(seen(rng, 60000), PHOTOMETRY, ROOM, VIEWS)
+    assert backdrop.recovered is not None
+    height, width = backdrop.recovered.picture.shape[:2]
+
+    def part(points: np.ndarray) -> np.ndarray:
+        return backdrop.unseen[equirect_texels(points - backdrop.recovered.centre, width, height)]
+
+    wall = rng.uniform([0.5, 4, 0.5], [4.5, 4, 2.0], (2000, 3))
+    opposite = rng.uniform([0.5, 0, 0.5], [4.5, 0, 2.0], (2000, 3))
+    assert (part(wall) == -1).mean() > 0.98 and (part(opposite) >= 0).all()
+    lit = backdrop.with_unseen(np.arange(12.0)[:, None] * np.ones(3))
+    dark = backdrop.unseen < 0
+    np.testing.assert_array_equal(lit.radiance[dark], backdrop.radiance[dark])
+    np.testing.assert_array_equal(lit.radiance[~dark, 0], backdrop.unseen[~dark])
+    np.testing.assert_array_equal(lit.unseen, backdrop.unseen)
 
 
 def assert_within(points: list[np.ndarray], shell: Backdrop) -> None:
@@ -96,7 +116,7 @@ def assert_within(points: list[np.ndarray], shell: Backdrop) -> None:
 def test_the_shell_encloses_mesh_and_cameras_and_faces_inwards() -> None:
     rng = np.random.default_rng(1)
     outside = np.vstack([CAMERAS, [[2.0, -1.5, 1.0]]])  # a photographer in the door
-    found = fit_backdrop(seen(rng, 500), PHOTOMETRY, ROOM, views_at(outside))
+    found = fit_backdrop(seen(rng, 500), PHOTOMETRY, ROOM, views_at(outside)).recovered
     assert found is not None
     assert_within([*CORNERS, *outside], found)
 
@@ -105,21 +125,21 @@ def test_the_shell_encloses_a_recessed_pane() -> None:
     """No direction in which the pane's corners lie furthest out need be among those that the shell is drawn from."""
     pane = np.array([[x, 4.15, z] for x in (1.7, 3.3) for z in (0.9, 2.1)])
     recessed = Mesh(np.vstack([CORNERS, pane]), np.vstack([box().faces, [[8, 9, 11], [8, 11, 10]]]))
-    found = fit_backdrop(seen(np.random.default_rng(1), 500), PHOTOMETRY, recessed, VIEWS)
+    found = fit_backdrop(seen(np.random.default_rng(1), 500), PHOTOMETRY, recessed, VIEWS).recovered
     assert found is not None
     assert_within([*CORNERS, *pane], found)
 
 
 def test_no_backdrop_without_holes_or_without_a_room() -> None:
     rng = np.random.default_rng(2)
-    assert fit_backdrop(seen(rng, 500, share=BACKDROP_MIN_SHARE / 2), PHOTOMETRY, ROOM, VIEWS) is None
+    assert fit_backdrop(seen(rng, 500, share=BACKDROP_MIN_SHARE / 2), PHOTOMETRY, ROOM, VIEWS).recovered is None
     flat = replace(ROOM, vertices=CORNERS * [1, 1, 0])
-    assert fit_backdrop(seen(rng, 500), PHOTOMETRY, flat, views_at(CAMERAS * [1, 1, 0])) is None
+    assert fit_backdrop(seen(rng, 500), PHOTOMETRY, flat, views_at(CAMERAS * [1, 1, 0])).recovered is None
 
 
 def test_a_stray_vertex_does_not_stretch_the_shell() -> None:
     stray = replace(ROOM, vertices=np.vstack([CORNERS, [[1e3, 0, 0]]]))
-    found = fit_backdrop(seen(np.random.default_rng(4), 500), PHOTOMETRY, stray, VIEWS)
+    found = fit_backdrop(seen(np.random.default_rng(4), 500), PHOTOMETRY, stray, VIEWS).recovered
     assert found is not None and np.abs(found.vertices).max() < 6
 
 
@@ -137,7 +157,7 @@ def test_a_backdrop_that_is_mostly_black_is_dark_and_finite(lit: float) -> None:
         ),
         ROOM,
         VIEWS,
-    )
+    ).recovered
     assert found is not None and np.isfinite(found.picture).all()
     assert found.picture.min() >= 0 and found.picture.max() <= (0.5 if lit else 0.0)
 

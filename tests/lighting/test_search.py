@@ -11,11 +11,11 @@ import trimesh
 from threadpoolctl import threadpool_limits
 
 from iris_addon.base.progress import Progress
-from iris_addon.lighting.hidden import dodecahedron
 from iris_addon.lighting.lamp_radiance import NORMAL_SENSITIVITY, patch_weight
 from iris_addon.lighting.problem import Lights
 from iris_addon.lighting.search import choose_outside, find_lights, reconsider_lamps
 from iris_addon.lighting.selection import LAMP_MIN_POWER, needed_lamps, solved
+from iris_addon.model.sphere import dodecahedron
 from tests.engine_room import SIZE, box, quad
 from tests.light_room import CEILING_LAMP, WALL_PANEL, LitRoom, Panel, light_room, panels
 
@@ -78,6 +78,14 @@ def test_a_clipped_surface_is_a_lamp_only_if_the_walls_show_its_light(emits: flo
     assert room.lamps(lights) == lamps
     if emits:
         assert brightness(room, lights, PANEL) == pytest.approx(emits, rel=0.1)
+
+
+@pytest.mark.parametrize(("shown", "lamps"), [(1.0, {LAMP}), (1.4, {LAMP, PANEL})])
+def test_what_is_too_bright_to_reflect_stays_a_lamp_though_the_walls_say_nothing(shown: float, lamps: set[int]) -> None:
+    """A strip that photos show at 1.0 or 1.4 and more needs a reflectance of 1.9 or 2.7, neither of them certain; its
+    light is too little to be told from noise."""
+    room = light_room(*panels(CEILING_LAMP, STRIP, albedo=0.85), {LAMP: 10.0}, clip=shown, shown={PANEL: shown})
+    assert room.lamps(search(room)) == lamps
 
 
 def test_a_lamp_clipped_in_every_photo_keeps_the_radiance_of_its_light() -> None:

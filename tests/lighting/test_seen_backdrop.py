@@ -12,7 +12,7 @@ from iris_addon.base.progress import Progress
 from iris_addon.brdf.diffuse import MEAN_SCHLICK
 from iris_addon.brdf.ggx import specular_integrals
 from iris_addon.lighting.backdrop import SeenBackdrop
-from iris_addon.lighting.hidden import through_holes
+from iris_addon.lighting.hidden import OutsideKind, nothing_hidden, through_holes
 from iris_addon.lighting.problem import Lights
 from iris_addon.lighting.shell_surface import as_surface
 from iris_addon.materials.lobes import LampAim, Scene, trace_lobes
@@ -118,6 +118,28 @@ def test_one_side_of_a_backdrop_lights_the_floor_with_its_form_factor(floor: tup
     )
     light = holes.irradiance(np.zeros(transport.n_patches))[: transport.n_seen, 0]
     assert light.mean() == pytest.approx(np.mean(expected), rel=0.015)
+
+
+def test_light_that_photos_show_and_light_that_they_do_not_add_up_to_all_light(
+    floor: tuple[Scene, PixelSamples],
+) -> None:
+    """Of a picture painted on its right half, the left half brings what its twelve parts bring at its radiance."""
+    transport = floor[0].transport
+    painted = np.arange(16)[None] >= np.full((8, 1), 8)
+    backdrop = SeenBackdrop(shell(np.full((8, 16, 3), 0.3)), painted)
+    holes, kappa = through_holes(transport, backdrop), np.full(transport.n_patches, 0.5)
+    assert holes is not None
+    sources = replace(nothing_hidden(transport), holes=holes)
+    shown, whole = sources.as_shown(unseen=True), sources.as_shown()
+    assert shown.kind == OutsideKind(0, shown=True, unseen=True) and whole.kind == OutsideKind(0, shown=True)
+    for kind in (shown.kind, whole.kind, OutsideKind(0)):
+        assert sources.of_kind(kind).kind == kind
+    parts = shown.start(np.full(3, 0.3))
+    np.testing.assert_allclose(shown.irradiance(parts, kappa), whole.irradiance(np.zeros((0, 3)), kappa), rtol=1e-5)
+    dark = shown.irradiance(np.zeros_like(parts), kappa)
+    assert 0.3 < dark.mean() / whole.irradiance(np.zeros((0, 3)), kappa).mean() < 0.7
+    assert shown.completed(backdrop, parts).radiance == pytest.approx(0.3)
+    assert whole.completed(backdrop, parts) is backdrop
 
 
 def corner(x: np.ndarray, y: np.ndarray) -> np.ndarray:
