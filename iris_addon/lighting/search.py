@@ -95,9 +95,10 @@ def choose_outside(
 ) -> tuple[LightProblem, Lights]:
     """Lamps, with as much light from outside the mesh as earns its place.
 
-    The hypotheses are none, constant light, light by direction, and the radiance that photos show through the holes.
-    Each is scored by the held-out loss of the light balance, and :mod:`iris_addon.decide` states the acceptance gain of
-    a larger one. Where light from outside is forced or a sun was found, all directions are taken at once.
+    The hypotheses are none, constant light, light by direction, and the radiance that photos show through the holes,
+    without and with unknown light where no photo looks. Each is scored by the held-out loss of the light balance, and
+    :mod:`iris_addon.decide` states the acceptance gain of a larger one. Where light from outside is forced or a sun was
+    found, all directions are taken at once.
 
     Args:
         known: lights whose lamps are kept; without it lamps are searched for.
