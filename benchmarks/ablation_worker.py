@@ -52,9 +52,6 @@ MECHANISMS: Mapping[str, tuple[Replaced, ...]] = {
         Replaced("materials.region_costs", "POOL_ALBEDO_IN_FILE", 1e-6),
     ),
     "gloss: pooled over near regions of like albedo": (Replaced("materials.region_costs", "POOL_ALBEDO", 1e-6),),
-    "gloss: metals seen by few observations must gain more": (
-        Replaced("materials.gloss", "GLOSS_FEW_OBSERVATIONS", 0),
-    ),
     "paint: shared by regions": (
         Replaced("textures.principled", "shared_paint", lambda _a, _e, _r, painted: np.arange(len(painted))),
     ),

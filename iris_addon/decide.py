@@ -190,7 +190,7 @@ REFINEMENTS: Mapping[str, Refinement] = {
     ),
     # Well observed metals bring 0.16 and more, what is none 0.11 at most.
     "metal": Refinement(
-        "a metal in place of the best dielectric; more is needed of few observations",
+        "a metal in place of the best dielectric",
         "robust residual of view dependence, products of two halves of the reflected rays",
         gain=0.135,
         experiment="0037-how-certain-must-a-gain-of-gloss-be",

@@ -48,8 +48,6 @@ draw and not in the next."""
 GLOSS_ALL_OBSERVATIONS = 500_000
 """Observations of all regions, at most: each has 88 rays, and thousands of regions would fill the memory. redkitchen
 has 330,000."""
-GLOSS_FEW_OBSERVATIONS = 90
-"""Observations at which the acceptance gain is doubled, because chance explains a few."""
 METAL_MAX_COLOUR = 0.95
 """Largest specular colour of a metal."""
 LobeHalves = Sequence[tuple[NDArray[np.floating], NDArray[np.floating]]]
@@ -336,10 +334,10 @@ def fit_gloss(observed: GlossObservations, n_regions: int, decisions: Decisions)
     gloss, forced = rough_everywhere(n_regions), decisions.forces("gloss")
     costs, layered = (None, False) if decisions.forbids("gloss") else _layered_or_not(observed)
     if costs is not None:
-        for k, (plastic, metal, error, count) in enumerate(zip(*costs.pooled(), strict=True)):
+        for k, (plastic, metal, error) in enumerate(zip(*costs.pooled(), strict=True)):
             label, own, own_error = int(costs.ids[k]), costs.plastic[k], costs.error[k]
             best, best_alone, subject = _best_traced(plastic), _best_traced(own), f"region {label}"
-            share = 0.0 if forced else 1.0 + GLOSS_FEW_OBSERVATIONS / count
+            share = 0.0 if forced else 1.0
             if decisions.accept("metal", plastic.min(), metal.min(), share=share, subject=subject):
                 _make_metal(gloss, label, metal, costs.colour[k])
             elif decisions.accept("gloss", plastic[-1], plastic[best], error[best], subject=subject) and (

@@ -53,12 +53,11 @@ class RegionCosts:
     in_file: NDArray[np.integer]
     texture: NDArray[np.float64]
 
-    def pooled(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def pooled(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Costs of every region averaged with those of other regions by the weights of equation (25).
 
         Returns:
-            Plastic and metal costs (k, levels), the standard error (k, levels) of the former, and the observations (k,)
-            behind them.
+            Plastic and metal costs (k, levels), and the standard error (k, levels) of the former.
         """
         near, first = self._candidates()
         own = near == np.arange(len(near))[:, None]
@@ -73,13 +72,11 @@ class RegionCosts:
         # A region that is well observed itself must not be outvoted by the others, however many they are.
         weight *= np.minimum(1.0, POOL_MAX_OBSERVATIONS / np.maximum(weight.sum(1, keepdims=True), 1e-9))
         weight += (first & own) * self.count[:, None]
-        total = weight.sum(1)
-        weight /= total[:, None]
+        weight /= weight.sum(1, keepdims=True)
         return (
             np.einsum("kn,knl->kl", weight, self.plastic[near]),
             np.einsum("kn,knl->kl", weight, self.metal[near]),
             np.sqrt(np.einsum("kn,knl->kl", weight**2, self.error[near] ** 2)),
-            total,
         )
 
     def _candidates(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
