@@ -198,6 +198,9 @@ REFINEMENTS: Mapping[str, Refinement] = {
 }
 """Every refinement that held-out losses decide, by name."""
 
+TOO_BRIGHT_REFLECTANCE = 2.5
+"""Reflectance that a lamp would need if it were none, above which it is judged as "bright_lamp", not as "lamp"."""
+
 LISTED = 40
 """Decisions of one refinement up to which report.json lists each."""
 

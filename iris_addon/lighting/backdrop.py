@@ -11,6 +11,7 @@ the mesh meet the same picture (:class:`SeenBackdrop`), as glossy rays do in Cyc
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -147,8 +148,10 @@ class SeenBackdrop:
         if self.recovered is None:
             return self
         lit = np.where(self.unseen[:, None] < 0, self.radiance, radiance[self.unseen]).astype(np.float32)
-        picture = lit.reshape(self.recovered.picture.shape)
-        return SeenBackdrop(replace(self.recovered, picture=picture), (self.unseen < 0).reshape(picture.shape[:2]))
+        completed = copy(self)  # on the same shell
+        completed.recovered = replace(self.recovered, picture=lit.reshape(self.recovered.picture.shape))
+        completed.radiance = lit
+        return completed
 
     def texels(self, origins: NDArray[np.floating], directions: NDArray[np.floating]) -> NDArray[np.int32]:
         """(n,) texel that each ray meets, -1 for none.

@@ -254,7 +254,7 @@ def _irradiance_by_rank(problem: LightProblem, lights: Lights, lamp: NDArray[np.
     """
     patch = problem.cells.patch
     irradiance = np.array(lights.irradiance[patch], np.float64)
-    needed = certainty(problem, lights, lamp)
+    needed = certainty(problem, lights, lamp, len(lights.emitters))
     for k, own in enumerate(needed):
         at, weaker = np.flatnonzero(lamp == k), needed < own
         direct = under_lobe(lights.form_factors[patch[at]][:, weaker], problem.transport.kappa[patch[at]])

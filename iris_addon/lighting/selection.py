@@ -14,7 +14,7 @@ from ..base.group_by import group_medians
 from ..base.progress import Progress
 from ..base.random_streams import stream
 from ..brdf.diffuse import under_lobe
-from ..decide import share_of_rise
+from ..decide import TOO_BRIGHT_REFLECTANCE, share_of_rise
 from ..rays.sampling import Origins
 from ..response.radiance import GroupRadiance
 from ..surface.topology import smooth_components
@@ -44,8 +44,6 @@ UNCONSTRAINED_MAX_CLIPPED = 8
 """Regions that clip in all photos and are tried, at most."""
 UNCONSTRAINED_MIN_REFLECTANCE = 1.25
 """Reflectance needed above which an unconstrained region emits; below, its colour is light."""
-TOO_BRIGHT_REFLECTANCE = 2.5
-"""Reflectance needed above which a lamp stays unless the room is better explained without it."""
 SHOWN_MAX_REFLECTANCE = 1.0
 """Reflectance needed up to which the pixels of a lamp may show reflected light."""
 LAMP_MAX_SIDES = 12
@@ -117,8 +115,7 @@ def _clipped_regions(problem: LightProblem, lights: Lights) -> list[NDArray[np.i
     groups = joined_pieces(groups, np.ones(len(regions)), tracer, scanned)
     # Of a scan, whose regions tell nothing of lamps, what clips around a lamp is no larger lamp.
     groups = [group for group in groups if lights.mask[group].mean() < (0.5 if scanned[group[0]] else 1.0)]
-    needed = reflectance_needed(seen, lights.irradiance[cells.patch])
-    needed = _median_by_lamp(needed, lamp_of_cell(problem, groups), len(groups))
+    needed = certainty(problem, lights, lamp_of_cell(problem, groups), len(groups))
     return [groups[k] for k in np.argsort(-needed, kind="stable")[:UNCONSTRAINED_MAX_CLIPPED]]
 
 
@@ -136,7 +133,7 @@ def needed_lamps(
     weight = np.where(
         patches_on(problem, lights.mask)[: problem.transport.n_seen], 0.0, patch_weight(problem, observed)
     )
-    needed = certainty(problem, lights, lamp_of_cell(problem, lights.emitters))
+    needed = certainty(problem, lights, lamp_of_cell(problem, lights.emitters), len(lights.emitters))
     power = np.array([problem.tracer.areas[f].sum() for f in lights.emitters]) * lights.radiance.mean(1)
     # Mixed pixels at the edge of a real lamp create specks.
     strong = power > LAMP_MIN_POWER * (power.sum() + _outside_power(problem, lights))
@@ -194,7 +191,9 @@ def _without_idle(
         return solved(problem, observed, [*sure, *kept], lights, progress, weight, warm_start=True)
 
     def idle(tried: Lights, lamps: list[NDArray[np.int64]], subject: str, stops: float = 1.0) -> bool:
-        bright = any(_too_bright(problem, tried, lamp) for lamp in lamps)
+        # What is left out would have to reflect the light of the others.
+        needed = certainty(problem, tried, lamp_of_cell(problem, lamps), len(lamps))
+        bright = (needed * (1 - _share_beside_brighter(problem, lamps)) > TOO_BRIGHT_REFLECTANCE).any()
         name, share = ("bright_lamp", 1.0) if bright else ("lamp", share_of_rise("lamp", stops))
         return not problem.decisions.accept(
             name, tried.held_out, lights.held_out, tried.paired_error(lights), share, subject
@@ -212,15 +211,6 @@ def _without_idle(
         if dim or idle(tried, [lamp], _named(lamp), _stops_beyond_photos(problem, lamp, radiance)):
             lights, left = tried, [other for other in left if other is not lamp]
     return lights
-
-
-def _too_bright(problem: LightProblem, without: Lights, lamp: NDArray[np.int64]) -> bool:
-    """Whether a lamp is too bright to reflect the light that reaches it where it is left out."""
-    on = lamp_of_cell(problem, [lamp]) == 0
-    if not on.any():
-        return False
-    needed = reflectance_needed(problem.brightness, without.irradiance[problem.cells.patch])[on]
-    return bool(np.median(needed) * (1 - _share_beside_brighter(problem, [lamp])[0]) > TOO_BRIGHT_REFLECTANCE)
 
 
 def _named(faces: NDArray[np.int64]) -> str:
@@ -284,17 +274,12 @@ def solved(
     return solve_lights(problem, observed, emitters, before, progress, factors, fit, warm_start)
 
 
-def certainty(problem: LightProblem, lights: Lights, lamp: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(E,) reflectance that would explain each lamp's brightness, median over its cells; ``lamp`` (C,) as of
-    :func:`.lamp_of_cell`."""
+def certainty(problem: LightProblem, lights: Lights, lamp: NDArray[np.int64], n_lamps: int) -> NDArray[np.float64]:
+    """(n_lamps,) reflectance that would explain each lamp's brightness under ``lights``, median over its cells, 0
+    without any; ``lamp`` (C,) as of :func:`.lamp_of_cell`."""
+    on = lamp >= 0
     needed = reflectance_needed(problem.brightness, lights.irradiance[problem.cells.patch])
-    return _median_by_lamp(needed, lamp, len(lights.emitters))
-
-
-def _median_by_lamp(values: NDArray[np.float64], lamp: NDArray[np.int64], n_lamps: int) -> NDArray[np.float64]:
-    """(E,) median of ``values`` (C,) over the cells of each lamp, 0 for a lamp without cells."""
-    of_some = lamp >= 0
-    return group_medians(values[of_some, None], lamp[of_some], n_lamps)[:, 0]
+    return group_medians(needed[on, None], lamp[on], n_lamps)[:, 0]
 
 
 def same_emitters(a: list[NDArray[np.int64]], b: list[NDArray[np.int64]]) -> bool:

@@ -337,8 +337,7 @@ def fit_gloss(observed: GlossObservations, n_regions: int, decisions: Decisions)
         for k, (plastic, metal, error) in enumerate(zip(*costs.pooled(), strict=True)):
             label, own, own_error = int(costs.ids[k]), costs.plastic[k], costs.error[k]
             best, best_alone, subject = _best_traced(plastic), _best_traced(own), f"region {label}"
-            share = 0.0 if forced else 1.0
-            if decisions.accept("metal", plastic.min(), metal.min(), share=share, subject=subject):
+            if decisions.accept("metal", plastic.min(), metal.min(), share=float(not forced), subject=subject):
                 _make_metal(gloss, label, metal, costs.colour[k])
             elif decisions.accept("gloss", plastic[-1], plastic[best], error[best], subject=subject) and (
                 forced or not decisions.accept("matte_alone", own[best], own[-1], own_error[best], subject=subject)

@@ -275,17 +275,17 @@ def _misfit_warnings(capture: Capture, errors: NDArray[np.floating], psnr: float
     if typical > MISFIT_ERROR:
         return [
             f"the solved room does not explain the photos: their typical error is {typical:.0%} of brightness: check "
-            "that photos, poses and mesh are of one room, and that no photo is edited"
+            "that photos, poses and mesh are of one room, that each recorded exposure is its photo's, and that no "
+            "photo is edited"
         ]
     worst = misfits(errors)
-    if not len(worst) and psnr < POOR_PSNR:
-        return [
+    if not len(worst):
+        poor = (
             f"the solved room explains the photos poorly, at {psnr:.1f} dB of pixels it was not fitted to, where good "
             "captures reach 21 and more: inspect the capture, and check that the mesh lies under all photos and is not "
             "mirrored"
-        ]
-    if not len(worst):
-        return []
+        )
+        return [poor] if psnr < POOR_PSNR else []
     names = ", ".join(f"{capture.views[k].name} ({errors[k]:.0%})" for k in worst[:5]) + (
         " …" if len(worst) > 5 else ""
     )

@@ -60,8 +60,7 @@ class MapRenderer:
         self._tracer = tracer or Tracer(result.mesh)
         self._emission = result.face_emission()
         self._lobe: DiffuseLobe = result.diffuse_lobe
-        lit = result.backdrop is not None and result.backdrop.albedo is not None
-        self._backdrop = SeenBackdrop(result.backdrop if lit else None)
+        self._backdrop = SeenBackdrop(result.backdrop)
 
     def maps(self, camera: Camera) -> ViewMaps:
         """The maps through all pixel centres of ``camera``."""
@@ -103,10 +102,10 @@ class MapRenderer:
 
     def _backdrop_at(self, origins: FloatArray, directions: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
         """Of escaping rays those (n,) that meet a surface of the backdrop, and its albedo (n, 3) there."""
-        texel = self._backdrop.texels(origins, directions)
         recovered = self._backdrop.recovered
         if recovered is None or recovered.albedo is None:
             return np.zeros(0, np.int64), np.zeros((0, 3))
+        texel = self._backdrop.texels(origins, directions)
         albedo = recovered.albedo.reshape(-1, 3)[texel]
         met = np.flatnonzero((texel >= 0) & albedo.any(1))
         return met, albedo[met]
