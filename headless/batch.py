@@ -175,7 +175,13 @@ def solve_job(job: Job, progress: Progress, *, resume: bool = False) -> Result:
     from iris_addon.capture.reader import read_capture
     from iris_addon.pipeline import solve
 
-    capture = read_capture(job.capture, exposures=job.config.exposures, hdr=job.config.hdr, check=progress.check)
+    capture = read_capture(
+        job.capture,
+        exposures=job.config.exposures,
+        hdr=job.config.hdr,
+        exclude=job.exclude,
+        check=progress.check,
+    )
     return solve(capture, job.config, job.out, progress, resume=resume)
 
 

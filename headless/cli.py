@@ -194,6 +194,7 @@ def _add_solving(add: Add) -> None:
     )
     solve.add_argument("--hdr", type=Path, metavar="DIR", help="one EXR of radiance per photo, in place of the photos")
     solve.add_argument("--strict", action="store_true", help="refuse a capture that lacks photos or poses")
+    solve.add_argument("--exclude", nargs="+", default=(), metavar="PHOTO", help="photos to leave out")
     _add_unit(solve)
     solve.add_argument("--resume", action="store_true", help="go on from the last finished stage")
     solve.add_argument("--seed", type=_whole, default=0, help="of all randomness")

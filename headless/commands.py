@@ -51,6 +51,7 @@ def solve(args: argparse.Namespace, progress: Progress) -> Outcome:
         hdr=config.hdr,
         strict=args.strict,
         metres_per_unit=args.metres_per_unit,
+        exclude=args.exclude,
         check=progress.check,
     )
     from iris_addon.pipeline import solve as run_solve  # slow to import: errors of the capture come first

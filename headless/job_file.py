@@ -8,6 +8,7 @@
     preset = "draft"
     out = "results/kitchen-draft"   # default: a folder beside this file, named after it, and the job's name in it
     exposures = "none"              # as the options of solve: also response, hdr, device, seed
+    exclude = ["frame_0007"]        # photos to leave out
     evaluate = true                 # score maps, light and camera against the capture's ground truth
 
     [[job.frames]]                  # any number of them, rendered when the job above is solved
@@ -35,7 +36,7 @@ from iris_addon.config import MAX_SEED, PRESETS, SolveConfig, preset
 
 MAX_JOBS_BYTES = 4 << 20
 OPTIONS = ("response", "exposures", "hdr", "device", "seed")
-KEYS = ("name", "capture", "preset", "out", "evaluate", "frames", *OPTIONS)
+KEYS = ("name", "capture", "preset", "out", "exclude", "evaluate", "frames", *OPTIONS)
 WORDS = {"response": ("auto", "gamma"), "exposures": ("auto", "none")}
 COMMANDS = {"render": None, "relight": "lights", "insert": "objects"}
 """Commands that render, and the key of the file that each needs beside the views."""
@@ -87,6 +88,7 @@ class Job:
     capture: Path
     out: Path
     config: SolveConfig
+    exclude: tuple[str, ...] = ()
     evaluate: bool = False
     frames: tuple[Frames, ...] = ()
 
@@ -125,7 +127,7 @@ def _job(entry: Any, number: int, path: Path, located: Located) -> Job:
         raise BadInput(f"{where} has no capture", 'add capture = "FOLDER"', path)
     _require_known(entry, KEYS, where, path)
     for key, value in entry.items():
-        kind = {"seed": int, "evaluate": bool, "frames": list}.get(key, str)
+        kind = {"seed": int, "evaluate": bool, "exclude": list, "frames": list}.get(key, str)
         if type(value) is not kind:
             raise BadInput(f"{where}: {key} is {value!r}", f"give a {kind.__name__}", path)
         _require_printable(value, key, where, path)
@@ -135,6 +137,9 @@ def _job(entry: Any, number: int, path: Path, located: Located) -> Job:
         raise BadInput(f"{where}: preset is {entry['preset']!r}", f"presets are {', '.join(PRESETS)}", path)
     if entry.get("device", "auto") not in ("auto", "cpu", "cuda"):
         raise BadInput(f"{where}: device is {entry['device']!r}", "devices are auto, cpu, cuda", path)
+    excluded = entry.get("exclude", [])
+    if not all(isinstance(photo, str) for photo in excluded):
+        raise BadInput(f"{where}: exclude is {excluded!r}", "give a list of names of photos", path)
     options = {key: entry[key] for key in OPTIONS if key in entry}
     for key in ("response", "exposures", "hdr"):
         if key in options and options[key] not in WORDS.get(key, ()):
@@ -151,6 +156,7 @@ def _job(entry: Any, number: int, path: Path, located: Located) -> Job:
         capture=capture,
         out=out,
         config=preset(entry.get("preset", "balanced"), **options),
+        exclude=tuple(excluded),
         evaluate=entry.get("evaluate", False),
         frames=frames,
     )

@@ -23,7 +23,7 @@ from . import (
     solve,
     solved_demo,
 )
-from .ui import lamp_highlight, panels, preferences, settings, solve_preview
+from .ui import lamp_highlight, panels, photo_list, preferences, settings, solve_preview
 
 CLASSES = (
     preferences.IrisPreferences,
@@ -43,6 +43,7 @@ CLASSES = (
     import_capture.IRIS_FH_capture,
     check.IRIS_OT_check,
     check.IRIS_OT_step_photo,
+    photo_list.IRIS_OT_next_problem,
     solve.IRIS_OT_solve,
     review.IRIS_OT_review,
     review.IRIS_OT_confidence,
@@ -62,7 +63,7 @@ CLASSES = (
     export.IRIS_OT_export,
     farm.IRIS_OT_export_farm,
     menus.IRIS_MT_object,
-    panels.IRIS_UL_views,
+    photo_list.IRIS_UL_views,
     panels.IRIS_UL_lamps,
     panels.IRIS_PT_iris,
     panels.IRIS_PT_data,

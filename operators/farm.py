@@ -19,6 +19,7 @@ from ..iris_addon.blender.worker.jobs import farm_command
 from .folders import capture_path, folder
 from .import_capture import write_scene
 from .run_job import run
+from .ui import steps
 
 MAX_NAME = 30
 """Characters of the name of the job, which steps of the farm repeat."""
@@ -77,11 +78,12 @@ class IRIS_OT_export_farm(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
     def _job(self, scene: bpy.types.Scene, name: str) -> str:
         settings, capture = scene.iris, capture_path(scene)
-        job = {
+        job: dict[str, str | int | bool | list[str]] = {
             "name": name,
             "capture": str(capture),
             "out": str(folder(scene).absolute()),
             **{"preset": settings.preset, "device": settings.device, "seed": settings.seed},
+            "exclude": steps.left_out(scene),
         }
         return _table("[[job]]", job)
 
@@ -107,7 +109,7 @@ class IRIS_OT_export_farm(bpy.types.Operator):  # noqa: N801 - Blender's naming
         return _table("[[job.frames]]", frames)
 
 
-def _table(head: str, values: dict[str, str | int | bool]) -> str:
+def _table(head: str, values: dict[str, str | int | bool | list[str]]) -> str:
     """A table of TOML, whose numbers, words and truth values are written like those of JSON."""
     lines = (f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in values.items())
     return f"{head}\n{''.join(lines)}\n"

@@ -273,6 +273,8 @@ def _window_of(scene: bpy.types.Scene) -> dict[str, object]:
 
 
 def _fill(settings: bpy.types.PropertyGroup, inspected: Inspected, cameras: list[bpy.types.Object | None]) -> None:
+    left_out = {view.name for view in settings.views if not view.use}
+    same = {view.name for view in settings.views} == {view.name for view in inspected.views}
     settings.views.clear()
     for view, camera in zip(inspected.views, cameras, strict=True):
         item = settings.views.add()
@@ -280,6 +282,7 @@ def _fill(settings: bpy.types.PropertyGroup, inspected: Inspected, cameras: list
         item.exposure = view.exposure or 0.0
         item.saturated, item.seen, item.histogram = view.saturated, view.seen, sparkline(view.histogram)
         item.score, item.shift, item.verdict = view.score, view.shift, view.verdict
+        item.problem, item.use = view.problem, not (same and view.name in left_out)
     settings.warnings = "\n".join(inspected.warnings)
     settings.view_index = 0
 

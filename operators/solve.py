@@ -9,6 +9,7 @@ from ..iris_addon.blender.worker.jobs import solve_command
 from .folders import capture_path, folder, solver_python
 from .import_capture import write_scene
 from .run_job import run
+from .ui import steps
 
 
 class IRIS_OT_solve(bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -36,5 +37,6 @@ class IRIS_OT_solve(bpy.types.Operator):  # noqa: N801 - Blender's naming
         assert capture is not None
         if not write_scene(self, context):
             return {"CANCELLED"}
-        command = solve_command(solver_python(context), capture, out, settings.preset, settings.device, settings.seed)
+        how = settings.preset, settings.device, settings.seed, steps.left_out(context.scene)
+        command = solve_command(solver_python(context), capture, out, *how)
         return run(self, "solve", out, command)

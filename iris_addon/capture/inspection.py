@@ -3,7 +3,7 @@
 ::
 
     capture.json     name, root, up, warnings; per photo: file, camera, exposure, share of saturated and black
-                     channels, histogram, share of the mesh in view, alignment with it
+                     channels, histogram, share of the mesh in view, alignment with it, and what is wrong with it
     mesh.npz         vertices, faces, and uv and regions where the mesh has them
     photos/          photos with the lens distortion taken out, where there was any
 
@@ -26,8 +26,9 @@ from ..model.capture import Capture, Mesh, View
 from ..model.response import SATURATED
 from ..rays.tracer import Tracer
 from .alignment import EdgePair, alignment
-from .exchanged_photos import Edges, exchanged
+from .exchanged_photos import exchanged
 from .photos import load_photo
+from .reader import MIN_SEEN_SHARE
 
 BLACK_VALUE = 0.5 / 255
 HISTOGRAM_BINS = 32
@@ -59,11 +60,14 @@ def inspect(capture: Capture, folder: Path, progress: Progress) -> dict[str, Any
             poses.append(of_mesh.astype(np.float32))
             progress.update((index + 1) / len(capture.views))
     _write_mesh(folder / "mesh.npz", capture.mesh)
+    under_another = exchanged(photos, poses)
+    for k, row in enumerate(rows):
+        row["problem"] = _problem(row, rows[under_another[k]]["name"] if k in under_another else None)
     content = {
         "name": capture.name,
         "root": capture.root.resolve(),
         "up": capture.up,
-        "warnings": [*capture.warnings, *_mismatch(capture), *_exchanged(rows, photos, poses), *_warnings(rows)],
+        "warnings": [*capture.warnings, *_mismatch(capture), *_exchanged(rows, under_another), *_warnings(rows)],
         "views": rows,
     }
     write_json(folder / "capture.json", content)
@@ -98,8 +102,19 @@ def _inspect_view(view: View, tracer: Tracer, folder: Path) -> tuple[dict[str, A
     }, edges
 
 
-def _exchanged(rows: list[dict[str, Any]], photos: list[Edges], poses: list[Edges]) -> list[str]:
-    found = exchanged(photos, poses)
+def _problem(row: dict[str, Any], other: str | None) -> str:
+    """Why the photo of a row should be looked at, empty where it need not be; ``other`` is the photo that it is
+    exchanged with."""
+    if other is not None:
+        return f"it shows what {other} should"
+    if row["alignment"]["verdict"] == "shifted":
+        return f"it lies {row['alignment']['shift']:.0f} pixels beside the mesh"
+    if row["seen"] < MIN_SEEN_SHARE:
+        return f"it sees less than {MIN_SEEN_SHARE:.0%} of the mesh"
+    return f"{row['saturated']:.0%} of its pixels are saturated" if row["saturated"] > MAX_SATURATED_SHARE else ""
+
+
+def _exchanged(rows: list[dict[str, Any]], found: dict[int, int]) -> list[str]:
     if not found:
         return []
     pairs = _some([f"{rows[k]['name']} shows what {rows[j]['name']} should" for k, j in found.items()])

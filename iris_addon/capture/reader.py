@@ -7,8 +7,9 @@ one unit.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
+from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,7 @@ def read_capture(
     photos: PhotoSet = "Image",
     strict: bool = False,
     metres_per_unit: float | None = None,
+    exclude: Collection[str] = (),
     check: Callable[[], None] = lambda: None,
 ) -> Capture:
     """Read and check a capture.
@@ -69,6 +71,7 @@ def read_capture(
         strict: refuse a capture that lacks photos or poses; otherwise up to a third of them are left out and listed.
         metres_per_unit: what poses and mesh are multiplied by, in whatever unit they are; without, a unit that the
             files do not tell is taken as one metre, which a warning says.
+        exclude: names of training photos to leave out, blurred ones say.
         check: called often; may raise, as for a cancel.
 
     Raises:
@@ -78,7 +81,7 @@ def read_capture(
     listing = _list(path, photos)
     if not listing.views:
         raise BadInput("has no training photos", 'give some frames the split "train"', listing.source)
-    views, val_views = list(listing.views), list(listing.val_views)
+    views, val_views = _without(listing, exclude), list(listing.val_views)
     warnings = list(listing.warnings)
     if hdr is None:
         views, skipped = _photographed(views, listing, strict)
@@ -117,6 +120,7 @@ def read_capture(
         warnings=tuple(warnings),
         mismatch=None if together.mismatch is None else BadInput(*together.mismatch, listing.mesh_file),
         metres_per_unit=1.0 if metres_per_unit is None else metres_per_unit,
+        excluded=tuple(sorted(set(exclude))),
     )
 
 
@@ -160,6 +164,23 @@ def _list(path: Path, photos: PhotoSet) -> Listing:
             path,
         )
     return read_program(path, *found)
+
+
+def _without(listing: Listing, exclude: Collection[str]) -> list[View]:
+    """The training photos of ``listing`` but those that ``exclude`` names.
+
+    Raises:
+        BadInput: there is no such photo, or no other.
+    """
+    names = [view.name for view in listing.views]
+    unknown = sorted(set(exclude) - set(names))
+    if unknown:
+        alike = get_close_matches(unknown[0], names, 3, 0.0)
+        raise BadInput(f"has no photo {unknown[0]!r} to leave out", f"try {', '.join(alike)}", listing.source)
+    kept = [view for view in listing.views if view.name not in exclude]
+    if not kept:
+        raise BadInput("has no other photos than those left out", "leave out fewer", listing.source)
+    return kept
 
 
 def _photographed(views: Sequence[View], listing: Listing, strict: bool) -> tuple[list[View], list[str]]:

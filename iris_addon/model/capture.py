@@ -210,6 +210,7 @@ class Capture:
         warnings: what a user should know before waiting for a solve.
         mismatch: what a solve raises, where photos and mesh do not belong together.
         metres_per_unit: what poses and mesh of the files were multiplied by.
+        excluded: names of photos that the user has left out.
     """
 
     name: str
@@ -221,6 +222,7 @@ class Capture:
     warnings: tuple[str, ...] = field(default=())
     mismatch: BadInput | None = None
     metres_per_unit: float = 1.0
+    excluded: tuple[str, ...] = ()
 
     @property
     def exposures_known(self) -> bool:

@@ -333,6 +333,7 @@ def with_figures(
         "rays_traced": int(room.tracer.rays_traced),
         "n_patches": int(transport.n_patches),
         "n_views": len(room.capture.views),
+        "excluded": list(room.capture.excluded),
         "metres_per_unit": room.capture.metres_per_unit,
         "model": model,
         "warnings": [

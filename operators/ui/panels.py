@@ -19,6 +19,7 @@ from ...iris_addon.results.records import read_report
 from ..folders import ROOT_PACKAGE, folder, result_key, solver_python
 from ..relight import BEFORE_PREVIEW, chosen_lamp, lamp_flux, other_lights
 from . import steps
+from .photo_list import draw_list
 from .steps import ICONS, Step
 from .widgets import job_box, paragraph, preview_box
 
@@ -139,8 +140,10 @@ class IRIS_PT_check(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         row = layout.row(align=True)
         row.prop(settings, "overlay", slider=True)
         row.prop(settings, "all_cameras", text="", icon="OUTLINER_OB_CAMERA")
-        layout.template_list("IRIS_UL_views", "", settings, "views", settings, "view_index", rows=4)
+        draw_list(layout, settings)
         view = settings.views[index]
+        if view.problem:
+            paragraph(layout, f"{view.name}: {view.problem}", context, "ERROR")
         column = layout.column(align=True)
         fits = {"aligned": "coincides with the mesh", "unclear": "too few common edges to decide"}
         column.label(text=f"Alignment {view.score:.2f}: " + fits.get(view.verdict, f"{view.shift:.0f} px off the mesh"))
@@ -151,18 +154,6 @@ class IRIS_PT_check(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         for warning in settings.warnings.splitlines():
             paragraph(layout, warning, context, "ERROR")
         layout.operator("iris.check", icon="FILE_REFRESH")
-
-
-class IRIS_UL_views(bpy.types.UIList):  # noqa: N801 - Blender's naming
-    """Photos with their alignment and their share of saturated pixels."""
-
-    def draw_item(self, _context, layout, _data, item, _icon, _active, _name) -> None:  # noqa: ANN001 - Blender's
-        """One photo."""
-        icon = {"aligned": "CHECKMARK", "shifted": "ERROR", "unclear": "QUESTION"}[item.verdict]
-        split = layout.split(factor=0.55, align=True)
-        split.label(text=item.name, icon=icon)
-        split.label(text=f"{item.score:.2f}")
-        split.label(text=f"{item.saturated:.0%}")
 
 
 class IRIS_PT_solve(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming

@@ -70,6 +70,8 @@ EXPOSURE = bpy.props.FloatProperty(
 class IrisView(bpy.types.PropertyGroup):
     """The check of one photo; ``name`` is that of the view."""
 
+    use: bpy.props.BoolProperty(name="Use", description="Solve with this photo, or leave it out", default=True)
+    problem: bpy.props.StringProperty(description="Why the photo should be looked at; empty where it need not be")
     camera: bpy.props.PointerProperty(type=bpy.types.Object)
     aspect: bpy.props.FloatProperty(name="Pixel aspect", description="Focal length along x over along y", default=1)
     exposure: bpy.props.FloatProperty(name="Exposure", description="Relative exposure; 0 where it is unknown", min=0.0)
@@ -180,6 +182,19 @@ class IrisSettings(bpy.types.PropertyGroup):
     warnings: bpy.props.StringProperty(description="Warnings of the check, one per line")
     views: bpy.props.CollectionProperty(type=IrisView)
     view_index: bpy.props.IntProperty(update=_look)
+    photo_order: bpy.props.EnumProperty(
+        name="Order",
+        description="Order of the list of photos",
+        items=(
+            ("CAPTURE", "As Captured", "In the order of the capture"),
+            ("SCORE", "Worst Fit First", "Those whose edges agree least with the mesh first"),
+            ("SATURATED", "Most Clipped First", "Those with most clipped pixels first"),
+        ),
+    )
+    problems_only: bpy.props.BoolProperty(
+        name="Problems Only",
+        description="List only photos that lie beside the mesh, see little of it, or are clipped over a large area",
+    )
     all_cameras: bpy.props.BoolProperty(
         name="All Cameras",
         description="Show the cameras of all photos in 3D views, not only that of the current one",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import bpy
 
@@ -22,6 +23,9 @@ class Step:
     state: str
     hint: str = ""
 
+
+_REPORTS: dict[Path, tuple[int, dict[str, Any]]] = {}
+"""When each report was written, and its content: sections are drawn often, and ask for it each time."""
 
 ICONS = {
     "done": "CHECKMARK",
@@ -72,6 +76,8 @@ def solve_step(scene: bpy.types.Scene) -> Step:
         return Step("stale", "Resume where it stopped")
     if not key:
         return Step("ready", "Choose a preset and press Solve") if scene.iris.views else Step("missing", "First: data")
+    if solved_without(folder(scene)) != left_out(scene):
+        return Step("stale", "Other photos are used: solve again")
     if capture is not None and capture_changed(capture, result_file(folder(scene), REPORT)):
         return Step("stale", "The capture has changed: solve again")
     return Step("done")
@@ -148,11 +154,33 @@ def _left(scene: bpy.types.Scene, now: str) -> dict[str, bool]:
     return {word[:-1]: word.endswith("+") for word in left} if step == now else {}
 
 
+def left_out(scene: bpy.types.Scene) -> list[str]:
+    """Names of the photos that the artist leaves out."""
+    return sorted(view.name for view in scene.iris.views if not view.use)
+
+
+def solved_without(folder: Path) -> list[str]:
+    """Names of the photos that the solve in ``folder`` left out."""
+    excluded = _report(folder).get("excluded")
+    return sorted(map(str, excluded)) if isinstance(excluded, list) else []
+
+
+def _report(folder: Path) -> dict[str, Any]:
+    """The report of the result in ``folder``, empty where there is none, read again only when it has changed."""
+    path = result_file(folder, REPORT)
+    try:
+        written = path.stat().st_mtime_ns
+        if _REPORTS.get(path, (0, {}))[0] != written:
+            _REPORTS[path] = written, read_report(folder)
+    except (OSError, IrisError):
+        return {}
+    return _REPORTS[path][1]
+
+
 def solved_line(folder: Path) -> str:
     """What the solve in ``folder`` ended with, "Solved: 4 lights in 52 s"; empty where there is no result."""
-    try:
-        report = read_report(folder)
-    except IrisError:
+    report = _report(folder)
+    if not report:
         return ""
     model, seconds = report.get("model"), report.get("seconds")
     lights = model.get("lamps") if isinstance(model, dict) else None

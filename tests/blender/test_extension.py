@@ -63,6 +63,11 @@ def worker(tmp_path, solved) -> Path:
         out = sys.argv[sys.argv.index("--out") + 1]
         print(json.dumps(dict(type="progress", stage="x", fraction=1, overall=1, seconds_left=0, message="")))
         shutil.copytree({str(solved)!r}, out, dirs_exist_ok=True)
+        report = json.load(open(out + "/report.json"))
+        if "--exclude" in sys.argv:
+            words = sys.argv[sys.argv.index("--exclude") + 1:]
+            report["excluded"] = words[: next(k for k, word in enumerate(words) if word.startswith("--"))]
+        json.dump(report, open(out + "/report.json", "w"))
         print(json.dumps(dict(type="done", result={{}})))
         """,
     )
@@ -147,7 +152,7 @@ def test_every_operator_of_an_artist_stands_in_a_menu():
     texts = [path.read_text() for path in (ROOT / "operators").rglob("*.py")]
     every = {name for text in texts for name in re.findall(r'bl_idname = "(iris\.\w+)"', text)}
     menus = set(re.findall(r'"(iris\.\w+)"', (ROOT / "operators" / "menus.py").read_text()))
-    of_panels = {"cancel", "copy_error", "show_log", "add_capture", "step_photo", "review"}
+    of_panels = {"cancel", "copy_error", "show_log", "add_capture", "step_photo", "next_problem", "review"}
     of_preferences = {"test_python", "make_environment"}
     assert every - menus == {f"iris.{name}" for name in of_panels | of_preferences}
 
@@ -172,8 +177,21 @@ def test_from_capture_to_files_and_back(package, tmp_path, worker, nerfstudio_ro
     bpy.ops.iris.check()
     assert len(bpy.data.objects) == blocks and len(settings.views) == 6
 
+    settings.views[2].use = settings.views[4].use = False
+    bpy.ops.iris.check()
+    assert [view.use for view in settings.views] == [True, True, False, True, False, True]  # as before
+
     assert not bpy.ops.iris.apply.poll()
     bpy.ops.iris.solve()
+    steps = sys.modules[KEY + ".operators.ui.steps"]
+    assert steps.solve_step(scene).state == "done"
+    settings.views[2].use = True
+    assert steps.solve_step(scene).state == "stale"
+    settings.views[2].use = False
+    settings.views[5].problem = "it lies beside the mesh"
+    bpy.ops.iris.next_problem()
+    assert settings.view_index == 5 and scene.camera == settings.views[5].camera
+    bpy.ops.iris.step_photo(by=3)
     bpy.ops.ed.undo_push(message="before the curve")
     bpy.ops.iris.review(kind="curve")
     assert tuple(bpy.data.images["IRIS Response"].size) == (256, 256)

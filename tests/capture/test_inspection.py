@@ -86,8 +86,10 @@ def test_photos_under_the_pose_of_another_are_named(swapped: tuple[int, ...], tm
     for k, source in zip(swapped, [*swapped[1:], *swapped[:1]], strict=True):
         photos[k].write_bytes(contents[source])
     inspect(read_capture(demo.save()), tmp_path / "look", Progress())
-    warnings = json.loads((tmp_path / "look" / "capture.json").read_text())["warnings"]
-    said = [warning for warning in warnings if "check that each photo belongs to its pose" in warning]
+    content = json.loads((tmp_path / "look" / "capture.json").read_text())
+    said = [warning for warning in content["warnings"] if "check that each photo belongs to its pose" in warning]
+    with_another = [k for k, row in enumerate(content["views"]) if row["problem"].startswith("it shows what")]
+    assert with_another == list(swapped)
     assert len(said) == bool(swapped)
     for k, source in zip(swapped, [*swapped[1:], *swapped[:1]], strict=True):
         assert f"{names[k]} shows what {names[source]} should" in said[0]
@@ -127,6 +129,8 @@ def test_an_inspection_can_be_read_without_the_engine(nerfstudio_room: RoomCaptu
     assert row["saturated"] == pytest.approx(0.5) and row["black"] == pytest.approx(0.5)
     assert row["histogram"][0] == pytest.approx(0.5) and row["histogram"][-1] == pytest.approx(0.5)
     assert row["seen"] == 1.0 and row["camera"]["width"] == first.camera.width
+    assert row["problem"] == "50% of its pixels are saturated"
+    assert not any("saturated" in other["problem"] for other in content["views"][1:])
     assert any("saturated pixels" in warning and first.name in warning for warning in content["warnings"])
     arrays = np.load(tmp_path / "look" / "mesh.npz")
     np.testing.assert_array_equal(arrays["faces"], capture.mesh.faces)

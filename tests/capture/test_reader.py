@@ -19,6 +19,29 @@ from iris_addon.capture.photos import load_photo
 from iris_addon.capture.reader import read_capture, read_views
 from tests.box_room import FOCAL, HEIGHT, WALL_COLORS, WIDTH, RoomCapture, box_mesh, render_walls, write_mesh
 
+# ---- photos left out -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("layout", ["fipt_room", "nerfstudio_room"])
+def test_photos_that_are_left_out_are_not_even_opened(layout: str, request: pytest.FixtureRequest) -> None:
+    root = request.getfixturevalue(layout).root
+    whole = read_capture(root)
+    *others, last = whole.views
+    assert last.photo is not None
+    last.photo.write_bytes(b"no picture")
+    capture = read_capture(root, exclude=[last.name])
+    assert [view.name for view in capture.views] == [view.name for view in others]
+    assert capture.excluded == (last.name,) and len(capture.val_views) == len(whole.val_views)
+
+
+def test_photos_to_leave_out_must_be_there_and_others_remain(nerfstudio_room: RoomCapture) -> None:
+    names = [view.name for view in read_capture(nerfstudio_room.root).views]
+    with pytest.raises(BadInput, match=f"no photo '{names[0]}x' to leave out.*{names[0]}"):
+        read_capture(nerfstudio_room.root, exclude=[f"{names[0]}x"])
+    with pytest.raises(BadInput, match="no other photos"):
+        read_capture(nerfstudio_room.root, exclude=names)
+
+
 # ---- FIPT ----------------------------------------------------------------------------------------------------------
 
 

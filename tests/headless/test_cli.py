@@ -315,6 +315,8 @@ def test_a_cancelled_batch_keeps_its_summary(tmp_path, stub_solve):
         ("[[job]]\ncapture = 'a'\nspeed = 3", "unknown key 'speed'"),
         ("[[job]]\ncapture = 'a'\npreset = 'best'", "preset"),
         ("[[job]]\ncapture = 'a'\nseed = 'x'", "seed"),
+        ("[[job]]\ncapture = 'a'\nexclude = 'b'", "exclude is 'b'"),
+        ("[[job]]\ncapture = 'a'\nexclude = ['b', 3]", "exclude is ['b', 3]"),
         ("[[job]]\ncapture = 'a'\nname = '../a'", "name"),
         ("[[job]]\ncapture = 'a'\n[[job]]\ncapture = 'a'", "two jobs"),
         ("[[job]]\ncapture = 'a'\n[[job.frames]]\nframes = '5-2'", "frames is '5-2'"),
@@ -334,9 +336,11 @@ def test_a_wrong_job_file_is_bad_input_before_anything_runs(tmp_path, text, says
 
 def test_paths_of_jobs_are_relative_to_their_file(tmp_path):
     path = write_jobs(
-        tmp_path / "jobs.toml", {"capture": "a", "exposures": "times.csv", "response": "gamma", "hdr": "exr"}
+        tmp_path / "jobs.toml",
+        {"capture": "a", "exposures": "times.csv", "response": "gamma", "hdr": "exr", "exclude": ["b", "c"]},
     )
     (job,) = read_jobs(path)
+    assert job.exclude == ("b", "c")
     assert job.capture == tmp_path / "a" and job.out == tmp_path / "jobs" / "a"
     assert job.config.exposures == tmp_path / "times.csv" and job.config.hdr == tmp_path / "exr"
     assert job.config.response == "gamma"

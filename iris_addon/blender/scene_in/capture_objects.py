@@ -36,6 +36,7 @@ class InspectedView:
 
     Attributes:
         shift: offset of the photo's edges from those of the mesh, pixels, where ``verdict`` is "shifted".
+        problem: why the photo should be looked at, empty where it need not be.
     """
 
     name: str
@@ -48,6 +49,7 @@ class InspectedView:
     score: float
     shift: float
     verdict: str
+    problem: str
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,7 @@ def _view(row: dict[str, Any], path: Path) -> InspectedView:
             score=float(alignment["score"]),
             shift=float(alignment["shift"]),
             verdict=str(alignment["verdict"]),
+            problem=str(row["problem"]),
         )
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Literal, get_args
@@ -195,9 +195,19 @@ def inspect_command(python: str, capture: Path, out: Path) -> list[str]:
     return [*_program(python), "inspect", *_absolute(capture, "--out", out), *JSON_LINES]
 
 
-def solve_command(python: str, capture: Path, out: Path, preset: str, device: str = "auto", seed: int = 0) -> list[str]:
-    """Solve ``capture`` into ``out``, resuming an earlier solve."""
+def solve_command(
+    python: str,
+    capture: Path,
+    out: Path,
+    preset: str,
+    device: str = "auto",
+    seed: int = 0,
+    exclude: Sequence[str] = (),
+) -> list[str]:
+    """Solve ``capture`` without the photos ``exclude`` into ``out``, resuming an earlier solve."""
     options = ["--preset", preset, "--device", device, "--seed", str(seed), "--resume"]
+    if exclude:
+        options += ["--exclude", *exclude]
     return [*_program(python), "solve", *_absolute(capture, "--out", out), *options, *JSON_LINES]
 
 
