@@ -73,7 +73,7 @@ def main(arguments: list[str] | None = None) -> int:
         with cancelled_by_signals(progress, lambda: _fail(_cancelled(args), lines)):
             from . import commands
 
-            outcome = getattr(commands, args.command)(args, progress)
+            outcome = getattr(commands, args.command.replace("-", "_"))(args, progress)
     except (KeyboardInterrupt, Cancelled):
         return _fail(_cancelled(args), lines)
     except IrisError as error:
@@ -277,6 +277,22 @@ def _add_rendering(add: Add) -> None:
         _add_sampling(command)
         command.add_argument("--gpu", action="store_true", help="render on a GPU where Cycles finds one")
 
+    plate = add("onto-plate", "objects onto every frame of a plate with a moving camera, each exposed as the frame is")
+    plate.add_argument("result", type=Path, help="folder of a result")
+    plate.add_argument(
+        "--plate", type=Path, required=True, metavar="FOLDER|shot.####.png", help="the frames, named by their numbers"
+    )
+    plate.add_argument(
+        "--camera", type=Path, required=True, metavar="transforms.json", help="pose and lens of each frame, by number"
+    )
+    plate.add_argument("--objects", type=Path, required=True, metavar="FILE", help="JSON of the objects, as for insert")
+    plate.add_argument("--out", type=Path, required=True, help="folder of the frames")
+    plate.add_argument("--frames", type=_plate_frames, metavar="1001-1024", help="these alone; finished ones are kept")
+    plate.add_argument("--linear", action="store_true", help="write EXR of radiance instead of PNG")
+    plate.add_argument("--fps", type=_positive, default=24, help="of film.mp4, made where there is ffmpeg")
+    _add_sampling(plate)
+    plate.add_argument("--gpu", action="store_true", help="render on a GPU where Cycles finds one")
+
     composite = add("composite", "what was added to the solved room of a .blend, onto the photo of its camera")
     composite.add_argument("blend", type=Path, metavar="SCENE.blend", help="a solved room with additions")
     composite.add_argument("--result", type=Path, required=True, help="folder of the result that was applied")
@@ -327,17 +343,17 @@ def _add_scoring(add: Add, common: _Parser) -> None:
 
 @dataclass(frozen=True)
 class FrameRange:
-    """The requested frames of an animation: ``first`` … ``last``, counted from 1, both included."""
+    """The requested frames of an animation: ``first`` … ``last``, both included."""
 
     first: int
     last: int
 
     @classmethod
-    def parse(cls, text: str) -> FrameRange:
-        """``"1-120"`` or ``"7"``; raises ValueError."""
+    def parse(cls, text: str, lowest: int = 1) -> FrameRange:
+        """``"1-120"`` or ``"7"``, from ``lowest`` on; raises ValueError."""
         first, _, last = text.partition("-")
         frames = cls(int(first), int(last or first))
-        if not 1 <= frames.first <= frames.last <= MAX_FRAMES:
+        if not lowest <= frames.first <= frames.last <= MAX_FRAMES:
             raise ValueError(text)
         return frames
 
@@ -387,6 +403,13 @@ def _frames(text: str) -> FrameRange:
         return FrameRange.parse(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is no range of frames like 1-120") from None
+
+
+def _plate_frames(text: str) -> FrameRange:
+    try:
+        return FrameRange.parse(text, lowest=0)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no range of frames like 1001-1024") from None
 
 
 def _resolution(text: str) -> tuple[int, int]:

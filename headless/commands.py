@@ -17,6 +17,7 @@ from iris_addon.model.capture import View
 from iris_addon.results.folder import load_result
 
 from .outcome import Outcome, summarise
+from .plates import onto_plate
 from .probing import probe
 from .relighting import camera, composite, insert, relight, render
 
@@ -30,6 +31,7 @@ __all__ = [
     "farm",
     "insert",
     "inspect",
+    "onto_plate",
     "probe",
     "relight",
     "render",

@@ -31,6 +31,7 @@ NEEDS = {
     "render": (*_READING, "bpy"),
     "relight": (*_READING, "bpy"),
     "insert": (*_READING, "bpy"),
+    "onto-plate": (*_READING, "bpy"),
     "composite": ("numpy", "bpy"),
     "probe": ("numpy", "bpy"),
     "camera": (*_IMAGES, "trimesh"),

@@ -162,6 +162,8 @@ def _assets(path: Path, jobs: Sequence[Job]) -> dict[str, Any]:
         for frames in job.frames:
             words = frames.options
             files += [Path(word) for option, word in pairwise(words) if option in _FILE_OPTIONS]
+            plates = [Path(word) for option, word in pairwise(words) if option == "--plate"]
+            folders += [plate if plate.is_dir() else plate.parent for plate in plates]
     inputs = {
         "filenames": sorted({str(file.absolute()) for file in files if not file.is_dir()}),
         "directories": sorted({str(folder.absolute()) for folder in folders}),
@@ -169,7 +171,7 @@ def _assets(path: Path, jobs: Sequence[Job]) -> dict[str, Any]:
     return {"inputs": inputs, "outputs": {"directories": sorted({str(folder.absolute()) for folder in written})}}
 
 
-_FILE_OPTIONS = ("--views", "--lights", "--objects")
+_FILE_OPTIONS = ("--views", "--lights", "--objects", "--camera")
 
 
 def session_lines(stream: TextIO = sys.stdout) -> Sink:

@@ -12,9 +12,9 @@
     evaluate = true                 # score maps, light and camera against the capture's ground truth
 
     [[job.frames]]                  # any number of them, rendered when the job above is solved
-    command = "relight"             # render, relight or insert, with the options of that command
-    lights = "evening.json"         # of relight; objects = "..." of insert
-    views = "cameras.json"          # default: the capture
+    command = "relight"             # render, relight, insert or onto-plate, with the options of that command
+    lights = "evening.json"         # of relight; objects = "..." of insert and onto-plate
+    views = "cameras.json"          # default: the capture; onto-plate has plate = "..." and camera = "..." instead
     frames = "1-120"
     chunk = 10                      # frames of one task on a farm
     name = "evening"                # default: the command
@@ -38,9 +38,16 @@ MAX_JOBS_BYTES = 4 << 20
 OPTIONS = ("response", "exposures", "hdr", "device", "seed")
 KEYS = ("name", "capture", "preset", "out", "exclude", "evaluate", "frames", *OPTIONS)
 WORDS = {"response": ("auto", "gamma"), "exposures": ("auto", "none")}
-COMMANDS = {"render": None, "relight": "lights", "insert": "objects"}
-"""Commands that render, and the key of the file that each needs beside the views."""
-FRAME_PATHS = ("views", "lights", "objects", "out")
+COMMANDS: dict[str, tuple[str, ...]] = {
+    "render": (),
+    "relight": ("lights",),
+    "insert": ("objects",),
+    "onto-plate": ("plate", "camera", "objects"),
+}
+"""Commands that render, and the keys of the files that each needs beside the views."""
+NEEDED = ("lights", "objects", "plate", "camera")
+NOT_FOR_PLATES = ("views", "exposure", "onto_photos")
+FRAME_PATHS = ("views", "out", *NEEDED)
 FRAME_SWITCHES = ("linear", "gpu", "onto_photos")
 FRAME_NUMBERS = ("samples", "seed", "fps")
 FRAME_KEYS = ("name", "command", "frames", "chunk", "exposure", *FRAME_PATHS, *FRAME_SWITCHES, *FRAME_NUMBERS)
@@ -175,17 +182,18 @@ def _frames(entry: Any, where: str, path: Path, located: Located, job: tuple[str
     command = entry.get("command", "render")
     if command not in COMMANDS:
         raise BadInput(f"{where}: command is {command!r}", f"commands are {', '.join(COMMANDS)}", path)
-    needed = COMMANDS[command]
-    wrong = next((key for key in ("lights", "objects") if (key in entry) != (key == needed)), None)
+    needed, on_plate = COMMANDS[command], command == "onto-plate"
+    not_for = [key for key in NEEDED if key not in needed] + list(NOT_FOR_PLATES if on_plate else ())
+    wrong = next((key for key in (*needed, *not_for) if (key in entry) != (key in needed)), None)
     if wrong is not None:
         raise BadInput(
-            f"{where}: {wrong} {'is missing' if wrong == needed else 'is not for ' + command}", "mend it", path
+            f"{where}: {wrong} {'is missing' if wrong in needed else 'is not for ' + command}", "mend it", path
         )
-    first, last = _range(entry.get("frames"), where, path)
+    first, last = _range(entry.get("frames"), 0 if on_plate else 1, where, path)
     name = _name(entry.get("name", command), where, path)
-    options = ["--views", str(located(entry["views"]) if "views" in entry else capture)]
-    if needed is not None:
-        options += [f"--{needed}", str(located(entry[needed]))]
+    options = [] if on_plate else ["--views", str(located(entry["views"]) if "views" in entry else capture)]
+    for key in needed:
+        options += [f"--{key}", str(located(entry[key]))]
     for key in (*FRAME_NUMBERS, "exposure"):
         options += [f"--{key}", str(entry[key])] if key in entry else []
     options += [f"--{key.replace('_', '-')}" for key in FRAME_SWITCHES if entry.get(key)]
@@ -202,10 +210,10 @@ def _frames(entry: Any, where: str, path: Path, located: Located, job: tuple[str
     )
 
 
-def _range(text: object, where: str, path: Path) -> tuple[int, int]:
+def _range(text: object, lowest: int, where: str, path: Path) -> tuple[int, int]:
     found = re.fullmatch(r"(\d{1,7})(?:-(\d{1,7}))?", text) if isinstance(text, str) else None
-    first, last = (int(found[1]), int(found[2] or found[1])) if found else (0, 0)
-    if not 1 <= first <= last <= MAX_FRAMES:
+    first, last = (int(found[1]), int(found[2] or found[1])) if found else (-1, -1)
+    if not lowest <= first <= last <= MAX_FRAMES:
         raise BadInput(f"{where}: frames is {text!r}", 'give a range, such as frames = "1-120"', path)
     return first, last
 

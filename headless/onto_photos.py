@@ -10,7 +10,7 @@ import numpy as np
 from iris_addon.base.errors import BadInput
 from iris_addon.capture.photos import load_photo
 from iris_addon.edits.scene_edit import SceneEdit
-from iris_addon.model.capture import View
+from iris_addon.model.capture import Photo, View
 from iris_addon.model.render_settings import RenderSettings
 from iris_addon.results.result import Result
 
@@ -38,6 +38,16 @@ class ChangedPhoto:
         return write_picture(folder / f"{name}.png", self.display)
 
 
+def require_response(result: Result, photo: Photo, view: View) -> None:
+    """Raise BadInput if ``result`` does not know the response that ``photo`` of ``view`` was taken with."""
+    if not photo.hdr and result.response.family == "identity":
+        raise BadInput(
+            "the room was solved from radiance, so the response of this photo is not known",
+            "solve the photos, or give photos that are EXR files of radiance",
+            view.photo,
+        )
+
+
 class PhotoInsertion:
     """Differential rendering onto the photo of one view; the room without edits is rendered once."""
 
@@ -45,12 +55,7 @@ class PhotoInsertion:
         """Read the photo; raises BadInput if the result has no response that it was taken with."""
         self.result, self.view = result, view
         self.photo = load_photo(view)
-        if not self.photo.hdr and result.response.family == "identity":
-            raise BadInput(
-                "the room was solved from radiance, so the response of this photo is not known",
-                "solve the photos, or give --views whose photos are the EXR files",
-                view.photo,
-            )
+        require_response(result, self.photo, view)
         self._gain = np.ones(1) if self.photo.hdr else result.local.gain(self.photo.values, result.response)
         self.settings = settings
         self._without: tuple[FloatArray, FloatArray] | None = None

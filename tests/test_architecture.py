@@ -157,7 +157,13 @@ def test_nothing_lies_loose_at_the_root_of_the_package() -> None:
 def test_only_the_rooms_of_blender_import_it() -> None:
     """Operators and the room ``blender`` run inside Blender; benchmarks render in processes of their own. All else
     works in a Python without it."""
-    may = ("iris_addon/blender/", "operators/", "benchmarks/perturb", "benchmarks/sunlit_room")
+    may = (
+        "iris_addon/blender/",
+        "operators/",
+        "benchmarks/perturb",
+        "benchmarks/sunlit_room",
+        "benchmarks/moving_plate",
+    )
     wrong = []
     for path in _files(*PACKAGES):
         if path.relative_to(ROOT).as_posix().startswith(may):

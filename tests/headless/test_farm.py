@@ -103,6 +103,67 @@ def test_absolute_paths_follow_the_mapping_of_the_host(tmp_path):
         read_jobs(tmp_path / "jobs.toml", tmp_path / "rules.json")
 
 
+PLATE = """
+[[job]]
+capture = "one"
+
+[[job.frames]]
+command = "onto-plate"
+plate = "sh010"
+camera = "sh010.json"
+objects = "ball.json"
+frames = "1001-1024"
+name = "sh010"
+"""
+
+
+def test_the_frames_of_a_plate_are_chunks_that_wait_for_the_solve_alone(rooms):
+    (rooms / "sh010").mkdir()
+    (rooms / "jobs.toml").write_text(PLATE)
+    steps = {step["name"]: step for step in bundle(rooms)["steps"]}
+    assert list(steps) == ["Solve one", "Frames one/sh010", "Summary"]
+    chunks = steps["Frames one/sh010"]["parameterSpace"]["taskParameterDefinitions"][0]
+    assert chunks["range"] == "0-2" and read_jobs(rooms / "jobs.toml")[0].frames[0].frames_of(2) == (1021, 1024)
+    inputs = json.loads((rooms / "bundle" / "asset_references.json").read_text())["assetReferences"]["inputs"]
+    assert str(rooms / "sh010") in inputs["directories"] and str(rooms / "sh010.json") in inputs["filenames"]
+
+
+def test_a_chunk_of_a_plate_with_a_failed_frame_has_failed(rooms, monkeypatch, capsys):
+    ran = []
+
+    def run_command(words, _progress):
+        ran.append(words)
+        return {"frames": 10, "failed": ["frame 1013: has no frame 1013"]}
+
+    monkeypatch.setattr("headless.batch.run_command", run_command)
+    (rooms / "jobs.toml").write_text(PLATE)
+    assert cli.main(["batch", str(rooms / "jobs.toml"), "--only", "one/sh010", "--chunk", "1"]) == 1
+    assert "frame 1013" in capsys.readouterr().err
+    command = ran[0]
+    assert command[0] == "onto-plate" and command[command.index("--frames") + 1] == "1011-1020"
+    cli.make_parser().parse_args([*command, "--json"])  # nothing but options that the command has
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ('camera = "a.json"', None),
+        ('views = "a.json"', "views is not for onto-plate"),
+        ("onto_photos = true", "onto_photos is not for onto-plate"),
+    ],
+)
+def test_a_plate_has_its_own_keys(rooms, line, told):
+    (rooms / "jobs.toml").write_text(PLATE.replace('camera = "sh010.json"', line) + ("" if told is None else CAMERA))
+    if told is None:
+        assert read_jobs(rooms / "jobs.toml")[0].frames[0].command == "onto-plate"
+        return
+    with pytest.raises(BadInput, match=told):
+        read_jobs(rooms / "jobs.toml")
+
+
+CAMERA = 'camera = "sh010.json"\n'
+
+
 def test_only_names_a_job_of_the_file(rooms, capsys):
     assert cli.main(["batch", str(rooms / "jobs.toml"), "--only", "three"]) == 3
     assert "its jobs are one, one/still" in capsys.readouterr().err

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from headless import cli
-from headless.animation import open_frames, write_film
 from headless.cli import FrameRange
+from headless.frame_folder import open_frames, write_film
 from iris_addon.base.errors import BadInput
 from iris_addon.base.images import read_exr, read_image, write_exr, write_png
 from iris_addon.model.response import gamma, identity
@@ -80,12 +80,12 @@ def test_a_job_that_made_no_frame_is_in_nobodys_way(tmp_path):
 def test_the_film_appears_whole_or_not_at_all(tmp_path, monkeypatch):
     frames = open_frames(tmp_path / "out", 2, ".png", {})
     write_png(frames.path(1), np.zeros((3, 3, 3), np.uint8))
-    monkeypatch.setattr("headless.animation.shutil.which", lambda _name: None)
+    monkeypatch.setattr("headless.frame_folder.shutil.which", lambda _name: None)
     assert write_film(frames, 24) is None
     tool = tmp_path / "ffmpeg"
     tool.write_text('#!/bin/sh\nfor last; do :; done\necho film > "$last"\n')
     tool.chmod(0o755)
-    monkeypatch.setattr("headless.animation.shutil.which", lambda _name: str(tool))
+    monkeypatch.setattr("headless.frame_folder.shutil.which", lambda _name: str(tool))
     film = write_film(frames, 24)
     assert film is not None and film.read_text() == "film\n"
     tool.write_text("#!/bin/sh\necho broken >&2\nexit 1\n")
@@ -100,7 +100,7 @@ def test_the_film_appears_whole_or_not_at_all(tmp_path, monkeypatch):
 
 @pytest.mark.bpy
 def test_finished_frames_are_not_rendered_again_and_missing_ones_are(solved, monkeypatch):
-    monkeypatch.setattr("headless.animation.shutil.which", lambda _name: None)
+    monkeypatch.setattr("headless.frame_folder.shutil.which", lambda _name: None)
     job = write_job(
         solved, "fade.json", recovered={"0": {"scale": {"keys": [[0, 1], [0.5, 0.01]]}}}, length=4, camera={"view": 1}
     )
@@ -118,7 +118,7 @@ def test_finished_frames_are_not_rendered_again_and_missing_ones_are(solved, mon
 
 @pytest.mark.bpy
 def test_a_camera_move_and_a_turning_object(solved, monkeypatch):
-    monkeypatch.setattr("headless.animation.shutil.which", lambda _name: None)
+    monkeypatch.setattr("headless.frame_folder.shutil.which", lambda _name: None)
     out = run(solved, "render", "--frames", "1-3", "--linear", out="move")
     frames = [read_exr(out / f"frame_000{k}.exr") for k in (1, 2, 3)]
     assert np.abs(frames[0] - frames[2]).max() > 0.01

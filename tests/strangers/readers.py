@@ -11,7 +11,7 @@ import trimesh
 from PIL import Image
 
 from headless import batch
-from headless.animation import open_frames
+from headless.frame_folder import open_frames
 from headless.outcome import summarise
 from headless.relighting import _naming
 from iris_addon.base.files import write_arrays

@@ -17,7 +17,7 @@ import OpenEXR
 import pytest
 
 from headless import batch, cli
-from headless.animation import open_frames, write_film
+from headless.frame_folder import open_frames, write_film
 from iris_addon.base.errors import BadInput, IrisError
 from iris_addon.base.progress import Progress
 from iris_addon.base.untrusted import MAX_DEPTH
@@ -48,7 +48,7 @@ def refused(call: Callable[..., object], *arguments: object) -> str:
 
 def test_a_film_looks_at_the_frames_that_are_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     frames = open_frames(tmp_path, 10**15, ".png", {})
-    monkeypatch.setattr("headless.animation.find_ffmpeg", lambda: None)
+    monkeypatch.setattr("headless.frame_folder.find_ffmpeg", lambda: None)
     assert write_film(frames, 24) is None  # in no time
     for number in (1, 2, 4, 10**12):
         frames.path(number).write_bytes(b"png")
@@ -62,7 +62,7 @@ def test_a_film_is_not_written_through_a_link(tmp_path: Path, monkeypatch: pytes
     program.write_text('#!/bin/sh\nfor last; do :; done\nprintf film > "$last"\n')
     program.chmod(0o755)
     precious.write_text("precious")
-    monkeypatch.setattr("headless.animation.find_ffmpeg", lambda: str(program))
+    monkeypatch.setattr("headless.frame_folder.find_ffmpeg", lambda: str(program))
     frames = open_frames(tmp_path / "frames", 1, ".png", {})
     frames.path(1).write_bytes(b"png")
     for name in (".film.mp4", "film.mp4"):

@@ -22,7 +22,7 @@ from ...model.render_settings import RenderSettings
 from ...model.response import SATURATED, Response
 from ...results.result import Result
 from ..render.cycles import aim, render_coverage, render_linear, set_cycles
-from ..scene_out.build import build_scene
+from ..scene_out.build import BuiltScene, build_scene
 
 COVERAGE_SAMPLES = 32
 MAX_SAMPLE_FACTOR = 8
@@ -82,12 +82,8 @@ def render_pair(
     settings: RenderSettings,
 ) -> Pair:
     """The view twice, (H, W, 3) linear radiance each, with half of the samples and random numbers of its own each."""
-    built = build_scene(result, edit)
-    try:
-        aim(built, camera)
-        return render_halves(built.scene, settings)
-    finally:
-        built.free()
+    with room_built(result, edit) as built:
+        return pair_of(built, camera, settings)
 
 
 def render_change(
@@ -98,14 +94,32 @@ def render_change(
     settings: RenderSettings,
 ) -> Differential:
     """How ``edit`` changes the view that ``without`` (:func:`render_pair` of the room alone, same settings) shows."""
+    with room_built(result, edit) as built:
+        return change_of(built, camera, without, settings)
+
+
+@contextmanager
+def room_built(result: Result, edit: SceneEdit | None) -> Iterator[BuiltScene]:
+    """Inside, the room with ``edit`` is a scene, for :func:`pair_of` and :func:`change_of` of any number of cameras."""
     built = build_scene(result, edit)
     try:
-        aim(built, camera)
-        backdrop = () if built.backdrop is None else (built.backdrop,)
-        room = (built.room, *built.lamps, *built.lights, *backdrop)
-        return render_differential(built.scene, room, without, settings)
+        yield built
     finally:
         built.free()
+
+
+def pair_of(built: BuiltScene, camera: Camera, settings: RenderSettings) -> Pair:
+    """:func:`render_pair` of a scene that is built."""
+    aim(built, camera)
+    return render_halves(built.scene, settings)
+
+
+def change_of(built: BuiltScene, camera: Camera, without: Pair, settings: RenderSettings) -> Differential:
+    """:func:`render_change` of a scene that is built with the edit."""
+    aim(built, camera)
+    backdrop = () if built.backdrop is None else (built.backdrop,)
+    room = (built.room, *built.lamps, *built.lights, *backdrop)
+    return render_differential(built.scene, room, without, settings)
 
 
 def render_differential(

@@ -1,0 +1,228 @@
+"""An insertion job put onto every frame of a plate, an image sequence whose moving camera is known in the solved room.
+
+Frames are independent of each other: the exposure of each is found by itself, a finished one is not made again, one
+that fails is named and the others go on. Several machines may each make a range of them.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from iris_addon.base.errors import MAX_QUOTED, BadInput, Cancelled, IrisError, one_line
+from iris_addon.base.files import write_json
+from iris_addon.base.progress import Progress
+
+from .frame_folder import FloatArray, Frames, open_frames, result_digests, write_film
+from .outcome import Outcome
+
+if TYPE_CHECKING:
+    from iris_addon.blender.insert.differential import Differential
+    from iris_addon.edits.scene_edit import SceneEdit
+    from iris_addon.model.capture import View
+    from iris_addon.model.render_settings import RenderSettings
+    from iris_addon.results.result import Result
+
+    from .onto_photos import ChangedPhoto
+
+EXPOSURES = "exposures"
+"""Folder beside the frames with the exposure that was found for each."""
+
+
+def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
+    """A plate with the objects of a job in it; exit code 1 if a frame failed."""
+    from iris_addon.base.images import HDR_SUFFIXES, check_image, read_exr
+    from iris_addon.base.untrusted import read_json
+    from iris_addon.capture.plate_files import plate_files
+    from iris_addon.capture.reader import read_views
+    from iris_addon.edits.jobs import insertion_edits
+    from iris_addon.model.render_settings import RenderSettings
+    from iris_addon.results.folder import load_result
+
+    from .animation import moves
+
+    pictures = plate_files(args.plate)
+    result = load_result(args.result)
+    views = _by_number(result.as_taken(read_views(args.camera)), args.camera)
+    job = read_json(args.objects)
+    for key, option in {"camera": "--camera", "length": "the plate"}.items():
+        if key in job:
+            raise BadInput(f"has '{key}', which {option} gives", f"leave out '{key}'", args.objects)
+    cameras = [view.camera for view in views.values()]
+
+    def edit_at(time: float) -> SceneEdit:
+        try:
+            edits = insertion_edits(result, job, args.objects.parent, cameras, time)
+        except BadInput as error:
+            raise BadInput(error.what, error.fix, args.objects) from error
+        if len(edits) != 1:
+            raise BadInput(f"has objects for {len(edits)} views", "keep one of them for a plate", args.objects)
+        return edits[0][1]
+
+    edit_at(0.0)  # errors of the job come before anything is rendered
+    first = min(views)
+    hdr = args.linear or next(iter(pictures.values())).suffix.lower() in HDR_SUFFIXES
+    frames = open_frames(
+        args.out,
+        max(views) - first + 1,
+        ".exr" if hdr else ".png",
+        {
+            "command": args.command,
+            "result": result_digests(args.result),
+            "cameras": [[n, view.camera.fx, view.camera.fy, view.camera.c2w] for n, view in views.items()],
+            "plate": [first, *(path.name for path in pictures.values())],
+            "job": job,
+            "look": [args.samples, args.seed],
+        },
+        first,
+    )
+    settings = RenderSettings(samples=args.samples, seed=args.seed, gpu=args.gpu)
+
+    def work(number: int) -> bool:
+        if number not in views:
+            raise BadInput(
+                f"has no camera of frame {number}", "track the whole range, or shorten --frames", args.camera
+            )
+        if number not in pictures:
+            raise BadInput(f"has no frame {number}", "add the picture, or shorten --frames", args.plate)
+        view = replace(views[number], name=frames.path(number).stem, photo=pictures[number], split="val")
+        picture, exposure = room.picture(view, frames.time(number))
+        if exposure is not None:
+            record = {"exposure": exposure, "picture": pictures[number].name}
+            write_json(frames.folder / EXPOSURES / f"{view.name}.json", record)
+        picture.write(frames.folder, view.name, linear=hdr)
+        return picture.shows_added
+
+    def whole_file(number: int) -> bool:
+        path = frames.path(number)
+        with suppress(BadInput):  # half of a file, as a copy that was stopped leaves
+            return frames.finished(number) and (read_exr(path).size if hdr else min(check_image(path))) > 0
+        return False
+
+    with PlateRoom(result, edit_at, moves(job), settings) as room:
+        numbers = list(views if args.frames is None else args.frames)
+        return make_frames(args, progress, frames, numbers, work, whole_file)
+
+
+def _by_number(views: Iterable[View], source: Path) -> dict[int, View]:
+    """The views by frame number, in its order."""
+    from iris_addon.capture.plate_files import frame_number
+
+    found: dict[int, View] = {}
+    for view in views:
+        number = frame_number(view.name if view.photo is None else view.photo.stem)
+        if number is None:
+            raise BadInput(f"{view.name} has no frame number", "name frames as shot.1001.png", source)
+        if number in found:
+            what = f"has two cameras of frame {number}, {found[number].name} and {view.name}"
+            raise BadInput(what, "keep one of them", source)
+        found[number] = view
+    return dict(sorted(found.items()))
+
+
+class PlateRoom:
+    """The solved room with a job in it, as the camera of one frame after another sees it; a context manager.
+
+    The room alone is built once, with the job once as well unless that ``moves``.
+    """
+
+    def __init__(
+        self, result: Result, edit_at: Callable[[float], SceneEdit], moves: bool, settings: RenderSettings
+    ) -> None:
+        self.result, self.edit_at, self.moves, self.settings = result, edit_at, moves, settings
+        self._kept = ExitStack()
+        self._room: Any = None
+        self._edited: Any = None
+
+    def __enter__(self) -> PlateRoom:
+        return self
+
+    def __exit__(self, *_raised: object) -> None:
+        self._kept.close()
+
+    def picture(self, view: View, time: float) -> tuple[ChangedPhoto, FloatArray | None]:
+        """The frame ``view`` with the objects as they are at ``time``, and its exposure (3,), None if nothing changes.
+
+        Raises:
+            BadInput: the frame cannot be read, is of another size than its camera, or shows too little.
+        """
+        from iris_addon.blender.insert.differential import change_light, change_photo
+        from iris_addon.capture.photos import load_photo
+        from iris_addon.response.matching import match_exposure
+
+        from .onto_photos import ChangedPhoto, require_response
+
+        photo, response = load_photo(view), self.result.response
+        require_response(self.result, photo, view)
+        values, edit = photo.values.astype(np.float64), self.edit_at(time)
+        if edit.changes_nothing:
+            linear = values if photo.hdr else response.invert(values)
+            return ChangedPhoto(None if photo.hdr else values, linear, shows_added=False), None
+        changed = self._change(view, edit)
+        gain = np.ones(1) if photo.hdr else self.result.local.gain(photo.values, response)
+        exposure = match_exposure(changed.without, photo, response, gain)
+        shows_added = bool(changed.covered.any())
+        if photo.hdr:
+            return ChangedPhoto(None, change_light(values, changed, exposure), shows_added), exposure
+        return ChangedPhoto(*change_photo(values, changed, response, gain * exposure), shows_added), exposure
+
+    def _change(self, view: View, edit: SceneEdit) -> Differential:
+        from iris_addon.blender.insert.differential import change_of, pair_of, render_change, room_built
+
+        if self._room is None:
+            self._room = self._kept.enter_context(room_built(self.result, None))
+        without = pair_of(self._room, view.camera, self.settings)
+        if self.moves:
+            return render_change(self.result, view.camera, edit, without, self.settings)
+        if self._edited is None:
+            self._edited = self._kept.enter_context(room_built(self.result, edit))
+        return change_of(self._edited, view.camera, without, self.settings)
+
+
+# ---- frame by frame ------------------------------------------------------------------------------------------------
+
+
+def make_frames(
+    args: argparse.Namespace,
+    progress: Progress,
+    frames: Frames,
+    numbers: Sequence[int],
+    work: Callable[[int], bool],
+    finished: Callable[[int], bool],
+) -> Outcome:
+    """Let ``work`` make the frames ``numbers`` that are not ``finished``; it tells whether a frame shows an object."""
+    todo = [number for number in numbers if not finished(number)]
+    failed: dict[int, str] = {}
+    shown: list[bool] = []
+    with progress.stage("frames"):
+        for done, number in enumerate(todo):
+            progress.update((len(numbers) - len(todo) + done) / len(numbers))
+            try:
+                shown.append(work(number))
+            except Cancelled:
+                raise
+            except IrisError as error:
+                failed[number] = str(error)
+            except Exception as error:  # the other frames go on, whatever it is
+                failed[number] = one_line(f"{type(error).__name__}: {error}", MAX_QUOTED)
+    figures: Mapping[str, Any] = {
+        "frames": len(numbers),
+        "rendered now": len(todo) - len(failed),
+        "folder": frames.folder,
+        "film": None if failed else write_film(frames, args.fps),
+        "failed": [f"frame {number}: {reason}" for number, reason in failed.items()] or None,
+        "warnings": ["none of the objects is in a frame: check where they are placed"]
+        if shown and not any(shown)
+        else None,
+    }
+    outcome = Outcome.of(
+        "Put onto the plate" if not failed else f"{len(failed)} of {len(numbers)} frames failed",
+        {key: value for key, value in figures.items() if value is not None},
+    )
+    return replace(outcome, exit_code=1 if failed else 0)
