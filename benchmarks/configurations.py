@@ -26,7 +26,9 @@ from .perturb_photos import copy_capture, hold_exposure
 MASK = "mask.json"
 """A lamp mask in a capture folder that replaces the true one; the perturbations of masks write it."""
 
-SWEEP = preset("draft", max_patches=8_000, gather_rays=48, shadow_rays=32, specular_rays=4, atlas_size=512, rounds=1)
+SWEEP = preset(
+    "draft", max_patches=8_000, gather_rays=48, shadow_rays=32, specular_rays=4, max_atlas_size=512, rounds=1
+)
 """`draft` for captures of half the size: a sweep is hundreds of solves, and looks for decibels, not for tenths."""
 CLOSED_ROOM = Refinements(
     channel_curves=False,

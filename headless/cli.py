@@ -25,6 +25,7 @@ from typing import NoReturn
 from iris_addon.base.errors import Cancelled, IrisError
 from iris_addon.base.progress import Progress, Sink, console, json_lines
 from iris_addon.config import MAX_SEED, PRESETS
+from iris_addon.model.texture_size import atlas_size_of, density_of
 
 from .cancellation import cancelled_by_signals, stop_with_stdin
 from .environment import delegate, missing_packages, unusable
@@ -196,6 +197,7 @@ def _add_solving(add: Add) -> None:
     solve.add_argument("--strict", action="store_true", help="refuse a capture that lacks photos or poses")
     solve.add_argument("--exclude", nargs="+", default=(), metavar="PHOTO", help="photos to leave out")
     _add_unit(solve)
+    _add_texture_size(solve)
     solve.add_argument("--resume", action="store_true", help="go on from the last finished stage")
     solve.add_argument("--seed", type=_whole, default=0, help="of all randomness")
 
@@ -214,6 +216,8 @@ def _add_solving(add: Add) -> None:
         "--strict", action="store_true", help="refuse a capture that lacks some of its photos or poses"
     )
     _add_unit(inspect)
+    inspect.add_argument("--preset", choices=list(PRESETS), default="balanced", help="of the solve to come")
+    _add_texture_size(inspect)
 
     apply = add("apply", "Principled materials and emissive lights as a .blend")
     apply.add_argument("result", type=Path, help="folder of a result")
@@ -244,6 +248,23 @@ def _add_unit(command: argparse.ArgumentParser) -> None:
         type=_metres,
         metavar="METRES",
         help="unit of poses and mesh, where they have none: a wall of 4 m that measures 2.5 has 1.6",
+    )
+
+
+def _add_texture_size(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--atlas-size",
+        type=_checked(atlas_size_of),
+        default="auto",
+        metavar="auto|SIDE",
+        help="of the textures, in texels; auto: as the photos resolve, up to the limit of the preset",
+    )
+    command.add_argument(
+        "--texels-per-metre",
+        type=_checked(density_of),
+        default="auto",
+        metavar="auto|N",
+        help="density of the textures, as far as the atlas holds it; auto: that of the photos",
     )
 
 
@@ -441,6 +462,18 @@ def _exposure(text: str) -> str | float:
     if not 0 < value <= MAX_EXPOSURE:
         raise argparse.ArgumentTypeError(f"{text!r} is neither photo, auto nor a factor above 0")
     return value
+
+
+def _checked(read: Callable[[str], int | float | str]) -> Callable[[str], int | float | str]:
+    """A type of argument whose errors are those of ``read``."""
+
+    def checked(text: str) -> int | float | str:
+        try:
+            return read(text)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(f"{text[:40]!r} is {error}") from None
+
+    return checked
 
 
 def _word_or_path(*words: str) -> Callable[[str], str | Path]:

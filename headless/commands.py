@@ -12,7 +12,7 @@ from pathlib import Path
 
 from iris_addon.base.files import write_json
 from iris_addon.base.progress import Progress
-from iris_addon.config import preset
+from iris_addon.config import TEXTURE_OPTIONS, preset
 from iris_addon.model.capture import View
 from iris_addon.results.folder import load_result
 
@@ -45,7 +45,8 @@ def solve(args: argparse.Namespace, progress: Progress) -> Outcome:
     from iris_addon.capture.reader import read_capture
 
     config = preset(
-        args.preset, response=args.response, exposures=args.exposures, hdr=args.hdr, device=args.device, seed=args.seed
+        args.preset,
+        **{name: getattr(args, name) for name in ("response", "exposures", "hdr", "device", "seed", *TEXTURE_OPTIONS)},
     )
     capture = read_capture(
         args.capture,
@@ -76,8 +77,10 @@ def inspect(args: argparse.Namespace, progress: Progress) -> Outcome:
             metres_per_unit=args.metres_per_unit,
             check=progress.check,
         )
-    content = measure(capture, args.out, progress)
-    return Outcome.of(f"Looked at {capture.name}", {"photos": len(capture.views), "warnings": content["warnings"]})
+    config = preset(args.preset, **{name: getattr(args, name) for name in TEXTURE_OPTIONS})
+    content = measure(capture, args.out, progress, config)
+    figures = {"photos": len(capture.views), "textures": content["textures"]["text"], "warnings": content["warnings"]}
+    return Outcome.of(f"Looked at {capture.name}", figures)
 
 
 def apply(args: argparse.Namespace, progress: Progress) -> Outcome:

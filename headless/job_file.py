@@ -9,6 +9,7 @@
     out = "results/kitchen-draft"   # default: a folder beside this file, named after it, and the job's name in it
     exposures = "none"              # as the options of solve: also response, hdr, device, seed
     exclude = ["frame_0007"]        # photos to leave out
+    atlas_size = 4096               # or "auto"; and texels_per_metre = 200, or "auto"
     evaluate = true                 # score maps, light and camera against the capture's ground truth
 
     [[job.frames]]                  # any number of them, rendered when the job above is solved
@@ -32,10 +33,11 @@ from typing import Any
 
 from iris_addon.base.errors import BadInput
 from iris_addon.base.untrusted import read_json, read_toml
-from iris_addon.config import MAX_SEED, PRESETS, SolveConfig, preset
+from iris_addon.config import MAX_SEED, PRESETS, TEXTURE_OPTIONS, SolveConfig, preset
+from iris_addon.model.texture_size import atlas_size_of, density_of
 
 MAX_JOBS_BYTES = 4 << 20
-OPTIONS = ("response", "exposures", "hdr", "device", "seed")
+OPTIONS = ("response", "exposures", "hdr", "device", "seed", *TEXTURE_OPTIONS)
 KEYS = ("name", "capture", "preset", "out", "exclude", "evaluate", "frames", *OPTIONS)
 WORDS = {"response": ("auto", "gamma"), "exposures": ("auto", "none")}
 COMMANDS: dict[str, tuple[str, ...]] = {
@@ -135,7 +137,7 @@ def _job(entry: Any, number: int, path: Path, located: Located) -> Job:
     _require_known(entry, KEYS, where, path)
     for key, value in entry.items():
         kind = {"seed": int, "evaluate": bool, "exclude": list, "frames": list}.get(key, str)
-        if type(value) is not kind:
+        if type(value) is not kind and key not in TEXTURE_OPTIONS:
             raise BadInput(f"{where}: {key} is {value!r}", f"give a {kind.__name__}", path)
         _require_printable(value, key, where, path)
     if not 0 <= entry.get("seed", 0) <= MAX_SEED:
@@ -147,6 +149,11 @@ def _job(entry: Any, number: int, path: Path, located: Located) -> Job:
     excluded = entry.get("exclude", [])
     if not all(isinstance(photo, str) for photo in excluded):
         raise BadInput(f"{where}: exclude is {excluded!r}", "give a list of names of photos", path)
+    for key, checked in zip(TEXTURE_OPTIONS, (atlas_size_of, density_of), strict=True):
+        try:
+            checked(entry.get(key, "auto"))
+        except ValueError as error:
+            raise BadInput(f"{where}: {key} is {entry[key]!r}, {error}", "mend it", path) from error
     options = {key: entry[key] for key in OPTIONS if key in entry}
     for key in ("response", "exposures", "hdr"):
         if key in options and options[key] not in WORDS.get(key, ()):

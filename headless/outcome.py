@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from iris_addon.base.errors import one_line
+from iris_addon.model.texture_size import in_blender
 from iris_addon.results.result import Result
 
 
@@ -41,7 +42,7 @@ def rows(data: Mapping[str, Any]) -> list[str]:
 def summarise(result: Result) -> dict[str, Any]:
     """The figures of a solve that fit on a few lines."""
     report = result.report
-    seconds = report.get("seconds")
+    seconds, atlas = report.get("seconds"), report.get("atlas")
     return {
         "preset": report.get("preset"),
         "lights": len(result.emitters),
@@ -49,5 +50,6 @@ def summarise(result: Result) -> dict[str, Any]:
         "seconds": float(sum(seconds.values())) if isinstance(seconds, dict) else None,
         "rays_traced": report.get("rays_traced"),
         "n_patches": report.get("n_patches"),
+        "atlas": atlas and f"{in_blender(atlas['side'])} in Blender, {atlas['texels_per_metre']:.0f} texels per metre",
         "warnings": report.get("warnings") or None,
     }

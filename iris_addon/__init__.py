@@ -122,16 +122,24 @@ def solve(
         return run(capture, config or _balanced(), folder, reported, resume=resume)
 
 
-def inspect(capture: Capture, out: Path | str | None = None, *, progress: Progress | None = None) -> dict[str, Any]:
+def inspect(
+    capture: Capture,
+    out: Path | str | None = None,
+    *,
+    config: SolveConfig | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
     """Measure a capture before it is solved: clipping, exposures, alignment of photos and mesh.
 
     Args:
         out: folder for what Blender's panel shows (photos without distortion, the mesh); without it nothing is kept.
+        config: of the solve to come; ``balanced`` without it.
         progress: as for :func:`solve`.
 
     Returns:
-        The content of ``capture.json``: ``warnings``, a list of sentences, and ``views``, which has for each photo its
-        shares of ``saturated`` and ``black`` pixels and its ``alignment``.
+        The content of ``capture.json``: ``warnings``, a list of sentences; ``textures``, the most texels and bytes in
+        Blender's memory that a solve with ``config`` gives; and ``views``, which has for each photo its shares of
+        ``saturated`` and ``black`` pixels and its ``alignment``.
 
     Raises:
         BadInput: a photo cannot be read.
@@ -146,7 +154,7 @@ def inspect(capture: Capture, out: Path | str | None = None, *, progress: Progre
     from .capture.inspection import inspect as run
 
     with _folder(out) as folder, _cancelled_by_interrupt(progress or _shown_progress()) as reported:
-        return run(capture, folder, reported)
+        return run(capture, folder, reported, config or _balanced())
 
 
 def _balanced() -> SolveConfig:

@@ -6,8 +6,13 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Literal
 
+from .base.errors import BadInput
+from .model.texture_size import AskedSize, atlas_size_of, density_of
+
 MAX_SEED = 2**30
 """Of seeds and samples: Blender has 32 bits for the double of one."""
+TEXTURE_OPTIONS = ("atlas_size", "texels_per_metre")
+"""Settings of the size of textures."""
 PresetName = Literal["draft", "balanced", "final"]
 
 
@@ -57,8 +62,16 @@ class SolveConfig:
         gather_rays: cosine-distributed rays per patch for light that arrives from other patches.
         shadow_rays: rays per patch over all emitters.
         specular_rays: rays per glossy observation; half as many per glossy pixel, whose neighbours serve it too.
-        atlas_size: side of the texture atlas in texels, at most; photos that resolve less get a smaller one.
+        max_atlas_size: side of the texture atlas in texels, at most, where ``atlas_size`` gives none.
         rounds: alternations of lights and materials.
+        atlas_size: side of the texture atlas in texels, a power of two; "auto" is as many as the photos resolve or
+            ``texels_per_metre`` needs.
+        texels_per_metre: density of the textures, everywhere, as far as the atlas holds it; "auto" is that of the
+            photos' pixels. Where ``atlas_size`` is a number too, that is the most the atlas may have. The texture
+            coordinates of a mesh that has them stay as they are: there this is a mean.
+
+    Raises:
+        BadInput: ``atlas_size`` or ``texels_per_metre`` is none of these.
     """
 
     preset: PresetName = "balanced"
@@ -73,12 +86,30 @@ class SolveConfig:
     gather_rays: int = 96
     shadow_rays: int = 96
     specular_rays: int = 12
-    atlas_size: int = 2048
+    max_atlas_size: int = 2048
     rounds: int = 2
+    atlas_size: int | Literal["auto"] = "auto"
+    texels_per_metre: float | Literal["auto"] = "auto"
+
+    def __post_init__(self):
+        for name, checked in (("atlas_size", atlas_size_of), ("texels_per_metre", density_of)):
+            value = getattr(self, name)
+            try:
+                # Text and floats become what is compared and written down: one fingerprint for one size.
+                object.__setattr__(self, name, checked(value))
+            except ValueError as error:
+                raise BadInput(f"{name} is {value!r}, {error}", "give one of these") from error
+
+    @property
+    def texture_size(self) -> AskedSize:
+        """How large the texture atlas is to be."""
+        side = None if self.atlas_size == "auto" else self.atlas_size
+        density = None if self.texels_per_metre == "auto" else self.texels_per_metre
+        return AskedSize(side or self.max_atlas_size, side if density is None else None, density)
 
 
 PRESETS: dict[PresetName, SolveConfig] = {
-    "draft": SolveConfig("draft", max_patches=50_000, gather_rays=48, specular_rays=8, atlas_size=1024, rounds=1),
+    "draft": SolveConfig("draft", max_patches=50_000, gather_rays=48, specular_rays=8, max_atlas_size=1024, rounds=1),
     "balanced": SolveConfig(),
     "final": SolveConfig(
         "final",
@@ -86,7 +117,7 @@ PRESETS: dict[PresetName, SolveConfig] = {
         gather_rays=256,
         shadow_rays=128,
         specular_rays=32,
-        atlas_size=4096,
+        max_atlas_size=4096,
     ),
 }
 

@@ -43,6 +43,7 @@ from .surface.photo_samples import sample_photos, within_budget
 from .surface.scan_surface import choose_surface
 from .surface.traced_room import trace_room
 from .textures.charts import atlas_for_photos
+from .textures.texel_density import density_warnings, describe_atlas
 from .transport.cache import cached_transport
 
 Made = TypeVar("Made")
@@ -87,7 +88,7 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     progress.expect(STAGE_SECONDS)
     decisions = Decisions(asdict(config.refinements))
     fixed_response(config)  # an unusable file is an error of the first second
-    checkpoints = Checkpoints(out / "checkpoints", fingerprint(capture, config), resume)
+    checkpoints = Checkpoints(out / "checkpoints", fingerprint(capture, config), resume, config.texture_size.words)
     unit = 1.0
     if config.hdr is None:
         views, unit = with_unit_mean(capture.views)
@@ -132,7 +133,8 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     )
     # One core at most, and not needed before there are textures.
     reduction = np.array([view.reduction for view in reduced.views])
-    atlas = aside(lambda: atlas_for_photos(capture.mesh, room.samples, reduction, config.atlas_size))
+    size = config.texture_size
+    atlas = aside(lambda: atlas_for_photos(capture.mesh, room.samples, reduction, size))
     with progress.stage("response"):
         measure = partial(
             measure_photometry,
@@ -169,6 +171,8 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         result = result.with_exposures_times(unit / photos.unit)
     result = with_figures(result, room, config, cameras, problem, solution, progress)
     result.report["decisions"] = decisions.report()
+    result.report["atlas"] = reached = describe_atlas(result.mesh, texels, room.samples)
+    result.report["warnings"] += density_warnings(reached, size)
     save_result(result, out)
     write_report(result, capture, out, rerenders)
     checkpoints.clear()

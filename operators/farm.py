@@ -84,6 +84,7 @@ class IRIS_OT_export_farm(bpy.types.Operator):  # noqa: N801 - Blender's naming
             "out": str(folder(scene).absolute()),
             **{"preset": settings.preset, "device": settings.device, "seed": settings.seed},
             "exclude": steps.left_out(scene),
+            **steps.texture_options(settings),
         }
         return _table("[[job]]", job)
 

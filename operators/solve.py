@@ -38,5 +38,6 @@ class IRIS_OT_solve(bpy.types.Operator):  # noqa: N801 - Blender's naming
         if not write_scene(self, context):
             return {"CANCELLED"}
         how = settings.preset, settings.device, settings.seed, steps.left_out(context.scene)
-        command = solve_command(solver_python(context), capture, out, *how)
+        textures = steps.texture_options(settings)
+        command = solve_command(solver_python(context), capture, out, *how, textures)
         return run(self, "solve", out, command)

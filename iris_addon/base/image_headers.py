@@ -19,7 +19,8 @@ from .untrusted import decoding, open_file
 
 MAX_IMAGE_BYTES = 4 << 30
 """Bytes of any image file."""
-MAX_PIXELS = 200_000_000
+MAX_PIXELS = 16384 * 16384
+"""Those of the largest textures."""
 MAX_EXR_SAMPLES = 4 * MAX_PIXELS
 """Over all parts and channels of an EXR file."""
 MAX_PARTS, MAX_CHANNELS, MAX_ATTRIBUTES, MAX_NAME = 1024, 1024, 4096, 255

@@ -20,7 +20,7 @@ from PIL import Image
 
 from .errors import BadInput
 from .files import atomic_write
-from .image_headers import MAX_IMAGE_BYTES, MEND, check_exr_samples, check_pixels, read_exr_parts
+from .image_headers import MAX_IMAGE_BYTES, MAX_PIXELS, MEND, check_exr_samples, check_pixels, read_exr_parts
 from .untrusted import decoding, open_file
 
 HALF_MAX = 65504.0
@@ -35,6 +35,8 @@ IMAGE_SUFFIXES = LDR_SUFFIXES + HDR_SUFFIXES
 MAX_LAYERS = 256
 """Samples of all parts and channels of an EXR file for each pixel of its picture."""
 _DAMAGED = "is damaged or not an image"
+if Image.MAX_IMAGE_PIXELS is not None:  # Pillow refuses twice its own, a little less than the largest textures have
+    Image.MAX_IMAGE_PIXELS = max(Image.MAX_IMAGE_PIXELS, MAX_PIXELS)
 
 
 # ---- Writing --------------------------------------------------------------------------------------------------------

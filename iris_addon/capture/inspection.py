@@ -2,8 +2,9 @@
 
 ::
 
-    capture.json     name, root, up, warnings; per photo: file, camera, exposure, share of saturated and black
-                     channels, histogram, share of the mesh in view, alignment with it, and what is wrong with it
+    capture.json     name, root, up, warnings, the most that textures take; per photo: file, camera, exposure, share of
+                     saturated and black channels, histogram, share of the mesh in view, alignment with it, and what is
+                     wrong with it
     mesh.npz         vertices, faces, and uv and regions where the mesh has them
     photos/          photos with the lens distortion taken out, where there was any
 
@@ -22,8 +23,10 @@ from numpy.typing import NDArray
 from ..base.files import require_own_folder, write_arrays, write_json
 from ..base.images import to_codes, write_png
 from ..base.progress import Progress
+from ..config import PRESETS, SolveConfig
 from ..model.capture import Capture, Mesh, View
 from ..model.response import SATURATED
+from ..model.texture_size import blender_bytes, in_blender
 from ..rays.tracer import Tracer
 from .alignment import EdgePair, alignment
 from .exchanged_photos import exchanged
@@ -36,8 +39,13 @@ MAX_SATURATED_SHARE = 0.25
 """Of pixels; a photo with more is warned about."""
 
 
-def inspect(capture: Capture, folder: Path, progress: Progress) -> dict[str, Any]:
+def inspect(
+    capture: Capture, folder: Path, progress: Progress, config: SolveConfig = PRESETS["balanced"]
+) -> dict[str, Any]:
     """Measure every training photo of ``capture`` and write ``folder``.
+
+    Args:
+        config: of the solve to come.
 
     Returns:
         The content of capture.json.
@@ -63,11 +71,17 @@ def inspect(capture: Capture, folder: Path, progress: Progress) -> dict[str, Any
     under_another = exchanged(photos, poses)
     for k, row in enumerate(rows):
         row["problem"] = _problem(row, rows[under_another[k]]["name"] if k in under_another else None)
+    asked = config.texture_size
     content = {
         "name": capture.name,
         "root": capture.root.resolve(),
         "up": capture.up,
         "warnings": [*capture.warnings, *_mismatch(capture), *_exchanged(rows, under_another), *_warnings(rows)],
+        "textures": {
+            "side": asked.most,
+            "bytes_in_blender": blender_bytes(asked.most),
+            "text": f"{'' if asked.side else 'up to '}{in_blender(asked.most)} in Blender",
+        },
         "views": rows,
     }
     write_json(folder / "capture.json", content)

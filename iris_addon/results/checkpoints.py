@@ -1,8 +1,8 @@
 """Checkpoints of a solve in its result folder, which one process at a time writes.
 
 A solve that was stopped resumes after its last finished stage. The file of a stage holds plain arrays and is used only
-if the same solve wrote it: same photos, poses, mesh, settings and version of the format. Files appear whole or not at
-all.
+if the same solve wrote it: same photos, poses, mesh, settings and version of the format. The size of textures alone may
+differ: lights and materials do not depend on it, and tables of texels say theirs. Files appear whole or not at all.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -34,8 +34,12 @@ Arrays = Mapping[str, NDArray]
 
 
 def fingerprint(capture: Capture, config: SolveConfig) -> str:
-    """Hash of everything a solve depends on; files by name, size and modification time."""
-    digest = hashlib.sha256(repr((FORMAT, config)).encode())
+    """Hash of everything that lights and materials depend on; files by name, size and modification time.
+
+    They do not depend on the size of textures, which names the tables instead.
+    """
+    light = replace(config, atlas_size="auto", texels_per_metre="auto", max_atlas_size=0)
+    digest = hashlib.sha256(repr((FORMAT, light)).encode())
     mesh = capture.mesh
     for array in (mesh.vertices, mesh.faces, mesh.uv, mesh.regions):
         digest.update(b"none" if array is None else repr(array.shape).encode() + np.ascontiguousarray(array).tobytes())
@@ -59,11 +63,13 @@ class Checkpoints:
     Attributes:
         key: fingerprint of the solve.
         resume: whether files of an earlier run may be used.
+        texels: which texels the tables are about.
     """
 
     folder: Path
     key: str
     resume: bool
+    texels: str = ""
 
     def stage(self, name: Stage, compute: Callable[[], Arrays]) -> dict[str, NDArray]:
         """The arrays of stage ``name``: read back if the stage was finished before, else computed and written."""
@@ -93,7 +99,7 @@ class Checkpoints:
         return known
 
     def _table_path(self, name: str) -> Path:
-        return self.folder / f"{name}.{self.key[:16]}.npy"
+        return self.folder / f"{name}.{self.key[:16]}{self.texels and '.'}{self.texels}.npy"
 
     def clear(self) -> None:
         """Remove the stage files and the previews beside them, once the result is saved."""

@@ -25,6 +25,7 @@ from ..base.errors import BadInput
 from ..base.image_headers import announced_size
 from ..base.untrusted import MAX_NUMBER, MEND, decoding
 from ..model.recovered import Backdrop, Textures
+from ..model.texture_size import LARGEST_SIDE
 from .files import BACKDROP, BACKDROP_ALBEDO, BASE_COLOR, FILES, MAPS, MESH, REPORT, result_file
 from .glb import read_glb
 from .records import StoredShell, read_emitters, read_report, read_response
@@ -33,7 +34,6 @@ from .saving import SCHEMA_VERSION, save_result
 
 __all__ = ["SCHEMA_VERSION", "ReadImage", "load_result", "save_result"]
 
-MAX_TEXTURE_SIDE = 8192
 MAX_BACKDROP_HEIGHT = 4096
 LOAD_ATTEMPTS = 10
 """Times that loading is attempted while the result is being replaced."""
@@ -130,7 +130,7 @@ def _read_textures(folder: Path, read_image: ReadImage) -> Textures:
 
 def _read_texture(path: Path, read_image: ReadImage) -> NDArray[np.float32]:
     width, height = announced_size(path)
-    if width != height or not 0 < width <= MAX_TEXTURE_SIDE:
+    if width != height or not 0 < width <= LARGEST_SIDE:
         raise BadInput(f"is {width}x{height} pixels, not square or too large", MEND, path)
     return _read_finite(path, (height, width), read_image)
 

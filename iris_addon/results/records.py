@@ -59,10 +59,14 @@ def read_report(folder: Path) -> dict[str, Any]:
     """The content of report.json, with the parts that programs calculate with checked; raises BadInput."""
     path = result_file(folder, REPORT)
     report = read_json(path)
-    for name in ("seconds", "model"):
+    for name in ("seconds", "model", "atlas"):
         json_object(report.get(name, {}), name, path)
-    figures = [*report.get("seconds", {}).values(), *(report.get(name) or 0.0 for name in FIGURES)]
-    numbers(figures, (None,), f"seconds or {' or '.join(FIGURES)}", path)
+    figures = [
+        *report.get("seconds", {}).values(),
+        *report.get("atlas", {}).values(),
+        *(report.get(name) or 0.0 for name in FIGURES),
+    ]
+    numbers(figures, (None,), f"seconds, atlas or {' or '.join(FIGURES)}", path)
     warnings = report.get("warnings") or []
     if not isinstance(warnings, list) or not all(isinstance(warning, str) for warning in warnings):
         raise BadInput("'warnings' is no list of texts", MEND, path)

@@ -183,6 +183,8 @@ def _summary(result: Result, capture: Capture) -> str:
         "seconds": None if total is None else f"{total:.0f}",
         "rays": None if report.get("rays_traced") is None else f"{report['rays_traced']:.2e}",
         "patches": report.get("n_patches"),
+        "texels a side": (report.get("atlas") or {}).get("side"),
+        "texels per metre": (report.get("atlas") or {}).get("texels_per_metre"),
         "peak memory": None
         if not report.get("peak_memory_bytes")
         else f"{report['peak_memory_bytes'] / 2**30:.1f} GiB",

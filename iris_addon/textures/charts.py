@@ -1,4 +1,4 @@
-"""Charts of a texture atlas: texels of its own for each face, as many as the photos resolve.
+"""Charts of a texture atlas: texels of its own for each face, as many as the photos resolve or as are asked for.
 
 Faces are merged to charts (:mod:`.face_merging`). Each chart is projected along its mean normal, turned to its tightest
 rectangle and scaled to the density its faces need. Charts whose projection overlaps itself (spiral ramps, doubled
@@ -14,13 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.random_streams import stream
+from ..capture.mesh_files import face_areas
 from ..model.capture import DEGENERATE_AREA, Mesh
+from ..model.texture_size import AskedSize
 from ..surface.primary_rays import PixelSamples
 from ..surface.topology import component_labels, edge_adjacency
 from .atlas import Atlas, covered_texels, plane_areas
 from .face_merging import MOST_CHARTS, merge_faces, pool_grains, sums
-from .packing import pack, shelves
-from .texel_density import resolved_side, texel_density_from_footprint
+from .packing import pack, pack_unscaled, shelves
+from .texel_density import exact_side, resolved_side, side_for_density, texel_density_from_footprint
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -41,20 +43,29 @@ FINEST_CHECK = 2048
 """Finest grid, points per side, on which overlaps are looked for."""
 
 
-def atlas_for_photos(mesh: Mesh, samples: PixelSamples, reduction: NDArray[np.integer], most: int) -> Atlas:
-    """The atlas of ``mesh``, with as many texels as the photos resolve, and the texel under each pixel of ``samples``.
+def atlas_for_photos(mesh: Mesh, samples: PixelSamples, reduction: NDArray[np.integer], asked: AskedSize) -> Atlas:
+    """The atlas of ``mesh`` and the texel under each pixel of ``samples``.
 
-    Its texture coordinates are the mesh's own, or else new ones whose texels are as large as the pixels of the photos.
+    Its texture coordinates are the mesh's own, or else new ones. It has as many texels as the photos resolve, and those
+    of new ones are as large as the pixels of the photos, unless ``asked`` says otherwise.
 
     Args:
         samples: pixels of reduced photos.
         reduction: (n_views,) rows and columns of the photo on file in one of those.
-        most: side of the atlas in texels, at most.
+        asked: size of the atlas.
     """
     footprint = samples.footprint / reduction[samples.view].astype(np.float32)
     density = texel_density_from_footprint(samples.face, footprint, len(mesh.faces))
-    size = min(resolved_side(mesh, density), most)
-    uv = build_atlas(mesh, density, size) if mesh.uv is None else mesh.uv
+    if asked.density is not None and mesh.uv is None:
+        uv, size = build_even_atlas(mesh, density > 0, asked.density, asked.most)
+    elif mesh.uv is None:
+        size = asked.side or min(resolved_side(mesh, density), asked.most)
+        uv = build_atlas(mesh, density, size)
+    else:
+        needed = resolved_side(mesh, density)
+        if asked.density is not None:
+            needed = side_for_density(mesh, density > 0, asked.density)
+        uv, size = mesh.uv, asked.side or min(needed, asked.most)
     return Atlas.of(uv, size, samples.face, samples.barycentric)
 
 
@@ -74,18 +85,66 @@ def build_atlas(mesh: Mesh, texel_density: NDArray[np.floating], size: int) -> N
     Returns:
         (F, 3, 2) float32 per corner in [0, 1]; all corners of degenerate faces at 0.
     """
-    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    kept, areas = _faces_with_area(mesh)
+    if len(kept) == 0:
+        return np.zeros((len(mesh.faces), 3, 2), np.float32)
+    wanted = _wanted_texels(areas, texel_density[kept])
+    flat, chart = _charts(mesh, kept, wanted * (EXPECTED_FILL * size**2 / wanted.sum()), size)
+    return _placed(mesh, kept, pack(flat.corners, chart, size) / size)
+
+
+def build_even_atlas(
+    mesh: Mesh, shown: NDArray[np.bool_], density: float, most: int
+) -> tuple[NDArray[np.float32], int]:
+    """UVs as by :func:`build_atlas` of one density, and the side of the smallest atlas found that holds them.
+
+    Where one of ``most`` texels a side does not, that is filled at the density it holds. Unseen faces have
+    :data:`UNSEEN_SHARE` of the density.
+
+    Args:
+        shown: (F,) faces that photos see.
+        density: texels per metre.
+    """
+    kept, areas = _faces_with_area(mesh)
+    seen = shown[kept] if shown[kept].any() else np.ones(len(kept), bool)
+    wanted = areas * np.where(seen, density, 0.0) ** 2
+    wanted[~seen] = _unseen_texels(areas[~seen], density, wanted.sum())
+    if 0 < wanted.sum() < most**2:
+        size = exact_side(np.sqrt(wanted.sum() / EXPECTED_FILL))
+        flat, chart = _charts(mesh, kept, wanted, min(size, most))
+        packed = pack_unscaled(flat.corners, chart, most)
+        if packed is not None:
+            placed, side = packed
+            return _placed(mesh, kept, placed / side), side
+    return build_atlas(mesh, np.where(shown, density, 0.0), most), most
+
+
+def _faces_with_area(mesh: Mesh) -> tuple[IntArray, FloatArray]:
+    """(k,) faces that are not degenerate, and their areas in m²."""
+    areas = face_areas(mesh)
+    kept = np.flatnonzero(areas > DEGENERATE_AREA)
+    return kept, areas[kept]
+
+
+def _placed(mesh: Mesh, kept: IntArray, corners: FloatArray) -> NDArray[np.float32]:
+    """(F, 3, 2) UVs of all faces: ``corners`` (k, 3, 2) of those ``kept``, 0 of the others."""
+    uv = np.zeros((len(mesh.faces), 3, 2), np.float32)
+    uv[kept] = corners
+    return uv
+
+
+def _charts(mesh: Mesh, kept: IntArray, texels: FloatArray, size: int) -> tuple[_Flat, IntArray]:
+    """The faces ``kept`` (k,) merged to charts, which are laid flat: those, in texels, and the (k,) chart of each face.
+
+    Args:
+        texels: (k,) that each face is to have.
+        size: side of the atlas in texels.
+    """
+    corners = mesh.vertices[mesh.faces[kept]].astype(np.float64)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     areas = 0.5 * np.linalg.norm(cross, axis=1)
-    kept = np.flatnonzero(areas > DEGENERATE_AREA)
-    uv = np.zeros((len(mesh.faces), 3, 2), np.float32)
-    if len(kept) == 0:
-        return uv
-    areas, corners = areas[kept], corners[kept]
-    wanted = _wanted_texels(areas, texel_density[kept])
-    faces = _Faces(corners, cross[kept] / (2 * areas[:, None]), areas, wanted)
+    faces = _Faces(corners, cross / (2 * areas[:, None]), areas, texels)
     pairs = edge_adjacency(Mesh(mesh.vertices, mesh.faces[kept]))
-    texels = wanted * (EXPECTED_FILL * size**2 / wanted.sum())
     chart = merge_faces(faces.corners, texels, pairs, stream(0, "textures.charts"))
     crowded = chart.max() >= size**2 * MOST_CHARTS
     if crowded:
@@ -97,8 +156,7 @@ def build_atlas(mesh: Mesh, texel_density: NDArray[np.floating], size: int) -> N
             break
         chart = _split(chart, lower, pairs)
         flat = _flatten(faces, chart)
-    uv[kept] = pack(flat.corners, chart, size) / size
-    return uv
+    return flat, chart
 
 
 def _wanted_texels(areas: FloatArray, density: NDArray[np.floating]) -> FloatArray:
@@ -118,9 +176,14 @@ def _wanted_texels(areas: FloatArray, density: NDArray[np.floating]) -> FloatArr
             if at_most <= cap:
                 wanted = np.minimum(wanted, cap)
                 break
-    unseen = areas[~seen] * (UNSEEN_SHARE * np.median(density[seen])) ** 2
-    wanted[~seen] = unseen * min(1.0, MOST_UNSEEN * wanted.sum() / max(unseen.sum(), 1e-300))
+    wanted[~seen] = _unseen_texels(areas[~seen], float(np.median(density[seen])), wanted.sum())
     return wanted
+
+
+def _unseen_texels(areas: FloatArray, density: float, seen_texels: float) -> FloatArray:
+    """(u,) texels of unseen faces, where seen ones have ``density`` and ``seen_texels`` in total."""
+    unseen = areas * (UNSEEN_SHARE * density) ** 2
+    return unseen * min(1.0, MOST_UNSEEN * seen_texels / max(unseen.sum(), 1e-300))
 
 
 @dataclass(frozen=True)

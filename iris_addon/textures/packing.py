@@ -14,6 +14,8 @@ import xatlas
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from .texel_density import EXACT_MIN_SIDE, EXACT_SIDE_STEP, exact_side
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
@@ -29,6 +31,8 @@ GRID = 1 / 16
 RECTANGLE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 COARSEST_STEP, FINEST_STEP = 1.06, 1.01
 """Ratio of scales by which the search for the largest moves, and at which it ends."""
+SIDE_RATIO = 1.03
+"""Ratio of the sides that are tried for charts whose scale is given."""
 TRIALS = 24
 """Scales tried, at most; a search tries five."""
 
@@ -64,6 +68,38 @@ def pack(corners: FloatArray, chart: IntArray, size: int) -> FloatArray:
         raise ValueError(f"{len(hulls)} charts do not fit into {size} x {size} texels")
     start, scales = found
     return corners * scales[chart, None, None] + start[chart, None]
+
+
+def pack_unscaled(corners: FloatArray, chart: IntArray, most: int) -> tuple[FloatArray, int] | None:
+    """Place all charts as large as they are in the smallest square found.
+
+    Args:
+        corners, chart: as for :func:`pack`, in texels.
+        most: side of the square in texels, at most.
+
+    Returns:
+        (F, 3, 2) in texels, and the side of the square in whole steps; None where one of ``most`` does not hold them.
+    """
+    hulls = _hulls(corners, chart)
+    extent = np.array([hull.max(0) for hull in hulls])
+    least = max(EXACT_MIN_SIDE, int(np.ceil(extent.max() + 2 * MARGIN)))
+    # The square in which their rectangles would take all the room; hulls may need less.
+    rectangles = (np.maximum(extent, 1) + 2 * MARGIN + 0.5).prod(1).sum()
+    side = min(most, max(least, exact_side(float(np.sqrt(rectangles)))))
+    if least > most:
+        return None
+    while (layout := _layout(hulls, extent, 1.0, side)) is None:
+        if side == most:
+            return None
+        least = side + 1
+        side = min(most, max(exact_side(SIDE_RATIO * side), side + EXACT_SIDE_STEP))
+    start, smaller = layout[0], side
+    while (smaller := min(exact_side(smaller / SIDE_RATIO), smaller - EXACT_SIDE_STEP)) >= least:
+        layout = _layout(hulls, extent, 1.0, smaller)
+        if layout is None:
+            break
+        start, side = layout[0], smaller
+    return corners + start[chart, None], side
 
 
 def shelves(extent: FloatArray, length: float) -> tuple[IntArray, FloatArray]:

@@ -170,8 +170,13 @@ class IRIS_PT_solve(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         column = layout.column()
         column.use_property_split, column.use_property_decorate = True, False
         column.enabled = not running
-        for name in ("preset", "device", "seed"):
+        column.prop(settings, "preset")
+        column.prop(settings, "atlas_size")
+        column.prop(settings, "texels_per_metre", text="Texels/m")
+        for name in ("device", "seed"):
             column.prop(settings, name)
+        if not running:
+            layout.label(text=steps.textures_line(settings), icon="TEXTURE")
         if not running:
             state = steps.solve_step(context.scene).state
             record = jobs.record("solve", folder(context.scene))
@@ -180,7 +185,10 @@ class IRIS_PT_solve(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
             column.operator("iris.solve", text=text, icon="PLAY")
         job_box(layout, "solve", context)
         if not running and (line := steps.solved_line(folder(context.scene))):
-            layout.label(text=line, icon="CHECKMARK")
+            column = layout.column(align=True)
+            column.label(text=line, icon="CHECKMARK")
+            if line := steps.atlas_line(folder(context.scene)):
+                column.label(text=line, icon="BLANK1")
         if running:
             preview_box(layout, context)
 

@@ -10,10 +10,16 @@ from typing import Any
 import bpy
 
 from ...iris_addon.blender.scene_out import lights as lamps
+from ...iris_addon.model.texture_size import BLENDER_BYTES_PER_TEXEL, HIGHEST_DENSITY, in_blender
 from ..editors import look_at_photo, show_cameras
 from ..place import PLACEABLE
 from . import steps
 from .lamp_highlight import highlight
+
+ATLAS_SIZES = (
+    ("auto", "Auto", "As many as the photos resolve, up to the limit of the preset"),
+    *((str(side), str(side), f"{in_blender(side)} of Blender's memory") for side in (1024, 2048, 4096, 8192)),
+)
 
 # ---- callbacks -----------------------------------------------------------------------------------------------------
 
@@ -154,6 +160,19 @@ class IrisSettings(bpy.types.PropertyGroup):
             ("final", "Final", "Fine patches, many rays, large textures"),
         ),
         default="balanced",
+    )
+    atlas_size: bpy.props.EnumProperty(
+        name="Atlas Size",
+        description="Texels along a side of the textures",
+        items=ATLAS_SIZES,
+        default="auto",
+    )
+    texels_per_metre: bpy.props.IntProperty(
+        name="Texels per Meter",
+        description="Density of the textures, as far as the atlas holds it; 0: that of the photos. "
+        f"Twice as many take four times the memory, {BLENDER_BYTES_PER_TEXEL} bytes of Blender's per texel",
+        min=0,
+        max=int(HIGHEST_DENSITY),
     )
     device: bpy.props.EnumProperty(
         name="Device",

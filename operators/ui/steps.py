@@ -11,6 +11,8 @@ import bpy
 from ...iris_addon.base.errors import IrisError
 from ...iris_addon.blender.apply.on_objects import APPLIED
 from ...iris_addon.blender.worker import jobs
+from ...iris_addon.config import preset
+from ...iris_addon.model.texture_size import in_blender
 from ...iris_addon.results.files import REPORT, result_file
 from ...iris_addon.results.records import read_report
 from ..folders import capture_changed, capture_path, check_folder, folder, folds, result_key
@@ -177,6 +179,18 @@ def _report(folder: Path) -> dict[str, Any]:
     return _REPORTS[path][1]
 
 
+def texture_options(settings: bpy.types.PropertyGroup) -> dict[str, int]:
+    """The size of textures as the command line and job files have it; without what is left to the solver."""
+    options = {} if settings.atlas_size == "auto" else {"atlas_size": int(settings.atlas_size)}
+    return {**options, "texels_per_metre": settings.texels_per_metre} if settings.texels_per_metre else options
+
+
+def textures_line(settings: bpy.types.PropertyGroup) -> str:
+    """The most that the textures will take in Blender: "Textures: up to 2048 x 2048, 0.1 GB"."""
+    asked = preset(settings.preset, **texture_options(settings)).texture_size
+    return f"Textures: {'' if asked.side else 'up to '}{in_blender(asked.most)}"
+
+
 def solved_line(folder: Path) -> str:
     """What the solve in ``folder`` ended with, "Solved: 4 lights in 52 s"; empty where there is no result."""
     report = _report(folder)
@@ -188,6 +202,15 @@ def solved_line(folder: Path) -> str:
         return "Solved"
     spent = sum(value for value in seconds.values() if isinstance(value, int | float))
     return f"Solved: {lights} {'light' if lights == 1 else 'lights'} in {duration(spent)}"
+
+
+def atlas_line(folder: Path) -> str:
+    """The textures of the result in ``folder``, "1024 x 1024, 29 MB, 92 texels/m"; empty where that is not known."""
+    try:
+        atlas = _report(folder)["atlas"]
+        return f"{in_blender(atlas['side'])}, {atlas['texels_per_metre']:.0f} texels/m"
+    except (KeyError, TypeError, ValueError):  # none, or of an older version
+        return ""
 
 
 def duration(seconds: float) -> str:

@@ -68,6 +68,7 @@ def worker(tmp_path, solved) -> Path:
             words = sys.argv[sys.argv.index("--exclude") + 1:]
             report["excluded"] = words[: next(k for k, word in enumerate(words) if word.startswith("--"))]
         json.dump(report, open(out + "/report.json", "w"))
+        open(os.path.join(out, "asked.txt"), "w").write(" ".join(sys.argv))
         print(json.dumps(dict(type="done", result={{}})))
         """,
     )
@@ -182,8 +183,19 @@ def test_from_capture_to_files_and_back(package, tmp_path, worker, nerfstudio_ro
     assert [view.use for view in settings.views] == [True, True, False, True, False, True]  # as before
 
     assert not bpy.ops.iris.apply.poll()
-    bpy.ops.iris.solve()
     steps = sys.modules[KEY + ".operators.ui.steps"]
+    folder = sys.modules[KEY + ".operators.folders"].folder(scene)
+    assert steps.textures_line(settings) == "Textures: up to 2048 x 2048, 0.1 GB"
+    settings.atlas_size, settings.texels_per_metre = "8192", 150
+    assert steps.textures_line(settings) == "Textures: up to 8192 x 8192, 1.9 GB"
+    bpy.ops.iris.solve()
+    assert " --atlas-size 8192 --texels-per-metre 150 " in (folder / "asked.txt").read_text()
+    assert steps.atlas_line(folder) == ""  # a result of an older version
+    report = json.loads((folder / "report.json").read_text())
+    report["atlas"] = dict(side=1024, texels_per_metre=57.6, bytes_in_blender=29360128)
+    (folder / "report.json").write_text(json.dumps(report))
+    assert steps.atlas_line(folder) == "1024 x 1024, 29 MB, 58 texels/m"
+    settings.atlas_size, settings.texels_per_metre = "auto", 0
     assert steps.solve_step(scene).state == "done"
     settings.views[2].use = True
     assert steps.solve_step(scene).state == "stale"

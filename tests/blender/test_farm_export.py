@@ -25,6 +25,7 @@ BODY = """
 assert not bpy.ops.iris.export_farm.poll()
 assert bpy.ops.iris.open_demo() == {{"FINISHED"}}
 settings, camera = scene.iris, scene.camera
+settings.atlas_size, settings.texels_per_metre = "4096", 75
 scene.frame_start, scene.frame_end, scene.frame_step = 11, 17, 2
 for frame, shift in ((11, 0.0), (17, 0.3)):
     camera.location.x += shift
@@ -70,6 +71,7 @@ def test_the_bundle_is_that_of_the_command_line(exported, tmp_path):
         assert (bundle / name).read_bytes() == (tmp_path / name).read_bytes()
     (job,) = read_jobs(job_file)
     assert job.capture.is_dir() and job.config.preset == "balanced"
+    assert (job.config.atlas_size, job.config.texels_per_metre) == (4096, 75)
     assert (job.frames[0].last, job.frames[0].chunks) == (4, 2)
 
 

@@ -15,6 +15,7 @@ from iris_addon.blender.apply.review import show_confidence
 from iris_addon.blender.scene_in.scene_capture import read_scene_mesh, whole_object
 from iris_addon.blender.scene_out.lights import color, is_on, lamp_materials, set_color, set_strength, strength, switch
 from iris_addon.model.recovered import Backdrop, OutsideLight
+from iris_addon.model.texture_size import blender_bytes
 from iris_addon.results.result import Result
 from tests.scene_snapshot import snapshot
 from tests.solved_scene import cube, solve
@@ -52,6 +53,18 @@ def test_a_plain_object_keeps_its_polygons_and_gets_the_materials():
     assert scene.view_settings.exposure == pytest.approx(-2)
     background = next(node for node in scene.world.node_tree.nodes if node.bl_idname == "ShaderNodeBackground")
     np.testing.assert_allclose(background.inputs["Color"].default_value[:3], 0.5 * 0.2820948, rtol=1e-5)
+
+
+def test_the_images_of_the_textures_take_the_memory_that_is_said():
+    cube("box")
+    result, runs = solve(lamp_faces=[2, 3])
+    side = 64
+    maps = {name: np.full((side, side), 0.5, np.float32) for name in ("roughness", "metallic", "confidence")}
+    textures = replace(result.textures, base_color=np.full((side, side, 3), 0.5, np.float32), **maps)
+    apply_to_objects(replace(result, textures=textures, backdrop=None), runs, bpy.context.scene, "key")
+    images = [image for image in bpy.data.images if image.users and tuple(image.size) == (side, side)]
+    held = sum(len(image.pixels) * (4 if image.is_float else 1) for image in images)
+    assert len(images) == 4 and held == blender_bytes(side)
 
 
 def mixed_scene() -> None:

@@ -45,6 +45,7 @@ def stub_solve(monkeypatch):
             progress.update(0.5)
         uv = room().mesh.uv
         report = {"preset": config.preset, "seed": config.seed, "seconds": {"stub": 0.5}, "resume": resume}
+        report |= {"asked": [config.atlas_size, config.texels_per_metre]}
         result = replace(
             true_result(), mesh=replace(capture.mesh, uv=uv), report={"schema_version": SCHEMA_VERSION, **report}
         )
@@ -61,7 +62,16 @@ def stub_solve(monkeypatch):
 
 @pytest.mark.parametrize(
     "args",
-    [(), ("bogus",), ("solve",), ("solve", "x", "--out", "y", "--preset", "best"), ("render", "r", "--samples", "0")],
+    [
+        (),
+        ("bogus",),
+        ("solve",),
+        ("solve", "x", "--out", "y", "--preset", "best"),
+        ("render", "r", "--samples", "0"),
+        ("solve", "x", "--out", "y", "--atlas-size", "1000"),
+        ("solve", "x", "--out", "y", "--texels-per-metre", "0"),
+        ("inspect", "x", "--out", "y", "--atlas-size", "32768"),
+    ],
 )
 def test_usage_errors_are_one_line_and_exit_2(args):
     done = run(*args)
@@ -195,6 +205,34 @@ def test_solve_hands_its_options_on_and_writes_the_folder(fipt_room, tmp_path, s
     assert str(out) in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("options", "asked"),
+    [
+        ((), ["auto", "auto"]),
+        (("--atlas-size", "auto", "--texels-per-metre", "auto"), ["auto", "auto"]),
+        (("--atlas-size", "512", "--texels-per-metre", "37.5"), [512, 37.5]),
+    ],
+)
+def test_the_size_of_textures_reaches_the_solve(fipt_room, tmp_path, stub_solve, options, asked):
+    assert cli.main(["solve", str(fipt_room.root), "--out", str(tmp_path / "out"), *options]) == 0
+    assert load_result(tmp_path / "out").report["asked"] == asked
+
+
+def test_inspect_says_what_textures_will_take(fipt_room, tmp_path, capsys):
+    command = ["inspect", str(fipt_room.root), "--out", str(tmp_path / "look")]
+    for options, side, text in (
+        ([], 2048, "up to 2048 x 2048, 0.1 GB in Blender"),
+        (["--preset", "final"], 4096, "up to 4096 x 4096, 0.5 GB in Blender"),
+        (["--preset", "draft", "--atlas-size", "8192"], 8192, "8192 x 8192, 1.9 GB in Blender"),
+        (["--atlas-size", "8192", "--texels-per-metre", "9"], 8192, "up to 8192 x 8192, 1.9 GB in Blender"),
+    ):
+        assert cli.main([*command, *options]) == 0
+        (line,) = [line for line in capsys.readouterr().out.splitlines() if line.strip().startswith("textures")]
+        assert line.split(maxsplit=1)[1] == text
+        textures = json.loads((tmp_path / "look" / "capture.json").read_text())["textures"]
+        assert textures == {"side": side, "bytes_in_blender": 28 * side**2, "text": text}
+
+
 def test_json_lines_end_with_the_result(fipt_room, tmp_path, stub_solve, capsys):
     assert cli.main(["solve", str(fipt_room.root), "--out", str(tmp_path / "out"), "--json"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
@@ -318,6 +356,10 @@ def test_a_cancelled_batch_keeps_its_summary(tmp_path, stub_solve):
         ("[[job]]\ncapture = 'a'\nexclude = 'b'", "exclude is 'b'"),
         ("[[job]]\ncapture = 'a'\nexclude = ['b', 3]", "exclude is ['b', 3]"),
         ("[[job]]\ncapture = 'a'\nname = '../a'", "name"),
+        ("[[job]]\ncapture = 'a'\natlas_size = 1000", "job 1: atlas_size is 1000, neither auto nor a power of two"),
+        ("[[job]]\ncapture = 'a'\natlas_size = true", "atlas_size is True"),
+        ("[[job]]\ncapture = 'a'\ntexels_per_metre = nan", "texels_per_metre is nan"),
+        ("[[job]]\ncapture = 'a'\ntexels_per_metre = [1]", "texels_per_metre is [1]"),
         ("[[job]]\ncapture = 'a'\n[[job]]\ncapture = 'a'", "two jobs"),
         ("[[job]]\ncapture = 'a'\n[[job.frames]]\nframes = '5-2'", "frames is '5-2'"),
         ("[[job]]\ncapture = 'a'\n[[job.frames]]\nframes = '1-2'\ncommand = 'paint'", "command is 'paint'"),
@@ -344,6 +386,17 @@ def test_paths_of_jobs_are_relative_to_their_file(tmp_path):
     assert job.capture == tmp_path / "a" and job.out == tmp_path / "jobs" / "a"
     assert job.config.exposures == tmp_path / "times.csv" and job.config.hdr == tmp_path / "exr"
     assert job.config.response == "gamma"
+
+
+def test_jobs_have_the_size_of_their_textures(tmp_path):
+    path = write_jobs(
+        tmp_path / "jobs.toml",
+        {"capture": "a", "atlas_size": 4096, "texels_per_metre": 120},
+        {"capture": "b", "atlas_size": "auto", "texels_per_metre": 0.5},
+    )
+    both, density = (job.config for job in read_jobs(path))
+    assert (both.atlas_size, both.texels_per_metre) == (4096, 120)
+    assert (density.atlas_size, density.texels_per_metre) == ("auto", 0.5)
 
 
 # ---- pictures ------------------------------------------------------------------------------------------------------

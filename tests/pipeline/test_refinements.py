@@ -25,7 +25,7 @@ from iris_addon.results.result import Result
 from iris_addon.surface.primary_rays import trace_pixels
 from tests.engine_room import LAMP_RADIANCE, LAMP_REGIONS, Room, cameras, furnished_room, photograph, render
 
-TINY = preset("draft", max_patches=2000, gather_rays=48, shadow_rays=48, atlas_size=128, rounds=1, response="gamma")
+TINY = preset("draft", max_patches=2000, gather_rays=48, shadow_rays=48, max_atlas_size=128, rounds=1, response="gamma")
 N_VIEWS = 8
 GAMMA = gamma()
 

@@ -29,7 +29,7 @@ from iris_addon.textures.atlas import rasterise_atlas
 from tests.box_room import look_at
 from tests.engine_room import LAMP_REGIONS, Room, cameras, furnished_room, photograph, render, same_results
 
-TINY = preset("draft", max_patches=4000, gather_rays=64, shadow_rays=64, atlas_size=128, rounds=1)
+TINY = preset("draft", max_patches=4000, gather_rays=64, shadow_rays=64, max_atlas_size=128, rounds=1)
 FAST = replace(TINY, response="gamma")
 STOPS = 2.0 ** np.array([0, -3, 1, -2, -1, -4, 0.5, -1, 1, -3, 0, -2.5])
 """Photos of one room taken with twelve opinions about its brightness."""
@@ -295,6 +295,56 @@ def test_resume_ignores_checkpoints_of_another_configuration(shoot: Shoot, refer
     stopped(shoot.capture(), replace(FAST, seed=5), out, "textures")
     solve(shoot.capture(), FAST, out, resume=True)
     assert same_results(reference, out)
+
+
+def test_another_size_of_textures_resumes_from_lights_and_materials(
+    shoot: Shoot, reference: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small, out, capture = replace(FAST, atlas_size=256), shoot.folder / "resized", shoot.capture()
+
+    def die(event: ProgressEvent) -> None:
+        if event.stage == "textures" and any((out / "checkpoints").glob("*.npy")):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        solve(capture, FAST, out, Progress(die))
+    for stage in ("pipeline.measure_photometry", "pipeline.find_first_lights", "pipeline.solve_materials"):
+        monkeypatch.setattr(f"iris_addon.{stage}", _never)
+    result = solve(capture, small, out, resume=True)
+    monkeypatch.undo()
+    assert result.textures.base_color.shape == (256, 256, 3)
+    monkeypatch.setenv("IRIS_CACHE", str(shoot.folder / "cache"))
+    solve(shoot.capture(), small, shoot.folder / "small")
+    assert same_results(shoot.folder / "small", out) and not same_results(reference, out)
+    reports = [load_result(folder).report["atlas"] for folder in (out, reference)]
+    assert [atlas["side"] for atlas in reports] == [256, 128]
+    assert [atlas["bytes_in_blender"] for atlas in reports] == [28 * 256**2, 28 * 128**2]
+    # Both are filled by the same charts: twice the side is twice the density.
+    assert reports[0]["texels_per_metre"] == pytest.approx(2 * reports[1]["texels_per_metre"], rel=0.1)
+
+
+def _never(*_arguments: object, **_options: object) -> None:
+    raise AssertionError("this stage was finished before")
+
+
+def test_a_density_that_is_asked_for_is_reached_or_warned_about(shoot: Shoot) -> None:
+    config = replace(FAST, texels_per_metre=10)
+    assert not any("texels per metre" in warning for warning in solve_of(shoot, config, "10").report["warnings"])
+    uv_of = load_result(shoot.folder / "10")
+    corners = uv_of.mesh.vertices[uv_of.mesh.faces]
+    metres = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    edges = uv_of.mesh.uv[:, 1:] - uv_of.mesh.uv[:, :1]
+    texels = (
+        np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]) * len(uv_of.textures.roughness) ** 2
+    )
+    assert np.median(np.sqrt(texels / metres)) == pytest.approx(10, rel=0.1)
+    cut = solve_of(shoot, replace(FAST, texels_per_metre=500), "500").report
+    (warning,) = [warning for warning in cut["warnings"] if "texels per metre" in warning]
+    assert f"{cut['atlas']['texels_per_metre']:.3g} texels" in warning and cut["atlas"]["side"] == 128
+
+
+def solve_of(shoot: Shoot, config: SolveConfig, name: str) -> Result:
+    return solve(shoot.capture(), config, shoot.folder / name)
 
 
 @pytest.mark.parametrize("stage", ["photos", "surface", "transport", "response", "lights", "textures"])

@@ -58,6 +58,7 @@ def test_a_table_stays_on_disk_and_is_read_back_by_the_same_solve_alone(tmp_path
     path = next(tmp_path.glob("photo.key*.npy"))
     path.write_bytes(path.read_bytes()[:-9])
     assert len(Checkpoints(tmp_path, "key", True).table("photo", lambda: np.ones(6))) == 6
+    assert len(Checkpoints(tmp_path, "key", True, "512").table("photo", lambda: np.ones(4))) == 4
     Checkpoints(tmp_path, "key", True).clear()
     assert not list(tmp_path.glob("*.npy"))
 
@@ -139,6 +140,9 @@ def test_the_fingerprint_depends_on_all_inputs_of_a_solve(capture: Capture) -> N
     prints += [fingerprint(capture, replace(config, **change)) for change in ({"seed": 1}, {"max_patches": 7})]
     assert len(set(prints)) == len(prints)
     assert fingerprint(replace(capture, warnings=("new",)), config) == prints[0]
+    # Lights and materials are those of textures of every size.
+    for change in ({"atlas_size": 512}, {"texels_per_metre": 50}, {"max_atlas_size": 64}):
+        assert fingerprint(capture, replace(config, **change)) == prints[0]
 
 
 def test_the_fingerprint_sees_a_photo_or_a_response_file_change(capture: Capture, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from iris_addon.results.held_out import MIN_TESTED, errors_of_photos, misfits
 from tests.demo_capture import demo_capture
 
 PHOTOS, PIXELS = 20, 300
-SMALL = preset("draft", max_patches=4000, gather_rays=64, shadow_rays=64, atlas_size=512, rounds=1)
+SMALL = preset("draft", max_patches=4000, gather_rays=64, shadow_rays=64, max_atlas_size=512, rounds=1)
 
 
 def pixels(rng: np.random.Generator, exposures: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -114,7 +114,7 @@ def test_a_solve_joins_the_halves_of_a_scanned_wall(tmp_path: Path, monkeypatch:
         return with_materials(problem, material)
 
     monkeypatch.setattr(MaterialProblem, "with_materials", watch)
-    small = {"max_patches": 4000, "gather_rays": 64, "shadow_rays": 64, "atlas_size": 64, "rounds": 1}
+    small = {"max_patches": 4000, "gather_rays": 64, "shadow_rays": 64, "max_atlas_size": 64, "rounds": 1}
     config = preset("draft", response="gamma", **small)
     result = solve(capture, config, tmp_path / "found")
     material = joined_to[-1][split]

@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Literal, get_args
 
 from ...base.errors import BadInput, Cancelled, IrisError, one_line
@@ -188,6 +189,7 @@ def _write(name: JobName, folder: Path, content: Record) -> None:
 
 RUN = ADDON / "headless" / "run.py"
 JSON_LINES = ["--json", "--stop-with-stdin"]
+NO_OPTIONS: Mapping[str, object] = MappingProxyType({})
 
 
 def inspect_command(python: str, capture: Path, out: Path) -> list[str]:
@@ -203,11 +205,18 @@ def solve_command(
     device: str = "auto",
     seed: int = 0,
     exclude: Sequence[str] = (),
+    textures: Mapping[str, object] = NO_OPTIONS,
 ) -> list[str]:
-    """Solve ``capture`` without the photos ``exclude`` into ``out``, resuming an earlier solve."""
+    """Solve ``capture`` without the photos ``exclude`` into ``out``, resuming an earlier solve.
+
+    Args:
+        textures: options about their size, by their names in job files.
+    """
     options = ["--preset", preset, "--device", device, "--seed", str(seed), "--resume"]
     if exclude:
         options += ["--exclude", *exclude]
+    for name, value in textures.items():
+        options += [f"--{name.replace('_', '-')}", str(value)]
     return [*_program(python), "solve", *_absolute(capture, "--out", out), *options, *JSON_LINES]
 
 
