@@ -194,10 +194,7 @@ def _render(unit: Unit, frames: Frames, args: argparse.Namespace, progress: Prog
         first, last = frames.frames_of(args.chunk)
     words = [frames.command, str(unit.job.out), "--out", str(frames.out), "--frames", f"{first}-{last}"]
     length = [] if frames.command == "onto-plate" else ["--length", str(frames.last)]
-    figures = run_command([*words, *length, *frames.options], progress)
-    if failed := figures.get("failed"):
-        raise IrisError(f"{len(failed)} frames failed: {'; '.join(failed)}", "mend them and run again")
-    return figures
+    return run_command([*words, *length, *frames.options], progress)
 
 
 def _write_traceback(path: Path, line: Line) -> None:

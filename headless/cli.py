@@ -317,11 +317,13 @@ def _add_rendering(add: Add) -> None:
     composite = add("composite", "what was added to the solved room of a .blend, onto the photo of its camera")
     composite.add_argument("blend", type=Path, metavar="SCENE.blend", help="a solved room with additions")
     composite.add_argument("--result", type=Path, required=True, help="folder of the result that was applied")
+    composite.add_argument("--photo", type=Path, metavar="FILE", help="undistorted, as the camera saw it")
+    composite.add_argument("--view", metavar="NAME", help="of the photo, for its exposure")
     composite.add_argument(
-        "--photo", type=Path, required=True, metavar="FILE", help="undistorted, as the camera saw it"
+        "--frames", type=_plate_frames, metavar="1-120", help="of the plate behind the camera, in place of a photo"
     )
-    composite.add_argument("--view", required=True, metavar="NAME", help="of the photo, for its exposure")
-    composite.add_argument("--out", type=Path, required=True, metavar="FILE.png", help="the picture to write")
+    composite.add_argument("--resume", action="store_true", help="frames of the plate that are there are kept")
+    composite.add_argument("--out", type=Path, required=True, metavar="FILE.png|DIR", help="the picture, or the frames")
     _add_sampling(composite)
     composite.add_argument("--gpu", action="store_true", help="render on a GPU where Cycles finds one")
 

@@ -7,7 +7,8 @@ that fails is named and the others go on. Several machines may each make a range
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -33,10 +34,12 @@ if TYPE_CHECKING:
 
 EXPOSURES = "exposures"
 """Folder beside the frames with the exposure that was found for each."""
+MAX_NAMED = 20
+"""Failed frames that one message lists."""
 
 
 def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
-    """A plate with the objects of a job in it; exit code 1 if a frame failed."""
+    """A plate with the objects of a job in it."""
     from iris_addon.base.images import HDR_SUFFIXES, check_image, read_exr
     from iris_addon.base.untrusted import read_json
     from iris_addon.capture.plate_files import plate_files
@@ -94,8 +97,7 @@ def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
         view = replace(views[number], name=frames.path(number).stem, photo=pictures[number], split="val")
         picture, exposure = room.picture(view, frames.time(number))
         if exposure is not None:
-            record = {"exposure": exposure, "picture": pictures[number].name}
-            write_json(frames.folder / EXPOSURES / f"{view.name}.json", record)
+            _write_exposure(frames, number, exposure, pictures[number])
         picture.write(frames.folder, view.name, linear=hdr)
         return picture.shows_added
 
@@ -107,7 +109,7 @@ def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
 
     with PlateRoom(result, edit_at, moves(job), settings) as room:
         numbers = list(views if args.frames is None else args.frames)
-        return make_frames(args, progress, frames, numbers, work, whole_file)
+        return make_frames(progress, frames, numbers, work, whole_file, args.fps)
 
 
 def _by_number(views: Iterable[View], source: Path) -> dict[int, View]:
@@ -185,18 +187,60 @@ class PlateRoom:
         return change_of(self._edited, view.camera, without, self.settings)
 
 
+# ---- the scene of a .blend ------------------------------------------------------------------------------------------
+
+
+def composite_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
+    """What was added to the room of a .blend, onto the plate behind its camera; needs no package but Blender's."""
+    from iris_addon.blender.images import read_image
+    from iris_addon.blender.insert.photo_composite import open_scene
+    from iris_addon.blender.insert.plate_composite import RADIANCE_SUFFIX, composite_frame, plate_picture
+    from iris_addon.model.render_settings import RenderSettings
+    from iris_addon.results.records import read_response
+
+    response, _, local = read_response(args.result)
+    scene = open_scene(args.blend)
+    hdr = plate_picture(scene, args.frames.first).suffix.lower() == RADIANCE_SUFFIX
+    if response.family == "identity" and not hdr:
+        what, fix = "was solved from radiance, so the response of the plate is not known", "give the plate as EXR"
+        raise BadInput(what, fix, args.result)
+    made_of = {"command": "composite", "result": result_digests(args.result)}
+    whole = {"first": scene.frame_start, "length": scene.frame_end - scene.frame_start + 1}
+    frames = replace(open_frames(args.out, 1, ".exr" if hdr else ".png", made_of), **whole)
+    settings = RenderSettings(samples=args.samples, seed=args.seed, gpu=args.gpu)
+
+    def work(number: int) -> bool:
+        frame = composite_frame(scene, number, frames.path(number), response, local, settings)
+        _write_exposure(frames, number, frame.exposure, frame.picture)
+        return frame.shows_added
+
+    def finished(number: int) -> bool:
+        with suppress(BadInput):
+            return args.resume and frames.finished(number) and read_image(frames.path(number)).size > 0
+        return False
+
+    fps = max(round(scene.render.fps / scene.render.fps_base), 1)
+    return make_frames(progress, frames, list(args.frames), work, finished, fps)
+
+
 # ---- frame by frame ------------------------------------------------------------------------------------------------
 
 
 def make_frames(
-    args: argparse.Namespace,
     progress: Progress,
     frames: Frames,
     numbers: Sequence[int],
     work: Callable[[int], bool],
     finished: Callable[[int], bool],
+    fps: int,
 ) -> Outcome:
-    """Let ``work`` make the frames ``numbers`` that are not ``finished``; it tells whether a frame shows an object."""
+    """Let ``work`` make the frames ``numbers`` that are not ``finished``; it tells whether a frame shows an object.
+
+    A frame that fails is named on stderr at once.
+
+    Raises:
+        IrisError: frames failed; all others are there.
+    """
     todo = [number for number in numbers if not finished(number)]
     failed: dict[int, str] = {}
     shown: list[bool] = []
@@ -211,18 +255,23 @@ def make_frames(
                 failed[number] = str(error)
             except Exception as error:  # the other frames go on, whatever it is
                 failed[number] = one_line(f"{type(error).__name__}: {error}", MAX_QUOTED)
-    figures: Mapping[str, Any] = {
+            if number in failed:
+                print(f"frame {number}: {failed[number]}", file=sys.stderr, flush=True)
+    if failed:
+        first = next(iter(failed))
+        names = ", ".join(map(str, list(failed)[:MAX_NAMED])) + (" …" if len(failed) > MAX_NAMED else "")
+        what = f"{len(failed)} of {len(numbers)} frames failed ({names}), frame {first} because: {failed[first]}"
+        raise IrisError(what, "mend it and run again: finished frames are kept", frames.folder)
+    figures = {
         "frames": len(numbers),
-        "rendered now": len(todo) - len(failed),
+        "rendered now": len(todo),
         "folder": frames.folder,
-        "film": None if failed else write_film(frames, args.fps),
-        "failed": [f"frame {number}: {reason}" for number, reason in failed.items()] or None,
-        "warnings": ["none of the objects is in a frame: check where they are placed"]
-        if shown and not any(shown)
-        else None,
+        "film": write_film(frames, fps),
+        "warnings": ["no frame shows what was added: check where it is placed"] if shown and not any(shown) else None,
     }
-    outcome = Outcome.of(
-        "Put onto the plate" if not failed else f"{len(failed)} of {len(numbers)} frames failed",
-        {key: value for key, value in figures.items() if value is not None},
-    )
-    return replace(outcome, exit_code=1 if failed else 0)
+    return Outcome.of("Put onto the plate", {key: value for key, value in figures.items() if value is not None})
+
+
+def _write_exposure(frames: Frames, number: int, exposure: FloatArray, picture: Path) -> None:
+    path = frames.folder / EXPOSURES / f"{frames.path(number).stem}.json"
+    write_json(path, {"exposure": exposure, "picture": picture.name})

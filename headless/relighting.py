@@ -42,7 +42,16 @@ def camera(args: argparse.Namespace, progress: Progress) -> Outcome:
 
 
 def composite(args: argparse.Namespace, progress: Progress) -> Outcome:
-    """The artist's additions to the room of a .blend, composited onto the photo."""
+    """The artist's additions to the room of a .blend, composited onto a photo or the frames of a plate."""
+    if args.frames is not None:
+        if args.photo is not None or args.view is not None or args.out.suffix:
+            what = "has --frames, which are those behind its camera, and go into a folder"
+            raise BadInput(what, "leave out --photo and --view, and give a folder as --out", args.blend)
+        from .plates import composite_plate
+
+        return composite_plate(args, progress)
+    if args.photo is None or args.view is None:
+        raise BadInput("is composited onto what?", "give --photo and --view, or --frames of a plate", args.blend)
     from iris_addon.blender.insert.photo_composite import RENDERS, composite_file
     from iris_addon.results.records import exposure_of, read_response
 

@@ -38,6 +38,7 @@ ENTRIES: tuple[tuple[Entry, ...], ...] = (
     (
         ("iris.place", {}, "Place Object on Surface"),
         ("iris.onto_photo", {}, "Put Onto Photo"),
+        ("iris.onto_plate", {}, "Put Onto Plate"),
         ("iris.probe", {}, ""),
     ),
 )

@@ -13,6 +13,7 @@ DOING = {
     "inspect": "Checking the Capture",
     "solve": "Solving",
     "composite": "Putting onto the Photo",
+    "plate": "Putting onto the Plate",
     "probe": "Rendering the HDRI Probe",
     "farm": "Exporting the Farm Job",
     "environment": "Creating the Environment",

@@ -11,6 +11,7 @@ from ...iris_addon.blender.apply.camera_look import MATCHED
 from ...iris_addon.blender.apply.looks import LOOKS, is_solo, outside_light
 from ...iris_addon.blender.apply.on_objects import APPLIED
 from ...iris_addon.blender.apply.review import model_lines
+from ...iris_addon.blender.insert.plate_composite import shows_plate
 from ...iris_addon.blender.render import light_mixing
 from ...iris_addon.blender.scene_out import lights as lamps
 from ...iris_addon.blender.worker import jobs
@@ -367,6 +368,9 @@ class IRIS_PT_insert(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
             name = settings.views[min(settings.view_index, len(settings.views) - 1)].name
             layout.operator("iris.onto_photo", text=f"Put Onto Photo {name}", icon="IMAGE_RGB_ALPHA")
             job_box(layout, "composite", context)
+        if shows_plate(context.scene):
+            layout.operator("iris.onto_plate", text="Put Onto Plate", icon="SEQUENCE")
+            job_box(layout, "plate", context)
         layout.operator("iris.probe", icon="WORLD")
         job_box(layout, "probe", context)
 

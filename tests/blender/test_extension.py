@@ -454,6 +454,30 @@ def test_what_was_added_goes_onto_the_photo_and_lights_are_mixed(package, tmp_pa
     assert bpy.ops.iris.onto_photo(samples=4) == {{"FINISHED"}}
     assert len(shown) == 2 and not list(out.glob("onto-photo.*"))
 
+    # The same photo as a plate of two frames, the second in a movie clip that starts with the scene's frame 5.
+    assert not bpy.ops.iris.onto_plate.poll()
+    plate = Path({str(tmp_path)!r}) / "plate"
+    plate.mkdir()
+    for number in (1, 2):
+        (plate / f"sh.{{number:04d}}.png").write_bytes(bytes(shown[0].image.packed_file.data))
+    scene.camera = view.camera
+    clip = bpy.data.movieclips.load(str(plate / "sh.0001.png"))
+    clip.frame_start = scene.frame_start = 5
+    scene.frame_end = 6
+    behind = shown.new()
+    behind.source, behind.clip = "MOVIE_CLIP", clip
+    made = plate.with_name("made")
+    assert bpy.ops.iris.onto_plate(directory=str(made), samples=4) == {{"FINISHED"}}
+    assert sorted(path.name for path in made.glob("*.png")) == ["frame_0005.png", "frame_0006.png"]
+    assert not list(out.glob("onto-plate*"))
+    again = bpy.data.images.load(str(made / "frame_0006.png"))
+    again.pixels.foreach_get(changed)
+    assert 0.001 < (np.abs(changed - photo) > 0.05).mean() < 0.9
+    (plate / "sh.0002.png").unlink()
+    fails(bpy.ops.iris.onto_plate, "1 of 2 frames failed (6)", directory=str(made), samples=4)
+    assert bpy.ops.iris.onto_plate(directory=str(made), samples=4, resume=True) == {{"FINISHED"}}
+    shown.remove(behind)
+
     bpy.ops.iris.match_photo(on=True)
     assert bpy.ops.iris.mix_lights(on=True) == {{"FINISHED"}}
     assert "IRIS Lamp 00" in scene.objects and "iris_matched" in scene and "iris_mixed" in scene

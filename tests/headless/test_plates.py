@@ -93,11 +93,11 @@ def test_a_frame_that_fails_is_named_and_the_others_go_on(plate, capsys):
     (plate / "plate" / "sh.1001.png").unlink()
     (plate / "plate" / "sh.1002.png").write_bytes(b"no picture")
     out = run(plate, "--frames", "1001-1004", code=1)
-    told = capsys.readouterr().out
-    assert "3 of 4 frames failed" in told
-    assert "frame 1001" in told and "has no frame 1001" in told
-    assert "frame 1002" in told and "sh.1002.png" in told
-    assert "frame 1004" in told and "has no camera of frame 1004" in told
+    told = capsys.readouterr().err
+    assert "error: " in told and "3 of 4 frames failed (1001, 1002, 1004)" in told
+    assert f"frame 1001: {plate / 'plate'}: has no frame 1001" in told
+    assert f"frame 1002: {plate / 'plate' / 'sh.1002.png'}" in told
+    assert f"frame 1004: {plate / 'track.json'}: has no camera of frame 1004" in told
     assert [path.name for path in out.glob("frame_*")] == ["frame_1003.png"]
 
 

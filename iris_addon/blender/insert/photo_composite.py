@@ -20,10 +20,11 @@ from ...model.render_settings import RenderSettings
 from ...model.response import Response
 from ..apply.on_objects import APPLIED, MADE, ORIGINAL
 from ..apply.scene_files import write_whole
-from ..images import image_from_array, read_image
+from ..images import LINEAR, image_from_array, read_image
 from ..render.light_mixing import APART
 from ..scene_out.lights import as_recovered, lamp_materials
-from .differential import change_photo, render_differential, render_halves
+from ..version import single_layer_exr
+from .differential import Differential, change_photo, render_differential, render_halves
 
 RENDERS = 2
 """Steps of the work: the room alone, and the room with the additions."""
@@ -47,6 +48,23 @@ def composite(
         on_step: called with the number of finished RENDERS; may raise to stop.
 
     Raises:
+        BadInput: as :func:`additions`.
+    """
+    changed = additions(scene, photo.shape, settings, on_step)
+    return change_photo(photo, changed, response, exposure)[0]
+
+
+def additions(
+    scene: bpy.types.Scene,
+    shape: tuple[int, ...],
+    settings: RenderSettings,
+    on_step: Callable[[int], None] = lambda done: None,
+) -> Differential:
+    """What the objects added to the room and the changes of its lamps do to a picture of ``shape`` (H, W, 3).
+
+    Changes the render settings of ``scene``, whose active camera is that of the picture.
+
+    Raises:
         BadInput: no result is applied to the objects of ``scene``, or it has no camera.
     """
     if APPLIED not in scene:
@@ -54,7 +72,7 @@ def composite(
     if scene.camera is None:
         raise BadInput("the scene has no active camera", "look at the photo first")
     render = scene.render
-    render.resolution_y, render.resolution_x = photo.shape[:2]
+    render.resolution_y, render.resolution_x = shape[:2]
     render.resolution_percentage, render.use_border = 100, False
     with as_photographed(scene):
         without = render_halves(scene, settings)
@@ -62,7 +80,7 @@ def composite(
     room = [thing for thing in scene.objects if _belongs_to_room(thing)]
     changed = render_differential(scene, room, without, settings)
     on_step(2)
-    return change_photo(photo, changed, response, exposure)[0]
+    return changed
 
 
 @contextmanager
@@ -125,6 +143,14 @@ def composite_file(
         BadInput: a file cannot be read, or for the reasons of :func:`composite`.
         IrisError: ``out`` cannot be written.
     """
+    scene = open_scene(blend)
+    pixels = read_image(photo)
+    local_exposure = exposure * local.gain(pixels, response)
+    write_png(out, composite(scene, pixels, response, local_exposure, settings, on_step))
+
+
+def open_scene(blend: Path) -> bpy.types.Scene:
+    """Open ``blend``; its scene with a solved room. Raises BadInput if there is none."""
     try:
         bpy.ops.wm.open_mainfile(filepath=str(blend.absolute()), load_ui=False)
     except RuntimeError as error:
@@ -132,12 +158,22 @@ def composite_file(
     scenes = [scene for scene in bpy.data.scenes if APPLIED in scene]
     if not scenes:
         raise BadInput("has no scene with a result on its objects", "apply a result and save", blend)
-    pixels = read_image(photo)
-    local_exposure = exposure * local.gain(pixels, response)
-    _write_png(out, composite(scenes[0], pixels, response, local_exposure, settings, on_step))
+    return scenes[0]
 
 
-def _write_png(path: Path, display: NDArray[np.floating]) -> None:
+def write_radiance(path: Path, radiance: NDArray[np.floating], scene: bpy.types.Scene) -> None:
+    """Write (H, W, 3) linear radiance as a 32-bit EXR; changes the output settings of ``scene``."""
+    image = image_from_array(path.stem, radiance, colorspace=LINEAR, float_buffer=True)
+    single_layer_exr(scene.render.image_settings)
+    scene.render.image_settings.color_mode = "RGB"
+    try:
+        write_whole(path, lambda part: image.save_render(str(part), scene=scene))
+    finally:
+        bpy.data.images.remove(image)
+
+
+def write_png(path: Path, display: NDArray[np.floating]) -> None:
+    """Write (H, W, 3) display values as an 8-bit PNG; raises IrisError if that fails."""
     image = image_from_array(path.stem, display)
     image.file_format = "PNG"
     try:

@@ -22,7 +22,7 @@ from ...base.files import write_json
 from ...base.untrusted import read_json
 from .process import ADDON, Worker
 
-JobName = Literal["inspect", "solve", "composite", "probe", "farm", "environment", "test"]
+JobName = Literal["inspect", "solve", "composite", "plate", "probe", "farm", "environment", "test"]
 MAX_RECORD_BYTES = 1 << 20
 State = Literal["missing", "running", "done", "failed", "cancelled", "interrupted"]
 
@@ -230,6 +230,21 @@ def composite_command(
     """
     files = _absolute(blend, "--result", result, "--photo", photo, "--view", view, "--out", out)
     return [*_in_blender(blender), "composite", *files, "--samples", str(samples), *JSON_LINES]
+
+
+def plate_command(
+    blender: str, blend: Path, result: Path, out: Path, frames: str, samples: int, *, resume: bool
+) -> list[str]:
+    """Composite the additions to the room of ``blend`` onto ``frames`` of the plate behind its camera, into the folder
+    ``out``; ``blender`` as above."""
+    options = ["--frames", frames, "--samples", str(samples), *(["--resume"] if resume else [])]
+    return [
+        *_in_blender(blender),
+        "composite",
+        *_absolute(blend, "--result", result, "--out", out),
+        *options,
+        *JSON_LINES,
+    ]
 
 
 def probe_command(

@@ -1,0 +1,67 @@
+"""Composite the additions to the room onto the plate of the tracked camera, frame by frame, by another Blender."""
+# Blender declares properties as annotations.
+# pyright: reportInvalidTypeForm=false
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from ..iris_addon.base.errors import IrisError
+from ..iris_addon.base.files import require_own_folder
+from ..iris_addon.blender.insert.photo_composite import write_copy
+from ..iris_addon.blender.insert.plate_composite import shows_plate
+from ..iris_addon.blender.worker import jobs
+from ..iris_addon.blender.worker.jobs import plate_command
+from .folders import folder
+from .polls import NeedsApplied
+from .run_job import run
+
+
+class IRIS_OT_onto_plate(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Composite what was added to the room onto every frame of the image sequence behind the scene's camera, which is
+    tracked in this room. The exposure of each frame is found. Another Blender renders the frame range of the scene"""
+
+    bl_idname = "iris.onto_plate"
+    bl_label = "Onto Plate"
+
+    directory: bpy.props.StringProperty(subtype="DIR_PATH")
+    samples: bpy.props.IntProperty(name="Samples", description="Paths per pixel", default=64, min=2, soft_max=1024)
+    resume: bpy.props.BoolProperty(
+        name="Keep Finished Frames", description="Go on after a stop. Frames that are there keep what they show"
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """A result is applied, the scene's camera shows a sequence, and no such render runs."""
+        if not super().poll(context):
+            return False
+        if not shows_plate(context.scene):
+            cls.poll_message_set("The scene's camera has no movie clip or image sequence as its background image")
+            return False
+        return jobs.running("plate", folder(context.scene)) is None
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        """Ask for the folder of the frames."""
+        self.directory = str(folder(context.scene) / "onto-plate")
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Write a copy of the scene and start the job."""
+        if not self.directory:
+            self.report({"ERROR"}, "no folder is named — give the folder of the frames")
+            return {"CANCELLED"}
+        scene, result = context.scene, folder(context.scene)
+        copy, frames = result / "onto-plate.blend", Path(bpy.path.abspath(self.directory)).absolute()
+        try:
+            require_own_folder(frames)
+            write_copy(scene, copy)
+        except IrisError as error:
+            copy.unlink(missing_ok=True)
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        wanted = f"{scene.frame_start}-{scene.frame_end}"
+        command = plate_command(bpy.app.binary_path, copy, result, frames, wanted, self.samples, resume=self.resume)
+        return run(self, "plate", result, command, lambda _record: copy.unlink(missing_ok=True))

@@ -1,0 +1,181 @@
+"""The artist's own scene onto the sequence behind its tracked camera: the right picture, exposure and frame number."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from headless.cli import main
+from iris_addon.base.errors import BadInput
+from iris_addon.base.images import read_exr, write_exr, write_png
+from iris_addon.blender.apply.on_objects import apply_to_objects
+from iris_addon.blender.camera import add_camera, look_through
+from iris_addon.blender.images import read_image
+from iris_addon.blender.insert.photo_composite import write_copy
+from iris_addon.blender.insert.plate_composite import plate_picture
+from iris_addon.blender.render.cycles import render_views
+from iris_addon.blender.scene_in.scene_capture import whole_object
+from iris_addon.blender.scene_out.build import add_sphere, plain_mesh
+from iris_addon.blender.synth.photos import develop
+from iris_addon.edits.scene_edit import Sphere
+from iris_addon.model.render_settings import RenderSettings
+from iris_addon.model.response import gamma
+from iris_addon.results.folder import save_result
+from tests.blender_room import camera, room
+
+pytestmark = pytest.mark.bpy
+
+FRAMES, WIDTH, HEIGHT = (11, 12, 13), 32, 24
+EXPOSURES = {11: 0.05, 12: 0.11, 13: 0.07}
+FIRST_FILE = 1001
+"""The file of frame 11 of the scene."""
+CAMERAS = {n: camera(WIDTH, HEIGHT, fx=24.0, fy=24.0, position=(0.2 * (n - 12), 0, 0.6)) for n in FRAMES}
+GREEN = Sphere(np.array([0.0, 0.0, -0.4]), 0.2, base_color=np.array([0.0, 0.8, 0.0]), roughness=1.0, metallic=0.0)
+
+
+@pytest.fixture(scope="module")
+def filmed():
+    """The solved room, and radiance of its plate by scene frame."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    result = replace(
+        room(albedo=(0.5, 0.45, 0.4), emission={3: (12, 11, 10)}),
+        response=gamma(),
+        up=(0.0, 1.0, 0.0),
+        exposures={"a": np.ones(3)},
+    )
+    plates = render_views(result, list(CAMERAS.values()), settings=RenderSettings(samples=128, seed=5))
+    return result, dict(zip(FRAMES, plates, strict=True))
+
+
+@pytest.fixture
+def shot(tmp_path, filmed) -> Path:
+    """A folder with the result and the plate; the open scene has the room, a green ball and the tracked camera."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    result, plates = filmed
+    save_result(result, tmp_path / "result")
+    for frame, radiance in plates.items():
+        picture = develop(radiance, EXPOSURES[frame], gamma())
+        write_png(tmp_path / "plate" / f"sh.{FIRST_FILE - 11 + frame}.png", picture)
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end = FRAMES[0], FRAMES[-1]
+    thing = bpy.data.objects.new("room", plain_mesh(replace(result.mesh, uv=None), "room"))
+    scene.collection.objects.link(thing)
+    apply_to_objects(result, whole_object(thing), scene, "key")
+    add_sphere(GREEN, "ball", scene.collection)
+    eye = add_camera(CAMERAS[11], "tracked", scene.collection)
+    look_through(scene, CAMERAS[11], eye)
+    for frame, view in CAMERAS.items():
+        eye.location = view.c2w[:3, 3]
+        eye.keyframe_insert("location", frame=frame)
+    return tmp_path
+
+
+def show_clip(shot: Path) -> bpy.types.MovieClip:
+    """The plate as a movie clip behind the camera, its first picture at frame 11."""
+    clip = bpy.data.movieclips.load(str(shot / "plate" / f"sh.{FIRST_FILE}.png"))
+    clip.frame_start = 11
+    behind = bpy.context.scene.camera.data.background_images.new()
+    behind.source, behind.clip = "MOVIE_CLIP", clip
+    return clip
+
+
+def show_image(shot: Path, suffix: str = ".png") -> bpy.types.ImageUser:
+    """The plate as an image sequence behind the camera."""
+    image = bpy.data.images.load(str(shot / "plate" / f"sh.{FIRST_FILE}{suffix}"))
+    image.source = "SEQUENCE"
+    behind = bpy.context.scene.camera.data.background_images.new()
+    behind.source, behind.image = "IMAGE", image
+    behind.image_user.frame_start, behind.image_user.frame_duration = 11, 3
+    behind.image_user.frame_offset = FIRST_FILE - 1
+    return behind.image_user
+
+
+def run(shot: Path, *more: object, code: int = 0) -> Path:
+    write_copy(bpy.context.scene, shot / "copy.blend")
+    command = ["composite", shot / "copy.blend", "--result", shot / "result", "--out", shot / "out", "--samples", 8]
+    assert main([str(word) for word in [*command, *(more or ("--frames", "11-13"))]]) == code
+    return shot / "out"
+
+
+@pytest.mark.parametrize("show", [show_clip, show_image])
+def test_each_frame_has_its_picture_its_exposure_and_what_was_added(shot, show):
+    show(shot)
+    out = run(shot)
+    for frame in FRAMES:
+        record = json.loads((out / "exposures" / f"frame_{frame:04d}.json").read_text())
+        assert record["picture"] == f"sh.{FIRST_FILE - 11 + frame}.png"
+        np.testing.assert_allclose(record["exposure"], EXPOSURES[frame], rtol=0.02)
+        seen = read_image(out / f"frame_{frame:04d}.png")
+        before = read_image(shot / "plate" / record["picture"])
+        greener = (seen[..., 1] - seen[..., 0]) - (before[..., 1] - before[..., 0])
+        middle = np.flatnonzero(greener[HEIGHT // 2] > 0.1).mean()
+        assert middle == pytest.approx(WIDTH / 2 - 24.0 * 0.2 * (frame - 12) - 0.5, abs=1.0)
+        assert np.abs(seen - before)[0].max() < 0.1  # far from it the plate stays
+
+
+def test_frames_are_kept_on_request_alone(shot):
+    """Another ball is not to be found in half of the frames; a run that was stopped goes on."""
+    show_clip(shot)
+    out = run(shot, "--frames", "11-12")
+    times = [(out / f"frame_00{n}.png").stat().st_mtime_ns for n in (11, 12)]
+    (out / "frame_0012.png").write_bytes((out / "frame_0012.png").read_bytes()[:60])
+    bpy.ops.wm.open_mainfile(filepath=str(shot / "copy.blend"))
+    run(shot, "--frames", "11-12", "--resume")
+    assert (out / "frame_0011.png").stat().st_mtime_ns == times[0]
+    assert read_image(out / "frame_0012.png").shape == (HEIGHT, WIDTH, 3)
+    bpy.ops.wm.open_mainfile(filepath=str(shot / "copy.blend"))
+    run(shot, "--frames", "11")
+    assert (out / "frame_0011.png").stat().st_mtime_ns > times[0]
+
+
+def test_a_missing_picture_is_named_and_the_others_go_on(shot, capsys):
+    show_clip(shot)
+    (shot / "plate" / f"sh.{FIRST_FILE + 1}.png").unlink()
+    out = run(shot, code=1)
+    told = capsys.readouterr().err
+    assert "frame 12: " in told and f"sh.{FIRST_FILE + 1}.png: is missing" in told
+    assert sorted(path.name for path in out.glob("frame_*")) == ["frame_0011.png", "frame_0013.png"]
+
+
+def test_plates_of_radiance_stay_radiance(shot, filmed):
+    for frame, radiance in filmed[1].items():
+        write_exr(shot / "plate" / f"sh.{FIRST_FILE - 11 + frame}.exr", 40.0 * radiance)
+    show_image(shot, ".exr")
+    out = run(shot, "--frames", "12")
+    seen = read_exr(out / "frame_0012.exr")
+    np.testing.assert_allclose(seen[0, 0], 40.0 * filmed[1][12][0, 0], rtol=0.1)
+    assert seen[HEIGHT // 2, WIDTH // 2, 1] > 10 * seen[HEIGHT // 2, WIDTH // 2, 0]
+
+
+def test_a_shifted_clip_shows_the_pictures_that_blender_shows(shot):
+    clip = show_clip(shot)
+    assert plate_picture(bpy.context.scene, 12).name == f"sh.{FIRST_FILE + 1}.png"
+    clip.frame_start, clip.frame_offset = 10, 1
+    assert plate_picture(bpy.context.scene, 11).name == f"sh.{FIRST_FILE + 2}.png"
+
+
+def test_what_cannot_be_composited_says_what_to_do(shot):
+    scene = bpy.context.scene
+    with pytest.raises(BadInput, match="shows no plate"):
+        plate_picture(scene, 11)
+    user = show_image(shot)
+    user.frame_duration = 1
+    with pytest.raises(BadInput, match="shows frames 11 to 11"):
+        plate_picture(scene, 12)
+    scene.camera.data.background_images.clear()
+    show_clip(shot).tracking.camera.k1 = 0.1
+    with pytest.raises(BadInput, match="lens distortion"):
+        plate_picture(scene, 11)
+    scene.camera = None
+    with pytest.raises(BadInput, match="no active camera"):
+        plate_picture(scene, 11)
+
+
+def test_a_scene_of_another_shape_than_its_plate_is_refused(shot, capsys):
+    show_clip(shot)
+    bpy.context.scene.render.resolution_x = 64
+    run(shot, code=1)
+    assert "is 32x24 pixels, the scene renders 64x24" in capsys.readouterr().err
