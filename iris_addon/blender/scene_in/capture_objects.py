@@ -99,7 +99,7 @@ def _view(row: dict[str, Any], path: Path) -> InspectedView:
             score=float(alignment["score"]),
             shift=float(alignment["shift"]),
             verdict=str(alignment["verdict"]),
-            problem=str(row["problem"]),
+            problem=str(row.get("problem", "")),  # missing in checks of older versions
         )
 
 
