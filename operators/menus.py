@@ -28,6 +28,7 @@ ENTRIES: tuple[tuple[Entry, ...], ...] = (
     (
         ("iris.preview", {}, "Preview Relit Room"),
         *(("iris.look", {"look": key}, f"Look: {look.label}") for key, look in LOOKS.items()),
+        ("iris.save_look", {}, ""),
         ("iris.solo", {}, "Solo Lamp"),
         ("iris.anchor", {}, "Set Lumens of Lamp"),
         ("iris.area_lamp", {}, ""),

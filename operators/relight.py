@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..iris_addon.blender.apply.looks import LOOKS, set_look, solo
+from ..iris_addon.blender.apply.looks import LOOKS, forget_look, own_looks, save_look, set_look, set_own_look, solo
 from ..iris_addon.blender.apply.on_objects import MADE
 from ..iris_addon.edits.light_units import flux
 from .polls import NeedsApplied
@@ -34,6 +34,59 @@ class IRIS_OT_look(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's 
         """Set the look."""
         set_look(context.scene, self.look)
         return {"FINISHED"}
+
+
+class IRIS_OT_save_look(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Keep how lamps, sun and light from outside are set now as a look of your own, stored in this file"""
+
+    bl_idname = "iris.save_look"
+    bl_label = "Save Look"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
+
+    name: bpy.props.StringProperty(name="Name", description="Of the look; one of that name is replaced", maxlen=40)
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        """Ask for a name."""
+        self.name = self.name or f"Look {len(own_looks(context.scene)) + 1}"
+        return context.window_manager.invoke_props_dialog(self)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Save the look."""
+        if not self.name.strip():
+            self.report({"ERROR"}, "the look has no name — give it one")
+            return {"CANCELLED"}
+        save_look(context.scene, self.name.strip())
+        return {"FINISHED"}
+
+
+class _OfOwnLook(NeedsApplied):
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
+
+    name: bpy.props.StringProperty(name="Name", description="Of the look")
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Do it, where there is such a look."""
+        if self.name not in own_looks(context.scene):
+            self.report({"ERROR"}, f"this file has no look {self.name!r} — save one first")
+            return {"CANCELLED"}
+        self.change(context.scene, self.name)  # type: ignore[attr-defined]
+        return {"FINISHED"}
+
+
+class IRIS_OT_own_look(_OfOwnLook, bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Set lamps, sun and light from outside as they were when this look was saved"""
+
+    bl_idname = "iris.own_look"
+    bl_label = "Own Look"
+    change = staticmethod(set_own_look)
+
+
+class IRIS_OT_forget_look(_OfOwnLook, bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Remove this look; the lights stay as they are"""
+
+    bl_idname = "iris.forget_look"
+    bl_label = "Remove Look"
+    change = staticmethod(forget_look)
 
 
 class _OfLamp(NeedsApplied):

@@ -8,7 +8,7 @@ import bpy
 
 from ...iris_addon.base.errors import IrisError
 from ...iris_addon.blender.apply.camera_look import MATCHED
-from ...iris_addon.blender.apply.looks import LOOKS, is_solo, outside_light
+from ...iris_addon.blender.apply.looks import LOOKS, is_solo, outside_light, own_looks
 from ...iris_addon.blender.apply.on_objects import APPLIED
 from ...iris_addon.blender.apply.review import model_lines
 from ...iris_addon.blender.insert.plate_composite import shows_plate
@@ -259,6 +259,11 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         grid = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
         for key, look in LOOKS.items():
             grid.operator("iris.look", text=look.label).look = key
+        for name in own_looks(scene):
+            row = grid.row(align=True)
+            row.operator("iris.own_look", text=name).name = name
+            row.operator("iris.forget_look", text="", icon="X").name = name
+        grid.operator("iris.save_look", icon="ADD")
         layout.template_list("IRIS_UL_lamps", "", settings, "lamps", settings, "lamp_index", rows=4)
         _chosen_lamp(layout, scene)
         background = outside_light(scene)

@@ -153,7 +153,17 @@ def test_every_operator_of_an_artist_stands_in_a_menu():
     texts = [path.read_text() for path in (ROOT / "operators").rglob("*.py")]
     every = {name for text in texts for name in re.findall(r'bl_idname = "(iris\.\w+)"', text)}
     menus = set(re.findall(r'"(iris\.\w+)"', (ROOT / "operators" / "menus.py").read_text()))
-    of_panels = {"cancel", "copy_error", "show_log", "add_capture", "step_photo", "next_problem", "review"}
+    of_panels = {
+        "cancel",
+        "copy_error",
+        "show_log",
+        "add_capture",
+        "step_photo",
+        "next_problem",
+        "review",
+        "own_look",
+        "forget_look",
+    }
     of_preferences = {"test_python", "make_environment"}
     assert every - menus == {f"iris.{name}" for name in of_panels | of_preferences}
 
@@ -604,6 +614,15 @@ def test_looks_solo_and_known_lumens(package, tmp_path, worker, nerfstudio_room)
         bpy.ops.iris.look(look=look)
         assert (lamp.on, outside.default_value) == (on, share), look
     assert lamp.strength == 12 and all(abs(c - v / 12) < 1e-6 for c, v in zip(lamp.color, (12, 10, 8)))
+    lamp.strength = 5
+    fails(bpy.ops.iris.save_look, "no name", name=" ")
+    bpy.ops.iris.save_look(name="Dim")
+    bpy.ops.iris.look(look="PHOTOGRAPHED")
+    bpy.ops.iris.own_look(name="Dim")
+    assert lamp.strength == 5
+    bpy.ops.iris.forget_look(name="Dim")
+    fails(bpy.ops.iris.own_look, "no look 'Dim'", name="Dim")
+    bpy.ops.iris.look(look="PHOTOGRAPHED")
     bpy.ops.iris.anchor(lumens=800)
     flux = math.pi * 4 * (0.2126 * 12 + 0.7152 * 10 + 0.0722 * 8)
     assert abs(scene.iris.lumens_per_unit * flux / 800 - 1) < 1e-5

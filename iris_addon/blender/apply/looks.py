@@ -1,16 +1,29 @@
-"""Looks: the recovered lamps and the light from outside, switched and dimmed together."""
+"""Looks: the recovered lamps, the sun and the light from outside, switched and dimmed together."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import bpy
+from mathutils import Quaternion
 
-from ..scene_out.lights import is_on, lamp_materials, reset, switch
+from ..scene_out.lights import (
+    color,
+    is_on,
+    is_recovered_sun,
+    lamp_materials,
+    reset,
+    set_color,
+    set_strength,
+    set_sun,
+    strength,
+    switch,
+)
+from ..scene_out.materials import LAMP_ID
 
 
 class Look(NamedTuple):
-    """``lamps`` and ``outside`` are shares of what was recovered."""
+    """``lamps`` and ``outside``, sun and sky, are shares of what was recovered."""
 
     label: str
     tooltip: str
@@ -37,6 +50,9 @@ def set_look(scene: bpy.types.Scene, key: str) -> None:
     background = outside_light(scene)
     if background is not None:
         background.inputs["Strength"].default_value = look.outside
+    for thing in scene.objects:
+        if is_recovered_sun(thing):
+            set_sun(thing, look.outside)
 
 
 def outside_light(scene: bpy.types.Scene) -> bpy.types.Node | None:
@@ -56,3 +72,67 @@ def solo(scene: bpy.types.Scene, lamp: bpy.types.Material) -> None:
 def is_solo(scene: bpy.types.Scene, lamp: bpy.types.Material) -> bool:
     """Whether ``lamp`` is the only lamp that is on."""
     return [material for material in lamp_materials(scene.objects) if is_on(material)] == [lamp]
+
+
+# ---- looks of the artist's own -------------------------------------------------------------------------------------
+
+OWN_LOOKS = "iris_looks"
+"""Custom property of a scene: what each look of the artist's own is, by name. "lamps" has by id whether each shines,
+its strength and colour; "outside" the strength of the light from outside; "sun" whether it shines, energy, colour and
+turn."""
+
+
+def own_looks(scene: bpy.types.Scene) -> list[str]:
+    """Names of the artist's own looks, in the order in which they were saved."""
+    return list(scene[OWN_LOOKS].keys()) if OWN_LOOKS in scene else []
+
+
+def save_look(scene: bpy.types.Scene, name: str) -> None:
+    """Keep how the lights of ``scene`` are set as a look of the artist's own, in place of one of that name."""
+    lamps = {
+        str(material[LAMP_ID]): [float(is_on(material)), strength(material), *color(material)]
+        for material in lamp_materials(scene.objects)
+    }
+    look: dict[str, Any] = {"lamps": lamps}
+    background = outside_light(scene)
+    if background is not None:
+        look["outside"] = background.inputs["Strength"].default_value
+    for sun in filter(is_recovered_sun, scene.objects):
+        turn = sun.matrix_basis.to_quaternion()
+        look["sun"] = [float(not sun.hide_render), sun.data.energy, *sun.data.color, *turn]
+    if OWN_LOOKS not in scene:
+        scene[OWN_LOOKS] = {}
+    scene[OWN_LOOKS][name] = look
+
+
+def set_own_look(scene: bpy.types.Scene, name: str) -> None:
+    """Set the lights of ``scene`` as they were when the look was saved; what the artist has rebuilt stays as it is."""
+    look = scene[OWN_LOOKS][name]
+    for material in lamp_materials(scene.objects):
+        state = look["lamps"].get(str(material[LAMP_ID]))
+        if state is None:
+            continue
+        on, level, *tint = state
+        switch(material, True)
+        set_strength(material, level)
+        set_color(material, tint)
+        switch(material, bool(on))
+    background = outside_light(scene)
+    if background is not None and "outside" in look:
+        background.inputs["Strength"].default_value = look["outside"]
+    for sun in filter(is_recovered_sun, scene.objects) if "sun" in look else ():
+        on, sun.data.energy, *rest = look["sun"]
+        sun.hide_render = sun.hide_viewport = not on
+        sun.data.color = rest[:3]
+        sun.matrix_basis = Quaternion(rest[3:]).to_matrix().to_4x4()
+
+
+def forget_look(scene: bpy.types.Scene, name: str) -> None:
+    """Remove a look of the artist's own."""
+    del scene[OWN_LOOKS][name]
+
+
+def forget_looks(scene: bpy.types.Scene) -> None:
+    """Remove all of them: the lamps of another result are others."""
+    if OWN_LOOKS in scene:
+        del scene[OWN_LOOKS]

@@ -74,6 +74,12 @@ def is_recovered_sun(thing: bpy.types.Object) -> bool:
     return thing.type == "LIGHT" and RECOVERED in thing
 
 
+def set_sun(thing: bpy.types.Object, share: float) -> None:
+    """Let the recovered sun ``thing`` shine with a share of what was recovered, from where it stands; 0 hides it."""
+    thing.hide_render = thing.hide_viewport = not share
+    _set_power(thing.data, np.array(thing[RECOVERED], float) * (share or 1.0))
+
+
 def add_quad(quad: Quad, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
     """A one-sided rectangular light, wound to agree with ``quad.normal``."""
     corners = np.asarray(quad.corners, float)
@@ -224,8 +230,11 @@ def as_recovered(materials: Iterable[bpy.types.Material], objects: Iterable[bpy.
     replaced = [(material, mode) for material in materials if (mode := camera_only_mode(material))]
     lights = [thing for material, _ in replaced for thing in stand_ins(material) if not thing.hide_render]
     before, suns = [], [thing for thing in objects if is_recovered_sun(thing)]
-    shone = [(thing.data.energy, tuple(thing.data.color), thing.matrix_basis.copy()) for thing in suns]
+    shone = [
+        (thing.hide_render, thing.data.energy, tuple(thing.data.color), thing.matrix_basis.copy()) for thing in suns
+    ]
     for thing in suns:
+        thing.hide_render = False
         _set_power(thing.data, np.array(thing[RECOVERED], float))
         thing.matrix_basis = Quaternion(thing[RECOVERED_TURN]).to_matrix().to_4x4()
     for material in materials:
@@ -246,8 +255,9 @@ def as_recovered(materials: Iterable[bpy.types.Material], objects: Iterable[bpy.
             thing.hide_render = False
         for material, mode in replaced:
             show_to_cameras_only(material, see_through=mode == "see through")
-        for thing, (energy, tint_of_sun, basis) in zip(suns, shone, strict=True):
-            thing.data.energy, thing.data.color, thing.matrix_basis = energy, tint_of_sun, basis
+        for thing, (hidden, energy, tint_of_sun, basis) in zip(suns, shone, strict=True):
+            thing.hide_render, thing.data.energy = hidden, energy
+            thing.data.color, thing.matrix_basis = tint_of_sun, basis
         for tint, color_before, level, strength_before in before:
             tint.default_value, level.default_value = color_before, strength_before
 

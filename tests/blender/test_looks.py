@@ -1,0 +1,99 @@
+"""Looks set lamps, sun and sky together; a saved look brings back the same light."""
+
+from dataclasses import replace
+
+import bpy
+import numpy as np
+import pytest
+
+from iris_addon.blender.apply.looks import (
+    forget_look,
+    outside_light,
+    own_looks,
+    save_look,
+    set_look,
+    set_own_look,
+)
+from iris_addon.blender.render.cycles import render_camera, set_cycles
+from iris_addon.blender.scene_out.build import BuiltScene, build_scene
+from iris_addon.blender.scene_out.lights import as_recovered, lamp_materials, set_color, set_strength, switch
+from iris_addon.model.capture import Mesh
+from iris_addon.model.recovered import OutsideLight, Sunlight
+from iris_addon.model.render_settings import RenderSettings
+from tests.blender_room import box, camera, room
+
+pytestmark = pytest.mark.bpy
+
+QUICK = RenderSettings(samples=64, denoise=False, max_bounces=0)
+LAMP, SUN, SKY = np.array([0.0, 0.0, 4.0]), np.array([2.0, 0.0, 0.0]), 1.0
+
+
+@pytest.fixture(autouse=True)
+def empty_blender():
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+def lit() -> BuiltScene:
+    """A floor under a green sky and a red sun, beside a wall that is a blue lamp."""
+    whole = box()
+    floor_and_lamp = Mesh(whole.vertices, whole.faces[[8, 9, 0, 1]], whole.uv[[8, 9, 0, 1]])
+    sky = OutsideLight(np.array([[0.0, SKY, 0.0]]) / 0.28209479)
+    result = room(mesh=floor_and_lamp, emission={1: LAMP}, outside=sky)
+    return build_scene(replace(result, sun=Sunlight(np.array([0.0, 0.0, 1.0]), SUN)))
+
+
+def floor(built: BuiltScene) -> np.ndarray:
+    """(3,) mean radiance of the floor."""
+    set_cycles(built.scene, QUICK)
+    return render_camera(built, camera(fx=40.0, fy=40.0, position=(0, 0, 0.5))).mean((0, 1))
+
+
+def test_every_look_sets_lamps_sun_and_sky():
+    built = lit()
+    photographed = floor(built)
+    assert (photographed > 0.01).all()  # red by the sun, green by the sky, blue by the lamp
+    for look, shares in (
+        ("LAMPS", (0, 0, 1)),
+        ("EVENING", (0.05, 0.05, 1)),
+        ("DAY", (1, 1, 0)),
+        ("BLACKOUT", (0, 0, 0)),
+        ("PHOTOGRAPHED", (1, 1, 1)),
+    ):
+        set_look(built.scene, look)
+        np.testing.assert_allclose(floor(built), photographed * shares, rtol=0.05, atol=1e-4, err_msg=look)
+
+
+def test_what_was_photographed_has_the_sun_even_while_a_look_hides_it():
+    built = lit()
+    photographed = floor(built)
+    set_look(built.scene, "BLACKOUT")
+    with as_recovered([], built.scene.objects):
+        assert floor(built)[0] == pytest.approx(photographed[0], rel=0.05)
+    assert floor(built).max() < 1e-4
+
+
+def test_a_saved_look_brings_back_the_same_light():
+    built = lit()
+    scene, (lamp,) = built.scene, lamp_materials(built.scene.objects)
+    assert not own_looks(scene)
+    set_strength(lamp, 2.0)
+    set_color(lamp, (1.0, 0.5, 0.25))
+    background = outside_light(scene)
+    assert background is not None and built.sun is not None
+    background.inputs["Strength"].default_value = 0.3
+    built.sun.rotation_mode, built.sun.rotation_euler, built.sun.data.energy = "XYZ", (0.8, 0.1, 0.2), 3.0
+    mine = floor(built)
+    save_look(scene, "Dusk")
+    switch(lamp, False)
+    save_look(scene, "Dusk, lamp off")
+    assert own_looks(scene) == ["Dusk", "Dusk, lamp off"]
+    for look in ("BLACKOUT", "PHOTOGRAPHED"):
+        set_look(scene, look)
+        set_own_look(scene, "Dusk")
+        np.testing.assert_allclose(floor(built), mine, rtol=0.02)
+    set_own_look(scene, "Dusk, lamp off")
+    assert floor(built)[2] < 1e-4 < mine[2]
+    switch(lamp, True)
+    np.testing.assert_allclose(floor(built), mine, rtol=0.02)  # a lamp that is off keeps its strength and colour
+    forget_look(scene, "Dusk")
+    assert own_looks(scene) == ["Dusk, lamp off"]
