@@ -194,7 +194,8 @@ def composite_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
     """What was added to the room of a .blend, onto the plate behind its camera; needs no package but Blender's."""
     from iris_addon.blender.images import read_image
     from iris_addon.blender.insert.photo_composite import open_scene
-    from iris_addon.blender.insert.plate_composite import RADIANCE_SUFFIX, composite_frame, plate_picture
+    from iris_addon.blender.insert.plate import RADIANCE_SUFFIX, plate_picture
+    from iris_addon.blender.insert.plate_composite import composite_frame
     from iris_addon.model.render_settings import RenderSettings
     from iris_addon.results.records import read_response
 

@@ -11,7 +11,7 @@ import bpy
 from ..iris_addon.base.errors import IrisError
 from ..iris_addon.base.files import require_own_folder
 from ..iris_addon.blender.insert.photo_composite import write_copy
-from ..iris_addon.blender.insert.plate_composite import shows_plate
+from ..iris_addon.blender.insert.plate import shows_plate
 from ..iris_addon.blender.worker import jobs
 from ..iris_addon.blender.worker.jobs import plate_command
 from .folders import folder

@@ -11,7 +11,7 @@ from ...iris_addon.blender.apply.camera_look import MATCHED
 from ...iris_addon.blender.apply.looks import LOOKS, is_solo, outside_light, own_looks
 from ...iris_addon.blender.apply.on_objects import APPLIED
 from ...iris_addon.blender.apply.review import model_lines
-from ...iris_addon.blender.insert.plate_composite import shows_plate
+from ...iris_addon.blender.insert.plate import shows_plate
 from ...iris_addon.blender.render import light_mixing
 from ...iris_addon.blender.scene_out import lights as lamps
 from ...iris_addon.blender.worker import jobs

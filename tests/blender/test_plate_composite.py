@@ -15,12 +15,15 @@ from iris_addon.blender.apply.on_objects import apply_to_objects
 from iris_addon.blender.camera import add_camera, look_through
 from iris_addon.blender.images import read_image
 from iris_addon.blender.insert.photo_composite import write_copy
-from iris_addon.blender.insert.plate_composite import plate_picture
-from iris_addon.blender.render.cycles import render_views
+from iris_addon.blender.insert.plate import plate_picture, read_plate
+from iris_addon.blender.render.cycles import empty_scene, render_views
 from iris_addon.blender.scene_in.scene_capture import whole_object
 from iris_addon.blender.scene_out.build import add_sphere, plain_mesh
 from iris_addon.blender.synth.photos import develop
+from iris_addon.blender.version import compositor_output, own_compositor_tree
+from iris_addon.capture.photos import undistort
 from iris_addon.edits.scene_edit import Sphere
+from iris_addon.model.capture import Distortion
 from iris_addon.model.render_settings import RenderSettings
 from iris_addon.model.response import gamma
 from iris_addon.results.folder import save_result
@@ -157,6 +160,65 @@ def test_a_shifted_clip_shows_the_pictures_that_blender_shows(shot):
     assert plate_picture(bpy.context.scene, 11).name == f"sh.{FIRST_FILE + 2}.png"
 
 
+@pytest.mark.parametrize(("model", "prefix"), [("POLYNOMIAL", ""), ("BROWN", "brown_")])
+def test_the_distortion_that_tracking_found_is_taken_out(shot, model, prefix):
+    """As the reader of captures takes it out, whose model is that of OpenCV."""
+    clip, rows = show_clip(shot), np.mgrid[:HEIGHT, :WIDTH]
+    smooth = np.stack([7 * rows[1], 10 * rows[0], 3 * rows.sum(0)], -1).astype(np.uint8)
+    for frame in FRAMES:
+        write_png(shot / "plate" / f"sh.{FIRST_FILE - 11 + frame}.png", smooth + np.uint8(frame))
+    lens = clip.tracking.camera
+    lens.distortion_model = model
+    setattr(lens, f"{prefix}k1", -0.12)
+    setattr(lens, f"{prefix}k2", 0.03)
+    focal, (cx, cy) = lens.focal_length_pixels, lens.principal_point_pixels
+    pinhole = replace(CAMERAS[11], fx=focal, fy=focal, cx=cx, cy=HEIGHT - cy)
+    for frame in FRAMES:
+        values = (smooth + np.uint8(frame)).astype(np.float32) / 255
+        ours, valid = undistort(values, np.ones((HEIGHT, WIDTH), bool), pinhole, Distortion(k1=-0.12, k2=0.03))
+        seen = read_plate(bpy.context.scene, frame)
+        np.testing.assert_array_equal(seen.valid, valid)
+        np.testing.assert_allclose(seen.values, ours, atol=1e-5)
+        assert np.abs(seen.values - values).max() > 5 / 255
+
+
+def test_frames_of_a_movie_file_are_those_that_blender_shows(shot):
+    """Written without loss; the codec's own color space may cost a few codes."""
+    scene = bpy.context.scene
+    write_movie(shot / "film.mkv", [shot / "plate" / f"sh.{FIRST_FILE + k}.png" for k in range(3)])
+    clip = bpy.data.movieclips.load(str(shot / "film.mkv"))
+    clip.frame_start = 11
+    behind = scene.camera.data.background_images.new()
+    behind.source, behind.clip = "MOVIE_CLIP", clip
+    for frame in FRAMES:
+        seen, photo = read_plate(scene, frame), read_image(shot / "plate" / f"sh.{FIRST_FILE - 11 + frame}.png")
+        assert seen.values.shape == photo.shape and np.abs(seen.values - photo).mean() < 3 / 255
+    assert clip.colorspace_settings.name == "sRGB" and len(bpy.data.scenes) == 1
+    with pytest.raises(BadInput, match="has 3 frames, from 11 of the scene on"):
+        plate_picture(scene, 14)
+
+
+def write_movie(path: Path, pictures: list[Path]) -> None:
+    """The pictures as a movie file, by Blender's compositor, in a scene that is removed again."""
+    image = bpy.data.images.load(str(pictures[0]))
+    image.colorspace_settings.name, image.source = "Non-Color", "SEQUENCE"
+    scene = empty_scene(WIDTH, HEIGHT)
+    tree = own_compositor_tree(scene)
+    output, node = compositor_output(tree), tree.nodes.new("CompositorNodeImage")
+    node.image, node.frame_start, node.frame_duration, node.frame_offset = image, 1, 3, FIRST_FILE - 1
+    tree.links.new(node.outputs["Image"], output)
+    scene.frame_start, scene.frame_end = 1, len(pictures)
+    scene.view_settings.view_transform, scene.display_settings.display_device = "Raw", "sRGB"
+    settings = scene.render.image_settings
+    if bpy.app.version >= (5, 0, 0):
+        settings.media_type = "VIDEO"
+    settings.file_format = "FFMPEG"
+    scene.render.ffmpeg.format, scene.render.ffmpeg.codec = "MKV", "FFV1"
+    scene.render.filepath, scene.render.use_file_extension = str(path), False
+    bpy.ops.render.render(animation=True, scene=scene.name)
+    bpy.data.scenes.remove(scene)
+
+
 def test_what_cannot_be_composited_says_what_to_do(shot):
     scene = bpy.context.scene
     with pytest.raises(BadInput, match="shows no plate"):
@@ -166,9 +228,10 @@ def test_what_cannot_be_composited_says_what_to_do(shot):
     with pytest.raises(BadInput, match="shows frames 11 to 11"):
         plate_picture(scene, 12)
     scene.camera.data.background_images.clear()
-    show_clip(shot).tracking.camera.k1 = 0.1
-    with pytest.raises(BadInput, match="lens distortion"):
-        plate_picture(scene, 11)
+    lens = show_clip(shot).tracking.camera
+    lens.distortion_model, lens.division_k1 = "DIVISION", 0.1
+    with pytest.raises(BadInput, match="choose Polynomial or Brown"):
+        read_plate(scene, 11)
     scene.camera = None
     with pytest.raises(BadInput, match="no active camera"):
         plate_picture(scene, 11)

@@ -143,7 +143,7 @@ def denoise_pictures(pictures: Mapping[str, Picture], albedo: Picture, normal: P
     """
     before = {kind: set(getattr(bpy.data, kind)) for kind in ("scenes", "cameras", "objects", "images", "node_groups")}
     try:
-        scene = _empty_scene(albedo.shape[1], albedo.shape[0])
+        scene = empty_scene(albedo.shape[1], albedo.shape[0])
         tree = own_compositor_tree(scene)
         clean = compositor_denoise(tree)
         source = _image_node(tree, "picture", albedo)
@@ -164,7 +164,8 @@ def denoise_pictures(pictures: Mapping[str, Picture], albedo: Picture, normal: P
             bpy.data.batch_remove(set(getattr(bpy.data, kind)) - kept - {bpy.data.images.get("Render Result")})
 
 
-def _empty_scene(width: int, height: int) -> bpy.types.Scene:
+def empty_scene(width: int, height: int) -> bpy.types.Scene:
+    """A scene with nothing but a camera, whose renders are what its compositing tree makes."""
     scene = bpy.data.scenes.new("IRIS Denoise")
     eye = bpy.data.objects.new("IRIS Denoise", bpy.data.cameras.new("IRIS Denoise"))
     scene.collection.objects.link(eye)
