@@ -180,6 +180,7 @@ def solve_job(job: Job, progress: Progress, *, resume: bool = False) -> Result:
         exposures=job.config.exposures,
         hdr=job.config.hdr,
         exclude=job.exclude,
+        metres_per_unit=job.unit,
         check=progress.check,
     )
     return solve(capture, job.config, job.out, progress, resume=resume)

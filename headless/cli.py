@@ -25,6 +25,7 @@ from typing import NoReturn
 from iris_addon.base.errors import Cancelled, IrisError
 from iris_addon.base.progress import Progress, Sink, console, json_lines
 from iris_addon.config import MAX_SEED, PRESETS
+from iris_addon.model.camera_height import CameraHeight
 from iris_addon.model.texture_size import atlas_size_of, density_of
 
 from .cancellation import cancelled_by_signals, stop_with_stdin
@@ -243,11 +244,20 @@ def _add_solving(add: Add) -> None:
 
 
 def _add_unit(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
+    unit = command.add_mutually_exclusive_group()
+    unit.add_argument(
         "--metres-per-unit",
+        dest="unit",
         type=_metres,
         metavar="METRES",
         help="unit of poses and mesh, where they have none: a wall of 4 m that measures 2.5 has 1.6",
+    )
+    unit.add_argument(
+        "--camera-height",
+        dest="unit",
+        type=_camera_height,
+        metavar="METRES",
+        help="assume this median height of the cameras over the floor, where nothing tells the unit",
     )
 
 
@@ -452,6 +462,10 @@ def _metres(text: str) -> float:
             f"{text!r} is not a number of meters from {1 / MAX_METRES:g} to {MAX_METRES:g}"
         )
     return value
+
+
+def _camera_height(text: str) -> CameraHeight:
+    return CameraHeight(_metres(text))
 
 
 def _exposure(text: str) -> str | float:

@@ -53,7 +53,7 @@ def solve(args: argparse.Namespace, progress: Progress) -> Outcome:
         exposures=config.exposures,
         hdr=config.hdr,
         strict=args.strict,
-        metres_per_unit=args.metres_per_unit,
+        metres_per_unit=args.unit,
         exclude=args.exclude,
         check=progress.check,
     )
@@ -74,7 +74,7 @@ def inspect(args: argparse.Namespace, progress: Progress) -> Outcome:
             args.capture,
             exposures=args.exposures,
             strict=args.strict,
-            metres_per_unit=args.metres_per_unit,
+            metres_per_unit=args.unit,
             check=progress.check,
         )
     config = preset(args.preset, **{name: getattr(args, name) for name in TEXTURE_OPTIONS})
@@ -93,7 +93,7 @@ def apply(args: argparse.Namespace, progress: Progress) -> Outcome:
     if args.views is not None:
         from iris_addon.capture.reader import read_views
 
-        views = result.as_taken(read_views(args.views))
+        views = result.as_taken(read_views(args.views, result.report))
     progress.check()
     write_blend(result, args.blend, views=views, glb=args.glb, usd=args.usd)
     written = [path for path in (args.blend, args.glb, args.usd) if path is not None]

@@ -10,6 +10,7 @@
     exposures = "none"              # as the options of solve: also response, hdr, device, seed
     exclude = ["frame_0007"]        # photos to leave out
     atlas_size = 4096               # or "auto"; and texels_per_metre = 200, or "auto"
+    metres_per_unit = 0.3048        # as of solve; or camera_height = 1.5
     evaluate = true                 # score maps, light and camera against the capture's ground truth
 
     [[job.frames]]                  # any number of them, rendered when the job above is solved
@@ -34,11 +35,14 @@ from typing import Any
 from iris_addon.base.errors import BadInput
 from iris_addon.base.untrusted import read_json, read_toml
 from iris_addon.config import MAX_SEED, PRESETS, TEXTURE_OPTIONS, SolveConfig, preset
+from iris_addon.model.camera_height import CameraHeight
 from iris_addon.model.texture_size import atlas_size_of, density_of
 
 MAX_JOBS_BYTES = 4 << 20
 OPTIONS = ("response", "exposures", "hdr", "device", "seed", *TEXTURE_OPTIONS)
-KEYS = ("name", "capture", "preset", "out", "exclude", "evaluate", "frames", *OPTIONS)
+UNITS = ("metres_per_unit", "camera_height")
+MAX_METRES = 1e6
+KEYS = ("name", "capture", "preset", "out", "exclude", "evaluate", "frames", *UNITS, *OPTIONS)
 WORDS = {"response": ("auto", "gamma"), "exposures": ("auto", "none")}
 COMMANDS: dict[str, tuple[str, ...]] = {
     "render": (),
@@ -98,6 +102,7 @@ class Job:
     out: Path
     config: SolveConfig
     exclude: tuple[str, ...] = ()
+    unit: float | CameraHeight | None = None
     evaluate: bool = False
     frames: tuple[Frames, ...] = ()
 
@@ -137,7 +142,9 @@ def _job(entry: Any, number: int, path: Path, located: Located) -> Job:
     _require_known(entry, KEYS, where, path)
     for key, value in entry.items():
         kind = {"seed": int, "evaluate": bool, "exclude": list, "frames": list}.get(key, str)
-        if type(value) is not kind and key not in TEXTURE_OPTIONS:
+        if key in UNITS:
+            _require_metres(value, key, where, path)
+        elif type(value) is not kind and key not in TEXTURE_OPTIONS:
             raise BadInput(f"{where}: {key} is {value!r}", f"give a {kind.__name__}", path)
         _require_printable(value, key, where, path)
     if not 0 <= entry.get("seed", 0) <= MAX_SEED:
@@ -171,6 +178,7 @@ def _job(entry: Any, number: int, path: Path, located: Located) -> Job:
         out=out,
         config=preset(entry.get("preset", "balanced"), **options),
         exclude=tuple(excluded),
+        unit=_unit(entry, where, path),
         evaluate=entry.get("evaluate", False),
         frames=frames,
     )
@@ -234,6 +242,18 @@ def _name(name: str, where: str, path: Path) -> str:
 def _require_printable(value: object, key: str, where: str, path: Path) -> None:
     if isinstance(value, str) and not value.isprintable():
         raise BadInput(f"{where}: {key} has control characters", "leave them out", path)
+
+
+def _require_metres(value: object, key: str, where: str, path: Path) -> None:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 1 / MAX_METRES <= value <= MAX_METRES:
+        raise BadInput(f"{where}: {key} is {value!r}", f"give meters from {1 / MAX_METRES:g} to {MAX_METRES:g}", path)
+
+
+def _unit(entry: Mapping[str, Any], where: str, path: Path) -> float | CameraHeight | None:
+    if all(key in entry for key in UNITS):
+        raise BadInput(f"{where} has {' and '.join(UNITS)}", "give one of them", path)
+    height = entry.get("camera_height")
+    return entry.get("metres_per_unit") if height is None else CameraHeight(height)
 
 
 def _require_known(entry: Mapping[str, object], keys: Sequence[str], where: str, path: Path) -> None:

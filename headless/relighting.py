@@ -254,13 +254,13 @@ def _render_settings(args: argparse.Namespace) -> RenderSettings:
 def _read(args: argparse.Namespace) -> tuple[Result, tuple[View, ...]]:
     from iris_addon.capture.reader import read_views
 
-    views = read_views(args.views)
+    result = load_result(args.result)
+    views = read_views(args.views, result.report)
     if args.only:
         missing = sorted(set(args.only) - {view.name for view in views})
         if missing:
             raise BadInput(f"has no view named {missing[0]}", "name views as the pictures are named", args.views)
         views = tuple(view for view in views if view.name in args.only)
-    result = load_result(args.result)
     return result, tuple(result.as_taken(views))
 
 

@@ -173,6 +173,8 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     result.report["decisions"] = decisions.report()
     result.report["atlas"] = reached = describe_atlas(result.mesh, texels, room.samples)
     result.report["warnings"] += density_warnings(reached, size)
+    if capture.poses_to_mesh is not None:
+        result.report["poses_to_mesh"] = capture.poses_to_mesh.tolist()
     save_result(result, out)
     write_report(result, capture, out, rerenders)
     checkpoints.clear()

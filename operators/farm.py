@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import bpy
@@ -16,7 +17,7 @@ from ..iris_addon.blender.apply.farm_frames import relit_frames
 from ..iris_addon.blender.apply.on_objects import APPLIED
 from ..iris_addon.blender.worker import jobs
 from ..iris_addon.blender.worker.jobs import farm_command
-from .folders import capture_path, folder
+from .folders import capture_path, folder, metres_per_unit, unit_option
 from .import_capture import write_scene
 from .run_job import run
 from .ui import steps
@@ -78,13 +79,14 @@ class IRIS_OT_export_farm(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
     def _job(self, scene: bpy.types.Scene, name: str) -> str:
         settings, capture = scene.iris, capture_path(scene)
-        job: dict[str, str | int | bool | list[str]] = {
+        job: dict[str, str | int | float | bool | list[str]] = {
             "name": name,
             "capture": str(capture),
             "out": str(folder(scene).absolute()),
             **{"preset": settings.preset, "device": settings.device, "seed": settings.seed},
             "exclude": steps.left_out(scene),
             **steps.texture_options(settings),
+            **unit_option(scene),
         }
         return _table("[[job]]", job)
 
@@ -94,6 +96,9 @@ class IRIS_OT_export_farm(bpy.types.Operator):  # noqa: N801 - Blender's naming
         own = room is None or scene.iris.source == "SCENE"
         to_capture = np.eye(4) if own else np.linalg.inv(np.array(room.matrix_world))  # type: ignore[union-attr]
         views, lights, count = relit_frames(scene, to_capture)
+        for frame in views["frames"]:  # in the unit of the capture's files, as all views that a job names
+            for row in frame["transform_matrix"][:3]:
+                row[3] /= metres_per_unit(scene) or 1.0
         for part, content in (("views", views), ("lights", lights)):
             write_json(bundle / f"{name}-{part}.json", content)
         frames = {
@@ -110,7 +115,7 @@ class IRIS_OT_export_farm(bpy.types.Operator):  # noqa: N801 - Blender's naming
         return _table("[[job.frames]]", frames)
 
 
-def _table(head: str, values: dict[str, str | int | bool | list[str]]) -> str:
+def _table(head: str, values: Mapping[str, str | int | float | bool | list[str]]) -> str:
     """A table of TOML, whose numbers, words and truth values are written like those of JSON."""
     lines = (f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in values.items())
     return f"{head}\n{''.join(lines)}\n"

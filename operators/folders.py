@@ -122,3 +122,14 @@ def job_folder(name: str, context: bpy.types.Context) -> Path:
 def folds() -> bool:
     """Whether only the current step is open in the sidebar, by the preferences."""
     return bool(bpy.context.preferences.addons[ROOT_PACKAGE].preferences.fold_steps)
+
+
+def unit_option(scene: bpy.types.Scene) -> dict[str, float]:
+    """:func:`metres_per_unit` as an option of a solve and a key of a job, where it is given."""
+    unit = metres_per_unit(scene)
+    return {"metres_per_unit": round(unit, 9)} if unit > 0 else {}
+
+
+def metres_per_unit(scene: bpy.types.Scene) -> float:
+    """The unit that the artist gave the imported capture, 0 where it has its own; a scene of Blender's has one."""
+    return scene.iris.metres_per_unit if scene.iris.source == "CAPTURE" else 0.0

@@ -87,6 +87,7 @@ class IRIS_OT_import_demo(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blen
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Import it; results go to the user's folder, never to the extension's."""
+        context.scene.iris.metres_per_unit = 0.0  # that of another capture
         return import_from(
             self, context, CAPTURE_OF_DEMO, bpy.utils.extension_path_user(ROOT_PACKAGE, path="demo_room-iris")
         )
@@ -242,7 +243,9 @@ def _start_inspection(
     except IrisError as error:
         operator.report({"ERROR"}, str(error))
         return {"CANCELLED"}
-    return run(operator, "inspect", job, inspect_command(solver_python(context), capture, target), ended)
+    settings = context.scene.iris
+    unit = settings.metres_per_unit if settings.importing or settings.source == "CAPTURE" else 0.0
+    return run(operator, "inspect", job, inspect_command(solver_python(context), capture, target, unit), ended)
 
 
 def write_scene(operator: bpy.types.Operator, context: bpy.types.Context) -> bool:

@@ -6,7 +6,7 @@ import bpy
 
 from ..iris_addon.blender.worker import jobs
 from ..iris_addon.blender.worker.jobs import solve_command
-from .folders import capture_path, folder, solver_python
+from .folders import capture_path, folder, solver_python, unit_option
 from .import_capture import write_scene
 from .run_job import run
 from .ui import steps
@@ -38,6 +38,6 @@ class IRIS_OT_solve(bpy.types.Operator):  # noqa: N801 - Blender's naming
         if not write_scene(self, context):
             return {"CANCELLED"}
         how = settings.preset, settings.device, settings.seed, steps.left_out(context.scene)
-        textures = steps.texture_options(settings)
-        command = solve_command(solver_python(context), capture, out, *how, textures)
+        others = steps.texture_options(settings) | unit_option(context.scene)
+        command = solve_command(solver_python(context), capture, out, *how, others)
         return run(self, "solve", out, command)

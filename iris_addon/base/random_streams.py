@@ -30,6 +30,7 @@ STREAMS: Mapping[str, int] = {
     "lighting.highlights": 53,
     "lighting.sun": 59,
     "lighting.sun_pixels": 61,
+    "capture.points_to_mesh": 67,
 }
 """The number of each use, "room.use". A new use takes a new number; numbers stay, so that results do."""
 

@@ -1,7 +1,7 @@
 """Captures in COLMAP's format: a sparse model of cameras and images, text or binary, beside a folder of photos.
 
 Format: https://colmap.github.io/format.html. Poses there are world to camera with x right, y down, z forward; pixel
-centres lie at half integers, as here. Points are not read: the room is the mesh.
+centres lie at half integers, as here. The room is the mesh; points are read where it is in another frame only.
 """
 
 from __future__ import annotations
@@ -9,14 +9,16 @@ from __future__ import annotations
 import os
 import struct
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..base.errors import BadInput
 from ..base.untrusted import decoding, finite, number_in_text, open_file, open_text
-from ..model.capture import View
+from ..model.capture import FloatArray, View
 from .listing import (
     Listing,
     check_unique,
@@ -36,6 +38,8 @@ MODEL_FOLDERS = (".", "sparse", "sparse/*", "colmap/sparse", "colmap/sparse/*")
 MAX_ENTRIES = 100_000
 MAX_NAME = 4096
 MAX_BYTES = 4 << 30
+MAX_KEPT_POINTS = 200_000
+"""Every second, third … point is read of a model that has more."""
 AGAIN = "export the model from COLMAP again"
 _FOCAL, _FOCALS = ("fl_x", "cx", "cy"), ("fl_x", "fl_y", "cx", "cy")
 PARAMETERS = {
@@ -117,6 +121,7 @@ def read_colmap(path: Path, model: Path) -> Listing:
         up=up_axis(root, mean_up(views) or (0.0, 0.0, 1.0)),
         warnings=tuple(warnings),
         unit="a COLMAP model has no unit",
+        points=partial(read_colmap_points, model),
     )
 
 
@@ -145,6 +150,17 @@ def read_colmap_views(path: Path, model: Path) -> tuple[View, ...]:
     views = _views(posed, cameras, _root(path), source)
     check_unique(views, source)
     return views
+
+
+def read_colmap_points(model: Path) -> FloatArray | None:
+    """(n, 3) sparse points of the model in the frame of its poses, None where it has none; raises BadInput."""
+    source = next((path for kind in ("bin", "txt") if (path := model / f"points3D.{kind}").is_file()), None)
+    if source is None:
+        return None
+    points = finite(_binary_points(source) if source.suffix == ".bin" else _text_points(source), (None, 3))
+    if points is None or not (np.abs(points) <= MAX_COORDINATE).all():
+        raise BadInput(f"has NaN, or points beyond {MAX_COORDINATE:g}", AGAIN, source)
+    return points if len(points) else None
 
 
 def _source(model: Path) -> Path:
@@ -253,6 +269,20 @@ def _is_number(text: str) -> bool:
     return True
 
 
+def _text_points(path: Path) -> NDArray[np.float64]:
+    with decoding(path, mend=AGAIN):
+        every, points = 1, []
+        for index, line in enumerate(_lines(path)):
+            if index % every:
+                continue
+            word = line.split(maxsplit=4)
+            if len(word) > 3:
+                points.append([number_in_text(x) for x in word[1:4]])
+            if len(points) >= 2 * MAX_KEPT_POINTS:
+                every, points = 2 * every, points[::2]
+        return np.array(points, np.float64).reshape(-1, 3)
+
+
 # ---- Binary ---------------------------------------------------------------------------------------------------------
 
 
@@ -306,3 +336,19 @@ def _name(file: BinaryIO) -> str:
         if len(text) > MAX_NAME:
             raise ValueError("a name without an end")
     return text.decode("utf-8", errors="replace")
+
+
+def _binary_points(path: Path) -> NDArray[np.float64]:
+    points: list[tuple[float, ...]] = []
+    with open_file(path, MAX_BYTES, mend=AGAIN) as file, decoding(path, mend=AGAIN):
+        size = os.fstat(file.fileno()).st_size
+        (count,) = _unpack(file, "<Q")
+        every = -(-count // MAX_KEPT_POINTS)
+        for index in range(count):
+            _, x, y, z, *_, track = _unpack(file, "<Q3d3BdQ")
+            if file.tell() + 8 * track > size:
+                raise EOFError("it ends within the track of a point")
+            file.seek(8 * track, 1)
+            if index % every == 0:
+                points.append((x, y, z))
+    return np.array(points, np.float64).reshape(-1, 3)

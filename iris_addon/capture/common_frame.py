@@ -7,12 +7,16 @@ The fit of a capture is the height of one peak. Each photo's correlation of edge
 (:mod:`iris_addon.capture.alignment`) is divided by its own standard deviation, and the photos are averaged: what does
 not belong together cancels out, while a peak near no shift that the photos share stays. Over 16 photos it is 10 to 12
 for renders, 4 to 7 for scans with estimated poses, and 0.5 to 3 for wrong frames (experiment 0140).
+
+Mends are turns of the axes, units and pose conventions. Where none is clear, and the capture has sparse points, the
+similarities that bring these onto the mesh are measured by the same fit (:mod:`iris_addon.capture.points_to_mesh`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import permutations, product
 
 import numpy as np
@@ -24,6 +28,8 @@ from ..rays.tracer import Tracer
 from .alignment import ALIGN_WIDTH, band, correlation, geometry_edges, near_no_shift, seen_geometry, shown_edges
 from .photo_files import SIDEWAYS, UPRIGHT, read_orientation
 from .photos import load_photo, photos_at_once
+from .points_to_mesh import find_similarities
+from .similarity import Similarity
 
 FRAME_PHOTOS = 16
 """Photos, spread over the capture, that its fit is measured on."""
@@ -31,6 +37,9 @@ SEARCH_PHOTOS, SEARCH_WIDTH = 8, ALIGN_WIDTH // 2
 """Photos, and pixels in a row of them, on which combinations of mends are tried first."""
 FINALISTS = 4
 """Mends that are measured as finely as the frame they would replace."""
+SHARPENING = (0.008, 0.004, 0.002)
+"""Steps, in radians, logarithm of the scale and extents of the mesh, by which a similarity of noisy points is moved to
+where the edges fit best."""
 CLEAR_PEAK = 3.5
 """Fit from which a frame is right: nothing else is tried, and a mend is clear."""
 MEND_FACTOR = 1.8
@@ -39,6 +48,8 @@ MISMATCH_PEAK = 2.0
 """Fit below which photos and mesh do not belong together."""
 MIN_PHOTOS, MIN_WIDTH = 4, 64
 """Photos that show edges of the mesh's size, and pixels in a row, below which nothing is concluded."""
+MIN_SEEN = 0.05
+"""Share of the pixels that must show the mesh for photos and mesh to belong together."""
 MAX_PATH, MIN_PATH = 4.0, 1e-3
 """Length of the cameras' path in extents of the mesh for a unit to be possible."""
 ROOM_SIZE = (0.4, 60.0)
@@ -122,6 +133,8 @@ class Mend:
 
 
 NOTHING = Mend(np.eye(3))
+Found = tuple[Mend | Similarity, "FrameFit"]
+"""What brings photos and mesh together best, and their fit then."""
 
 
 @dataclass(frozen=True)
@@ -131,15 +144,17 @@ class FrameFit:
     Attributes:
         peak: height of the common peak in standard deviations.
         photos: how many photos and the mesh in them have edges.
+        seen: share of the photos' pixels that show the mesh.
     """
 
     peak: float
     photos: int
+    seen: float = 1.0
 
     @property
     def is_mismatch(self) -> bool:
         """Whether photos and mesh clearly do not belong together."""
-        return self.photos >= MIN_PHOTOS and self.peak < MISMATCH_PEAK
+        return self.peak < MISMATCH_PEAK and (self.photos >= MIN_PHOTOS or self.seen < MIN_SEEN)
 
 
 def axes(rotation: Rotation) -> str:
@@ -170,7 +185,7 @@ class FrameMeter:
         chosen = [view for view in views if view.photo is not None and view.camera.width >= MIN_WIDTH]
         self.views = [chosen[k] for k in _spread(len(chosen), FRAME_PHOTOS)]
         self.tracer = Tracer(mesh)
-        self._check = check
+        self.check = check
         self._edges: dict[int, list[NDArray[np.float64]]] = {ALIGN_WIDTH: [], SEARCH_WIDTH: []}
 
         def read(view: View) -> list[NDArray[np.float64]]:
@@ -181,27 +196,46 @@ class FrameMeter:
             for width, edges in zip(self._edges, pair, strict=True):
                 self._edges[width].append(edges)
 
-    def fit(self, mend: Mend = NOTHING) -> FrameFit:
+    def fit(self, mend: Mend | Similarity = NOTHING) -> FrameFit:
         """The fit over all chosen photos."""
         return self._fit(mend, range(len(self.views)), ALIGN_WIDTH)
 
-    def quick_fits(self, mends: Sequence[Mend]) -> list[float]:
+    def quick_fits(self, mends: Sequence[Mend] | Sequence[Similarity]) -> list[float]:
         """A peak per mend, over fewer and smaller pictures."""
         few = _spread(len(self.views), SEARCH_PHOTOS)
-        return over_each(mends, lambda mend: self._fit(mend, few, SEARCH_WIDTH).peak, lambda _: self._check())
+        return over_each(mends, lambda mend: self._fit(mend, few, SEARCH_WIDTH).peak, lambda _: self.check())
 
-    def _fit(self, mend: Mend, which: Sequence[int], width: int) -> FrameFit:
-        windows = []
+    def best(self, mends: Sequence[Mend] | Sequence[Similarity]) -> Found | None:
+        """The mend under which photos and mesh fit best, None where there is none."""
+        peaks = self.quick_fits(mends)
+        fits = [(mends[k], self.fit(mends[k])) for k in np.argsort(peaks)[::-1][:FINALISTS]]
+        return max(fits, key=lambda one: one[1].peak, default=None)
+
+    def sharpened(self, found: Similarity) -> Found:
+        """The similarity near ``found`` under which edges fit best without any shift, and the fit of its photos."""
+        best, every = found, range(len(self.views))
+        peak = self._fit(best, every, ALIGN_WIDTH, 1).peak
+        for size in SHARPENING:
+            self.check()
+            for axis, sign in product(range(7), (size, -size)):
+                nudged = best.nudged(sign * np.eye(7)[axis])
+                if (other := self._fit(nudged, every, ALIGN_WIDTH, 1).peak) > peak:
+                    best, peak = nudged, other
+        return best, self.fit(best)
+
+    def _fit(self, mend: Mend | Similarity, which: Sequence[int], width: int, most: int = 99) -> FrameFit:
+        windows, seen = [], 0.0
         for index in which:
-            small = mend.camera(self.views[index].camera).shrunk(width)
-            full = correlation(self._edges[width][index], band(geometry_edges(*seen_geometry(small, self.tracer))))
+            depth, normal = seen_geometry(mend.camera(self.views[index].camera).shrunk(width), self.tracer)
+            seen += float(np.isfinite(depth).mean()) / len(which)
+            full = correlation(self._edges[width][index], band(geometry_edges(depth, normal)))
             if full is not None:
                 windows.append(near_no_shift(full)[0] / full.std())
         if not windows:
-            return FrameFit(0.0, 0)
-        reach = min(min(window.shape) for window in windows) // 2
+            return FrameFit(0.0, 0, seen)
+        reach = min(most, *(min(window.shape) // 2 for window in windows))
         # Photos that do not show the mesh count as zero: a mend must explain most of them.
-        return FrameFit(float(sum(_middle(window, reach) for window in windows).max()) / len(which), len(windows))
+        return FrameFit(float(sum(_middle(window, reach) for window in windows).max()) / len(which), len(windows), seen)
 
 
 def _spread(n: int, count: int) -> list[int]:
@@ -217,24 +251,39 @@ def _middle(window: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
 # ---- Searching ------------------------------------------------------------------------------------------------------
 
 
-def search(meter: FrameMeter, unmended: FrameFit, views: Sequence[View], mesh: Mesh) -> tuple[Mend, FrameFit] | None:
-    """The best of the usual mends and its fit.
+def search(
+    meter: FrameMeter, unmended: FrameFit, views: Sequence[View], mesh: Mesh, points: FloatArray | None = None
+) -> Found | None:
+    """The best of the usual mends and its fit, or the best similarity of the sparse ``points`` (n, 3) to the mesh.
 
-    Simple ones come first. Combinations take a minute and are tried only where photos and mesh do not fit at all.
+    Simple mends come first. Combinations take a minute and are tried only where photos and mesh do not fit at all, and
+    there are no points that would tell.
 
     Returns:
         None where there is nothing to try.
     """
-    best: tuple[Mend, FrameFit] | None = None
+    best: Found | None = None
     possible = [mend for mend in _mends() if _is_possible(mend, views, mesh)]
-    for steps in (1, 2, 3):
-        mends = [mend for mend in possible if mend.steps == steps]
-        peaks = meter.quick_fits(mends)
-        for k in np.argsort(peaks)[::-1][:FINALISTS]:
-            fit = meter.fit(mends[k])
-            if best is None or fit.peak > best[1].peak:
-                best = mends[k], fit
-        if (best is not None and is_clear(best[1], unmended)) or not unmended.is_mismatch:
+
+    def simple(steps: int) -> Found | None:
+        return meter.best([mend for mend in possible if mend.steps == steps])
+
+    def similar() -> Found | None:
+        assert points is not None
+        found = meter.best(find_similarities(points, views, mesh, meter.check))
+        if found is None or is_clear(found[1], unmended) or found[1].peak < MISMATCH_PEAK:
+            return found
+        assert isinstance(found[0], Similarity)
+        return meter.sharpened(found[0])
+
+    stages = [partial(simple, 1), *([similar] if points is not None else [partial(simple, 2), partial(simple, 3)])]
+    for stage in stages:
+        found = stage()
+        if found is not None and (best is None or found[1].peak > best[1].peak):
+            best = found
+        if best is not None and is_clear(best[1], unmended):
+            return best
+        if points is None and not unmended.is_mismatch:
             return best
     return best
 
@@ -282,6 +331,7 @@ class Together:
 
     Attributes:
         mend: what was done to bring them there.
+        similarity: by which the poses were moved to the mesh, or None.
         warning: what a user should know, or "".
         mismatch: what is wrong and how to mend it, where photos and mesh do not belong together; else None.
     """
@@ -290,6 +340,7 @@ class Together:
     val_views: tuple[View, ...]
     mesh: Mesh
     mend: Mend = NOTHING
+    similarity: Similarity | None = None
     warning: str = ""
     mismatch: tuple[str, str] | None = None
 
@@ -301,12 +352,14 @@ def bring_together(
     check: Callable[[], None] = lambda: None,
     *,
     may_mend: bool = True,
+    points: Callable[[], FloatArray | None] = lambda: None,
 ) -> Together:
     """Measure the fit of photos and mesh, and mend their frames where a mend is clearly right.
 
     Args:
         check: called often; may raise, as for a cancel.
         may_mend: without, the fit is measured and nothing else tried.
+        points: reads the sparse points (n, 3) of the photos, in the frame of the poses; None where there are none.
 
     Raises:
         BadInput: a photo cannot be read.
@@ -320,23 +373,25 @@ def bring_together(
         return given
     if may_mend and (shown := _as_shown(given, mesh, fit, check)) is not None:
         return shown
-    found = search(meter, fit, views, mesh) if may_mend else None
+    sparse = points() if may_mend else None
+    found = search(meter, fit, views, mesh, sparse) if may_mend else None
     if found is not None and found[1].photos >= MIN_PHOTOS and is_clear(found[1], fit):
         mend, mended = found
         warning = (
             f"poses and mesh are in different frames, mended: {mend.describe()} "
             f"(the photos then fit the mesh by {mended.peak:.1f} instead of {fit.peak:.1f})"
         )
-        return _apply(mend, given, warning)
+        return _move(mend, given, warning) if isinstance(mend, Similarity) else _apply(mend, given, warning)
     if not fit.is_mismatch:
         return given
     advice = "bring poses and mesh of one reconstruction into one frame (axes, unit, origin), and look at inspect"
     if found is not None and found[1].peak > MISMATCH_PEAK:
-        advice += f"; of the usual mends this one comes nearest: {found[0].describe()}"
-    what = (
-        f"the photos do not fit the mesh: their edges agree by {fit.peak:.1f}, where {MISMATCH_PEAK:g} is the least"
-        + (", under no usual choice of axes, unit and pose convention" if may_mend else "")
-    )
+        advice += f"; of what was tried this comes nearest: {found[0].describe()}"
+    what = f"the photos do not fit the mesh: their edges agree by {fit.peak:.1f}, where {MISMATCH_PEAK:g} is the least"
+    if may_mend:
+        what += ", under no usual choice of axes, unit and pose convention"
+        if sparse is not None:
+            what += f", nor with their {len(sparse)} sparse points turned, scaled and moved onto it"
     return replace(given, mismatch=(what, advice))
 
 
@@ -378,5 +433,20 @@ def _apply(mend: Mend, given: Together, warning: str) -> Together:
         val_views=tuple(moved(view) for view in given.val_views),
         mesh=replace(given.mesh, vertices=of_mesh * given.mesh.vertices @ mend.rotation.T),
         mend=mend,
+        warning=warning,
+    )
+
+
+def _move(similarity: Similarity, given: Together, warning: str) -> Together:
+    """The poses in the frame and unit of the mesh: it often comes from a scanner, and has a unit."""
+
+    def moved(view: View) -> View:
+        return replace(view, camera=similarity.camera(view.camera))
+
+    return replace(
+        given,
+        views=tuple(moved(view) for view in given.views),
+        val_views=tuple(moved(view) for view in given.val_views),
+        similarity=similarity,
         warning=warning,
     )

@@ -2,9 +2,9 @@
 
 ::
 
-    capture.json     name, root, up, warnings, the most that textures take; per photo: file, camera, exposure, share of
-                     saturated and black channels, histogram, share of the mesh in view, alignment with it, and what is
-                     wrong with it
+    capture.json     name, root, up, metres_per_unit, warnings, the most that textures take; per photo: file, camera,
+                     exposure, share of saturated and black channels, histogram, share of the mesh in view, alignment
+                     with it, and what is wrong with it
     mesh.npz         vertices, faces, and uv and regions where the mesh has them
     photos/          photos with the lens distortion taken out, where there was any
 
@@ -76,6 +76,7 @@ def inspect(
         "name": capture.name,
         "root": capture.root.resolve(),
         "up": capture.up,
+        "metres_per_unit": capture.metres_per_unit,
         "warnings": [*capture.warnings, *_mismatch(capture), *_exchanged(rows, under_another), *_warnings(rows)],
         "textures": {
             "side": asked.most,

@@ -10,7 +10,7 @@ import math
 import os
 import re
 import unicodedata
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -63,6 +63,8 @@ class Listing:
         up: unit vector that points away from the floor.
         unposed: names of photos that the file lists without a pose.
         unit: why one unit of poses and mesh is assumed to be one metre; "" where the source says so.
+        points: reads the sparse points (n, 3) of the photos in the frame of the poses, None without any; raises
+            BadInput.
         one_frame: poses and mesh are known to be in one frame, because they were written together; none is searched.
     """
 
@@ -77,6 +79,7 @@ class Listing:
     unposed: tuple[str, ...] = ()
     one_frame: bool = False
     unit: str = ""
+    points: Callable[[], FloatArray | None] = lambda: None
 
 
 # ---- Values and paths -----------------------------------------------------------------------------------------------
@@ -259,6 +262,11 @@ def upright(views: Sequence[View]) -> tuple[float, float, float]:
     down = float(np.mean([view.camera.c2w[:3, 2] for view in views], axis=0) @ Z_UP)
     if mean is None or max(float(np.dot(mean, Z_UP)), down) > UPRIGHT_COSINE:  # upright, or looking down from above
         return Z_UP
+    return axis_near(mean)
+
+
+def axis_near(mean: tuple[float, float, float]) -> tuple[float, float, float]:
+    """The axis next to a mean up direction, or that itself where none is."""
     axis = np.rint(mean) + 0.0  # no negative zeros
     if float(axis @ mean) < AXIS_COSINE or np.abs(axis).sum() != 1:
         return mean

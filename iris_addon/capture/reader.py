@@ -7,22 +7,26 @@ one unit.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..base.errors import BadInput
 from ..base.images import HDR_SUFFIXES
-from ..model.capture import Capture, FloatArray, Mesh, View, in_metres
+from ..base.untrusted import floats
+from ..model.camera_height import CameraHeight
+from ..model.capture import Capture, FloatArray, Mesh, View, in_metres, moved_by
 from ..rays.tracer import Tracer
+from .assumed_scale import height_over_floor
 from .colmap import colmap_model, read_colmap, read_colmap_views
-from .common_frame import OURS, bring_together, extent
+from .common_frame import OURS, Together, bring_together, extent
 from .exposures import apply_file, from_exif
 from .fipt import PhotoSet, fipt_root, read_fipt, read_fipt_views
-from .listing import Listing, up_axis, upright
+from .listing import Listing, axis_near, mean_up, up_axis, upright
 from .mesh_files import read_mesh
 from .nerfstudio import read_nerfstudio, read_nerfstudio_views
 from .photo_files import SIDEWAYS, UPRIGHT, check_photo, read_device, read_orientation
@@ -53,7 +57,7 @@ def read_capture(
     hdr: Path | None = None,
     photos: PhotoSet = "Image",
     strict: bool = False,
-    metres_per_unit: float | None = None,
+    metres_per_unit: float | CameraHeight | None = None,
     exclude: Collection[str] = (),
     check: Callable[[], None] = lambda: None,
 ) -> Capture:
@@ -70,7 +74,8 @@ def read_capture(
         photos: which set of a FIPT-layout capture, varying or constant exposure.
         strict: refuse a capture that lacks photos or poses; otherwise up to a third of them are left out and listed.
         metres_per_unit: what poses and mesh are multiplied by, in whatever unit they are; without, a unit that the
-            files do not tell is taken as one metre, which a warning says.
+            files do not tell is taken as one metre, which a warning says. A height of the cameras gives that unit, and
+            no other.
         exclude: names of training photos to leave out, blurred ones say.
         check: called often; may raise, as for a cancel.
 
@@ -96,20 +101,27 @@ def read_capture(
         warnings.append(f"{unknown} of {len(views)} photos have no exposure time: all exposures are estimated")
 
     mesh, mesh_warnings = read_mesh(listing.mesh_file)
-    if metres_per_unit is not None:
-        views, val_views = ([in_metres(view, metres_per_unit) for view in group] for group in (views, val_views))
-        mesh = replace(mesh, vertices=mesh.vertices * metres_per_unit)
-    elif listing.unit:
-        warnings.append(f"{listing.unit}: one unit is taken as one meter; --metres-per-unit gives it another length")
+    given = 1.0
+    if isinstance(metres_per_unit, int | float):
+        given = float(metres_per_unit)
+        views, val_views = ([in_metres(view, given) for view in group] for group in (views, val_views))
+        mesh = replace(mesh, vertices=mesh.vertices * given)
     check_origin(views, mesh, listing.mesh_file)
     mesh, turned = _turn_glb(mesh, views, listing)
-    together = bring_together(views, val_views, mesh, check, may_mend=not listing.one_frame)
-    warnings += [*mesh_warnings, *turned, *([together.warning] if together.warning else [])]
+    together = bring_together(views, val_views, mesh, check, may_mend=not listing.one_frame, points=listing.points)
+    up = _up(listing, together)
+    unit, assumed = given, []
+    if isinstance(metres_per_unit, CameraHeight) or metres_per_unit is None:
+        unit, assumed = _assumed_unit(listing, together, up, metres_per_unit)
+        if unit != 1:
+            together = _scaled(together, unit)
+    warnings += [*assumed, *mesh_warnings, *turned, *([together.warning] if together.warning else [])]
+    mismatch = None if together.mismatch is None else BadInput(*together.mismatch, listing.mesh_file)
+    if mismatch is not None and not (seen_shares(together.views, together.mesh) > 0).any():
+        raise mismatch  # there is nothing to look at either
     check_units(together.views, together.mesh, listing.mesh_file)
     warnings += check_sees_mesh(together.views, together.mesh, listing.mesh_file)
-    up = listing.up
-    if together.mend.convention is not OURS or together.views[0].orientation != UPRIGHT:
-        up = up_axis(listing.root, upright(together.views))
+    found = together.similarity
     return Capture(
         name=listing.name,
         root=listing.root,
@@ -118,14 +130,57 @@ def read_capture(
         mesh=together.mesh,
         up=up,
         warnings=tuple(warnings),
-        mismatch=None if together.mismatch is None else BadInput(*together.mismatch, listing.mesh_file),
-        metres_per_unit=1.0 if metres_per_unit is None else metres_per_unit,
+        mismatch=mismatch,
+        metres_per_unit=unit,
+        poses_to_mesh=None if found is None else found.matrix(given),
         excluded=tuple(sorted(set(exclude))),
     )
 
 
-def read_views(path: Path) -> tuple[View, ...]:
+def _up(listing: Listing, together: Together) -> tuple[float, float, float]:
+    """That of the files, unless the poses are no longer those of the files."""
+    if together.similarity is not None:
+        mean = mean_up(together.views)
+        return upright(together.views) if mean is None else axis_near(mean)
+    if together.mend.convention is not OURS or together.views[0].orientation != UPRIGHT:
+        return up_axis(listing.root, upright(together.views))
+    return listing.up
+
+
+def _assumed_unit(
+    listing: Listing, together: Together, up: tuple[float, float, float], cameras: CameraHeight | None
+) -> tuple[float, list[str]]:
+    """Metres per unit where nobody gave it, and a warning that says what was assumed."""
+    if not listing.unit:
+        unused = f"--camera-height is not used: {listing.source.name} is in meters"
+        return 1.0, [] if cameras is None else [unused]
+    height = None if cameras is None else height_over_floor(together.views, together.mesh, np.array(up))
+    if cameras is not None and height is not None and height > 0:
+        unit = cameras.metres / height
+        said = f"the cameras are taken to be {cameras.metres:g} m over the floor in the middle, and a unit {unit:.4g} m"
+        return unit, [f"{listing.unit}: {said}"]
+    said = "the unit of the mesh" if together.similarity is not None else "one unit"
+    said += " is taken as one meter; --metres-per-unit gives it another length"
+    if cameras is not None:
+        said += ". --camera-height is not used: no floor is seen below the cameras"
+    return 1.0, [f"{listing.unit}: {said}"]
+
+
+def _scaled(together: Together, unit: float) -> Together:
+    return replace(
+        together,
+        views=tuple(in_metres(view, unit) for view in together.views),
+        val_views=tuple(in_metres(view, unit) for view in together.val_views),
+        mesh=replace(together.mesh, vertices=together.mesh.vertices * unit),
+    )
+
+
+def read_views(path: Path, report: Mapping[str, Any] | None = None) -> tuple[View, ...]:
     """Cameras to render from, out of a transforms.json of either layout or a COLMAP model; photos need not exist.
+
+    Args:
+        report: of the result they are for. Where its solve moved the poses of a COLMAP model to the mesh, those of a
+            model move with them; a transforms.json is in the frame of the mesh.
 
     Raises:
         BadInput: no cameras there, or unusable ones.
@@ -134,7 +189,9 @@ def read_views(path: Path) -> tuple[View, ...]:
     transforms = path / "transforms.json" if path.is_dir() else path
     root = fipt_root(transforms)
     if root is None and not transforms.is_file() and (model := colmap_model(path)) is not None:
-        return read_colmap_views(path, model)
+        similarity = floats((report or {}).get("poses_to_mesh"), (4, 4))
+        views = read_colmap_views(path, model)
+        return views if similarity is None else tuple(moved_by(view, similarity) for view in views)
     if root is None and (path.is_file() or not transforms.is_file()) and (found := find_program(path)) is not None:
         return read_program_views(path, *found)
     if root is None:

@@ -199,6 +199,14 @@ def in_metres(view: View, metres_per_unit: float) -> View:
     return replace(view, camera=replace(view.camera, c2w=pose))
 
 
+def moved_by(view: View, similarity: FloatArray) -> View:
+    """The view, its pose moved by the (4, 4) ``similarity``."""
+    scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
+    pose = similarity @ view.camera.c2w
+    pose[:3, :3] /= scale
+    return replace(view, camera=replace(view.camera, c2w=pose))
+
+
 @dataclass(frozen=True)
 class Capture:
     """A capture folder, read and checked.
@@ -211,6 +219,7 @@ class Capture:
         mismatch: what a solve raises, where photos and mesh do not belong together.
         metres_per_unit: what poses and mesh of the files were multiplied by.
         excluded: names of photos that the user has left out.
+        poses_to_mesh: (4, 4) similarity that took the poses of the files to their mesh before that, or None.
     """
 
     name: str
@@ -223,6 +232,7 @@ class Capture:
     mismatch: BadInput | None = None
     metres_per_unit: float = 1.0
     excluded: tuple[str, ...] = ()
+    poses_to_mesh: FloatArray | None = None
 
     @property
     def exposures_known(self) -> bool:

@@ -114,6 +114,8 @@ class IRIS_PT_data(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
                 shown = layout.row()
                 shown.enabled = False
                 shown.prop(settings, "capture", text="")
+        if settings.source == "CAPTURE":
+            layout.prop(settings, "metres_per_unit")
         camera = context.scene.camera
         if settings.source == "SCENE" and camera is not None and camera.type == "CAMERA":
             layout.prop(camera.data, "iris_exposure", text=f"Exposure of {camera.name}")

@@ -152,6 +152,14 @@ class IrisSettings(bpy.types.PropertyGroup):
     result: bpy.props.StringProperty(
         name="Result", description="Folder for checks and results; empty: beside the capture", subtype="DIR_PATH"
     )
+    metres_per_unit: bpy.props.FloatProperty(
+        name="Meters per Unit",
+        description="What poses and mesh of the capture are multiplied by, where their unit is not the meter; 0: they "
+        "are in meters",
+        min=0.0,
+        max=1e6,
+        precision=4,
+    )
     preset: bpy.props.EnumProperty(
         name="Preset",
         items=(

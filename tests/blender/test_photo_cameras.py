@@ -39,6 +39,7 @@ def imported(tmp_path: Path):
             score=1,
             shift=0,
             verdict="aligned",
+            problem="",
         )
         for name, x in (("a", 0.0), ("b", 0.4))
     )
@@ -93,3 +94,14 @@ def test_cameras_read_again_forget_their_given_poses(imported):
     refresh_capture(replace(inspected, views=(elsewhere, inspected.views[1])), scene, thing)
     restore(scene)
     assert np.allclose(np.array(cameras["a"].matrix_basis)[:3, 3], (0.0, 0.2, 0.9))
+
+
+def test_cameras_that_were_read_in_metres_are_not_scaled_again(imported) -> None:
+    """Both the check and the solve had ``--metres-per-unit 2``."""
+    inspected, scene, thing, cameras = imported
+    refresh_capture(replace(inspected, metres_per_unit=2.0), scene, thing)
+    result = replace(room(), report={"metres_per_unit": 2.0})
+    before = [np.array(thing.matrix_basis) for thing in cameras.values()]
+    assert move_to_solved_poses(result, cameras, scene) == 0
+    for pose, thing in zip(before, cameras.values(), strict=True):
+        np.testing.assert_allclose(np.array(thing.matrix_basis), pose)

@@ -355,6 +355,9 @@ def test_a_cancelled_batch_keeps_its_summary(tmp_path, stub_solve):
         ("[[job]]\ncapture = 'a'\nseed = 'x'", "seed"),
         ("[[job]]\ncapture = 'a'\nexclude = 'b'", "exclude is 'b'"),
         ("[[job]]\ncapture = 'a'\nexclude = ['b', 3]", "exclude is ['b', 3]"),
+        ("[[job]]\ncapture = 'a'\nmetres_per_unit = 0", "metres_per_unit is 0"),
+        ("[[job]]\ncapture = 'a'\ncamera_height = true", "camera_height is True"),
+        ("[[job]]\ncapture = 'a'\ncamera_height = 1.5\nmetres_per_unit = 2", "give one of them"),
         ("[[job]]\ncapture = 'a'\nname = '../a'", "name"),
         ("[[job]]\ncapture = 'a'\natlas_size = 1000", "job 1: atlas_size is 1000, neither auto nor a power of two"),
         ("[[job]]\ncapture = 'a'\natlas_size = true", "atlas_size is True"),
@@ -397,6 +400,14 @@ def test_jobs_have_the_size_of_their_textures(tmp_path):
     both, density = (job.config for job in read_jobs(path))
     assert (both.atlas_size, both.texels_per_metre) == (4096, 120)
     assert (density.atlas_size, density.texels_per_metre) == ("auto", 0.5)
+
+
+def test_a_job_has_the_unit_of_its_file(fipt_room, tmp_path, stub_solve):
+    jobs = [{"capture": str(fipt_room.root), "name": name} for name in ("given", "scaled")]
+    jobs[1]["metres_per_unit"] = 0.5
+    assert cli.main(["batch", str(write_jobs(tmp_path / "jobs.toml", *jobs))]) == 0
+    given, scaled = (load_result(tmp_path / "jobs" / job["name"]).mesh.vertices for job in jobs)
+    np.testing.assert_allclose(scaled, 0.5 * given, atol=1e-6)
 
 
 # ---- pictures ------------------------------------------------------------------------------------------------------

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 
 import bpy
 import numpy as np
 from mathutils import Matrix
 
+from ...base.untrusted import finite
 from ...model.capture import View
 from ...results.result import Result
 from ..camera import read_camera, set_lens
 
 GIVEN = "iris_given"
 """Custom property of a camera that was moved: its given pose and lens."""
+METRES_PER_UNIT = "iris_metres_per_unit"
+"""Custom property of the camera data of a photo: what its pose, as the file has it, was multiplied by."""
 LENS = ("sensor_fit", "sensor_width", "lens", "shift_x", "shift_y", "clip_start", "clip_end")
 
 
@@ -28,6 +32,7 @@ def move_to_solved_poses(result: Result, cameras: Mapping[str, bpy.types.Object]
         The number of cameras that were moved.
     """
     given = []
+    result = _in_units_of(cameras, result)
     for name, thing in cameras.items():
         camera = read_camera(scene, thing)
         camera.c2w[:] = np.array(thing.matrix_basis)
@@ -42,6 +47,15 @@ def move_to_solved_poses(result: Result, cameras: Mapping[str, bpy.types.Object]
         set_lens(thing.data, after.camera)
         thing.matrix_basis = Matrix(after.camera.c2w.tolist())
     return moved
+
+
+def _in_units_of(cameras: Mapping[str, bpy.types.Object], result: Result) -> Result:
+    """The result for poses of files that are in the unit in which the cameras stand, which may have been scaled."""
+    scale = finite(result.report.get("metres_per_unit", 1.0))
+    own = next((thing.data.get(METRES_PER_UNIT, 1.0) for thing in cameras.values()), 1.0)
+    if scale is None or own in (0.0, 1.0):
+        return result
+    return replace(result, report={**result.report, "metres_per_unit": float(scale) / own})
 
 
 def restore_given_poses(scene: bpy.types.Scene) -> None:

@@ -19,7 +19,7 @@ from ...base.errors import BadInput
 from ...base.untrusted import decoding, finite, json_object, numbers, read_arrays, read_json
 from ...model.capture import Camera, Mesh
 from ..apply.on_objects import APPLIED, ORIGINAL_MESH, restore
-from ..apply.photo_cameras import forget_given_pose
+from ..apply.photo_cameras import METRES_PER_UNIT, forget_given_pose
 from ..camera import add_camera, look_through, set_lens
 from ..scene_out.build import plain_mesh
 from ..scene_out.scene_state import require_object_mode
@@ -54,13 +54,18 @@ class InspectedView:
 
 @dataclass(frozen=True)
 class Inspected:
-    """The content of an inspection folder."""
+    """The content of an inspection folder.
+
+    Attributes:
+        metres_per_unit: what poses and mesh of the files were multiplied by.
+    """
 
     name: str
     up: tuple[float, float, float]
     warnings: tuple[str, ...]
     views: tuple[InspectedView, ...]
     mesh: Mesh
+    metres_per_unit: float = 1.0
 
 
 def read_inspected(folder: Path) -> Inspected:
@@ -75,7 +80,12 @@ def read_inspected(folder: Path) -> Inspected:
     with decoding(path, "'warnings' is no list", FIX):
         warnings = tuple(str(warning) for warning in content.get("warnings", []))
     return Inspected(
-        name=str(content.get("name")), up=(x, y, z), warnings=warnings, views=views, mesh=_mesh(folder / "mesh.npz")
+        name=str(content.get("name")),
+        up=(x, y, z),
+        warnings=warnings,
+        views=views,
+        mesh=_mesh(folder / "mesh.npz"),
+        metres_per_unit=float(numbers(content.get("metres_per_unit", 1.0), (), "metres_per_unit", path)),
     )
 
 
@@ -137,6 +147,8 @@ def add_capture(inspected: Inspected, scene: bpy.types.Scene) -> tuple[bpy.types
     photos = bpy.data.collections.new("IRIS Photos")
     collection.children.link(photos)
     cameras = [_add_view(view, anchor, photos) for view in inspected.views]
+    for camera in cameras:
+        camera.data[METRES_PER_UNIT] = inspected.metres_per_unit
     look_through(scene, inspected.views[0].camera, cameras[0])
     return room, cameras
 
@@ -192,6 +204,7 @@ def refresh_capture(inspected: Inspected, scene: bpy.types.Scene, room: bpy.type
         set_lens(camera.data, view.camera)
         camera.matrix_basis = Matrix(view.camera.c2w.tolist())
         camera.data.iris_exposure = view.exposure or 0.0
+        camera.data[METRES_PER_UNIT] = inspected.metres_per_unit
         cameras.append(camera)
     return cameras
 

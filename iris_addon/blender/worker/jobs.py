@@ -192,9 +192,9 @@ JSON_LINES = ["--json", "--stop-with-stdin"]
 NO_OPTIONS: Mapping[str, object] = MappingProxyType({})
 
 
-def inspect_command(python: str, capture: Path, out: Path) -> list[str]:
-    """Inspect ``capture`` into ``out``."""
-    return [*_program(python), "inspect", *_absolute(capture, "--out", out), *JSON_LINES]
+def inspect_command(python: str, capture: Path, out: Path, metres_per_unit: float = 0.0) -> list[str]:
+    """Inspect ``capture`` into ``out``; ``metres_per_unit`` 0 leaves the unit to the files."""
+    return [*_program(python), "inspect", *_absolute(capture, "--out", out), *_unit(metres_per_unit), *JSON_LINES]
 
 
 def solve_command(
@@ -205,19 +205,23 @@ def solve_command(
     device: str = "auto",
     seed: int = 0,
     exclude: Sequence[str] = (),
-    textures: Mapping[str, object] = NO_OPTIONS,
+    others: Mapping[str, object] = NO_OPTIONS,
 ) -> list[str]:
     """Solve ``capture`` without the photos ``exclude`` into ``out``, resuming an earlier solve.
 
     Args:
-        textures: options about their size, by their names in job files.
+        others: options by their names in job files: the size of textures, the unit.
     """
     options = ["--preset", preset, "--device", device, "--seed", str(seed), "--resume"]
     if exclude:
         options += ["--exclude", *exclude]
-    for name, value in textures.items():
+    for name, value in others.items():
         options += [f"--{name.replace('_', '-')}", str(value)]
     return [*_program(python), "solve", *_absolute(capture, "--out", out), *options, *JSON_LINES]
+
+
+def _unit(metres_per_unit: float) -> list[str]:
+    return ["--metres-per-unit", f"{metres_per_unit:.9g}"] if metres_per_unit > 0 else []
 
 
 def composite_command(
