@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from ..base.group_by import group_equal, group_medians
 from ..lighting.balance import MAX_ALBEDO
-from ..response.observations import MIXED_WEIGHT
 from ..surface.primary_rays import PixelSamples
 
 DIM_IRRADIANCE = 0.05
@@ -26,6 +25,9 @@ HIGHLIGHT_PRECISION = 20.0
 """Inverse of the specular radiance, per irradiance / pi, from which on errors of the lobe outweigh all others."""
 MODELLED_EDGE_WEIGHT = 1e-5
 """Weight of a mixed pixel on a modelled surface: a texel that only such pixels show stays uncertain, however many."""
+SCANNED_EDGE_WEIGHT = 0.05
+"""Weight of a mixed pixel on a scan: outlines lie beside their place, so that many pixels count as mixed that show one
+surface alone, and texels that no others show are certain by them (experiment 0112)."""
 DIM_ALBEDO = 0.02
 """Added to albedo in denominators and logarithms: relative differences of black surfaces are noise."""
 CHANNEL_MIN_SHARE = 0.01
@@ -135,7 +137,7 @@ def pixel_weight(
     resolution = usual.footprint / np.maximum(samples.footprint, 1e-6)
     lit = irradiance / (irradiance + DIM_IRRADIANCE * usual.irradiance)
     highlight = HIGHLIGHT_PRECISION * specular.mean(1) / np.maximum(irradiance.mean(1), 1e-6)
-    edge = np.where(mixed, np.where(scanned, np.float32(MIXED_WEIGHT), np.float32(MODELLED_EDGE_WEIGHT)), np.float32(1))
+    edge = np.where(mixed, np.where(scanned, SCANNED_EDGE_WEIGHT, MODELLED_EDGE_WEIGHT), 1).astype(np.float32)
     sharp = samples.cosine**2 * np.clip(resolution, 0.05, 20.0) ** 2 * edge
     return ((sharp / (1 + highlight**2))[:, None] * lit**2).astype(np.float32)
 

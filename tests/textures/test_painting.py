@@ -10,9 +10,12 @@ from scipy.ndimage import convolve1d
 
 from iris_addon.model.capture import Camera, Distortion, View
 from iris_addon.rays.tracer import Tracer
+from iris_addon.surface.primary_rays import PixelSamples
+from iris_addon.textures.bake import UsualPixel, pixel_weight
 from iris_addon.textures.charts import build_atlas
 from iris_addon.textures.fusion import TEXEL_SAMPLE, fuse_samples, pixel_kernel
 from iris_addon.textures.photo_texels import SeenTexels, halved, interpolated, on_edges, read_texels, seen_texels
+from iris_addon.textures.principled import EXPECTED_WEIGHT
 from iris_addon.textures.texel_points import TexelPoints
 from tests.box_room import box_mesh, look_at
 from tests.engine_room import assemble, quad
@@ -85,6 +88,26 @@ def as_shown(texture: np.ndarray, blur: float) -> np.ndarray:
 def contrast(texture: np.ndarray) -> float:
     """Standard deviation within the picture, away from its border."""
     return float(texture.reshape(SIDE, SIDE, 3)[8:-8, 8:-8].std())
+
+
+@pytest.mark.parametrize("on_scan", [False, True])
+def test_mixed_pixels_colour_a_texel_only_where_no_others_show_it_and_on_scans_alone(on_scan: bool) -> None:
+    n, usual = 9, UsualPixel(footprint=0.01, irradiance=1.0)
+    up = np.tile(np.array([0, 0, 1], np.float32), (n, 1))
+    head_on = PixelSamples(
+        view=np.arange(n, dtype=np.int16),
+        pixel=np.zeros(n, np.int32),
+        face=np.zeros(n, np.int32),
+        barycentric=np.zeros((n, 2), np.float32),
+        position=np.zeros((n, 3), np.float32),
+        normal=up,
+        direction=up,
+        footprint=np.full(n, 0.01, np.float32),
+    )
+    mixed, scanned = np.arange(n) > 0, np.full(n, on_scan)
+    weight = pixel_weight(head_on, np.ones((n, 3)), np.zeros((n, 3)), mixed, scanned, usual)[:, 0]
+    assert (weight[1:] > EXPECTED_WEIGHT).all() == on_scan  # certain by one of them, and what no photo shows is not
+    assert weight[1:].sum() < 0.5 * weight[0]
 
 
 def test_far_photos_do_not_blur_what_a_near_one_shows() -> None:
