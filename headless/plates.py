@@ -52,7 +52,7 @@ def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
 
     pictures = plate_files(args.plate)
     result = load_result(args.result)
-    views = _by_number(result.as_taken(read_views(args.camera)), args.camera)
+    views = _by_number(result.as_taken(read_views(args.camera, result.report)), args.camera)
     job = read_json(args.objects)
     for key, option in {"camera": "--camera", "length": "the plate"}.items():
         if key in job:

@@ -175,6 +175,8 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     result.report["warnings"] += density_warnings(reached, size)
     if capture.poses_to_mesh is not None:
         result.report["poses_to_mesh"] = capture.poses_to_mesh.tolist()
+    if capture.mended_poses is not None:
+        result.report["mended_poses"] = dict(capture.mended_poses)
     save_result(result, out)
     write_report(result, capture, out, rerenders)
     checkpoints.clear()

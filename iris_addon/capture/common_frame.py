@@ -331,6 +331,7 @@ class Together:
 
     Attributes:
         mend: what was done to bring them there.
+        pose_scale: that positions of the poses were multiplied by.
         similarity: by which the poses were moved to the mesh, or None.
         warning: what a user should know, or "".
         mismatch: what is wrong and how to mend it, where photos and mesh do not belong together; else None.
@@ -340,6 +341,7 @@ class Together:
     val_views: tuple[View, ...]
     mesh: Mesh
     mend: Mend = NOTHING
+    pose_scale: float = 1.0
     similarity: Similarity | None = None
     warning: str = ""
     mismatch: tuple[str, str] | None = None
@@ -433,6 +435,7 @@ def _apply(mend: Mend, given: Together, warning: str) -> Together:
         val_views=tuple(moved(view) for view in given.val_views),
         mesh=replace(given.mesh, vertices=of_mesh * given.mesh.vertices @ mend.rotation.T),
         mend=mend,
+        pose_scale=of_poses,
         warning=warning,
     )
 

@@ -27,6 +27,7 @@ from .common_frame import OURS, Together, bring_together, extent
 from .exposures import apply_file, from_exif
 from .fipt import PhotoSet, fipt_root, read_fipt, read_fipt_views
 from .listing import Listing, axis_near, mean_up, up_axis, upright
+from .mended_poses import mend_record, mended_like
 from .mesh_files import read_mesh
 from .nerfstudio import read_nerfstudio, read_nerfstudio_views
 from .photo_files import SIDEWAYS, UPRIGHT, check_photo, read_device, read_orientation
@@ -133,6 +134,7 @@ def read_capture(
         mismatch=mismatch,
         metres_per_unit=unit,
         poses_to_mesh=None if found is None else found.matrix(given),
+        mended_poses=mend_record(together.mend.convention, together.pose_scale, (*listing.views, *listing.val_views)),
         excluded=tuple(sorted(set(exclude))),
     )
 
@@ -180,16 +182,20 @@ def read_views(path: Path, report: Mapping[str, Any] | None = None) -> tuple[Vie
 
     Args:
         report: of the result they are for. Where its solve moved the poses of a COLMAP model to the mesh, those of a
-            model move with them; a transforms.json is in the frame of the mesh.
+            model move with them; a transforms.json is in the frame of the mesh. Where it took the poses of the capture
+            in another convention, it takes those of a file with such poses likewise.
 
     Raises:
         BadInput: no cameras there, or unusable ones.
     """
-    path = Path(path)
+    return mended_like(report or {}, _read_views(Path(path), report or {}))
+
+
+def _read_views(path: Path, report: Mapping[str, Any]) -> tuple[View, ...]:
     transforms = path / "transforms.json" if path.is_dir() else path
     root = fipt_root(transforms)
     if root is None and not transforms.is_file() and (model := colmap_model(path)) is not None:
-        similarity = floats((report or {}).get("poses_to_mesh"), (4, 4))
+        similarity = floats(report.get("poses_to_mesh"), (4, 4))
         views = read_colmap_views(path, model)
         return views if similarity is None else tuple(moved_by(view, similarity) for view in views)
     if root is None and (path.is_file() or not transforms.is_file()) and (found := find_program(path)) is not None:

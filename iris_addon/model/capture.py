@@ -7,9 +7,10 @@ direction is ``R @ [(i + 0.5 - cx) / fx, -(j + 0.5 - cy) / fy, -1]``.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -220,6 +221,8 @@ class Capture:
         metres_per_unit: what poses and mesh of the files were multiplied by.
         excluded: names of photos that the user has left out.
         poses_to_mesh: (4, 4) similarity that took the poses of the files to their mesh before that, or None.
+        mended_poses: how the poses of the files were taken, for :func:`iris_addon.capture.mended_poses.mended_like`;
+            None where they are as in the files.
     """
 
     name: str
@@ -233,6 +236,7 @@ class Capture:
     metres_per_unit: float = 1.0
     excluded: tuple[str, ...] = ()
     poses_to_mesh: FloatArray | None = None
+    mended_poses: Mapping[str, Any] | None = None
 
     @property
     def exposures_known(self) -> bool:

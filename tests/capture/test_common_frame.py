@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from iris_addon.base.errors import BadInput
 from iris_addon.base.progress import Progress
 from iris_addon.capture.common_frame import MISMATCH_PEAK, FrameMeter
 from iris_addon.capture.inspection import inspect
-from iris_addon.capture.reader import read_capture
+from iris_addon.capture.reader import read_capture, read_views
 from iris_addon.config import preset
 from iris_addon.model.capture import Capture, Mesh
 from iris_addon.pipeline import solve
@@ -114,6 +115,54 @@ def test_photos_and_mesh_are_brought_into_one_frame(
     assert len(mended.warnings) == 1 and said in mended.warnings[0]
     np.testing.assert_allclose(depths(mended), depths(right), rtol=1e-4)
     assert mended.up == pytest.approx(tuple(turned_up(change, right)))
+    assert_read_again_as_taken(demo, mended)
+
+
+def assert_read_again_as_taken(demo: DemoCapture, mended: Capture) -> None:
+    """Cameras to render from are those of the solve where the file is the capture's or has one of its poses, else as
+    they stand there."""
+    report = json.loads(json.dumps({"mended_poses": mended.mended_poses}))
+    taken = {view.name: view.camera.c2w for view in mended.views}
+    raw = {view.name: view.camera.c2w for view in read_views(demo.root)}
+    for view in read_views(demo.root, report):
+        np.testing.assert_allclose(view.camera.c2w, taken[view.name], atol=1e-9)
+    path = demo.root / "transforms.json"
+    content = json.loads(path.read_text())
+    content["frames"] = content["frames"][2:4]
+    path.write_text(json.dumps(content))
+    some = read_views(path, report)
+    assert len(some) == 2
+    for view in some:
+        np.testing.assert_allclose(view.camera.c2w, taken[view.name], atol=1e-9)
+    for frame in content["frames"]:
+        frame["transform_matrix"][0][3] += 0.01 * np.abs(demo.poses[:, :3, 3]).max()
+    path.write_text(json.dumps(content))
+    for view in read_views(path, report):
+        moved = view.camera.c2w - raw[view.name]
+        assert np.abs(moved).max() == abs(moved[0, 3]) > 0
+
+
+@pytest.mark.parametrize(
+    "record",
+    [
+        None,
+        3,
+        {"convention": "sideways"},
+        {"scale": 0},
+        {"scale": "much"},
+        {"scale": np.nan},
+        {"poses": 4},
+        {"poses": [[]]},
+    ],
+)
+def test_a_report_that_is_damaged_moves_no_camera(demo: DemoCapture, record: object) -> None:
+    opencv_axes(demo)
+    mended = read_capture(demo.save())
+    good = dict(mended.mended_poses or {})
+    report = {"mended_poses": {**good, **record} if isinstance(record, dict) else record}
+    raw = read_views(demo.root)
+    for view, given in zip(read_views(demo.root, report), raw, strict=True):
+        np.testing.assert_array_equal(view.camera.c2w, given.camera.c2w)
 
 
 def turned_up(change: Callable, right: Capture) -> np.ndarray:
