@@ -39,6 +39,14 @@ _child: subprocess.Popen[str] | None = None
 _stop = threading.Event()
 
 
+FOUND = """
+import platform, torch
+device = torch.cuda.get_device_name() if torch.cuda.is_available() else "CPU"
+print(f"Python {platform.python_version()}, torch {torch.__version__.partition('+')[0]}, {device}")
+"""
+"""What a Python that has all packages says of itself."""
+
+
 def main(arguments: list[str]) -> None:
     """Create or test, as the arguments say."""
     for name in ("SIGINT", "SIGTERM", "SIGBREAK"):
@@ -54,16 +62,16 @@ def main(arguments: list[str]) -> None:
         os.chdir(empty)
         try:
             if testing:
-                test(given)
+                found = test(given)
             else:
-                make(Path(given))
+                found = make(Path(given))
         finally:
             os.chdir(HERE)  # Windows cannot remove the current folder
-    say(type="done", result={})
+    say(type="done", result={"found": found})
 
 
-def make(folder: Path) -> None:
-    """Create the virtual environment, install the packages and test them."""
+def make(folder: Path) -> str:
+    """Create the virtual environment, install the packages and :func:`test` them."""
     venv = folder / "venv"
     check_platform(sys.platform, platform.machine())
     if os.name == "nt" and not windows_takes_long_paths():
@@ -86,7 +94,7 @@ def make(folder: Path) -> None:
         one = Path(f"optional-{number}.txt")  # in the empty folder
         one.write_text(entry + "\n", encoding="utf-8")
         call([*pip, *exactly, "--no-deps", "--progress-bar", "off", "-r", str(one)])
-    test(str(python), 0.9)
+    return test(str(python), 0.9)
 
 
 def check_platform(system: str, machine: str) -> None:
@@ -121,8 +129,8 @@ def windows_takes_long_paths() -> bool:
         return False
 
 
-def test(python: str, at: float = 0.0) -> None:
-    """Import all packages; fail with the names of missing ones."""
+def test(python: str, at: float = 0.0) -> str:
+    """Import all packages; fail with the names of missing ones. Returns what a solve will run on."""
     progress("importing the packages", at)
     # Not isolated: packages in the user's site folder are available to a solve as well.
     missing = []
@@ -138,11 +146,14 @@ def test(python: str, at: float = 0.0) -> None:
         progress("importing the packages", at + (1 - at) * (number + 1) / len(IMPORTS))
     if missing:
         fail(f"{python} lacks {', '.join(missing)}", "install them into it, or press Create Environment")
-    call([python, "-c", "import sys, torch; print('Python', sys.version.split()[0], 'torch', torch.__version__)"])
+    said: list[str] = []
+    call([python, "-c", FOUND], said)
+    return said[-1] if said else ""
 
 
-def call(command: list[str]) -> int:
-    """Run ``command`` with its output in the log; returns its exit code. Exits if a stop was requested."""
+def call(command: list[str], said: list[str] | None = None) -> int:
+    """Run ``command`` with its output in the log, and in ``said``; returns its exit code. Exits if a stop was
+    requested."""
     global _child
     _child = subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
@@ -150,6 +161,8 @@ def call(command: list[str]) -> int:
     assert _child.stdout is not None
     for line in _child.stdout:
         print(line.rstrip(), file=sys.stderr, flush=True)
+        if said is not None:
+            said.append(line.rstrip())
     code = _child.wait()
     if _stop.is_set():
         say(type="error", what="cancelled", fix="start it again", exit_code=CANCELLED)

@@ -54,7 +54,8 @@ def _draw_job(layout: bpy.types.UILayout, name: jobs.JobName, title: str) -> Non
         layout.label(text=f"Try: {record.fix}", icon="BLANK1")
         layout.operator("iris.copy_error", icon="COPYDOWN").job = name
     elif record.state in ("done", "cancelled", "interrupted"):
-        icon = "CHECKMARK" if record.state == "done" else "INFO"
-        layout.label(text=f"{title}: {record.state}. {record.what}", icon=icon)
+        done = record.state == "done"
+        said = (record.what or "done") if done else f"{record.state}. {record.what}"
+        layout.label(text=f"{title}: {said}", icon="CHECKMARK" if done else "INFO")
     if record.state != "missing":
         layout.operator("iris.show_log", text=f"{title} Log", icon="TEXT").job = name

@@ -1,6 +1,7 @@
 """The extension: built, validated, installed into a Blender of its own, used from import to export, disabled."""
 
 import ast
+import platform
 import re
 import sys
 import tomllib
@@ -731,6 +732,9 @@ def test_an_environment_needs_online_access_and_its_python_is_tested(package, tm
     assert not bpy.ops.iris.test_python.poll()
     preferences.python = {sys.executable!r}
     assert bpy.ops.iris.test_python() == {{"FINISHED"}}
+    folders, jobs = (sys.modules[KEY + name] for name in (".operators.folders", ".iris_addon.blender.worker.jobs"))
+    found = jobs.record("test", folders.environment_folder()).what
+    assert found.startswith({f"Python {platform.python_version()}, torch "!r}) and found.count(", ") == 2, found
     preferences.python = "/no/such/python"
     fails(bpy.ops.iris.test_python, "cannot be started")
     """

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from headless import animation, make_environment
+from headless import frame_folder, make_environment
 from iris_addon.blender.worker.jobs import (
     composite_command,
     environment_command,
@@ -128,6 +128,6 @@ def test_ffmpeg_is_never_that_of_the_current_folder(
         (folder / "ffmpeg").write_text("#!/bin/sh\n")
         (folder / "ffmpeg").chmod(0o755)
     monkeypatch.setenv("PATH", os.pathsep.join(["", ".", str(tmp_path / "empty")]))
-    assert animation.find_ffmpeg() is None
+    assert frame_folder.find_ffmpeg() is None
     monkeypatch.setenv("PATH", os.pathsep.join([".", str(tmp_path / "bin")]))
-    assert animation.find_ffmpeg() == str(tmp_path / "bin" / "ffmpeg")
+    assert frame_folder.find_ffmpeg() == str(tmp_path / "bin" / "ffmpeg")

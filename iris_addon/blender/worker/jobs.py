@@ -29,7 +29,7 @@ State = Literal["missing", "running", "done", "failed", "cancelled", "interrupte
 
 @dataclass(frozen=True)
 class Record:
-    """The state of a job; ``what`` is wrong and its ``fix`` where it failed."""
+    """The state of a job; ``what`` is wrong and its ``fix`` where it failed, or ``what`` it found where it is done."""
 
     state: State
     what: str = ""
@@ -156,7 +156,7 @@ def _end(job: Job) -> Record:
     job.worker.close()
     try:
         job.worker.raise_if_failed()
-        ended = Record("done")
+        ended = Record("done", job.worker.found)
     except Cancelled:
         ended = CANCELLED
     except IrisError as error:

@@ -38,6 +38,7 @@ class Worker:
     Attributes:
         stage, fraction, overall, seconds_left: the latest progress (see
             :class:`iris_addon.base.progress.ProgressEvent`).
+        found: what it said in a line when it was done, or "".
         log: the last lines of its output, stages included.
 
     Args:
@@ -51,6 +52,7 @@ class Worker:
     def __init__(self, command: Sequence[str], log_file: Path | None = None) -> None:
         self.stage, self.fraction, self.overall = "", 0.0, 0.0
         self.seconds_left: float | None = None
+        self.found = ""
         self.log: deque[str] = deque(maxlen=LOG_LINES)
         self._error: IrisError | None = None
         self._kill_at = float("inf")
@@ -170,6 +172,8 @@ class Worker:
             self.overall, self.seconds_left = message["overall"], message["seconds_left"]
         elif kind == "error":
             self._error = IrisError(str(message.get("what")), str(message.get("fix")))
+        elif kind == "done" and isinstance(message.get("result"), dict):
+            self.found = str(message["result"].get("found", ""))
 
     def _read_messages(self, pipe: IO[str]) -> None:
         for line in pipe:
