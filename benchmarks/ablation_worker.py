@@ -62,7 +62,7 @@ MECHANISMS: Mapping[str, tuple[Replaced, ...]] = {
         Replaced("results.assembly", "residual_light", lambda _field, region, *_: np.ones((len(region), 3))),
     ),
     "textures: edges of models weigh less than those of scans": (
-        Replaced("textures.bake", "MODELLED_EDGE_WEIGHT", 0.001),
+        Replaced("textures.bake", "MODELLED_EDGE_WEIGHT", 0.05),
     ),
 }
 """Parts of the model that no held-out loss decides, by name."""
