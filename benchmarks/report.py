@@ -20,6 +20,7 @@ from . import (
     farm_section,
     profile_section,
     scaling_section,
+    scans_section,
     speed_section,
     stability_section,
 )
@@ -37,6 +38,7 @@ SECTIONS: Mapping[str, Section] = {
     "scaling": scaling_section.describe,
     "profile": profile_section.describe,
     "farm": farm_section.describe,
+    "scans": scans_section.describe,
 }
 NOT_MEASURED = "Not measured yet."
 
