@@ -28,6 +28,8 @@ from .records import Record
 Scored = Literal["maps", "relight", "all"]
 BUNDLED = ROOT / "assets" / "demo_room"
 SHARED_CAPTURES = ROOT.parent / "shared" / "captures"
+SCAN = "-scan"
+"""Added to the name of a capture whose mesh is that of a scanner."""
 SWEPT_VIEWS = 2
 """Held-out views that the sweeps relight."""
 

@@ -19,11 +19,9 @@ from iris_addon.config import PRESETS
 
 from .perturb_photos import copy_capture
 from .records import OUT
-from .runs import SHARED_CAPTURES, Run, capture_folder, captures, has_truth, relative, run_all
+from .runs import SCAN, SHARED_CAPTURES, Run, capture_folder, captures, has_truth, relative, run_all
 
 SHARED_SCANS = SHARED_CAPTURES.parent / "scans"
-SCAN = "-scan"
-"""Added to the name of a capture whose mesh is that of a scanner."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from . import tables
 from .records import Record, machine_of
-from .scans import SCAN
+from .runs import SCAN
 
 COLUMNS = {
     "kd_psnr": ("kd_psnr", 2),

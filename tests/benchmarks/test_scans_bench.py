@@ -48,4 +48,4 @@ def test_both_meshes_of_a_room_stand_below_each_other(tmp_path: Path) -> None:
         ["| a", "scan", "draft", "25.10"],
         ["| b", "exact", "draft", "30.00"],
     ]
-    assert rows[0][-2:] == ["61", "79 |"]
+    assert rows[0][-3:] == ["26.00", "61", "79 |"]
