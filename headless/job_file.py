@@ -36,7 +36,6 @@ from iris_addon.base.errors import BadInput
 from iris_addon.base.untrusted import read_json, read_toml
 from iris_addon.config import MAX_SEED, PRESETS, TEXTURE_OPTIONS, SolveConfig, preset
 from iris_addon.model.camera_height import CameraHeight
-from iris_addon.model.texture_size import atlas_size_of, density_of
 
 MAX_JOBS_BYTES = 4 << 20
 OPTIONS = ("response", "exposures", "hdr", "device", "seed", *TEXTURE_OPTIONS)
@@ -156,11 +155,6 @@ def _job(entry: Any, number: int, path: Path, located: Located) -> Job:
     excluded = entry.get("exclude", [])
     if not all(isinstance(photo, str) for photo in excluded):
         raise BadInput(f"{where}: exclude is {excluded!r}", "give a list of names of photos", path)
-    for key, checked in zip(TEXTURE_OPTIONS, (atlas_size_of, density_of), strict=True):
-        try:
-            checked(entry.get(key, "auto"))
-        except ValueError as error:
-            raise BadInput(f"{where}: {key} is {entry[key]!r}, {error}", "mend it", path) from error
     options = {key: entry[key] for key in OPTIONS if key in entry}
     for key in ("response", "exposures", "hdr"):
         if key in options and options[key] not in WORDS.get(key, ()):
@@ -168,6 +162,10 @@ def _job(entry: Any, number: int, path: Path, located: Located) -> Job:
     capture = located(entry["capture"])
     name = _name(entry.get("name", capture.stem if capture.suffix else capture.name), where, path)
     out = located(entry["out"]) if "out" in entry else path.with_suffix("") / name
+    try:
+        config = preset(entry.get("preset", "balanced"), **options)
+    except BadInput as error:
+        raise BadInput(f"{where}: {error.what}", error.fix, path) from error
     frames = tuple(
         _frames(table, f"{where}, frames {index + 1}", path, located, (name, capture, out))
         for index, table in enumerate(entry.get("frames", []))
@@ -176,7 +174,7 @@ def _job(entry: Any, number: int, path: Path, located: Located) -> Job:
         name=name,
         capture=capture,
         out=out,
-        config=preset(entry.get("preset", "balanced"), **options),
+        config=config,
         exclude=tuple(excluded),
         unit=_unit(entry, where, path),
         evaluate=entry.get("evaluate", False),

@@ -16,7 +16,6 @@ from ...iris_addon.blender.render import light_mixing
 from ...iris_addon.blender.scene_out import lights as lamps
 from ...iris_addon.blender.worker import jobs
 from ...iris_addon.edits.light_units import kelvin
-from ...iris_addon.results.records import read_report
 from ..folders import ROOT_PACKAGE, folder, result_key, solver_python
 from ..relight import BEFORE_PREVIEW, chosen_lamp, lamp_flux, other_lights
 from . import steps
@@ -225,7 +224,7 @@ class IRIS_PT_review(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
 def _figures(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """Draw what the report says of the model, and its warnings."""
     try:
-        report = read_report(folder(context.scene))
+        report = steps.report_of(folder(context.scene))
     except IrisError as error:
         paragraph(layout, str(error), context, "ERROR")
         return

@@ -167,16 +167,22 @@ def solved_without(folder: Path) -> list[str]:
     return sorted(map(str, excluded)) if isinstance(excluded, list) else []
 
 
-def _report(folder: Path) -> dict[str, Any]:
-    """The report of the result in ``folder``, empty where there is none, read again only when it has changed."""
+def report_of(folder: Path) -> dict[str, Any]:
+    """The report of the result in ``folder``, read again only when it has changed; raises IrisError as
+    :func:`read_report`."""
     path = result_file(folder, REPORT)
+    written = path.stat().st_mtime_ns if path.is_file() else 0
+    if _REPORTS.get(path, (-1, {}))[0] != written:
+        _REPORTS[path] = written, read_report(folder)
+    return _REPORTS[path][1]
+
+
+def _report(folder: Path) -> dict[str, Any]:
+    """:func:`report_of`, empty where there is none."""
     try:
-        written = path.stat().st_mtime_ns
-        if _REPORTS.get(path, (0, {}))[0] != written:
-            _REPORTS[path] = written, read_report(folder)
+        return report_of(folder)
     except (OSError, IrisError):
         return {}
-    return _REPORTS[path][1]
 
 
 def texture_options(settings: bpy.types.PropertyGroup) -> dict[str, int]:
