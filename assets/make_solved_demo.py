@@ -28,11 +28,13 @@ from iris_addon.capture.inspection import inspect  # noqa: E402
 from iris_addon.capture.reader import read_capture  # noqa: E402
 from iris_addon.config import preset  # noqa: E402
 from iris_addon.pipeline import solve  # noqa: E402
-from iris_addon.results.files import BASE_COLOR, MAPS  # noqa: E402
+from iris_addon.results.files import BASE_COLOR, COVERAGE, MAPS  # noqa: E402
 from iris_addon.results.folder import load_result  # noqa: E402
 
 CAPTURE = ASSETS / "demo_room"
 ATLAS = 1024
+COVERAGE_LEVELS = 31
+"""Of the map that Blender paints in three colours: half as many bytes as with 255."""
 REVIEWED = ("render", "error")
 """Pictures of the report that Review shows; the photo is in the capture."""
 
@@ -67,6 +69,8 @@ def _shrink(folder: Path, textures) -> None:  # noqa: ANN001 - Textures
     write_exr(folder / BASE_COLOR, textures.base_color, half=True, lossy=True)
     for name, file in MAPS.items():
         write_png(folder / file, np.round(np.clip(getattr(textures, name), 0, 1) * 255).astype(np.uint8))
+    levels = np.round(textures.coverage * COVERAGE_LEVELS) * (255 / COVERAGE_LEVELS)
+    write_png(folder / COVERAGE, np.round(levels).astype(np.uint8))
 
 
 def _add_reviews(source: Path, folder: Path) -> None:

@@ -24,7 +24,7 @@ from . import (
     solve,
     solved_demo,
 )
-from .ui import lamp_highlight, panels, photo_list, preferences, settings, solve_preview
+from .ui import icons, lamp_highlight, panels, photo_list, preferences, settings, solve_preview
 
 CLASSES = (
     preferences.IrisPreferences,
@@ -48,6 +48,7 @@ CLASSES = (
     solve.IRIS_OT_solve,
     review.IRIS_OT_review,
     review.IRIS_OT_confidence,
+    review.IRIS_OT_next_photos,
     apply.IRIS_OT_apply,
     apply.IRIS_OT_restore,
     relight.IRIS_OT_look,
@@ -87,6 +88,7 @@ def register() -> None:
         bpy.utils.register_class(cls)
     bpy.types.Scene.iris = bpy.props.PointerProperty(type=settings.IrisSettings)
     bpy.types.Camera.iris_exposure = settings.EXPOSURE
+    icons.register()
     solve_preview.register()
     lamp_highlight.register()
     menus.register()
@@ -99,6 +101,7 @@ def unregister() -> None:
     menus.unregister()
     lamp_highlight.unregister()
     solve_preview.unregister()
+    icons.unregister()
     del bpy.types.Scene.iris, bpy.types.Camera.iris_exposure
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

@@ -24,6 +24,7 @@ ENTRIES: tuple[tuple[Entry, ...], ...] = (
         ("iris.restore", {}, ""),
         ("iris.confidence", {"on": True}, "Show Confidence"),
         ("iris.confidence", {"on": False}, "Hide Confidence"),
+        ("iris.next_photos", {}, ""),
     ),
     (
         ("iris.preview", {}, "Preview Relit Room"),

@@ -8,11 +8,17 @@ import bpy
 
 from ..iris_addon.base.errors import IrisError
 from ..iris_addon.blender.apply.review import curve_image, review_image, reviewed_views, show_confidence
+from ..iris_addon.blender.apply.suggested_photos import forget_suggested, suggest_photos
+from ..iris_addon.blender.camera import read_camera
+from ..iris_addon.blender.images import read_image
 from ..iris_addon.blender.scene_in.capture_objects import photo_of, show_instead
+from ..iris_addon.results.folder import read_coverage
 from ..iris_addon.results.records import read_response
+from .apply import face_runs
 from .editors import show_in_editor, view_shadings
 from .folders import folder
-from .polls import NeedsResult
+from .polls import NeedsApplied, NeedsResult
+from .wait_cursor import wait_cursor
 
 
 class IRIS_OT_review(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -73,13 +79,13 @@ def _current_photo(settings: bpy.types.PropertyGroup) -> tuple[bpy.types.Object,
 
 
 class IRIS_OT_confidence(bpy.types.Operator):  # noqa: N801 - Blender's naming
-    """Show in the solid view how certain the textures are: white where many photos agree, black where none shows it"""
+    """Show in the solid view how often photos show each place: often, seldom, or never, so that it was filled in"""
 
     bl_idname = "iris.confidence"
     bl_label = "Confidence"
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
 
-    on: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
+    on: bpy.props.BoolProperty(name="Show", description="Show the map, or the room", default=True, options={"HIDDEN"})
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Change the displayed texture; renders do not change."""
@@ -89,4 +95,39 @@ class IRIS_OT_confidence(bpy.types.Operator):  # noqa: N801 - Blender's naming
         for shading in view_shadings(context):
             shading.type, shading.color_type = "SOLID", "TEXTURE"
             shading.light = "FLAT" if self.on else "STUDIO"
+        return {"FINISHED"}
+
+
+class IRIS_OT_next_photos(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Place up to five cameras in the room, from where one sees most of what the photos show seldom or never. Take
+    photos there, and solve again. Pressed again, the cameras go"""
+
+    bl_idname = "iris.next_photos"
+    bl_label = "Where to Take More Photos"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
+
+    on: bpy.props.BoolProperty(
+        name="Show", description="Place the cameras, or remove them", default=True, options={"SKIP_SAVE"}
+    )
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Place the cameras, or remove them."""
+        scene = context.scene
+        if not self.on:
+            forget_suggested(scene)
+            return {"FINISHED"}
+        try:
+            taken = [read_camera(scene, view.camera) for view in scene.iris.views if view.camera is not None]
+            with wait_cursor(context):  # a search tree of the room is built, and some hundred thousand rays traced
+                room = read_coverage(folder(scene), read_image)
+                found = suggest_photos(room, face_runs(scene), scene, taken)
+        except IrisError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        if not found:
+            self.report({"INFO"}, "The photos show all that can be seen from where people stand")
+            return {"CANCELLED"}
+        share = sum(photo.share for photo in found)
+        photos = "1 photo" if len(found) == 1 else f"{len(found)} photos"
+        self.report({"INFO"}, f"{photos} would show {share:.0%} of what is badly seen")
         return {"FINISHED"}

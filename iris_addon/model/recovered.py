@@ -92,9 +92,11 @@ class Textures:
         roughness: (N, N) float32, the Principled parameter (alpha = roughness squared).
         metallic: (N, N) float32.
         confidence: (N, N) float32, 0 where filled in, 1 where many photos agree.
+        coverage: (N, N) float32, confidence averaged over the surface; None in results that do not have it.
     """
 
     base_color: NDArray[np.float32]
     roughness: NDArray[np.float32]
     metallic: NDArray[np.float32]
     confidence: NDArray[np.float32]
+    coverage: NDArray[np.float32] | None = None

@@ -20,9 +20,10 @@ REPORT, RESPONSE, EMITTERS = "report.json", "response.json", "emitters.json"
 BACKDROP, BACKDROP_ALBEDO = "backdrop.exr", "backdrop_albedo.exr"
 BASE_COLOR, EMISSION, MESH = (f"{MATERIALS}/{name}" for name in ("base_color.exr", "emission.exr", "mesh.glb"))
 MAPS = {name: f"{MATERIALS}/{name}.png" for name in ("roughness", "metallic", "confidence")}
+COVERAGE = f"{MATERIALS}/coverage.png"
 MATERIAL_FILES = (BASE_COLOR, EMISSION, MESH, *MAPS.values())
 REPORT_PAGE = "report.html"
-FILES = (EMITTERS, RESPONSE, BACKDROP, BACKDROP_ALBEDO, *MATERIAL_FILES, REPORT)
+FILES = (EMITTERS, RESPONSE, BACKDROP, BACKDROP_ALBEDO, *MATERIAL_FILES, COVERAGE, REPORT)
 """All files of a result, in the order in which they are moved."""
 PREVIEWS = ("albedo", "light", "error")
 """Kinds of previews of a solve in progress."""
@@ -56,7 +57,7 @@ def complete_save(folder: Path) -> None:
         return
     (folder / MATERIALS).mkdir(exist_ok=True)
     waiting = [name for name in FILES if _waits(folder, name)]
-    for name in (BACKDROP, BACKDROP_ALBEDO):
+    for name in (BACKDROP, BACKDROP_ALBEDO, COVERAGE):
         if EMITTERS in waiting and name not in waiting:
             (folder / name).unlink(missing_ok=True)  # of the previous result
     for name in waiting:

@@ -24,9 +24,10 @@ from numpy.typing import NDArray
 from ..base.errors import BadInput
 from ..base.image_headers import announced_size
 from ..base.untrusted import MAX_NUMBER, MEND, decoding
+from ..model.capture import Mesh
 from ..model.recovered import Backdrop, Textures
 from ..model.texture_size import LARGEST_SIDE
-from .files import BACKDROP, BACKDROP_ALBEDO, BASE_COLOR, FILES, MAPS, MESH, REPORT, result_file
+from .files import BACKDROP, BACKDROP_ALBEDO, BASE_COLOR, COVERAGE, FILES, MAPS, MESH, REPORT, result_file
 from .glb import read_glb
 from .records import StoredShell, read_emitters, read_report, read_response
 from .result import Result
@@ -118,14 +119,33 @@ def _read_textures(folder: Path, read_image: ReadImage) -> Textures:
     base_color = _read_texture(path, read_image)
     if base_color.ndim != 3 or base_color.shape[2] < 3:
         raise BadInput("has no RGB", MEND, path)
-    maps = {}
-    for name, file in MAPS.items():
-        path = result_file(folder, file)
-        values = _read_texture(path, read_image)
-        maps[name] = np.ascontiguousarray(values if values.ndim == 2 else values[..., 0])
-        if maps[name].shape != base_color.shape[:2]:
-            raise BadInput(f"is {values.shape[1]}x{values.shape[0]}, unlike base_color.exr", MEND, path)
+    maps = {name: _read_map(result_file(folder, file), len(base_color), read_image) for name, file in MAPS.items()}
+    coverage = result_file(folder, COVERAGE)
+    if coverage.is_file():  # results of earlier versions have none
+        maps["coverage"] = _read_map(coverage, len(base_color), read_image)
     return Textures(np.ascontiguousarray(base_color[..., :3]), **maps)
+
+
+def read_coverage(folder: Path, read_image: ReadImage) -> tuple[Mesh, NDArray[np.float32], tuple[float, float, float]]:
+    """Mesh, coverage (N, N) and up vector of the result in ``folder``, without its other textures.
+
+    Where it has no coverage, the confidence of single texels stands for it.
+
+    Raises:
+        BadInput: the files are damaged or not there.
+    """
+    path = result_file(folder, COVERAGE)
+    if not path.is_file():
+        path = result_file(folder, MAPS["confidence"])
+    mesh, _, up = read_glb(result_file(folder, MESH))
+    return mesh, _read_map(path, None, read_image), up
+
+
+def _read_map(path: Path, side: int | None, read_image: ReadImage) -> NDArray[np.float32]:
+    values = _read_texture(path, read_image)
+    if side is not None and len(values) != side:
+        raise BadInput(f"is {values.shape[1]}x{values.shape[0]}, unlike base_color.exr", MEND, path)
+    return np.ascontiguousarray(values if values.ndim == 2 else values[..., 0])
 
 
 def _read_texture(path: Path, read_image: ReadImage) -> NDArray[np.float32]:

@@ -19,6 +19,7 @@ from .files import (
     BACKDROP,
     BACKDROP_ALBEDO,
     BASE_COLOR,
+    COVERAGE,
     EMISSION,
     EMITTERS,
     MAPS,
@@ -88,6 +89,9 @@ def _write_all(result: Result, folder: Path) -> None:
             threads.submit(write_exr, folder / EMISSION, emission_texture(result), half=True),
             *(threads.submit(write_map, name) for name in MAPS),
         ]
+        if result.textures.coverage is not None:  # a picture for people: 8 bits
+            levels = np.round(np.clip(result.textures.coverage, 0.0, 1.0) * 255.0).astype(np.uint8)
+            jobs.append(threads.submit(write_png, folder / COVERAGE, levels))
     for job in jobs:
         job.result()
     (folder / MESH).write_bytes(encode_glb(result.mesh, result.regions, result.up))

@@ -14,6 +14,7 @@ from ..model.recovered import Textures
 from ..surface.primary_rays import PixelSamples
 from .atlas import Atlas
 from .bake import DIM_ALBEDO, PixelAlbedo, TexelAlbedo, complete_channels
+from .coverage import smooth_coverage
 from .fill import extend_texels, fill_texels
 from .paint import Paint, find_paint, shared_paint
 from .texel_points import TexelPoints
@@ -83,7 +84,8 @@ def make_textures(
     metallic = np.append(gloss.metallic[regions], 0.0).astype(np.float32)[face]
     confidence = np.zeros((size, size), np.float32)
     confidence.flat[fused.texel] = np.clip(fused.weight / FULL_CONFIDENCE_WEIGHT, 0, 1)
-    return Textures(base_color, roughness, metallic, confidence), paint
+    coverage = smooth_coverage(texels.points, confidence.flat[texels.points.texel], size)
+    return Textures(base_color, roughness, metallic, confidence, coverage=coverage), paint
 
 
 def _fill(

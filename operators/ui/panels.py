@@ -10,15 +10,18 @@ from ...iris_addon.base.errors import IrisError
 from ...iris_addon.blender.apply.camera_look import MATCHED
 from ...iris_addon.blender.apply.looks import LOOKS, is_solo, outside_light, own_looks
 from ...iris_addon.blender.apply.on_objects import APPLIED
-from ...iris_addon.blender.apply.review import model_lines
+from ...iris_addon.blender.apply.review import model_lines, shows_confidence
+from ...iris_addon.blender.apply.suggested_photos import suggested_groups
 from ...iris_addon.blender.insert.plate import shows_plate
 from ...iris_addon.blender.render import light_mixing
 from ...iris_addon.blender.scene_out import lights as lamps
 from ...iris_addon.blender.worker import jobs
 from ...iris_addon.edits.light_units import kelvin
+from ...iris_addon.model.seen_classes import SEEN_CLASSES
 from ..folders import ROOT_PACKAGE, folder, result_key, solver_python
 from ..relight import BEFORE_PREVIEW, chosen_lamp, lamp_flux, other_lights
 from . import steps
+from .icons import swatch
 from .photo_list import draw_list
 from .steps import ICONS, Step
 from .widgets import job_box, paragraph, preview_box
@@ -213,12 +216,23 @@ class IRIS_PT_review(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
                 grid.operator("iris.review", text=text).kind = kind
             layout.operator("iris.apply", icon="MATERIAL")
         if APPLIED in scene:
-            row = layout.row(align=True)
-            row.operator("iris.confidence", text="Show Confidence").on = True
-            row.operator("iris.confidence", text="Hide").on = False
+            _seen_map(layout, scene)
             layout.operator("iris.restore", icon="LOOP_BACK")
         if result_key(scene):
             _figures(layout, context)
+
+
+def _seen_map(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    """Draw the switch of the map of what was seen, its legend, and that of the suggested photos."""
+    shown, suggested = shows_confidence(), bool(suggested_groups(scene))
+    column = layout.column(align=True)
+    column.operator("iris.confidence", text="Show Confidence", icon="HIDE_OFF", depress=shown).on = not shown
+    if shown:
+        legend = column.row(align=True)
+        for seen in reversed(SEEN_CLASSES):
+            legend.label(text=seen.name, icon_value=swatch(seen.color))
+    text = "More Photos From Here" if suggested else "Where to Take More Photos"
+    column.operator("iris.next_photos", text=text, icon="OUTLINER_OB_CAMERA", depress=suggested).on = not suggested
 
 
 def _figures(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -40,6 +40,7 @@ def test_from_installing_to_the_relit_room_without_a_solver(package, tmp_path):
     """Opened with one press from the start-up scene, in evening light with one more; a picture within a minute."""
     picture = tmp_path / "evening.png"
     body = f"""
+    from mathutils import Vector
     started = time.monotonic()
     settings = scene.iris
     assert settings.open_data and not settings.open_solve
@@ -56,6 +57,26 @@ def test_from_installing_to_the_relit_room_without_a_solver(package, tmp_path):
         assert bpy.ops.iris.review(kind=kind) == {{"FINISHED"}}, kind
     room = [thing for thing in scene.objects if thing.type == "MESH" and "iris_original" in thing]
     assert len(room) == 1
+
+    before = {{name: len(getattr(bpy.data, name)) for name in ("objects", "cameras", "collections")}}
+    began = time.monotonic()
+    assert bpy.ops.iris.next_photos(on=True) == {{"FINISHED"}}
+    spent = time.monotonic() - began
+    assert spent < 15, spent
+    suggested = list(bpy.data.collections["IRIS Next Photos"].objects)
+    corners = [room[0].matrix_world @ Vector(corner) for corner in room[0].bound_box]
+    for thing in suggested:
+        for axis in range(3):
+            assert min(c[axis] for c in corners) < thing.location[axis] < max(c[axis] for c in corners)
+    assert 1 <= len(suggested) <= 5, suggested
+    bpy.ops.iris.next_photos(on=False)
+    assert before == {{name: len(getattr(bpy.data, name)) for name in before}}
+    bpy.ops.iris.confidence(on=True)
+    material = next(slot.material for slot in room[0].material_slots if slot.material.node_tree.nodes.active)
+    image = material.node_tree.nodes.active.image
+    assert image.name == "IRIS Confidence" and len({{round(v, 2) for v in image.pixels[:400000][::4]}}) > 8
+    bpy.ops.iris.next_photos()
+    bpy.ops.iris.confidence(on=False)
 
     day = [lamp for lamp in settings.lamps if lamp.area > 1]  # the window
     assert len(day) == 1
@@ -80,6 +101,7 @@ def test_from_installing_to_the_relit_room_without_a_solver(package, tmp_path):
     assert unfolded() == [name for name in sections if name not in ("relight", "export")]
     preferences.fold_steps = True
     bpy.ops.iris.restore()
+    assert before["cameras"] == len(bpy.data.cameras) and "IRIS Next Photos" not in bpy.data.collections
     assert unfolded() == ["review"]  # another step, another section
     bpy.ops.iris.apply()
     key = scene["iris_applied"]

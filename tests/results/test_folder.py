@@ -56,6 +56,15 @@ def test_round_trip_reproduces_the_result(tmp_path):
         assert np.abs(getattr(loaded.textures, name) - getattr(result.textures, name)).max() <= 0.51 / 65535
 
 
+def test_the_coverage_survives_and_goes_with_its_result(tmp_path):
+    plain = room()
+    coverage = np.random.default_rng(3).random(plain.textures.confidence.shape).astype(np.float32)
+    save_result(replace(plain, textures=replace(plain.textures, coverage=coverage)), tmp_path)
+    assert np.abs(load_result(tmp_path).textures.coverage - coverage).max() <= 0.51 / 255
+    save_result(plain, tmp_path)
+    assert load_result(tmp_path).textures.coverage is None, "an older result does not show that of a newer one"
+
+
 def with_backdrop() -> Result:
     """A room before a tetrahedron that reflects."""
     corners = np.array([[-3.0, -3, -3], [5, 0, 0], [0, 5, 0], [0, 0, 5 + 1 / 3]])

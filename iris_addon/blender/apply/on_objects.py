@@ -290,7 +290,8 @@ def _restore_object(thing: bpy.types.Object) -> None:
 def _remove_made(scene: bpy.types.Scene) -> None:
     """Remove the stand-ins of ``scene``, and data that :func:`apply_to_objects` made and nothing uses any more."""
     bpy.data.batch_remove([thing for thing in scene.objects if MADE in thing])
-    for kind in ("meshes", "lights", "worlds", "materials", "images"):  # users before what they use
+    bpy.data.batch_remove([group for group in scene.collection.children if MADE in group and not group.all_objects])
+    for kind in ("meshes", "lights", "cameras", "worlds", "materials", "images"):  # users before what they use
         bpy.data.batch_remove([block for block in getattr(bpy.data, kind) if MADE in block and not block.users])
 
 

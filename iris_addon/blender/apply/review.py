@@ -97,7 +97,7 @@ def _short(value: object) -> str:
 
 
 def show_confidence(objects: list[bpy.types.Object], on: bool) -> bool:
-    """Make confidence, or base colour again, the texture that the solid view shows; False if nothing is applied."""
+    """Make the map of what was seen, or base color again, what the solid view shows; False if nothing is applied."""
     found = False
     for material in {slot.material for thing in objects for slot in thing.material_slots if slot.material}:
         nodes = material.node_tree.nodes if material.node_tree else ()
@@ -108,3 +108,10 @@ def show_confidence(objects: list[bpy.types.Object], on: bool) -> bool:
         material.node_tree.nodes.active = confidence if on else base
         found = True
     return found
+
+
+def shows_confidence() -> bool:
+    """Whether the solid view shows the map of what was seen."""
+    trees = (material.node_tree for material in bpy.data.materials)
+    active = (tree.nodes.active for tree in trees if tree is not None)
+    return any(node is not None and node.name == CONFIDENCE for node in active)

@@ -27,6 +27,7 @@ from ...brdf.diffuse import MEAN_COS2, MEAN_SCHLICK
 from ...brdf.ggx import layered_factor
 from ...edits.scene_edit import Material, Sphere
 from ...model.recovered import DiffuseLobe, Textures
+from ...model.seen_classes import coverage_of, seen_colors
 from ..images import LINEAR, image_from_array
 from ..version import node_tree
 
@@ -87,10 +88,12 @@ def surface_material(textures: Textures, uv_map: str = UV_MAP, diffuse: DiffuseL
 
 
 def add_confidence(material: bpy.types.Material, textures: Textures) -> None:
-    """An unlinked image node with the confidence; the solid view shows it when it is the active node."""
+    """An unlinked image node that maps how often photos show each place; the solid view shows it when it is active."""
+    levels = np.round(np.clip(coverage_of(textures), 0, 1) * 255).astype(np.uint8)
+    colors = seen_colors(np.arange(256) / 255)[levels]
     node = material.node_tree.nodes.new("ShaderNodeTexImage")
     node.name = node.label = CONFIDENCE
-    node.image = image_from_array(CONFIDENCE, textures.confidence)
+    node.image = image_from_array(CONFIDENCE, colors, colorspace="sRGB")
     node.extension, node.location = "EXTEND", (-450, -700)
     uv = next(node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeUVMap")
     material.node_tree.links.new(uv.outputs["UV"], node.inputs["Vector"])
