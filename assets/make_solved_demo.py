@@ -79,6 +79,8 @@ def _add_reviews(source: Path, folder: Path) -> None:
         for path in source.glob(f"report/*-{kind}.png"):
             with Image.open(path) as picture:
                 picture.convert("RGB").quantize(256).save(folder / "report" / path.name, optimize=True)
+    for path in source.glob("report/lamp-*.png"):
+        shutil.copyfile(path, folder / "report" / path.name)
 
 
 def _add_inspection(source: Path, path: Path) -> None:

@@ -22,7 +22,8 @@ BASE_COLOR, EMISSION, MESH = (f"{MATERIALS}/{name}" for name in ("base_color.exr
 MAPS = {name: f"{MATERIALS}/{name}.png" for name in ("roughness", "metallic", "confidence")}
 COVERAGE = f"{MATERIALS}/coverage.png"
 MATERIAL_FILES = (BASE_COLOR, EMISSION, MESH, *MAPS.values())
-REPORT_PAGE = "report.html"
+REPORT_PAGE, PICTURES = "report.html", "report"
+"""The page that people look at, and the folder of its pictures."""
 FILES = (EMITTERS, RESPONSE, BACKDROP, BACKDROP_ALBEDO, *MATERIAL_FILES, COVERAGE, REPORT)
 """All files of a result, in the order in which they are moved."""
 PREVIEWS = ("albedo", "light", "error")
@@ -85,3 +86,8 @@ def _waits(folder: Path, name: str) -> bool:
 def preview_path(folder: Path, kind: str) -> Path:
     """Path of the preview ``kind``, one of PREVIEWS, of a solve in progress into the result folder ``folder``."""
     return folder / "checkpoints" / f"preview-{kind}.png"
+
+
+def lamp_picture(folder: Path, number: int) -> Path:
+    """Path of the picture of the lamp with the id ``number`` of the result in ``folder``, whether it exists or not."""
+    return folder / PICTURES / f"lamp-{number:02d}.png"

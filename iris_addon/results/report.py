@@ -19,7 +19,9 @@ from ..base.parallel import over_each
 from ..capture.photos import load_photo, shrink
 from ..model.capture import Camera, Capture, View
 from ..model.response import grey_exposure, srgb
-from .files import REPORT_PAGE
+from ..rays.tracer import Tracer
+from .files import PICTURES, REPORT_PAGE
+from .lamp_pictures import write_lamp_pictures
 from .maps import MapRenderer, ViewMaps
 from .result import Result
 
@@ -55,12 +57,14 @@ def write_report(
         BadInput: ``folder/report`` is a link.
         IrisError: the folder cannot be written.
     """
-    require_own_folder(folder / "report")
+    require_own_folder(folder / PICTURES)
     views = {view.name: view for view in (*capture.val_views, *capture.views)}
     shown = [views[name] for name in pictures if name in views] or _spread(capture.views, 3)
     shown = shown[:MAX_VIEWS]
-    saver = Pictures(folder / "report")
-    renderer = MapRenderer(result)
+    saver = Pictures(folder / PICTURES)
+    tracer = Tracer(result.mesh)
+    renderer = MapRenderer(result, tracer)
+    lamps = write_lamp_pictures(result, capture.views, tracer, folder)
     maps = {view.name: renderer.maps(view.camera.shrunk(MAX_WIDTH)) for view in shown}
     sections = [
         _summary(result, capture),
@@ -68,7 +72,7 @@ def write_report(
         _photos(saver, shown, pictures),
         _maps(saver, shown, maps),
         _response(result),
-        _emitters(result),
+        _emitters(result, lamps),
         _outside(result),
         _sun(result),
         _model(result),
@@ -235,11 +239,17 @@ def _swatch(linear: FloatArray) -> str:
     return f'<span class="swatch" style="background:rgb({r},{g},{b})"></span>'
 
 
-def _emitters(result: Result) -> str:
+def _emitters(result: Result, pictures: Mapping[int, Path]) -> str:
+    def picture(number: int) -> str:
+        if number not in pictures:
+            return ""
+        return f'<img src="{PICTURES}/{pictures[number].name}" width="48" height="48" alt="lamp {number}">'
+
     ordered = sorted(result.emitters, key=lambda emitter: -float(emitter.area * np.mean(emitter.radiance)))
     rows = [
         [
             str(emitter.id),
+            picture(emitter.id),
             _swatch(emitter.radiance),
             " ".join(f"{value:.3g}" for value in emitter.radiance),
             f"{emitter.area:.4f}",
@@ -249,7 +259,7 @@ def _emitters(result: Result) -> str:
         ]
         for emitter in ordered
     ]
-    head = ("id", "color", "radiance R G B", "area, m²", "power per side", "faces", "confidence")
+    head = ("id", "photo", "color", "radiance R G B", "area, m²", "power per side", "faces", "confidence")
     body = _table(head, rows) if rows else "<p>No light was found in the room itself.</p>"
     return f"<section><h2>Lights</h2>{body}</section>"
 

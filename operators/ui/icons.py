@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import bpy.utils.previews
 import numpy as np
-from numpy.typing import NDArray
 
 SWATCH_SIDE = 16
 
@@ -16,29 +16,28 @@ _icons: bpy.utils.previews.ImagePreviewCollection | None = None
 def swatch(color: Sequence[float]) -> int:
     """The icon of a square of ``color``, sRGB."""
     key = "swatch " + " ".join(f"{channel:.3f}" for channel in color)
-    if _icons is None or key in _icons:
-        return 0 if _icons is None else _icons[key].icon_id
-    picture = np.zeros((SWATCH_SIDE, SWATCH_SIDE, 3), np.float32)
-    picture[2:-2, 2:-2] = color
-    alpha = picture.any(-1)
-    return put(key, np.dstack([picture, alpha]))
-
-
-def put(key: str, picture: NDArray[np.floating]) -> int:
-    """The icon ``key``, made of or replaced by ``picture`` (H, W, 4), sRGB, row 0 on top; 0 where Blender has none."""
     if _icons is None:
         return 0
-    icon = _icons[key] if key in _icons else _icons.new(key)
-    height, width = picture.shape[:2]
-    flat = np.ascontiguousarray(picture[::-1], np.float32).ravel()
-    icon.icon_size = icon.image_size = (width, height)
-    icon.icon_pixels_float = icon.image_pixels_float = flat.tolist()
-    return icon.icon_id
+    if key not in _icons:
+        square = np.zeros((SWATCH_SIDE, SWATCH_SIDE, 4), np.float32)
+        square[2:-2, 2:-2] = (*color, 1.0)
+        icon = _icons.new(key)
+        icon.icon_size = icon.image_size = (SWATCH_SIDE, SWATCH_SIDE)
+        icon.icon_pixels_float = icon.image_pixels_float = square.ravel().tolist()
+    return _icons[key].icon_id
 
 
-def get(key: str) -> int:
-    """The icon ``key``; 0 where there is none."""
-    return _icons[key].icon_id if _icons is not None and key in _icons else 0
+def picture(path: Path) -> int:
+    """The icon of the picture in the file ``path``; 0 where there is none. Blender reads it while it draws on."""
+    try:
+        key = f"{path}#{path.stat().st_mtime_ns}"
+    except OSError:
+        return 0
+    if _icons is None:
+        return 0
+    if key not in _icons:
+        _icons.load(key, str(path), "IMAGE")
+    return _icons[key].icon_id
 
 
 def register() -> None:

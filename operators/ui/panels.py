@@ -18,10 +18,11 @@ from ...iris_addon.blender.scene_out import lights as lamps
 from ...iris_addon.blender.worker import jobs
 from ...iris_addon.edits.light_units import kelvin
 from ...iris_addon.model.seen_classes import SEEN_CLASSES
+from ...iris_addon.results.files import lamp_picture
 from ..folders import ROOT_PACKAGE, folder, result_key, solver_python
 from ..relight import BEFORE_PREVIEW, chosen_lamp, lamp_flux, other_lights
 from . import steps
-from .icons import swatch
+from .icons import picture, swatch
 from .photo_list import draw_list
 from .steps import ICONS, Step
 from .widgets import job_box, paragraph, preview_box
@@ -311,6 +312,9 @@ def _chosen_lamp(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
         layout.prop(settings, "show_unsure", text=f"Show {unsure} Unsure Lamps")
     if lamp is None:
         return
+    shown = lamp_icon(lamp)
+    if shown:
+        layout.template_icon(shown, scale=4.0)
     row = layout.row(align=True)
     row.prop(lamp.material, "name", text="")
     row.operator("iris.solo", depress=is_solo(scene, lamp.material))
@@ -344,6 +348,13 @@ def _mixing(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
         row.prop(strength, "default_value", text="")
 
 
+def lamp_icon(lamp: bpy.types.PropertyGroup) -> int:
+    """The icon of what a photo shows of ``lamp``; 0 where the result has no picture of it."""
+    if lamp.material is None or lamps.LAMP_ID not in lamp.material:
+        return 0
+    return picture(lamp_picture(folder(lamp.id_data), lamp.material[lamps.LAMP_ID]))
+
+
 class IRIS_UL_lamps(bpy.types.UIList):  # noqa: N801 - Blender's naming
     """Recovered lamps with switch, swatch and strength."""
 
@@ -352,7 +363,9 @@ class IRIS_UL_lamps(bpy.types.UIList):  # noqa: N801 - Blender's naming
         split = layout.split(factor=0.5, align=True)
         row = split.row(align=True)
         row.prop(item, "on", text="", icon="OUTLINER_OB_LIGHT" if item.on else "LIGHT", emboss=False)
-        row.label(text=item.name if item.material is None else item.material.name)
+        shown = lamp_icon(item)
+        name = item.name if item.material is None else item.material.name
+        row.label(text=name, icon_value=shown) if shown else row.label(text=name)
         row = split.row(align=True)
         if not lamps.is_plain(item.material):
             row.label(text="edited by hand")

@@ -58,6 +58,15 @@ def test_from_installing_to_the_relit_room_without_a_solver(package, tmp_path):
     room = [thing for thing in scene.objects if thing.type == "MESH" and "iris_original" in thing]
     assert len(room) == 1
 
+    icons = sys.modules[KEY + ".operators.ui.icons"]
+    panels = sys.modules[KEY + ".operators.ui.panels"]
+    loaded = len(icons._icons)
+    shown = [panels.lamp_icon(lamp) for lamp in settings.lamps]
+    assert len(icons._icons) == loaded + 3, "a picture for each lamp"
+    assert [panels.lamp_icon(lamp) for lamp in settings.lamps] == shown and len(icons._icons) == loaded + 3
+    sizes = {{tuple(picture.image_size) for key, picture in icons._icons.items() if "lamp-" in key}}
+    assert sizes == {{(96, 96)}}, sizes
+    assert icons.picture(home / "nothing.png") == 0
     before = {{name: len(getattr(bpy.data, name)) for name in ("objects", "cameras", "collections")}}
     began = time.monotonic()
     assert bpy.ops.iris.next_photos(on=True) == {{"FINISHED"}}
