@@ -60,6 +60,8 @@ class _Linear(Function):
 class _Sums(_Linear):
     @staticmethod
     def forward(values: Tensor, segments: Segments) -> Tensor:
+        if not values.shape[-1]:
+            return values.new_zeros((*values.shape[:-1], len(segments.ends) - 1))
         rows = values.reshape(-1, values.shape[-1])
         if segments.order is not None:
             rows = rows.index_select(1, segments.order)

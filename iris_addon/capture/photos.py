@@ -72,12 +72,23 @@ def read_pixels(view: View) -> PhotoPixels:
     if pixels.values.shape[1] >= camera.width * reduction:  # other formats are not shrunk
         shrink = 1
     check_photo_size(view, (pixels.values.shape[1] * shrink, pixels.values.shape[0] * shrink), shrink - 1)
-    valid = pixels.valid
+    valid = _within(pixels.valid, view.margins, shrink)
     if reduction > 1:
         values = reduced(pixels.values, camera.height, camera.width, reduction // shrink, pixels.hdr)
         valid = _whole_blocks(valid, camera.height, camera.width, reduction // shrink)
         pixels = PhotoPixels(values, valid, pixels.hdr)
-    return pixels if view.mask is None else replace(pixels, valid=valid & _mask(view, view.mask))
+    return replace(pixels, valid=valid if view.mask is None else valid & _mask(view, view.mask))
+
+
+def _within(valid: NDArray[np.bool_], margins: tuple[int, int, int, int], shrink: int) -> NDArray[np.bool_]:
+    """``valid`` (H, W) without the margins, counted in pixels ``shrink`` times as fine."""
+    if not any(margins):
+        return valid
+    left, top, right, bottom = (-(-margin // shrink) for margin in margins)
+    inner = np.zeros_like(valid)
+    rows, columns = slice(top, valid.shape[0] - bottom), slice(left, valid.shape[1] - right)
+    inner[rows, columns] = valid[rows, columns]
+    return inner
 
 
 def _mask(view: View, path: Path) -> NDArray[np.bool_]:

@@ -30,6 +30,7 @@ from .listing import Listing, axis_near, mean_up, up_axis, upright
 from .mended_poses import mend_record, mended_like
 from .mesh_files import read_mesh
 from .nerfstudio import read_nerfstudio, read_nerfstudio_views
+from .photo_contents import showing_something
 from .photo_files import SIDEWAYS, UPRIGHT, check_photo, read_device, read_orientation
 from .photos import check_photo_size
 from .programs import find_program, read_program, read_program_views
@@ -97,6 +98,8 @@ def read_capture(
     views, turned = check_photos(views)
     warnings += [*turned, *_two_devices(views)]
     views, val_views = _with_exposures(views, val_views, exposures)
+    views, empty = showing_something(views, strict, check)
+    warnings += empty
     unknown = sum(view.exposure is None for view in views)
     if 0 < unknown < len(views):
         warnings.append(f"{unknown} of {len(views)} photos have no exposure time: all exposures are estimated")

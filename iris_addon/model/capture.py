@@ -131,6 +131,7 @@ class View:
         distortion: of the file on disk; :func:`iris_addon.capture.photos.load_photo` removes it.
         orientation: EXIF's, under which the stored photo is turned to fit its camera; 1 where it is taken as stored.
         mask: picture of the same size, above the middle grey where the photo may be used.
+        margins: pixels of the file left, above, right and below, as turned for the camera, that are no picture.
         reduction: a pixel of ``camera`` is the mean over a block of so many rows and columns of the file.
     """
 
@@ -143,6 +144,7 @@ class View:
     orientation: int = 1
     mask: Path | None = None
     reduction: int = 1
+    margins: tuple[int, int, int, int] = (0, 0, 0, 0)
 
     def reduced(self, factor: int) -> View:
         """The view at a size smaller by a whole ``factor``: :meth:`Camera.reduced`."""

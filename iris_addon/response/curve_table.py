@@ -60,7 +60,7 @@ def _between(rows: Tensor, x: Tensor) -> Tensor:
     """``rows`` (C, N), sampled evenly over [0, 1], at ``x`` (3, m), linearly interpolated."""
     last = rows.shape[1] - 1
     position = x.clamp(0.0, 1.0) * last
-    left = position.detach().long().clamp(max=last - 1)
+    left = position.detach().nan_to_num().long().clamp(max=last - 1)  # NaN has no place and stays NaN
     channel = torch.arange(len(x))[:, None] if len(rows) > 1 else 0
     index, flat = (left + channel * (last + 1)).reshape(-1), rows.reshape(-1)
     low, high = (flat.index_select(0, at).reshape(x.shape) for at in (index, index + 1))

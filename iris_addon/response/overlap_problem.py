@@ -41,6 +41,8 @@ CLIP_SCALE = 0.03
 """Log exposure by which an observation may lie on the wrong side of saturation before it starts to be an outlier."""
 ROBUST_SCALE = 0.01
 """Display-value residual at which an observation starts to count as an outlier (a highlight, a moved object)."""
+MIN_COMMON = 1e-12
+"""Sum of squares of log exposures below which the overlap says that they are all the same."""
 BLACK_EXPOSURE = 1e-5
 """Relative exposure that stands for black."""
 BLACK_VALUE = 1.5 / 255
@@ -274,11 +276,14 @@ class OverlapProblem:
         """
         assert self.log_t is not None
         seen = torch.bincount(self.view[~self.clipped], minlength=self.n_views) > 0
+        if not seen.any():
+            return self.log_t
         known, free = self.log_t[:, seen], self._chained(curves, per_channel)[:, seen]
         free = free - free.mean(1, keepdim=True)
         common = free.mean(0)
         varied = known.std(correction=0) > MIN_EXPOSURE_SPREAD * np.log(2)
-        factor = (common @ known.mean(0)) / (common @ common) if varied else 1.0
+        energy = common @ common  # zero where all photos look alike, whatever their exposures
+        factor = (common @ known.mean(0)) / energy if varied and energy > MIN_COMMON else 1.0
         log_t = self.log_t.clone()
         log_t[:, seen] = known.mean(1, keepdim=True) + factor * free
         return log_t

@@ -326,3 +326,25 @@ def test_a_response_is_constant_outside_its_table() -> None:
     exposure = np.array([[-1.0, 0.0, 0.3], [1.0, 7.0, np.nan]])
     expected = np.interp(exposure, np.linspace(0, 1, 1024), X ** (1 / 2.2))
     assert np.allclose(curve.gamma().apply(exposure), expected, atol=1e-12, equal_nan=True)
+
+
+# ---- photos that tell nothing --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("level", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("known", [True, False])
+def test_photos_that_all_look_alike_leave_finite_exposures(level: float, known: bool) -> None:
+    """Whatever their exposures are recorded as: no overlap contradicts, and no division by their spread is made."""
+    rng = np.random.default_rng(0)
+    o, _ = observations_of(response_of(CURVES["sRGB"]), EXPOSURES, rng)
+    clipped = np.full_like(o.saturated, level == 1.0)
+    o = doubled(replace(o, z=np.full_like(o.z, level), spread=np.zeros_like(o.spread), saturated=clipped))
+    fit = fit_overlap(o, EXPOSURES if known else None, len(EXPOSURES), rng)
+    assert np.isfinite(fit.exposures).all() and (fit.exposures > 0).all()
+    assert np.isfinite(fit.response.samples).all()
+
+
+def test_a_table_has_no_value_where_there_is_none() -> None:
+    table = family.table(family.PRIOR_MEAN[None])
+    found = table.at(torch.tensor([[0.5, float("nan"), float("inf")]], dtype=torch.float64).expand(3, -1))
+    assert torch.isfinite(found[:, 0]).all() and found[:, 1].isnan().all() and (found[:, 2] == 1).all()
