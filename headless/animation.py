@@ -50,7 +50,7 @@ def render_frames(
                 factor = Developer(result, args.out, args.exposure).factor(base, radiance)
                 frames.remember(exposure=np.asarray(factor).tolist())
             radiance = result.response.apply(radiance * frames.exposure())
-        write_picture(frames.path(frame), radiance)
+        write_picture(frames.path(frame), radiance, acescg=args.acescg)
 
     todo = [frame for frame in args.frames if not frames.finished(frame)]
     # A room in which nothing moves is built once for all frames.
@@ -80,7 +80,7 @@ def insert_frames(
     with progress.stage("frames"):
         for frame in todo:
             picture = insertion.picture(edit_at(frames.time(frame)))
-            picture.write(frames.folder, frames.path(frame).stem, linear=args.linear)
+            picture.write(frames.folder, frames.path(frame).stem, linear=args.linear, acescg=args.acescg)
             _tell(progress, args, frames)
     return _finish(args, frames, len(todo))
 
@@ -93,7 +93,7 @@ def _open(args: argparse.Namespace, views: Sequence[View], job: Mapping[str, Any
         "views": [[view.name, view.camera.fx, view.camera.fy, view.camera.c2w] for view in views],
         "job": job,
         "onto_photos": getattr(args, "onto_photos", False),
-        "look": [args.samples, args.seed, args.exposure],
+        "look": [args.samples, args.seed, args.exposure, *(["acescg"] if args.acescg else [])],
     }
     return open_frames(args.out, max(length, 1), ".exr" if args.linear or linear else ".png", made_of)
 

@@ -294,6 +294,7 @@ def _add_rendering(add: Add) -> None:
         command.add_argument("--only", nargs="+", metavar="NAME", help="only these views; jobs count them from 0")
         command.add_argument("--out", type=Path, required=True, help="folder of the pictures")
         command.add_argument("--linear", action="store_true", help="write EXR of radiance instead of PNG")
+        _add_acescg(command)
         command.add_argument(
             "--exposure",
             type=_exposure,
@@ -320,6 +321,7 @@ def _add_rendering(add: Add) -> None:
     plate.add_argument("--out", type=Path, required=True, help="folder of the frames")
     plate.add_argument("--frames", type=_plate_frames, metavar="1001-1024", help="these alone; finished ones are kept")
     plate.add_argument("--linear", action="store_true", help="write EXR of radiance instead of PNG")
+    _add_acescg(plate)
     plate.add_argument("--fps", type=_positive, default=24, help="of film.mp4, made where there is ffmpeg")
     _add_sampling(plate)
     plate.add_argument("--gpu", action="store_true", help="render on a GPU where Cycles finds one")
@@ -395,6 +397,19 @@ class FrameRange:
 
     def __len__(self) -> int:
         return self.last - self.first + 1
+
+
+class _InAces(argparse.Action):
+    """What is written in ACEScg is linear."""
+
+    def __call__(self, _parser: object, namespace: argparse.Namespace, *_: object) -> None:
+        namespace.linear = namespace.acescg = True
+
+
+def _add_acescg(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--acescg", action=_InAces, nargs=0, default=False, help="as --linear, in ACEScg instead of Rec.709"
+    )
 
 
 def _add_sampling(parser: argparse.ArgumentParser, default: int = 64) -> None:

@@ -53,7 +53,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 NEEDED = ("lights", "objects", "plate", "camera")
 NOT_FOR_PLATES = ("views", "exposure", "onto_photos")
 FRAME_PATHS = ("views", "out", *NEEDED)
-FRAME_SWITCHES = ("linear", "gpu", "onto_photos")
+FRAME_SWITCHES = ("linear", "acescg", "gpu", "onto_photos")
 FRAME_NUMBERS = ("samples", "seed", "fps")
 FRAME_KEYS = ("name", "command", "frames", "chunk", "exposure", *FRAME_PATHS, *FRAME_SWITCHES, *FRAME_NUMBERS)
 CHUNK = 10
@@ -219,7 +219,7 @@ def _frames(entry: Any, where: str, path: Path, located: Located, job: tuple[str
         first=first,
         last=last,
         chunk=max(1, entry.get("chunk", CHUNK)),
-        waits_for_first=exposure == "auto" and not entry.get("linear"),
+        waits_for_first=exposure == "auto" and not (entry.get("linear") or entry.get("acescg")),
     )
 
 

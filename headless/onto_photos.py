@@ -31,10 +31,11 @@ class ChangedPhoto:
     radiance: FloatArray
     shows_added: bool
 
-    def write(self, folder: Path, name: str, *, linear: bool) -> Path:
-        """Write ``name``.png, or ``name``.exr of radiance where ``linear`` or the photo holds radiance."""
+    def write(self, folder: Path, name: str, *, linear: bool, acescg: bool) -> Path:
+        """Write ``name``.png, or ``name``.exr of radiance where ``linear`` or the photo holds radiance, that in
+        Rec.709 or ``acescg``."""
         if linear or self.display is None:
-            return write_picture(folder / f"{name}.exr", self.radiance)
+            return write_picture(folder / f"{name}.exr", self.radiance, acescg=acescg)
         return write_picture(folder / f"{name}.png", self.display)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from iris_addon.base.color_spaces import ACESCG
 from iris_addon.base.images import to_codes, write_exr, write_png
 from iris_addon.model.capture import View
 from iris_addon.model.response import grey_exposure
@@ -37,12 +38,14 @@ class Developer:
     Attributes:
         exposure: "photo", "auto" or a factor.
         linear: EXR of radiance instead of PNG.
+        acescg: in ACEScg instead of Rec.709.
     """
 
     result: Result
     folder: Path
     exposure: str | float = "photo"
     linear: bool = False
+    acescg: bool = False
 
     def factor(self, view: View, radiance: FloatArray) -> FloatArray | float:
         """The exposure by which ``radiance`` (H, W, 3) of ``view`` is multiplied before the response."""
@@ -58,17 +61,21 @@ class Developer:
         """Write ``radiance`` under the view's name; raises IrisError if it cannot be written."""
         if not self.linear:
             return self.write_display(view, self.develop(view, radiance))
-        return write_picture(self.folder / f"{view.name}.exr", radiance)
+        return write_picture(self.folder / f"{view.name}.exr", radiance, acescg=self.acescg)
 
     def write_display(self, view: View, values: FloatArray) -> Path:
         """Write display values (H, W, 3) under the view's name; raises IrisError if it cannot be written."""
         return write_picture(self.folder / f"{view.name}.png", values)
 
 
-def write_picture(path: Path, values: FloatArray) -> Path:
-    """Write (H, W, 3) linear radiance as .exr or display values as .png; raises IrisError if that fails."""
+def write_picture(path: Path, values: FloatArray, *, acescg: bool = False) -> Path:
+    """Write (H, W, 3) linear radiance as .exr, in Rec.709 or ACEScg, or display values as .png.
+
+    Raises:
+        IrisError: it cannot be written.
+    """
     if path.suffix == ".exr":
-        write_exr(path, values)
+        write_exr(path, values, space=ACESCG if acescg else None)
     else:
         write_png(path, to_codes(values))
     return path

@@ -81,7 +81,7 @@ def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
             "cameras": [[n, view.camera.fx, view.camera.fy, view.camera.c2w] for n, view in views.items()],
             "plate": [first, *(path.name for path in pictures.values())],
             "job": job,
-            "look": [args.samples, args.seed],
+            "look": [args.samples, args.seed, *(["acescg"] if args.acescg else [])],
         },
         first,
     )
@@ -98,7 +98,7 @@ def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
         picture, exposure = room.picture(view, frames.time(number))
         if exposure is not None:
             _write_exposure(frames, number, exposure, pictures[number])
-        picture.write(frames.folder, view.name, linear=hdr)
+        picture.write(frames.folder, view.name, linear=hdr, acescg=args.acescg)
         return picture.shows_added
 
     def whole_file(number: int) -> bool:

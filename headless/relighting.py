@@ -200,7 +200,7 @@ def _insert_onto_photos(
     with progress.stage("insert"):
         for number, (index, edit) in enumerate(edits):
             picture = PhotoInsertion(result, views[index], _render_settings(args)).picture(edit)
-            written.append(picture.write(args.out, views[index].name, linear=args.linear))
+            written.append(picture.write(args.out, views[index].name, linear=args.linear, acescg=args.acescg))
             if (edit.objects or edit.spheres) and not picture.shows_added:
                 warnings.append(f"{written[-1].name} shows none of its objects: check where they are placed")
             progress.update((number + 1) / len(edits))
@@ -277,7 +277,7 @@ def _without_exposure(args: argparse.Namespace, option: str) -> None:
 def _developer(args: argparse.Namespace, result: Result) -> Developer:
     from .pictures import Developer
 
-    return Developer(result, args.out, args.exposure, args.linear)
+    return Developer(result, args.out, args.exposure, linear=args.linear, acescg=args.acescg)
 
 
 @contextmanager

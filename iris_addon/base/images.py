@@ -18,6 +18,7 @@ import OpenEXR
 from numpy.typing import NDArray
 from PIL import Image
 
+from .color_spaces import REC709, ColorSpace
 from .errors import BadInput
 from .files import atomic_write
 from .image_headers import MAX_IMAGE_BYTES, MAX_PIXELS, MEND, check_exr_samples, check_pixels, read_exr_parts
@@ -42,16 +43,28 @@ if Image.MAX_IMAGE_PIXELS is not None:  # Pillow refuses twice its own, a little
 # ---- Writing --------------------------------------------------------------------------------------------------------
 
 
-def write_exr(path: Path, values: NDArray[np.floating], *, half: bool = False, lossy: bool = False) -> None:
+def write_exr(
+    path: Path,
+    values: NDArray[np.floating],
+    *,
+    half: bool = False,
+    lossy: bool = False,
+    space: ColorSpace | None = None,
+) -> None:
     """Write (H, W, 3) RGB or (H, W) single-channel "Y" linear values as float32, or float16 with ``half``.
 
-    ``lossy`` compresses by DWAB to a fifth of the space; albedo and display values keep about 50 dB.
+    ``lossy`` compresses by DWAB to a fifth of the space; albedo and display values keep about 50 dB. Linear Rec.709 is
+    converted to ``space`` where given, whose chromaticities the header then has; without any, EXR means Rec.709.
     """
     if values.ndim not in (2, 3) or (values.ndim == 3 and values.shape[2] != 3):
         raise ValueError(f"EXR values have shape {values.shape}, expected (H, W, 3) or (H, W)")
+    if space is not None and values.ndim == 3:
+        values = values @ REC709.matrix_to(space).T
     pixels = np.ascontiguousarray(np.clip(values, -HALF_MAX, HALF_MAX) if half else values)
     pixels = pixels.astype(np.float16 if half else np.float32)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    if space is not None:
+        header["chromaticities"] = space.chromaticities
     if lossy:
         header |= {"compression": OpenEXR.DWAB_COMPRESSION, "dwaCompressionLevel": DWA_LEVEL}
     # Through memory, because OpenEXR reports a failed write to disk without its errno.

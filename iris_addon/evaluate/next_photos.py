@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..model.capture import Camera, FloatArray, Mesh
 from ..model.seen_classes import SEEN_OFTEN
+from ..model.surface_points import even_points, interpolated
 
 HitDistance = Callable[[FloatArray, FloatArray], NDArray[np.floating]]
 """Distance (n,) along rays, origins and unit directions (n, 3), to the first surface; infinite where there is none."""
@@ -63,20 +64,11 @@ class BadlySeen:
     def of(mesh: Mesh, coverage: NDArray[np.floating], seed: int = 0) -> BadlySeen:
         """Points of ``mesh``, whose UVs address the map ``coverage`` (N, N)."""
         assert mesh.uv is not None
-        random = np.random.default_rng(seed)
         corners = mesh.vertices[mesh.faces]
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(cross, axis=1)
-        total = np.cumsum(0.5 * length)
-        # One point per equal share of the area: less noise than independent ones.
-        at = (np.arange(SURFACE_SAMPLES) + random.random(SURFACE_SAMPLES)) / SURFACE_SAMPLES * total[-1]
-        face = np.minimum(np.searchsorted(total, at, side="right"), len(total) - 1)
-        a, b = random.random((2, SURFACE_SAMPLES))
-        fold = a + b > 1
-        a, b = np.where(fold, 1 - a, a)[:, None], np.where(fold, 1 - b, b)[:, None]
-        position, uv = (
-            of[face][:, 0] * (1 - a - b) + of[face][:, 1] * a + of[face][:, 2] * b for of in (corners, mesh.uv)
-        )
+        face, weights = even_points(0.5 * length, SURFACE_SAMPLES, seed)
+        position, uv = interpolated(corners[face], weights), interpolated(mesh.uv[face], weights)
         side = len(coverage)
         column = np.clip((uv[:, 0] * side).astype(int), 0, side - 1)
         row = np.clip(((1 - uv[:, 1]) * side).astype(int), 0, side - 1)
@@ -89,7 +81,7 @@ class BadlySeen:
         return BadlySeen(
             position=position[kept],
             normal=unit,
-            need=lacking[kept] * step * total[-1] / SURFACE_SAMPLES,
+            need=lacking[kept] * step * 0.5 * length.sum() / SURFACE_SAMPLES,
             size=float(np.linalg.norm(np.ptp(points, axis=0))),
         )
 

@@ -14,6 +14,7 @@ from ..base.images import to_codes, write_png
 from ..capture.photos import load_photo, shrink
 from ..model.capture import Camera, View
 from ..model.response import grey_exposure, srgb
+from ..model.surface_points import even_points, interpolated
 from ..rays.tracer import Tracer
 from .files import PICTURES, lamp_picture
 from .result import Result
@@ -98,15 +99,8 @@ def best_view(
 
 def _points(faces: NDArray[np.integer], tracer: Tracer) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Points evenly over ``faces``, and the normals there."""
-    random = np.random.default_rng(0)
-    total = np.cumsum(tracer.areas[faces])
-    at = (np.arange(LAMP_POINTS) + 0.5) / LAMP_POINTS * total[-1]
-    chosen = faces[np.minimum(np.searchsorted(total, at, side="right"), len(faces) - 1)]
-    a, b = random.random((2, LAMP_POINTS, 1))
-    fold = a + b > 1
-    a, b = np.where(fold, 1 - a, a), np.where(fold, 1 - b, b)
-    corner = tracer.corners[chosen]
-    return corner[:, 0] * (1 - a - b) + corner[:, 1] * a + corner[:, 2] * b, tracer.normals[chosen].astype(np.float64)
+    chosen, weights = even_points(tracer.areas[faces], LAMP_POINTS)
+    return interpolated(tracer.corners[faces[chosen]], weights), tracer.normals[faces[chosen]].astype(np.float64)
 
 
 def _square(low: NDArray[np.floating], high: NDArray[np.floating], camera: Camera) -> NDArray[np.int64]:

@@ -4,11 +4,13 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import OpenEXR
 import pytest
 
 from headless import cli
 from headless.cli import FrameRange
 from headless.frame_folder import open_frames, write_film
+from iris_addon.base.color_spaces import ACESCG, REC709
 from iris_addon.base.errors import BadInput
 from iris_addon.base.images import read_exr, read_image, write_exr, write_png
 from iris_addon.model.response import gamma, identity
@@ -129,6 +131,18 @@ def test_a_camera_move_and_a_turning_object(solved, monkeypatch):
     for k in (1, 2):
         frame = read_image(out / f"frame_000{k}.png")
         assert np.abs(frame.astype(int) - photo)[7:11, 10:14].max() > 30
+
+
+@pytest.mark.bpy
+def test_renders_in_acescg_are_the_linear_ones_in_its_primaries(solved, monkeypatch):
+    monkeypatch.setattr("headless.frame_folder.shutil.which", lambda _name: None)
+    plain, aces = (run(solved, "render", option, out=option.strip("-")) for option in ("--linear", "--acescg"))
+    expected = read_exr(plain / "a.exr") @ REC709.matrix_to(ACESCG).T
+    np.testing.assert_allclose(read_exr(aces / "a.exr"), expected, rtol=1e-4, atol=1e-5)
+    with OpenEXR.File(str(aces / "a.exr")) as file:
+        np.testing.assert_allclose(np.ravel(file.header()["chromaticities"]), ACESCG.chromaticities, atol=1e-6)
+    run(solved, "render", "--frames", "1-1", "--linear", out="film")
+    run(solved, "render", "--frames", "1-2", "--acescg", out="film", code=3)  # no film of two color spaces
 
 
 # ---- photos --------------------------------------------------------------------------------------------------------
