@@ -67,6 +67,7 @@ CLASSES = (
     onto_plate.IRIS_OT_onto_plate,
     probe.IRIS_OT_probe,
     export.IRIS_OT_export,
+    export.IRIS_OT_export_ies,
     farm.IRIS_OT_export_farm,
     menus.IRIS_MT_object,
     photo_list.IRIS_UL_views,

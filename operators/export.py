@@ -10,11 +10,14 @@ from pathlib import Path
 import bpy
 
 from ..iris_addon.base.errors import IrisError
+from ..iris_addon.blender.apply.ies_files import IesLamp, write_ies_files
 from ..iris_addon.blender.apply.scene_files import apply, export_textures
 from ..iris_addon.blender.images import read_image
 from ..iris_addon.results.folder import load_result
 from .folders import folder
-from .polls import NeedsResult
+from .polls import NeedsApplied, NeedsResult
+from .relight import lamp_flux
+from .wait_cursor import wait_cursor
 
 FORMATS = (
     ("BLEND", ".blend", "Room, lamps and world with textures packed"),
@@ -70,4 +73,47 @@ class IRIS_OT_export(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         self.report({"INFO"}, f"Wrote {path}")
+        return {"FINISHED"}
+
+
+class IRIS_OT_export_ies(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Write each lamp that is on as a photometric file (.ies, LM-63), which renderers and lighting programs read: what
+    it sends in every direction, in lumens once those of one lamp are set"""
+
+    bl_idname = "iris.export_ies"
+    bl_label = "Export Lamps"
+
+    directory: bpy.props.StringProperty(subtype="DIR_PATH")
+    filter_folder: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        """Ask for a folder."""
+        self.directory = str(folder(context.scene))
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Write the files."""
+        if not self.directory:
+            self.report({"ERROR"}, "no folder is named — give a folder")
+            return {"CANCELLED"}
+        scene = context.scene
+        lamps = [
+            IesLamp(lamp.material, lamp_flux(lamp))
+            for lamp in scene.iris.lamps
+            if lamp.material is not None and lamp.on
+        ]
+        try:
+            with wait_cursor(context):  # the first ray builds the search tree of the room
+                written = write_ies_files(
+                    scene, lamps, Path(bpy.path.abspath(self.directory)), scene.iris.lumens_per_unit
+                )
+        except IrisError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        if not written:
+            self.report({"ERROR"}, "no lamp shines — switch one on")
+            return {"CANCELLED"}
+        relative = "" if scene.iris.lumens_per_unit else ", lumens relative: Set Lumens of one lamp first"
+        self.report({"INFO"}, f"Wrote {len(written)} lamp{'s' if written[1:] else ''}{relative}")
         return {"FINISHED"}

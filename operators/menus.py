@@ -79,6 +79,7 @@ def draw_export(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
     for kind, text in EXPORTS:
         if kind != "USD" or bpy.app.build_options.usd:
             self.layout.operator("iris.export", text=text).format = kind
+    self.layout.operator("iris.export_ies", text="IRIS Lamps (.ies)")
     self.layout.operator("iris.export_farm", text="IRIS Farm Job")
 
 

@@ -254,6 +254,8 @@ def test_from_capture_to_files_and_back(package, tmp_path, worker, nerfstudio_ro
     bpy.ops.iris.export(format="GLB", filepath=str(home / "room.glb"))
     bpy.ops.iris.export(format="BLEND", filepath=str(home / "room.blend"))
     bpy.ops.iris.export(format="TEXTURES", filepath=str(home / "textures"))
+    bpy.ops.iris.export_ies(directory=str(home / "lamps"))
+    assert len(list((home / "lamps").glob("*.ies"))) == 1
     bpy.ops.iris.export(format="BLEND", filepath=str(home / "room.v2"))
     assert all((home / name).is_file() for name in ("room.glb", "room.blend", "room.v2.blend"))
     fails(bpy.ops.iris.export, "no file is named", format="GLB")

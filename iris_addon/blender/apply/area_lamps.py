@@ -103,7 +103,7 @@ def replace_lamp(
         raise BadInput(f"{material.name} is replaced already", "edit its light, or put the lamp back")
     if not is_on(material) or strength(material) <= 0:
         raise BadInput(f"{material.name} is off", "switch it on first")
-    samples = _sample(_triangles(scene, material))
+    samples = _sample(lamp_triangles(scene, material))
     if samples is None:
         raise BadInput(f"no face has the material {material.name}", "apply the result again")
     mean = samples.normals.mean(0)
@@ -155,7 +155,7 @@ def _require_unmixed(scene: bpy.types.Scene) -> None:
 # ---- the shape of a lamp -------------------------------------------------------------------------------------------
 
 
-def _triangles(scene: bpy.types.Scene, material: bpy.types.Material) -> NDArray[np.float64]:
+def lamp_triangles(scene: bpy.types.Scene, material: bpy.types.Material) -> NDArray[np.float64]:
     """(T, 3, 3) corners of the faces with ``material``, in the axes of the scene."""
     found = [np.zeros((0, 3, 3))]
     for thing in scene.objects:

@@ -71,7 +71,11 @@ def suggested_groups(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
 
 def hit_distance(mesh: Mesh) -> HitDistance:
     """Distances along rays to ``mesh``, by Blender's search tree."""
-    tree = BVHTree.FromPolygons(mesh.vertices.tolist(), mesh.faces.tolist(), all_triangles=True)
+    return tree_distance(BVHTree.FromPolygons(mesh.vertices.tolist(), mesh.faces.tolist(), all_triangles=True))
+
+
+def tree_distance(tree: BVHTree) -> HitDistance:
+    """Distances along rays to what is in ``tree``."""
 
     def distance(origins: NDArray[np.floating], directions: NDArray[np.floating]) -> NDArray[np.float64]:
         found = np.full(len(origins), np.inf)
