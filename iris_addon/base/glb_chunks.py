@@ -16,6 +16,7 @@ from .untrusted import MAX_COMPRESSION, decoding, parse_json, read_bytes
 
 MAGIC, VERSION = b"glTF", 2
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
+COMPRESSED = {"KHR_draco_mesh_compression", "EXT_meshopt_compression"}
 MAX_REPEATED = 32
 """Corners and vertices of all nodes for each three numbers in the file."""
 FREE_CORNERS = 3_000_000
@@ -62,7 +63,10 @@ def check_announced(document: dict[str, Any], size: int, path: Path, mend: str) 
         if any(not isinstance(a["count"], int) or a["count"] < 0 for a in accessors):
             raise ValueError("a count is no whole number")
         announced = sum(a["count"] * _BYTES[a["componentType"]] * _COMPONENTS[a["type"]] for a in accessors)
-        compressed = "KHR_draco_mesh_compression" in document.get("extensionsUsed", ())
+        for view in document.get("bufferViews", []):
+            packed = view.get("extensions", {}).get("EXT_meshopt_compression")
+            announced += packed["count"] * packed["byteStride"] if packed else 0
+        compressed = not COMPRESSED.isdisjoint(document.get("extensionsUsed", ()))
         if announced > (MAX_COMPRESSION if compressed else 2) * size + (1 << 20):
             raise BadInput("announces more numbers than the file can hold", mend, path)
         meshes = [sum(_elements(p, accessors) for p in mesh["primitives"]) for mesh in document.get("meshes", [])]

@@ -1,7 +1,7 @@
 """The mesh of a room from a PLY, OBJ or GLB file, faces in file order.
 
-GLB is read by trimesh, Draco's compression by DracoPy. OBJ and PLY are read here, because general readers sort faces by
-material, and cut concave polygons to fans.
+GLB is read by trimesh, Draco's compression by DracoPy, what else changes its geometry by :mod:`.glb_geometry`. OBJ and
+PLY are read here, because general readers sort faces by material, and cut concave polygons to fans.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from ..base.glb_chunks import check_announced, pack_chunks, read_chunks
 from ..base.untrusted import decoding, open_file, open_text
 from ..model.capture import DEGENERATE_AREA, FloatArray, Mesh
 from ..rays.tracer import Tracer
+from .glb_geometry import INSTANCES, MESHOPT, plain_geometry
 from .ply_files import MAX_MESH_BYTES, read_ply
 from .polygons import triangulate
 
@@ -28,11 +29,11 @@ AGAIN = "copy or export the mesh again"
 MESH_SUFFIXES = (".ply", ".obj", ".glb")
 READ_EXTENSIONS = {
     "KHR_draco_mesh_compression", "KHR_mesh_quantization", "KHR_texture_transform", "KHR_materials_unlit",
-    "KHR_texture_basisu", "EXT_texture_webp", "KHR_lights_punctual",
+    "KHR_texture_basisu", "EXT_texture_webp", "KHR_lights_punctual", MESHOPT, INSTANCES,
 }  # fmt: skip
 """Extensions of glTF that are read, or that do not change the geometry."""
-CHANGES_GEOMETRY = {"EXT_mesh_gpu_instancing", "EXT_meshopt_compression"}
-"""Extensions without which other geometry is read, whether or not they are required."""
+CHANGES_GEOMETRY = {"KHR_meshopt_compression"}
+"""Extensions that are not read and without which other geometry is, whether or not they are required."""
 MAX_FACES = 20_000_000
 MAX_COORDINATE = 1e9
 """Metres from the origin that vertices and cameras may have for their distances to be computed."""
@@ -93,7 +94,10 @@ def ply_counts(path: Path) -> dict[str, int]:
 def _read_glb(path: Path) -> Mesh:
     document, blob = read_chunks(path, MAX_MESH_BYTES, "decimate the mesh, or export it again")
     _check_extensions(document, path)
-    check_announced(document, path.stat().st_size, path, AGAIN)
+    size = path.stat().st_size
+    check_announced(document, size, path, AGAIN)
+    document, blob = plain_geometry(document, blob, path, AGAIN)
+    check_announced(document, max(size, len(blob)), path, AGAIN)  # instances are nodes now
     document["materials"] = [{} for _ in document.get("materials", [])]
     for name in ("images", "textures", "samplers"):  # no picture of any format is decoded
         document.pop(name, None)
@@ -111,18 +115,9 @@ def _check_extensions(document: dict[str, Any], path: Path) -> None:
     required, used = (set(document.get(key, ())) for key in ("extensionsRequired", "extensionsUsed"))
     if "KHR_draco_mesh_compression" in required and find_spec("DracoPy") is None:
         raise BadInput("is Draco-compressed", "export it without compression, or install the package DracoPy", path)
-    accessors = document.get("accessors", [])
-    used_as_position = {
-        primitive.get("attributes", {}).get("POSITION")
-        for mesh in document.get("meshes", [])
-        for primitive in mesh.get("primitives", [])
-    }
-    if any(number in used_as_position and accessor.get("normalized") for number, accessor in enumerate(accessors)):
-        raise BadInput("has normalized integer coordinates", "export it without quantization, or as PLY", path)
     needed = sorted((required - READ_EXTENSIONS) | (used & CHANGES_GEOMETRY))
     if needed:
-        what = "is compressed with meshopt" if "EXT_meshopt_compression" in needed else f"needs {', '.join(needed)}"
-        raise BadInput(what, "export it without this extension, or as PLY", path)
+        raise BadInput(f"needs {', '.join(needed)}", "export it without this extension, or as PLY", path)
 
 
 def _concatenate_nodes(scene: trimesh.Scene) -> Mesh:
