@@ -224,6 +224,9 @@ def _add_solving(add: Add) -> None:
     apply.add_argument("result", type=Path, help="folder of a result")
     apply.add_argument("--blend", type=Path, required=True, help="the .blend to write")
     apply.add_argument("--glb", type=Path, help="a .glb beside it")
+    apply.add_argument(
+        "--light", action="store_true", help="the .glb with at most 150,000 faces and textures of 2048 pixels, as JPEG"
+    )
     apply.add_argument("--usd", type=Path, help="a .usd beside it")
     apply.add_argument("--views", type=Path, metavar="CAPTURE", help="add the cameras of a transforms.json or capture")
 

@@ -85,6 +85,7 @@ def inspect(args: argparse.Namespace, progress: Progress) -> Outcome:
 
 def apply(args: argparse.Namespace, progress: Progress) -> Outcome:
     """Result folder to .blend."""
+    from iris_addon.blender.apply.lighten import Limits
     from iris_addon.blender.apply.scene_files import apply as write_blend
     from iris_addon.blender.images import read_image
 
@@ -95,7 +96,7 @@ def apply(args: argparse.Namespace, progress: Progress) -> Outcome:
 
         views = result.as_taken(read_views(args.views, result.report))
     progress.check()
-    write_blend(result, args.blend, views=views, glb=args.glb, usd=args.usd)
+    write_blend(result, args.blend, views=views, glb=args.glb, usd=args.usd, light=Limits() if args.light else None)
     written = [path for path in (args.blend, args.glb, args.usd) if path is not None]
     return Outcome.of("Wrote the room", {"files": written})
 

@@ -11,6 +11,7 @@ import bpy
 
 from ..iris_addon.base.errors import IrisError
 from ..iris_addon.blender.apply.ies_files import IesLamp, write_ies_files
+from ..iris_addon.blender.apply.lighten import Limits
 from ..iris_addon.blender.apply.scene_files import apply, export_textures
 from ..iris_addon.blender.images import read_image
 from ..iris_addon.results.folder import load_result
@@ -22,10 +23,11 @@ from .wait_cursor import wait_cursor
 FORMATS = (
     ("BLEND", ".blend", "Room, lamps and world with textures packed"),
     ("GLB", ".glb", "glTF with KHR_materials_emissive_strength"),
+    ("LIGHT", ".glb, Light", "glTF with fewer faces and smaller textures, for game engines and browsers"),
     ("USD", ".usdc", "USD with its textures beside it"),
     ("TEXTURES", "Textures", "Base color and emission as EXR; roughness, metallic and confidence as 16-bit PNG"),
 )
-SUFFIX = {"BLEND": ".blend", "GLB": ".glb", "USD": ".usdc", "TEXTURES": ""}
+SUFFIX = {"BLEND": ".blend", "GLB": ".glb", "LIGHT": ".glb", "USD": ".usdc", "TEXTURES": ""}
 
 
 class IRIS_OT_export(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -34,16 +36,36 @@ class IRIS_OT_export(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's
     bl_idname = "iris.export"
     bl_label = "Export"
 
-    format: bpy.props.EnumProperty(name="Format", items=FORMATS)
+    format: bpy.props.EnumProperty(name="Format", description="What is written", items=FORMATS)
+    faces: bpy.props.IntProperty(
+        name="Faces",
+        description="Of a light .glb, at most. A scan of a million faces takes about 15 seconds",
+        default=Limits.faces,
+        min=1000,
+        soft_max=1_000_000,
+    )
+    side: bpy.props.EnumProperty(
+        name="Textures",
+        description="Pixels along a side of the textures of a light .glb, at most",
+        items=[(str(side), str(side), f"{side} by {side} pixels") for side in (1024, 2048, 4096, 8192)],
+        default=str(Limits.side),
+    )
     filepath: bpy.props.StringProperty(subtype="FILE_PATH")
     check_existing: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         """Open the file browser."""
-        name = "room-textures" if self.format == "TEXTURES" else f"room{SUFFIX[self.format]}"
+        name = {"TEXTURES": "room-textures", "LIGHT": "room-light.glb"}.get(self.format, f"room{SUFFIX[self.format]}")
         self.filepath = str(folder(context.scene) / name)
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
+
+    def draw(self, _context: bpy.types.Context) -> None:
+        """Draw the limits of a light file beside the file browser."""
+        if self.format == "LIGHT":
+            self.layout.use_property_split = True
+            self.layout.prop(self, "faces")
+            self.layout.prop(self, "side")
 
     def check(self, _context: bpy.types.Context) -> bool:
         """Complete the name while it is chosen, so that the browser asks before it replaces that file."""
@@ -67,8 +89,11 @@ class IRIS_OT_export(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's
             if self.format == "TEXTURES":
                 export_textures(source, path)
             else:
-                blend, glb, usd = (path if self.format == kind else None for kind in ("BLEND", "GLB", "USD"))
-                apply(load_result(source, read_image=read_image), blend, glb=glb, usd=usd)
+                blend, usd = (path if self.format == kind else None for kind in ("BLEND", "USD"))
+                glb = path if self.format in ("GLB", "LIGHT") else None
+                light = Limits(self.faces, int(self.side)) if self.format == "LIGHT" else None
+                with wait_cursor(context):
+                    apply(load_result(source, read_image=read_image), blend, glb=glb, usd=usd, light=light)
         except IrisError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

@@ -47,6 +47,7 @@ ENTRIES: tuple[tuple[Entry, ...], ...] = (
 EXPORTS = (
     ("BLEND", "IRIS Room (.blend)"),
     ("GLB", "IRIS Room (.glb)"),
+    ("LIGHT", "IRIS Light Room (.glb)"),
     ("USD", "IRIS Room (.usdc)"),
     ("TEXTURES", "IRIS Textures"),
 )

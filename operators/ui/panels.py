@@ -426,6 +426,8 @@ class IRIS_PT_export(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         row.operator("iris.export", text="Textures").format = "TEXTURES"
         if not bpy.app.build_options.usd:
             paragraph(layout, "This Blender was built without USD", context, "INFO")
-        layout.operator("iris.export_ies", text="Lamps (.ies)", icon="LIGHT")
+        row = layout.row(align=True)
+        row.operator("iris.export", text="Light .glb", icon="MOD_DECIM").format = "LIGHT"
+        row.operator("iris.export_ies", text="Lamps (.ies)", icon="LIGHT")
         layout.operator("iris.export_farm", icon="NETWORK_DRIVE")
         job_box(layout, "farm", context)

@@ -38,6 +38,7 @@ from ..scene_out.scene_state import show_like_the_photos
 from ..scene_out.world import make_world
 from ..version import require_build_option, require_gltf, usd_library
 from .camera_look import add_compositing
+from .lighten import Limits, lighten
 
 
 def apply(
@@ -47,11 +48,13 @@ def apply(
     views: Sequence[View] = (),
     glb: Path | None = None,
     usd: Path | None = None,
+    light: Limits | None = None,
 ) -> None:
     """Write ``result`` as ``blend``, ``glb`` and ``usd``, each where given; the open scene does not change.
 
     Files appear whole or not at all. Textures are packed into the .blend, the radiance of lamps is their
-    emission strength (KHR_materials_emissive_strength in glTF), and cameras of ``views`` are included.
+    emission strength (KHR_materials_emissive_strength in glTF), and cameras of ``views`` are included. With ``light``
+    the .glb has fewer faces and smaller pictures, as JPEG.
 
     Raises:
         IrisError: a file cannot be written, or this Blender lacks the exporter.
@@ -73,11 +76,20 @@ def apply(
                 bpy.data.batch_remove([thing for thing in scene.objects if is_backdrop(thing)])
                 _use_srgb_base_color(scene)
                 _leave_out_burley(scene)
-            if glb is not None:
-                write_whole(glb, lambda path: bpy.ops.export_scene.gltf(filepath=str(path), use_active_scene=True))
             if usd is not None:
                 with lamps_as_lights():
                     write_whole(usd, lambda path: bpy.ops.wm.usd_export(filepath=str(path)))
+            if glb is not None:
+                form = "AUTO"
+                if light is not None:
+                    lighten(scene, light)
+                    form = "JPEG"
+                write_whole(
+                    glb,
+                    lambda path: bpy.ops.export_scene.gltf(
+                        filepath=str(path), use_active_scene=True, export_image_format=form
+                    ),
+                )
     finally:
         bpy.data.batch_remove(set(datablocks()) - before)
 
