@@ -220,6 +220,11 @@ def _add_solving(add: Add) -> None:
     inspect.add_argument("--preset", choices=list(PRESETS), default="balanced", help="of the solve to come")
     _add_texture_size(inspect)
 
+    fuse = add("fuse", "posed depth of an RGB-D capture to one mesh")
+    fuse.add_argument("capture", type=Path, help="folder of the capture, or its transforms.json")
+    fuse.add_argument("--out", type=Path, required=True, metavar="MESH.ply", help="the mesh to write")
+    fuse.add_argument("--voxel", type=_metres, metavar="METRES", help="as the depth allows, if left out")
+
     apply = add("apply", "Principled materials and emissive lights as a .blend")
     apply.add_argument("result", type=Path, help="folder of a result")
     apply.add_argument("--blend", type=Path, required=True, help="the .blend to write")

@@ -29,6 +29,7 @@ __all__ = [
     "demo",
     "evaluate",
     "farm",
+    "fuse",
     "insert",
     "inspect",
     "onto_plate",
@@ -44,6 +45,7 @@ def solve(args: argparse.Namespace, progress: Progress) -> Outcome:
     """Capture folder to result folder."""
     from iris_addon.capture.reader import read_capture
 
+    _mesh_of_depth(args.capture, progress)
     config = preset(
         args.preset,
         **{name: getattr(args, name) for name in ("response", "exposures", "hdr", "device", "seed", *TEXTURE_OPTIONS)},
@@ -69,6 +71,7 @@ def inspect(args: argparse.Namespace, progress: Progress) -> Outcome:
     from iris_addon.capture.inspection import inspect as measure
     from iris_addon.capture.reader import read_capture
 
+    _mesh_of_depth(args.capture, progress)
     with progress.stage("reading"):
         capture = read_capture(
             args.capture,
@@ -81,6 +84,25 @@ def inspect(args: argparse.Namespace, progress: Progress) -> Outcome:
     content = measure(capture, args.out, progress, config)
     figures = {"photos": len(capture.views), "textures": content["textures"]["text"], "warnings": content["warnings"]}
     return Outcome.of(f"Looked at {capture.name}", figures)
+
+
+def fuse(args: argparse.Namespace, progress: Progress) -> Outcome:
+    """Posed depth to one mesh."""
+    from iris_addon.capture.mesh_from_depth import fuse_capture
+
+    with progress.stage("depth"):
+        made = fuse_capture(args.capture, args.out, args.voxel, progress.update)
+    figures = {"mesh": made.path, "faces": made.faces, "depth maps": made.maps, "voxel": f"{made.voxel:.3g} m"}
+    return Outcome.of("Fused the depth", figures)
+
+
+def _mesh_of_depth(path: Path, progress: Progress) -> None:
+    """Fuse a capture's depth where it has no mesh, with progress of its own."""
+    from iris_addon.capture.mesh_from_depth import depth_without_mesh, keep_fused
+
+    if maps := depth_without_mesh(path):
+        with progress.stage("depth"):
+            keep_fused(path, maps, progress.update)
 
 
 def apply(args: argparse.Namespace, progress: Progress) -> Outcome:

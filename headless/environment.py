@@ -25,6 +25,7 @@ NEEDS = {
     "demo": (*_SOLVER, "bpy"),
     "solve": _SOLVER,
     "inspect": (*_READING, "embreex"),
+    "fuse": (*_READING, "embreex"),
     "batch": _SOLVER,
     "farm": ("numpy",),
     "apply": ("numpy", "bpy"),

@@ -47,6 +47,8 @@ FISHEYE_MODELS = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "
 DENOMINATOR = {"k4": "d1", "k5": "d2", "k6": "d3"}
 """Our names of OpenCV's coefficients in the denominator."""
 
+FUSED_MESH = "fused_mesh.ply"
+"""Name of the mesh that was made of a capture's own depth, in the frame of its poses."""
 LEFT_UP_FORWARD = np.diag([-1.0, 1.0, -1.0, 1.0])
 """Turns a FIPT/Mitsuba pose, with columns x left, y up, z forward, into one of ours: x right, y up, z backward."""
 

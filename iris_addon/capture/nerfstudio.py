@@ -18,6 +18,7 @@ from ..base.untrusted import finite
 from ..model.capture import Split, View
 from .exposures import from_frame
 from .listing import (
+    FUSED_MESH,
     Listing,
     check_unique,
     find_image,
@@ -106,6 +107,15 @@ def _views(
     return views, unposed
 
 
+def view_of_frame(meta: Mapping[str, Any], frame: Mapping[str, Any], source: Path) -> View:
+    """The view of one posed frame, whatever its split; raises BadInput."""
+    lists = [f"{key}_filenames" for key in _SPLITS]
+    shared = {key: value for key, value in meta.items() if key not in lists}
+    (view,), _ = _views(shared, [frame], source.parent, source, photos=False)
+    assert view is not None
+    return view
+
+
 def _mask(frame: Mapping[str, Any], name: str, root: Path, source: Path) -> Path | None:
     if not frame.get("mask_path"):
         return None
@@ -156,7 +166,8 @@ def _mesh_file(meta: Mapping[str, Any], root: Path, source: Path) -> tuple[Path,
         named = inside(root, str(meta["ply_file_path"]), source)
         if named.is_file() and not is_point_cloud(named):
             return named, True
-    return only_mesh(root, source), False
+    found = only_mesh(root, source)
+    return found, found.name == FUSED_MESH
 
 
 def _check_applied(meta: Mapping[str, Any], mesh_named: bool, source: Path) -> str:

@@ -35,7 +35,7 @@ TUM_CAMERAS = {
 
 def read_scannet(intrinsics: Path) -> list[dict[str, Any]]:
     """Frames of an extracted ScanNet scan around ``intrinsic/intrinsic_color.txt``; raises BadInput."""
-    matrix = _matrix(intrinsics)
+    matrix = read_matrix(intrinsics)
     lens = {"fl_x": matrix[0, 0], "fl_y": matrix[1, 1], "cx": matrix[0, 2], "cy": matrix[1, 2]}
     poses = sorted((intrinsics.parent.parent / "pose").glob("*.txt"))
     return [{"file_path": f"color/{path.stem}", "transform_matrix": _pose(path), **lens} for path in poses]
@@ -115,10 +115,10 @@ def _tum_lens(folder: Path) -> dict[str, float]:
 
 
 def _pose(path: Path) -> list[list[float]]:
-    return (_matrix(path) @ DOWN_FORWARD if np.isfinite(_matrix(path)).all() else _matrix(path)).tolist()
+    return (read_matrix(path) @ DOWN_FORWARD if np.isfinite(read_matrix(path)).all() else read_matrix(path)).tolist()
 
 
-def _matrix(path: Path) -> np.ndarray:
+def read_matrix(path: Path) -> np.ndarray:
     """(4, 4) numbers of a text file; lost frames have infinite ones."""
     mend = "extract the data set again"
     with decoding(path, "is not a matrix of 4x4 numbers", mend):

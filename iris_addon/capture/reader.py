@@ -26,9 +26,10 @@ from .colmap import colmap_model, read_colmap, read_colmap_views
 from .common_frame import OURS, Together, bring_together, extent
 from .exposures import apply_file, from_exif
 from .fipt import PhotoSet, fipt_root, read_fipt, read_fipt_views
-from .listing import Listing, axis_near, mean_up, up_axis, upright
+from .listing import FUSED_MESH, Listing, axis_near, mean_up, up_axis, upright
 from .mended_poses import mend_record, mended_like
 from .mesh_files import read_mesh
+from .mesh_from_depth import depth_without_mesh, keep_fused
 from .nerfstudio import read_nerfstudio, read_nerfstudio_views
 from .photo_contents import showing_something
 from .photo_files import SIDEWAYS, UPRIGHT, check_photo, read_device, read_orientation
@@ -85,11 +86,16 @@ def read_capture(
         BadInput: the capture cannot be used as it is.
     """
     path = Path(path)
+    if maps := depth_without_mesh(path):
+        keep_fused(path, maps, lambda _: check())
     listing = _list(path, photos)
     if not listing.views:
         raise BadInput("has no training photos", 'give some frames the split "train"', listing.source)
     views, val_views = _without(listing, exclude), list(listing.val_views)
     warnings = list(listing.warnings)
+    fused = listing.mesh_file.name == FUSED_MESH
+    if fused:
+        warnings.append(f"the capture has no mesh: one was fused from its depth ({FUSED_MESH})")
     if hdr is None:
         views, skipped = _photographed(views, listing, strict)
         warnings += skipped
@@ -112,7 +118,9 @@ def read_capture(
         mesh = replace(mesh, vertices=mesh.vertices * given)
     check_origin(views, mesh, listing.mesh_file)
     mesh, turned = _turn_glb(mesh, views, listing)
-    together = bring_together(views, val_views, mesh, check, may_mend=not listing.one_frame, points=listing.points)
+    together = bring_together(
+        views, val_views, mesh, check, may_mend=not (fused or listing.one_frame), points=listing.points
+    )
     up = _up(listing, together)
     unit, assumed = given, []
     if isinstance(metres_per_unit, CameraHeight) or metres_per_unit is None:
