@@ -24,7 +24,7 @@ from . import (
     solve,
     solved_demo,
 )
-from .ui import icons, lamp_highlight, panels, photo_list, preferences, settings, solve_preview
+from .ui import icons, lamp_highlight, panels, photo_list, preferences, settings, solve_preview, wipe
 
 CLASSES = (
     preferences.IrisPreferences,
@@ -92,6 +92,7 @@ def register() -> None:
     icons.register()
     solve_preview.register()
     lamp_highlight.register()
+    wipe.register()
     menus.register()
     run_job.register()
 
@@ -100,6 +101,7 @@ def unregister() -> None:
     """Stop all jobs and unregister everything."""
     run_job.unregister()
     menus.unregister()
+    wipe.unregister()
     lamp_highlight.unregister()
     solve_preview.unregister()
     icons.unregister()

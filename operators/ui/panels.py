@@ -26,6 +26,7 @@ from .icons import picture, swatch
 from .photo_list import draw_list
 from .steps import ICONS, Step
 from .widgets import job_box, paragraph, preview_box
+from .wipe import wiped_photo
 
 UNSURE = 0.2
 """Lamps of lower confidence are folded away."""
@@ -215,12 +216,19 @@ class IRIS_PT_review(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
             grid = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
             for kind, text in (("photo", "Photo"), ("render", "Re-render"), ("error", "Error"), ("curve", "Response")):
                 grid.operator("iris.review", text=text).kind = kind
+            _wipe(layout, scene)
             layout.operator("iris.apply", icon="MATERIAL")
         if APPLIED in scene:
             _seen_map(layout, scene)
             layout.operator("iris.restore", icon="LOOP_BACK")
         if result_key(scene):
             _figures(layout, context)
+
+
+def _wipe(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    """Draw the slider of the wipe, where the active camera has a photo."""
+    if wiped_photo(scene) is not None:
+        layout.prop(scene.iris, "wipe", text="Wipe to Photo", slider=True)
 
 
 def _seen_map(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
@@ -272,6 +280,7 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
             return
         shown = context.space_data.shading.type == "RENDERED" and BEFORE_PREVIEW in context.screen
         layout.operator("iris.preview", icon="SHADING_RENDERED", depress=shown)
+        _wipe(layout, scene)
         grid = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
         for key, look in LOOKS.items():
             grid.operator("iris.look", text=look.label).look = key
@@ -326,10 +335,10 @@ def _chosen_lamp(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     share = f"{scale * own:.0f} lm" if scale else f"{own / total:.0%} of the light"
     temperature = kelvin(lamp.color)
     tint = "" if temperature is None else f", {round(temperature, -1):.0f} K"
-    row = layout.row(align=True)
-    row.label(text=f"{share}{tint}")
-    row.operator("iris.anchor")
-    layout.label(text=f"{lamp.area:.2g} m², {lamp.confidence:.0%} sure")
+    layout.label(text=f"{share}{tint}")
+    split = layout.split(factor=0.6, align=True)
+    split.label(text=f"{lamp.area:.2g} m², {lamp.confidence:.0%} sure")
+    split.operator("iris.anchor")
 
 
 def _mixing(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
@@ -364,7 +373,7 @@ class IRIS_UL_lamps(bpy.types.UIList):  # noqa: N801 - Blender's naming
         row = split.row(align=True)
         row.prop(item, "on", text="", icon="OUTLINER_OB_LIGHT" if item.on else "LIGHT", emboss=False)
         shown = lamp_icon(item)
-        name = item.name if item.material is None else item.material.name
+        name = (item.name if item.material is None else item.material.name).removeprefix("IRIS ")
         row.label(text=name, icon_value=shown) if shown else row.label(text=name)
         row = split.row(align=True)
         if not lamps.is_plain(item.material):
@@ -401,6 +410,7 @@ class IRIS_PT_insert(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
             name = settings.views[min(settings.view_index, len(settings.views) - 1)].name
             layout.operator("iris.onto_photo", text=f"Put Onto Photo {name}", icon="IMAGE_RGB_ALPHA")
             job_box(layout, "composite", context)
+            _wipe(layout, context.scene)
         if shows_plate(context.scene):
             layout.operator("iris.onto_plate", text="Put Onto Plate", icon="SEQUENCE")
             job_box(layout, "plate", context)

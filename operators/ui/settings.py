@@ -15,6 +15,7 @@ from ..editors import look_at_photo, show_cameras
 from ..place import PLACEABLE
 from . import steps
 from .lamp_highlight import highlight
+from .wipe import redraw
 
 ATLAS_SIZES = (
     ("auto", "Auto", "As many as the photos resolve, up to the limit of the preset"),
@@ -43,6 +44,10 @@ def _show_cameras(_settings: bpy.types.PropertyGroup, context: bpy.types.Context
 def _show_lamp(settings: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
     if 0 <= settings.lamp_index < len(settings.lamps) and settings.lamps[settings.lamp_index].material is not None:
         highlight(context.scene, settings.lamps[settings.lamp_index].material)
+
+
+def _redraw(_settings: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
+    redraw()
 
 
 def _set_overlay(settings: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
@@ -242,6 +247,15 @@ class IrisSettings(bpy.types.PropertyGroup):
     )
     lumens_per_unit: bpy.props.FloatProperty(
         description="Lumens per unit of radiance times square meter; 0 while no lamp's lumens are known", min=0.0
+    )
+    wipe: bpy.props.FloatProperty(
+        name="Wipe",
+        description="In the camera's view, show the photo up to this share of the frame's width, and to its right what "
+        "the view shows otherwise: a re-render, a preview in other light, or what was put onto the photo. 0 is off",
+        min=0.0,
+        max=1.0,
+        subtype="FACTOR",
+        update=_redraw,
     )
     placed: bpy.props.EnumProperty(name="Object", description="The object that Place adds", items=PLACEABLE)
     overlay: bpy.props.FloatProperty(

@@ -67,6 +67,15 @@ def test_from_installing_to_the_relit_room_without_a_solver(package, tmp_path):
     sizes = {{tuple(picture.image_size) for key, picture in icons._icons.items() if "lamp-" in key}}
     assert sizes == {{(96, 96)}}, sizes
     assert icons.picture(home / "nothing.png") == 0
+    wipe = sys.modules[KEY + ".operators.ui.wipe"]
+    assert wipe.wiped_photo(scene) == images[settings.view_index] and settings.wipe == 0
+    quad, uv, line = wipe.wiped([(10, 20), (110, 20), (110, 70), (10, 70)], 0.25)
+    assert quad == [(10, 20), (35, 20), (35, 70), (10, 70)] and line == [(35, 20), (35, 70)]
+    assert uv == [(0, 0), (0.25, 0), (0.25, 1), (0, 1)]
+    behind = scene.camera.data.background_images[0]
+    behind.scale = 2  # it lies elsewhere then
+    assert wipe.wiped_photo(scene) is None
+    behind.scale = 1
     before = {{name: len(getattr(bpy.data, name)) for name in ("objects", "cameras", "collections")}}
     began = time.monotonic()
     assert bpy.ops.iris.next_photos(on=True) == {{"FINISHED"}}

@@ -81,6 +81,29 @@ def sidebar_tab() -> str:
     return ""
 
 
+def camera_frame() -> list[list[float]]:
+    """Corners of the camera's frame in the first 3D view, from the bottom left on, in its pixels; y upwards."""
+    window = bpy.context.window_manager.windows[0]
+    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
+    region = next(part for part in area.regions if part.type == "WINDOW")
+    with bpy.context.temp_override(window=window, area=area, region=region):
+        return [list(corner) for corner in sys.modules[f"{ADDON}.operators.ui.wipe"].camera_frame(bpy.context)]
+
+
+def set_wipe(share: float) -> None:
+    """What dragging the slider does."""
+    bpy.context.window_manager.windows[0].scene.iris.wipe = share
+
+
+def photo_mean(share: float) -> list[float]:
+    """Mean of each channel, as it is displayed, of the left ``share`` of the active camera's photo."""
+    image = bpy.context.window_manager.windows[0].scene.camera.data.background_images[0].image
+    width, height = image.size
+    pixels, wide = list(image.pixels), int(share * width)
+    rows = [pixels[4 * width * row : 4 * (width * row + wide)] for row in range(height)]
+    return [sum(sum(row[channel::4]) for row in rows) / (wide * height) for channel in range(3)]
+
+
 def job(name: str) -> dict:
     """How a job of the scene stands: state, what is wrong, its fix; process, stage and share done while it runs."""
     jobs = sys.modules[f"{ADDON}.iris_addon.blender.worker.jobs"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from .scenario_relight import add_object, apply, match_photo, mix_lights, onto_photo, place_object, switch_off
+from .scenario_relight import add_object, apply, match_photo, mix_lights, onto_photo, place_object, switch_off, wipe
 from .session import MARGIN_PIXELS, PAGE_NOTCHES, until
 from .stage import ADDON, Stage
 
@@ -195,6 +195,7 @@ STEPS: tuple[Callable[[Stage], str], ...] = (
     resume,
     review,
     apply,
+    wipe,
     switch_off,
     match_photo,
     add_object,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from .session import until
 from .stage import ADD_X, Stage
 
@@ -24,6 +26,33 @@ def apply(stage: Stage) -> str:
     session.press("iris.apply")
     assert session.ask("content()") == applied, stage.difference(applied)
     return f"{len(stage.value('iris.lamps.keys()'))} lamps"
+
+
+def wipe(stage: Stage) -> str:
+    """The wipe: the photo left of the line, in its own colors; right of it what the view showed before."""
+    session = stage.session
+
+    def screen() -> np.ndarray:
+        return np.asarray(session.display.still().convert("RGB")).astype(float)
+
+    before = screen()
+    left, top, _width, height = session.region("VIEW_3D", "WINDOW")
+    corners = np.array(session.ask("camera_frame()")) * [1, -1] + [left, top + height]
+    (x0, y0), (x1, y1) = corners.min(0), corners.max(0)
+    rows, line = slice(int(y0) + 4, int(y1) - 4), int(0.5 * (x0 + x1))
+    ours, theirs = slice(int(x0) + 4, line - 4), slice(line + 4, int(min(x1, session.region("VIEW_3D", "UI")[0])) - 70)
+    assert ours.stop - ours.start > 50 and theirs.stop - theirs.start > 20, "the frame is in view"
+    session.ask("set_wipe(0.5)")
+    until(lambda: np.abs(screen() - before)[rows, ours].mean() > 5, "the photo is drawn", 20)
+    half = screen()
+    stage.photograph("10_wipe")
+    shown, photo = half[rows, ours].mean((0, 1)) / 255, np.array(session.ask("photo_mean(0.5)"))
+    assert np.abs(shown - photo).max() < 0.02, (shown, photo)
+    changed = np.abs(half - before)[rows, theirs].mean()
+    assert changed < 0.5, f"right of the line the view is another one by {changed:.2f}"
+    session.ask("set_wipe(0.0)")
+    until(lambda: np.abs(screen() - before)[rows, ours].mean() < 0.5, "the view is as it was", 20)
+    return f"photo {photo.mean():.3f}, shown {shown.mean():.3f}"
 
 
 def switch_off(stage: Stage) -> str:
