@@ -13,6 +13,7 @@ capture.json is written last: a folder without it is incomplete.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from ..base.files import require_own_folder, write_arrays, write_json
 from ..base.images import to_codes, write_png
 from ..base.progress import Progress
 from ..config import PRESETS, SolveConfig
-from ..model.capture import Capture, Mesh, View
+from ..model.capture import Camera, Capture, Mesh, View, first_of_pose
 from ..model.response import SATURATED
 from ..model.texture_size import blender_bytes, in_blender
 from ..rays.tracer import Tracer
@@ -36,7 +37,7 @@ from .reader import MIN_SEEN_SHARE
 BLACK_VALUE = 0.5 / 255
 HISTOGRAM_BINS = 32
 MAX_SATURATED_SHARE = 0.25
-"""Of pixels; a photo with more is warned about."""
+"""Of pixels; a photo with more is warned about, unless another of its pose has fewer."""
 
 
 def inspect(
@@ -69,15 +70,21 @@ def inspect(
             progress.update((index + 1) / len(capture.views))
     _write_mesh(folder / "mesh.npz", capture.mesh)
     under_another = exchanged(photos, poses)
+    clipped = _clipped([row["saturated"] for row in rows], [view.camera for view in capture.views])
     for k, row in enumerate(rows):
-        row["problem"] = _problem(row, rows[under_another[k]]["name"] if k in under_another else None)
+        row["problem"] = _problem(row, rows[under_another[k]]["name"] if k in under_another else None, k in clipped)
     asked = config.texture_size
     content = {
         "name": capture.name,
         "root": capture.root.resolve(),
         "up": capture.up,
         "metres_per_unit": capture.metres_per_unit,
-        "warnings": [*capture.warnings, *_mismatch(capture), *_exchanged(rows, under_another), *_warnings(rows)],
+        "warnings": [
+            *capture.warnings,
+            *_mismatch(capture),
+            *_exchanged(rows, under_another),
+            *_warnings(rows, clipped),
+        ],
         "textures": {
             "side": asked.most,
             "bytes_in_blender": blender_bytes(asked.most),
@@ -117,7 +124,15 @@ def _inspect_view(view: View, tracer: Tracer, folder: Path) -> tuple[dict[str, A
     }, edges
 
 
-def _problem(row: dict[str, Any], other: str | None) -> str:
+def _clipped(shares: Sequence[float], cameras: Sequence[Camera]) -> set[int]:
+    """Photos with too many saturated pixels that no other photo of their pose, as in a bracket, has fewer of."""
+    pose = first_of_pose(cameras)
+    least = np.full(len(pose), np.inf)
+    np.minimum.at(least, pose, shares)
+    return set(np.flatnonzero(least[pose] > MAX_SATURATED_SHARE).tolist())
+
+
+def _problem(row: dict[str, Any], other: str | None, clipped: bool) -> str:
     """Why the photo of a row should be looked at, empty where it need not be; ``other`` is the photo that it is
     exchanged with."""
     if other is not None:
@@ -126,7 +141,7 @@ def _problem(row: dict[str, Any], other: str | None) -> str:
         return f"it lies {row['alignment']['shift']:.0f} pixels beside the mesh"
     if row["seen"] < MIN_SEEN_SHARE:
         return f"it sees less than {MIN_SEEN_SHARE:.0%} of the mesh"
-    return f"{row['saturated']:.0%} of its pixels are saturated" if row["saturated"] > MAX_SATURATED_SHARE else ""
+    return f"{row['saturated']:.0%} of its pixels are saturated" if clipped else ""
 
 
 def _exchanged(rows: list[dict[str, Any]], found: dict[int, int]) -> list[str]:
@@ -140,13 +155,13 @@ def _mismatch(capture: Capture) -> list[str]:
     return [] if capture.mismatch is None else [f"{capture.mismatch.what} — {capture.mismatch.fix}"]
 
 
-def _warnings(rows: list[dict[str, Any]]) -> list[str]:
+def _warnings(rows: list[dict[str, Any]], clipped: set[int]) -> list[str]:
     warnings = []
-    clipped = [row["name"] for row in rows if row["saturated"] > MAX_SATURATED_SHARE]
     if clipped:
+        names = _some([rows[k]["name"] for k in sorted(clipped)])
         warnings.append(
             f"{len(clipped)} of {len(rows)} photos have more than {MAX_SATURATED_SHARE:.0%} saturated pixels "
-            f"({_some(clipped)}): expose darker, or add darker photos"
+            f"({names}): expose darker, or add darker photos"
         )
     shifted = [row for row in rows if row["alignment"]["verdict"] == "shifted"]
     if shifted:

@@ -7,7 +7,7 @@ direction is ``R @ [(i + 0.5 - cx) / fx, -(j + 0.5 - cy) / fy, -1]``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -20,6 +20,8 @@ from ..base.errors import BadInput
 FloatArray = NDArray[np.floating]
 
 Split = Literal["train", "val"]
+POSE_PIXELS, POSE_DISTANCE = 0.5, 1.0
+"""Pixels by which photos of one pose may differ, and metres to what they show, at which their places tell as much."""
 DEGENERATE_AREA = 1e-12
 """Square metres up to which a face counts as degenerate."""
 
@@ -92,6 +94,26 @@ class Camera:
         u = self.cx + self.fx * local[..., 0] / depth
         v = self.cy - self.fy * local[..., 1] / depth
         return np.stack([u, v], -1)
+
+
+def first_of_pose(cameras: Sequence[Camera]) -> NDArray[np.intp]:
+    """(V,) the first camera that sees the same from the same place within half a pixel, itself mostly.
+
+    Poses of a bracket differ a little where they were found, or corrected, photo by photo.
+    """
+    first = np.arange(len(cameras))
+    axes = np.array([camera.c2w[:3, :3] for camera in cameras]).reshape(-1, 9)
+    places = np.array([camera.position for camera in cameras])
+    for k, camera in enumerate(cameras):
+        turn = POSE_PIXELS / camera.fx
+        near = np.abs(axes[:k] - axes[k]).max(1, initial=0.0) < turn
+        near &= np.linalg.norm(places[:k] - places[k], axis=1) < turn * POSE_DISTANCE
+        lens = (camera.width, camera.height, camera.fx)
+        for j in np.flatnonzero(near & (first[:k] == np.arange(k))):
+            if (cameras[j].width, cameras[j].height, cameras[j].fx) == lens:
+                first[k] = j
+                break
+    return first
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,8 @@ CLIP_SCALE = 0.03
 """Log exposure by which an observation may lie on the wrong side of saturation before it starts to be an outlier."""
 ROBUST_SCALE = 0.01
 """Display-value residual at which an observation starts to count as an outlier (a highlight, a moved object)."""
+CLIPPED_QUANTILE = 0.9
+"""Of the least exposures at which clipped observations clip: some clip for a highlight."""
 MIN_COMMON = 1e-12
 """Sum of squares of log exposures below which the overlap says that they are all the same."""
 BLACK_EXPOSURE = 1e-5
@@ -266,7 +268,29 @@ class OverlapProblem:
             per_channel = self._chained(curves, per_channel=True)
             smaller, larger = self._spread(curves, log_t), self._spread(curves, per_channel)
             log_t = per_channel if decisions.accept("white_balance", smaller, larger) else log_t
+        if self.log_t is None:
+            log_t = self._long_enough_to_clip(curves, log_t)
         return log_t.exp().T.numpy().copy()
+
+    def _long_enough_to_clip(self, curves: CurveTable, log_t: Tensor) -> Tensor:
+        """Log exposures (C, V), those of photos that show nothing unclipped raised until what they clip does clip.
+
+        The brightest photo of a bracket may be of that kind. Its exposure is only bounded from below; too short a one
+        would make all that it shows a lamp.
+        """
+        x = self._seen(curves)
+        precision = self._precision(curves.slope(x) * x)
+        told = self._views.sums(precision).sum(0) > 0
+        known = (self._patches.sums(precision) > 0).all(0)[self.patch]
+        radiance = self._patches.spread(self.radiance(curves, self._exposure(log_t)))
+        least = -(radiance.clamp(min=WEIGHT_FLOOR).log() + self.log_gain)
+        raised = log_t.clone()
+        for view in torch.nonzero(~told)[:, 0].tolist():
+            own = known & (self.view == view) & (self.share > 0.5).all(0)
+            if own.any():
+                bound = least[:, own].quantile(CLIPPED_QUANTILE, dim=1).amax()
+                raised[:, view] = torch.maximum(raised[:, view], bound)
+        return raised
 
     def corrected_exposures(self, curves: CurveTable, per_channel: bool) -> Tensor:
         """(3, V) log exposures that fit the overlap best under a curve, on the scale of the known ones.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..model.capture import first_of_pose
 from ..model.recovered import Textures
 from ..surface.traced_room import TracedRoom
 from ..textures.atlas import Atlas, interpolate_uv
@@ -40,13 +41,16 @@ class HeldOut:
 
 
 def hold_out(room: TracedRoom, rng: np.random.Generator) -> HeldOut:
-    """Blocks of pixels drawn at random, about :data:`HELD_OUT_SHARE` of all."""
+    """Blocks of pixels drawn at random, about :data:`HELD_OUT_SHARE` of all.
+
+    Photos of one pose, such as a bracket, lack the same blocks: one would show the textures what is hidden in another.
+    """
     samples, block = room.samples, HELD_OUT_BLOCK
     widths = np.array([camera.width for camera in room.cameras])
     blocks = np.array([-(-camera.width // block) * -(-camera.height // block) for camera in room.cameras])
     chosen = rng.random(int(blocks.sum())) < HELD_OUT_SHARE
     row, column = np.divmod(samples.pixel.astype(np.int64), widths[samples.view])
-    first = (np.cumsum(blocks) - blocks)[samples.view]
+    first = (np.cumsum(blocks) - blocks)[first_of_pose(room.cameras)][samples.view]
     hidden = chosen[first + row // block * -(-widths[samples.view] // block) + column // block]
     inner = (np.minimum(row % block, column % block) >= HELD_OUT_MARGIN) & (
         np.maximum(row % block, column % block) < block - HELD_OUT_MARGIN

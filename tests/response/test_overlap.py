@@ -348,3 +348,17 @@ def test_a_table_has_no_value_where_there_is_none() -> None:
     table = family.table(family.PRIOR_MEAN[None])
     found = table.at(torch.tensor([[0.5, float("nan"), float("inf")]], dtype=torch.float64).expand(3, -1))
     assert torch.isfinite(found[:, 0]).all() and found[:, 1].isnan().all() and (found[:, 2] == 1).all()
+
+
+def test_a_photo_that_clips_all_is_no_shorter_than_that_takes() -> None:
+    """The brightest photo of a bracket without times: it shows nothing unclipped, so that nothing else tells."""
+    rng = np.random.default_rng(4)
+    exposures = np.append(EXPOSURES, 400.0)
+    o, radiance = observations_of(response_of(CURVES["sRGB"]), exposures, rng)
+    o = doubled(o)
+    last = o.view == len(EXPOSURES)
+    o = replace(o, z=np.where(last[:, None], 1, o.z), saturated=np.where(last[:, None], 1, o.saturated))
+    found = fit_overlap(o, None, len(exposures), rng, response_of(CURVES["sRGB"])).exposures.mean(1)
+    unit = found[:-1].mean() / exposures[:-1].mean()
+    least = np.quantile(1 / (unit * radiance.min(1)), 0.8)
+    assert found[-1] > least

@@ -4,16 +4,23 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from iris_addon.base.images import read_image, write_png
+from iris_addon.base.progress import Progress
 from iris_addon.capture.reader import read_capture
 from iris_addon.config import preset
+from iris_addon.model.capture import first_of_pose
 from iris_addon.pipeline import solve
-from iris_addon.results.held_out import MIN_TESTED, errors_of_photos, misfits
+from iris_addon.rays.tracer import Tracer
+from iris_addon.results.held_out import MIN_TESTED, errors_of_photos, hold_out, misfits
+from iris_addon.surface.primary_rays import trace_pixels
 from tests.demo_capture import demo_capture
+from tests.engine_room import cameras, furnished_room
 
 PHOTOS, PIXELS = 20, 300
 SMALL = preset("draft", max_patches=4000, gather_rays=64, shadow_rays=64, max_atlas_size=512, rounds=1)
@@ -97,3 +104,29 @@ def test_photos_that_were_exchanged_are_named(tmp_path: Path, monkeypatch: pytes
     said = [warning for warning in result.report["warnings"] if "check that each photo belongs to its pose" in warning]
     assert len(said) == 1 and said[0].startswith("2 of 20 photos")
     assert f"{first.stem} (" in said[0] and f"{second.stem} (" in said[0]
+
+
+# ---- brackets ------------------------------------------------------------------------------------------------------
+
+
+def test_photos_of_one_pose_lack_the_same_pixels() -> None:
+    """What one photo of a bracket shows the textures, another must not be tested on."""
+    room = furnished_room()
+    poses = cameras(4, 48, 36)
+    bracket = [pose for pose in poses for _ in range(3)]
+    tracer = Tracer(room.mesh)
+    traced = SimpleNamespace(samples=trace_pixels(tracer, bracket, Progress()), cameras=bracket)
+    found = hold_out(traced, np.random.default_rng(0))  # type: ignore[arg-type]
+    hidden = np.zeros((len(bracket), 48 * 36), bool)
+    hidden[traced.samples.view, traced.samples.pixel] = found.hidden
+    assert hidden.any() and not (hidden[0::3] == hidden[[3, 6, 9, 0]]).all()
+    assert (hidden[0::3] == hidden[1::3]).all() and (hidden[0::3] == hidden[2::3]).all()
+
+
+def test_poses_are_one_within_half_a_pixel() -> None:
+    one, other = cameras(2, 480, 360)
+    moved, turned = one.c2w.copy(), one.c2w.copy()
+    moved[0, 3] += 0.1
+    turned[:3, :3] = one.c2w[:3, :3] @ Rotation.from_rotvec([0, 1e-4, 0]).as_matrix()
+    views = [one, other, replace(one, c2w=turned), replace(one, c2w=moved), one.resized(240, 180), other]
+    assert first_of_pose(views).tolist() == [0, 1, 0, 3, 4, 1]
