@@ -294,6 +294,9 @@ def _add_rendering(add: Add) -> None:
     insert = add("insert", "objects lit by the recovered light")
     insert.add_argument("--objects", type=Path, required=True, metavar="FILE", help="JSON of the objects")
     insert.add_argument("--onto-photos", action="store_true", help="differential rendering onto the views' photos")
+    insert.add_argument(
+        "--layers", action="store_true", help="with --onto-photos: an EXR of layers beside each, for Nuke"
+    )
     render.add_argument("--light-shares", action="store_true", help="one EXR per view with the share of every light")
     relight.add_argument("--shares", type=Path, metavar="DIR", help="mix what render --light-shares wrote; no render")
     for command, exposure in ((render, "photo"), (relight, "auto"), (insert, "photo")):
@@ -415,9 +418,7 @@ class _InAces(argparse.Action):
 
 
 def _add_acescg(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--acescg", action=_InAces, nargs=0, default=False, help="as --linear, in ACEScg instead of Rec.709"
-    )
+    parser.add_argument("--acescg", action=_InAces, nargs=0, default=False, help="as --linear, in ACEScg, not Rec.709")
 
 
 def _add_sampling(parser: argparse.ArgumentParser, default: int = 64) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from iris_addon.base.color_spaces import ACESCG
 from iris_addon.base.errors import BadInput
+from iris_addon.base.images import write_exr_layers
 from iris_addon.capture.photos import load_photo
 from iris_addon.edits.scene_edit import SceneEdit
 from iris_addon.model.capture import Photo, View
@@ -25,11 +27,15 @@ class ChangedPhoto:
         display: (H, W, 3) display values, or None where the photo holds radiance.
         radiance: (H, W, 3) linear; in the unit of the photo where that holds radiance.
         shows_added: whether anything of the inserted objects is visible.
+        plate: (H, W, 3) ``radiance`` without the edit; None where the edit changes nothing.
+        covered: (H, W) share of each pixel that inserted objects cover; None where there are none.
     """
 
     display: FloatArray | None
     radiance: FloatArray
     shows_added: bool
+    plate: FloatArray | None = None
+    covered: FloatArray | None = None
 
     def write(self, folder: Path, name: str, *, linear: bool, acescg: bool) -> Path:
         """Write ``name``.png, or ``name``.exr of radiance where ``linear`` or the photo holds radiance, that in
@@ -37,6 +43,24 @@ class ChangedPhoto:
         if linear or self.display is None:
             return write_picture(folder / f"{name}.exr", self.radiance, acescg=acescg)
         return write_picture(folder / f"{name}.png", self.display)
+
+    def write_layers(self, path: Path, *, acescg: bool) -> Path:
+        """Write the picture and what it is made of as one EXR, a layer each, for compositing:
+
+        ``plate · (1 − object.A) + catcher + object`` is the picture. The catcher is light that the objects take
+        (negative) or add beside them, the object is premultiplied.
+        """
+        plate = self.radiance if self.plate is None else self.plate
+        covered = np.zeros(plate.shape[:2]) if self.covered is None else self.covered
+        alpha = covered[..., None]
+        layers = {
+            "": self.radiance,
+            "plate": plate,
+            "catcher": (1 - alpha) * (self.radiance - plate),
+            "object": alpha * self.radiance,
+        }
+        write_exr_layers(path, layers, {"object": covered}, space=ACESCG if acescg else None)
+        return path
 
 
 def require_response(result: Result, photo: Photo, view: View) -> None:
@@ -77,9 +101,16 @@ class PhotoInsertion:
         changed = render_change(self.result, self.view.camera, edit, self._without, self.settings)
         shows_added = bool(changed.covered.any())
         if self.photo.hdr:
-            return ChangedPhoto(None, change_light(values, changed, 1.0 if known is None else known), shows_added)
+            light = change_light(values, changed, 1.0 if known is None else known)
+            return ChangedPhoto(None, light, shows_added, plate=values, covered=changed.covered)
         exposure = self._fitted_exposure(changed.without) if known is None else known
-        return ChangedPhoto(*change_photo(values, changed, response, exposure), shows_added)
+        unchanged = replace(changed, change=0 * changed.change, covered=0 * changed.covered)
+        return ChangedPhoto(
+            *change_photo(values, changed, response, exposure),
+            shows_added,
+            plate=change_photo(values, unchanged, response, exposure)[1],
+            covered=changed.covered,
+        )
 
     def _fitted_exposure(self, without: FloatArray) -> FloatArray:
         """The exposure that makes the render look like the photo, (H, W, 3) or broadcastable to it."""

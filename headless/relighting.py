@@ -121,6 +121,8 @@ def insert(args: argparse.Namespace, progress: Progress) -> Outcome:
         raise BadInput(f"names view {repeated[0]} twice", "put all objects of a view into one entry", args.objects)
     if args.onto_photos:
         _without_exposure(args, "--onto-photos")
+    if args.layers and (not args.onto_photos or args.frames is not None):
+        raise BadInput("--layers are of single photos", "give --onto-photos with it, and no --frames")
     if args.onto_photos and "camera" in job:
         raise BadInput("moves the camera, but a photo stays where it is", "leave out 'camera'", args.objects)
     if args.frames is not None and len(edits) != 1:
@@ -201,8 +203,12 @@ def _insert_onto_photos(
         for number, (index, edit) in enumerate(edits):
             picture = PhotoInsertion(result, views[index], _render_settings(args)).picture(edit)
             written.append(picture.write(args.out, views[index].name, linear=args.linear, acescg=args.acescg))
+            picture_name = written[-1].name
+            if args.layers:
+                path = args.out / f"{views[index].name}-layers.exr"
+                written.append(picture.write_layers(path, acescg=args.acescg))
             if (edit.objects or edit.spheres) and not picture.shows_added:
-                warnings.append(f"{written[-1].name} shows none of its objects: check where they are placed")
+                warnings.append(f"{picture_name} shows none of its objects: check where they are placed")
             progress.update((number + 1) / len(edits))
     return Outcome.of("Rendered", {"files": written} | ({"warnings": warnings} if warnings else {}))
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -70,6 +70,33 @@ def write_exr(
     # Through memory, because OpenEXR reports a failed write to disk without its errno.
     encoded = io.BytesIO()
     OpenEXR.File(header, {"Y" if pixels.ndim == 2 else "RGB": pixels}).write(encoded)
+    atomic_write(path, lambda temporary: temporary.write_bytes(encoded.getbuffer()))
+
+
+def write_exr_layers(
+    path: Path,
+    layers: Mapping[str, NDArray[np.floating]],
+    alphas: Mapping[str, NDArray[np.floating]],
+    *,
+    space: ColorSpace | None = None,
+) -> None:
+    """Write linear Rec.709 (H, W, 3) by layer as one EXR of float32, converted to ``space`` where given.
+
+    The layer "" is what programs show that know no layers. ``alphas`` (H, W) are the A of layers.
+    """
+    matrix = np.eye(3) if space is None else REC709.matrix_to(space)
+    channels = {}
+    for layer, values in layers.items():
+        prefix = f"{layer}." if layer else ""
+        pixels = (values @ matrix.T).astype(np.float32)
+        channels |= {f"{prefix}{name}": np.ascontiguousarray(pixels[..., k]) for k, name in enumerate("RGB")}
+        if layer in alphas:
+            channels[f"{prefix}A"] = np.ascontiguousarray(alphas[layer], np.float32)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    if space is not None:
+        header["chromaticities"] = space.chromaticities
+    encoded = io.BytesIO()
+    OpenEXR.File(header, channels).write(encoded)
     atomic_write(path, lambda temporary: temporary.write_bytes(encoded.getbuffer()))
 
 

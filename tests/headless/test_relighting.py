@@ -177,6 +177,32 @@ def test_light_onto_a_photo_is_linear_on_request(solved):
 
 
 @pytest.mark.bpy
+def test_layers_of_a_photo_add_up_to_it(solved):
+    """A dark ball in the first photo; the second stays as it is."""
+    ball = {"shape": "sphere", "radius": 0.2, "pixel": [12, 17], "base_color": 0.1}
+    job = write_job(solved, "ball.json", views=[{"view": 0, "objects": [ball]}, {"view": 1, "objects": []}])
+    out = run(solved, "insert", "--objects", job, "--onto-photos", "--layers", "--linear")
+
+    def layer(file: dict, name: str) -> np.ndarray:
+        return np.stack([file[f"{name}{channel}"].pixels for channel in "RGB"], -1)
+
+    for view in ("a", "b"):
+        with OpenEXR.File(str(out / f"{view}-layers.exr"), separate_channels=True) as file:
+            held = dict(file.channels())
+            picture, plate, catcher, thing = (layer(held, name) for name in ("", "plate.", "catcher.", "object."))
+            alpha = held["object.A"].pixels[..., None].copy()
+        np.testing.assert_allclose(plate * (1 - alpha) + catcher + thing, picture, rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(picture, read_exr(out / f"{view}.exr"), rtol=1e-5, atol=1e-6)
+        if view == "a":
+            assert alpha.max() == 1 and (alpha == 0).mean() > 0.5
+            np.testing.assert_allclose(thing[alpha[..., 0] == 1], picture[alpha[..., 0] == 1], rtol=1e-5)
+            assert catcher.min() < -1e-3, "the ball takes light from what it stands on"
+        else:
+            assert not alpha.any() and not catcher.any() and not thing.any()
+    run(solved, "insert", "--objects", job, "--layers", code=3)
+
+
+@pytest.mark.bpy
 def test_photos_that_hold_radiance_are_changed_in_their_own_unit(solved):
     """EXR photos at an exposure: kept as they are without objects, and an object in them is as bright as they are."""
     result = replace(
