@@ -98,7 +98,6 @@ def write_fused(maps: Sequence[DepthMap], out: Path, voxel: float | None, update
         raise BadInput(
             what, "check their unit (depth_unit_scale_factor) and that their poses are in meters", out.parent
         )
-    out.parent.mkdir(parents=True, exist_ok=True)
     atomic_write(out, lambda file: file.write_bytes(_ply(fused.mesh)))
     return FusedFile(out, len(fused.mesh.faces), len(maps), fused.voxel)
 

@@ -34,6 +34,8 @@ SPOT_DEPARTURE, SPOT_PIXELS = 0.1, 4
 WHITE_CORRELATION, WHITE_STD = 0.1, 2.0
 """Correlation of neighbouring pixels, and spread of block means over that of averaged noise, up to which a photo is
 nothing but noise. Texture of any kind has neighbours that are alike."""
+SOME_PIXELS = 5
+"""One pixel of so many rows and columns tells how much all differ."""
 MIN_VALID = 0.02
 """Share of pixels that must be picture."""
 SAME_PICTURE = 0.5 / 255
@@ -119,18 +121,18 @@ def content_of(view: View) -> Content:
     pixels, shrink = _pixels(view)
     values, valid = pixels.values, pixels.valid
     if pixels.hdr:
-        values = values / max(float(np.quantile(values[valid], 0.99)) if valid.any() else 0.0, 1e-9)
+        values = values / max(float(np.quantile(values[valid][::SOME_PIXELS], 0.99)) if valid.any() else 0.0, 1e-9)
     side = max(1, values.shape[1] // CONTENT_WIDTH)
     height, width = values.shape[0] // side, values.shape[1] // side
 
-    def blocks(array: NDArray) -> NDArray:
-        cut = array[: height * side, : width * side]
-        return cut.reshape(height, side, width, side, *array.shape[2:])
+    def blocks(array: NDArray, reduce: np.ufunc) -> NDArray:
+        """(h, w, ...) ``array`` (H, W, ...) reduced over each block, rows first because these lie together."""
+        rows = reduce.reduce(array[: height * side, : width * side].reshape(height, side, width * side, -1), 1)
+        return reduce.reduce(rows.reshape(height, width, side, -1), 2)
 
-    whole = blocks(valid).all((1, 3))
-    grouped = blocks(values)
-    means = np.where(whole[..., None], grouped.mean((1, 3), dtype=np.float32), np.float32(np.nan))
-    flat = whole & (np.ptp(grouped, axis=(1, 3)) < 1 / 255).all(-1)
+    whole = np.ones((height, width), bool) if valid.all() else blocks(valid, np.logical_and)[..., 0]
+    means = np.where(whole[..., None], blocks(values, np.add) / np.float32(side**2), np.float32(np.nan))
+    flat = whole & (blocks(values, np.maximum) - blocks(values, np.minimum) < 1 / 255).all(-1)
     return Content(_nothing(values, valid, means, side, pixels.hdr), means, flat, side * shrink)
 
 
@@ -148,11 +150,12 @@ def _nothing(
     values: NDArray[np.float32], valid: NDArray[np.bool_], means: NDArray[np.float32], side: int, hdr: bool
 ) -> str:
     """Why pixels (H, W, 3), with means (h, w, 3) of blocks of ``side`` pixels, show nothing; "" where they do."""
-    seen, found = values[valid], means[np.isfinite(means[..., 0])]
+    found = means[np.isfinite(means[..., 0])]
     if not len(found) or valid.mean() < MIN_VALID:
         return MASKED
     middle = np.median(found, axis=0)
     if _is_plain(means, middle):
+        seen = values[valid]
         spots = int((np.abs(seen - middle) > SPOT_DEPARTURE).any(-1).sum())
         if spots < SPOT_PIXELS or _is_white_noise(values, means, side):
             if float(middle.max()) < PLAIN_DEPARTURE or (hdr and not seen.any()):
@@ -173,14 +176,13 @@ def _is_plain(means: NDArray[np.float32], middle: NDArray[np.float32]) -> bool:
 
 def _is_white_noise(values: NDArray[np.float32], means: NDArray[np.float32], side: int) -> bool:
     """Whether no pixel tells anything of its neighbours, nor blocks more than chance does."""
-    grey = values.mean(-1, dtype=np.float64) - values.mean(dtype=np.float64)
-    variance = float((grey**2).mean())
-    if variance <= 0:
-        return False
+    some = values[::SOME_PIXELS, ::SOME_PIXELS].mean(-1, dtype=np.float64)
+    if not float(np.nanstd(means.mean(-1))) < WHITE_STD * float(some.std()) / side:
+        return False  # as nearly all photos, before every pixel is looked at
+    grey = values.mean(-1, dtype=np.float64)
+    grey -= grey.mean()
     along = float((grey[:, 1:] * grey[:, :-1]).mean()), float((grey[1:] * grey[:-1]).mean())
-    return max(along) < WHITE_CORRELATION * variance and float(np.nanstd(means.mean(-1))) < (
-        WHITE_STD * variance**0.5 / side
-    )
+    return max(along) < WHITE_CORRELATION * float((grey**2).mean())
 
 
 def _copies(views: Sequence[View], contents: Sequence[Content]) -> list[int]:
