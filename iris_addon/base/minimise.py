@@ -49,7 +49,7 @@ def lbfgs(loss: Callable[[Tensor], Tensor], start: Tensor, iterations: int) -> T
         value = loss(x)
         return value.item(), torch.autograd.grad(value, x)[0]
 
-    x, pairs = start.detach().to(torch.float64), deque[tuple[Tensor, Tensor]](maxlen=LBFGS_HISTORY)
+    x, pairs = start.detach().to(torch.float64), deque[_Pair](maxlen=LBFGS_HISTORY)
     with one_thread():
         value, gradient = at(x)
         for _ in range(iterations):
@@ -64,8 +64,8 @@ def lbfgs(loss: Callable[[Tensor], Tensor], start: Tensor, iterations: int) -> T
                 pairs.clear()  # once more, straight downhill
                 continue
             step, change = found.length * direction, found.gradient - gradient
-            if float(change @ step) > 0:
-                pairs.append((step, change))
+            if (along := float(change @ step)) > 0:
+                pairs.append(_Pair(step, change, along))
             decrease = value - found.value
             x, value, gradient = x + step, found.value, found.gradient
             if decrease <= LBFGS_TOLERANCE * max(abs(value), 1.0):
@@ -73,17 +73,24 @@ def lbfgs(loss: Callable[[Tensor], Tensor], start: Tensor, iterations: int) -> T
     return x
 
 
-def _inverse_hessian(pairs: Sequence[tuple[Tensor, Tensor]], gradient: Tensor) -> Tensor:
+class _Pair(NamedTuple):
+    """A step (n,), the change of the gradient along it (n,), and their product."""
+
+    step: Tensor
+    change: Tensor
+    along: float
+
+
+def _inverse_hessian(pairs: Sequence[_Pair], gradient: Tensor) -> Tensor:
     """The estimated inverse Hessian times ``gradient`` (n,), from pairs of steps and changes of the gradient."""
     result, shares = gradient.clone(), []
-    for step, change in reversed(pairs):
-        shares.append((step @ result) / (step @ change))
-        result -= shares[-1] * change
+    for step, change, along in reversed(pairs):
+        shares.append(float(step @ result) / along)
+        result.sub_(change, alpha=shares[-1])
     if pairs:
-        step, change = pairs[-1]
-        result *= (step @ change) / (change @ change)
-    for (step, change), share in zip(pairs, reversed(shares), strict=True):
-        result += (share - (change @ result) / (step @ change)) * step
+        result *= pairs[-1].along / float(pairs[-1].change.square().sum())
+    for (step, change, along), share in zip(pairs, reversed(shares), strict=True):
+        result.add_(step, alpha=share - float(change @ result) / along)
     return result
 
 
@@ -142,7 +149,7 @@ def gauss_newton(residuals: Callable[[Tensor], Tensor], start: Tensor, steps: in
     should be. So a step that gains more than predicted is doubled while the loss falls, which takes no derivatives.
 
     Args:
-        residuals: of unknowns (n,), differentiable in forward mode; as many as there are.
+        residuals: (m,) of unknowns (n,), twice differentiable in reverse mode.
         steps: at most, each with one Jacobian.
         tolerance: relative decrease of the loss in one step at which the fit has converged.
     """
@@ -154,7 +161,7 @@ def gauss_newton(residuals: Callable[[Tensor], Tensor], start: Tensor, steps: in
     x, damping = start.detach().to(torch.float64), DAMPING
     with one_thread(), torch.no_grad():
         for _ in range(steps):
-            jacobian, r = torch.func.jacfwd(residuals)(x), residuals(x)
+            r, jacobian = linearised(residuals, x)
             loss, gradient, normal = float(r @ r), jacobian.T @ r, jacobian.T @ jacobian
             scale = normal.diagonal().clamp(min=MIN_CURVATURE * float(normal.diagonal().max()))
             while damping < MAX_DAMPING:
@@ -175,6 +182,21 @@ def gauss_newton(residuals: Callable[[Tensor], Tensor], start: Tensor, steps: in
             if loss - found <= tolerance * loss:
                 break
     return x
+
+
+def linearised(residuals: Callable[[Tensor], Tensor], at: Tensor) -> tuple[Tensor, Tensor]:
+    """Residuals (m,) and their Jacobian (m, n) at unknowns (n,), for n far below m.
+
+    A backward pass gives ``g = J^T u``, which is linear in u; the derivative of each g_k by u is a column of J. Forward
+    mode gives the same numbers in twice the time, because it handles constants by a slow path.
+    """
+    with torch.enable_grad():
+        x = at.detach().requires_grad_()
+        r = residuals(x)
+        u = torch.zeros_like(r, requires_grad=True)
+        transposed = torch.autograd.grad(r, x, u, create_graph=True)[0]
+        columns = [torch.autograd.grad(g, u, retain_graph=True)[0] for g in transposed]
+    return r.detach(), torch.stack(columns, 1)
 
 
 def simplex(

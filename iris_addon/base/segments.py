@@ -50,7 +50,7 @@ class Segments:
 
 
 class _Linear(Function):
-    """A linear map along the last axis; leading axes, also those of ``vmap``, are independent."""
+    """A linear map along the last axis; leading axes are independent."""
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Tensor, Segments], output: Tensor) -> None:
@@ -73,14 +73,6 @@ class _Sums(_Linear):
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
         return ctx.segments.spread(gradient), None
 
-    @staticmethod
-    def jvp(ctx: Any, tangent: Tensor, _: None) -> Tensor:
-        return ctx.segments.sums(tangent)
-
-    @staticmethod
-    def vmap(_: Any, dims: tuple[int, None], values: Tensor, segments: Segments) -> tuple[Tensor, int]:
-        return segments.sums(values.movedim(dims[0], 0)), 0
-
 
 class _Spread(_Linear):
     @staticmethod
@@ -90,11 +82,3 @@ class _Spread(_Linear):
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
         return ctx.segments.sums(gradient), None
-
-    @staticmethod
-    def jvp(ctx: Any, tangent: Tensor, _: None) -> Tensor:
-        return ctx.segments.spread(tangent)
-
-    @staticmethod
-    def vmap(_: Any, dims: tuple[int, None], values: Tensor, segments: Segments) -> tuple[Tensor, int]:
-        return segments.spread(values.movedim(dims[0], 0)), 0

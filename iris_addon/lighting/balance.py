@@ -110,6 +110,7 @@ def solve_balance(
     start: NDArray[np.floating],
     robust_log: float = ROBUST_LOG,
     warm_start: bool = False,
+    iterations: int = ITERATIONS,
 ) -> Balance:
     """Radiance of every emitter from the shading of everything else: the minimum of equation (18).
 
@@ -119,6 +120,7 @@ def solve_balance(
         start: (E, 3) radiance to start from, > 0.
         robust_log: deviation of log albedo at which a patch starts to count as an outlier.
         warm_start: whether ``start`` solves a similar problem, so that no other level of light needs to be tried.
+        iterations: of L-BFGS at most.
     """
     radiance, indirect, form_factors, weight = patches.radiance, patches.indirect, patches.form_factors, patches.weight
     rows, label, region_ids = _usable(radiance, patches.region, weight)
@@ -141,7 +143,7 @@ def solve_balance(
     log_start = torch.from_numpy(np.log(start[first], dtype=np.float64))
     with one_thread():
         guess = _first_guess(problem, log_start, GUESS_LEVELS[:1] if warm_start else GUESS_LEVELS)
-        log_e, log_albedo = problem.split(_minimise(problem, guess, ITERATIONS))
+        log_e, log_albedo = problem.split(_minimise(problem, guess, iterations))
         losses = held_out.shading_losses(log_e, log_albedo)
         log_std = problem.log_std(log_e)
     return Balance(
@@ -379,21 +381,28 @@ class DirectEvidence:
 
     def penalty(self, log_e: Tensor) -> Tensor:
         """Q of equation (20), a sum of squared deviations in standard deviations."""
-        below = (self.log_bound - log_e).clamp(min=0) / LAMP_BOUND_STD
-        off = torch.nan_to_num(log_e - self.log_measured) / LAMP_MEASURED_STD
-        tint = (log_e - log_e.mean(1, keepdim=True)) / LAMP_TINT_STD
-        surprise = torch.nan_to_num(log_e - self.log_expected) / self._doubt
-        return sum((term.square().sum() for term in (below, off, tint, surprise)), torch.zeros(()))
+        below = (self.log_bound - log_e).clamp(min=0).square().sum() / LAMP_BOUND_STD**2
+        tint = (log_e - log_e.mean(1, keepdim=True)).square().sum() / LAMP_TINT_STD**2
+        mean, precision, rest = self._known
+        return below + tint + rest + (precision * (log_e - mean).square()).sum()
 
     def precision(self, log_e: Tensor) -> Tensor:
         """(E', 3) inverse variance of each log radiance under all evidence: half the curvature of the penalty."""
         below = (log_e <= self.log_bound) / LAMP_BOUND_STD**2
-        measured = self.log_measured.isfinite() / LAMP_MEASURED_STD**2
-        expected = self.log_expected.isfinite() / self._doubt**2
-        return below + measured + expected + 2 / 3 / LAMP_TINT_STD**2
+        return below + self._known[1] + 2 / 3 / LAMP_TINT_STD**2
 
-    @property
-    def _doubt(self) -> Tensor:
-        """(E', 3) standard deviation about the expectation."""
+    @cached_property
+    def _known(self) -> tuple[Tensor, Tensor, float]:
+        """Mean and precision (E', 3) of what was measured and expected of each log radiance, and their disagreement.
+
+        Two squared deviations are one about their weighted mean, and a constant.
+        """
         clipped = self.log_bound > np.log(NO_BOUND)
-        return torch.where(clipped, LAMP_CLIPPED_STD, OUTSIDE_EXPECTED_STD).to(torch.float64)
+        doubt = torch.where(clipped, LAMP_CLIPPED_STD, OUTSIDE_EXPECTED_STD).to(torch.float64)
+        measured, expected = torch.nan_to_num(self.log_measured), torch.nan_to_num(self.log_expected)
+        of_measured = self.log_measured.isfinite() / LAMP_MEASURED_STD**2
+        of_expected = self.log_expected.isfinite() / doubt**2
+        precision = of_measured + of_expected
+        mean = (of_measured * measured + of_expected * expected) / precision.clamp(min=1e-12)
+        rest = of_measured * (measured - mean).square() + of_expected * (expected - mean).square()
+        return mean, precision, float(rest.sum())

@@ -12,7 +12,7 @@ from ..base.random_streams import stream
 from ..brdf.diffuse import under_lobe
 from ..response.radiance import GroupRadiance
 from ..transport.form_factors import emitter_form_factors, emitter_of_face
-from .balance import MAX_ALBEDO, Evidence, ShadedPatches, fitted_patches, noticeable_radiance, solve_balance
+from .balance import ITERATIONS, MAX_ALBEDO, Evidence, ShadedPatches, fitted_patches, noticeable_radiance, solve_balance
 from .candidates import tie_fixtures
 from .problem import LightProblem, Lights
 
@@ -25,6 +25,8 @@ noise of rays makes direct light look less reliable than indirect light, lamps t
 NORMAL_SENSITIVITY = 0.5
 """Change of log irradiance per sine of the error of a normal, for light from one side as order 1 of spherical harmonics
 describes it, E (1 + NORMAL_SENSITIVITY cos)."""
+FIRST_ITERATIONS = 20
+"""Iterations of the first light balance, after which the light that unseen surfaces pass on is found anew."""
 CLIPPED_LAMP_FACTOR = 2.0
 """Expected radiance of a clipped lamp over its bound; a speck whose light reaches no patch stays about there."""
 LAMP_QUANTILE = 0.8
@@ -118,7 +120,8 @@ def solve_lights(
             region=region[rows],
             weight=weight[rows],
         )
-        balance = solve_balance(patches, evidence, start, problem.robust_log, from_solution)
+        iterations = ITERATIONS if from_solution else FIRST_ITERATIONS
+        balance = solve_balance(patches, evidence, start, problem.robust_log, from_solution, iterations)
         start = balance.radiance
         irradiance = indirect + all_factors @ balance.radiance
         albedo = dict(zip(balance.region_ids.tolist(), balance.region_albedo, strict=True))

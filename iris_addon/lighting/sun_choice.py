@@ -16,7 +16,7 @@ from ..response.radiance import GroupRadiance
 from .lamp_radiance import lights_without_lamps, solve_lights
 from .problem import LightProblem, Lights
 from .sun import Sun, sun_from
-from .sun_search import ShownPixels, SunGuess, find_suns, refined
+from .sun_search import ShownPixels, SunGuess, find_suns, lit_pixels, refined
 
 
 def with_sun(problem: LightProblem, observed: GroupRadiance, shown: ShownPixels, progress: Progress) -> LightProblem:
@@ -30,7 +30,8 @@ def with_sun(problem: LightProblem, observed: GroupRadiance, shown: ShownPixels,
     sunlit, lights = _lit_by(problem, observed, guesses[0], progress)
     # Under the light that the sun brings in, the borders of its patches tell more.
     sky = replace(lights, irradiance=lights.irradiance - _direct(sunlit, lights))
-    again = refined(problem, problem.tracer, sky, shown, replace(guesses[0], irradiance=lights.hidden_radiance[-1]))
+    guess = replace(guesses[0], irradiance=lights.hidden_radiance[-1])
+    again = refined(problem, problem.tracer, lit_pixels(problem, sky, shown), guess)
     if again is not None:
         sunlit, lights = _lit_by(problem, observed, again, progress)
     accepted = problem.decisions.accept(

@@ -72,7 +72,7 @@ class SunGuess:
 
 
 @dataclass(frozen=True)
-class _LitPoints:
+class LitPoints:
     """Surface points that are asked for sunlight.
 
     Attributes:
@@ -109,7 +109,8 @@ def find_suns(
         lights: without a sun; irradiance of the sun is given where they have one.
         shown: the pixels of ``problem``.
     """
-    guesses = [refined(problem, tracer, lights, shown, guess) for guess in _screened(problem, tracer, observed, lights)]
+    points = lit_pixels(problem, lights, shown)
+    guesses = [refined(problem, tracer, points, guess) for guess in _screened(problem, tracer, observed, lights)]
     return sorted((guess for guess in guesses if guess is not None), key=lambda guess: -guess.gain)
 
 
@@ -165,7 +166,7 @@ def _points(
     clipped: NDArray[np.bool_],
     weight: NDArray[np.floating],
     region: NDArray[np.integer],
-) -> _LitPoints:
+) -> LitPoints:
     """Points (n,) with the albedo of their region taken off: the median over its unclipped ones."""
     level = np.log(np.maximum(light, 1e-6))
     albedo = np.log(np.maximum(luminance, 1e-6)) - level
@@ -174,33 +175,38 @@ def _points(
     typical = group_medians(albedo[by, None], region[by], n_regions)[:, 0]
     counted = np.bincount(region[by], minlength=n_regions) > 0
     typical = np.where(counted, typical, np.median(albedo[by]) if len(by) else 0.0)
-    return _LitPoints(level, albedo + level - typical[region], clipped, weight)
+    return LitPoints(level, albedo + level - typical[region], clipped, weight)
 
 
 # ---- To a tenth of a degree, by pixels -----------------------------------------------------------------------------
 
 
-def refined(
-    problem: LightProblem, tracer: Tracer, lights: Lights, shown: ShownPixels, guess: SunGuess
-) -> SunGuess | None:
-    """The direction near ``guess`` that the borders of sunlight agree with best; None where there are none.
+def lit_pixels(problem: LightProblem, lights: Lights, shown: ShownPixels) -> LitPoints:
+    """The pixels of ``problem`` as points that are asked for sunlight; those on lamps have no weight.
 
     Args:
         lights: irradiance without a sun.
     """
-    patch, samples = problem.surface.sample_patch, problem.samples
-    rng = stream(problem.seed, "lighting.sun_pixels")
-    usable = shown.usable & ~lights.mask[samples.face]
-    points = _points(
+    patch = problem.surface.sample_patch
+    return _points(
         shown.luminance,
         (lights.irradiance[: problem.transport.n_seen] @ LUMINANCE)[patch],
         shown.clipped,
-        usable.astype(np.float64),
+        (shown.usable & ~lights.mask[problem.samples.face]).astype(np.float64),
         problem.surface.region[patch],
     )
+
+
+def refined(problem: LightProblem, tracer: Tracer, points: LitPoints, guess: SunGuess) -> SunGuess | None:
+    """The direction near ``guess`` that the borders of sunlight agree with best; None where there are none.
+
+    Args:
+        points: the pixels of ``problem``, of :func:`lit_pixels`.
+    """
+    samples, rng = problem.samples, stream(problem.seed, "lighting.sun_pixels")
     done = 0.0  # the width of the grid that no longer moves
     direction, strength, gain = guess.direction, float(guess.irradiance @ LUMINANCE), -np.inf
-    pool = np.flatnonzero(usable & (samples.normal @ direction.astype(np.float32) > MIN_COSINE))
+    pool = np.flatnonzero((points.weight > 0) & (samples.normal @ direction.astype(np.float32) > MIN_COSINE))
     if len(pool) > REFINED_POOL:
         pool = np.sort(rng.choice(pool, REFINED_POOL, replace=False))
     for half, side in (grid for grid in GRIDS for _ in range(GRID_MOVES)):
