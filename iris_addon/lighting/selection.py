@@ -88,7 +88,7 @@ def with_unconstrained(problem: LightProblem, observed: GroupRadiance, lights: L
     for faces in bright:
         apart = [lamp for lamp in base.emitters if not np.isin(lamp, faces).any()]
         name = "unconstrained_lamp" if len(apart) == len(base.emitters) else "unconstrained_lamp_in_place"
-        tried = with_lamps([*apart, faces], base)
+        tried = with_lamps([*apart, faces], base, warm_start=True)
         if _glows(problem, tried, faces) and problem.decisions.accept(
             name, base.held_out, tried.held_out, base.paired_error(tried), subject=_named(faces)
         ):
