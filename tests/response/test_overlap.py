@@ -269,9 +269,7 @@ def test_tables_pass_gradcheck_between_their_samples() -> None:
     x = inside.clone().requires_grad_()
     assert torch.autograd.gradcheck(lambda k, x: family.table(k).at(x), (knots, x))
     assert torch.autograd.gradcheck(lambda k, x: family.table(k).slope(x), (knots, x))
-    assert torch.autograd.gradcheck(
-        lambda k: family.contrast_residual(family.table(k)), (knots,)
-    )
+    assert torch.autograd.gradcheck(lambda k: family.contrast_residual(family.table(k)), (knots,))
     z = family.table(knots.detach()).at(inside)
     assert family.table(knots.detach()).inverse(z).numpy() == pytest.approx(inside.numpy(), abs=1e-6)
     assert torch.autograd.gradcheck(lambda k: family.table(k).inverse(z), (knots,))
