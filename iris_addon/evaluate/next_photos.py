@@ -61,13 +61,13 @@ class BadlySeen:
     size: float
 
     @staticmethod
-    def of(mesh: Mesh, coverage: NDArray[np.floating], seed: int = 0) -> BadlySeen:
+    def of(mesh: Mesh, coverage: NDArray[np.floating]) -> BadlySeen:
         """Points of ``mesh``, whose UVs address the map ``coverage`` (N, N)."""
         assert mesh.uv is not None
         corners = mesh.vertices[mesh.faces]
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(cross, axis=1)
-        face, weights = even_points(0.5 * length, SURFACE_SAMPLES, seed)
+        face, weights = even_points(0.5 * length, SURFACE_SAMPLES)
         position, uv = interpolated(corners[face], weights), interpolated(mesh.uv[face], weights)
         side = len(coverage)
         column = np.clip((uv[:, 0] * side).astype(int), 0, side - 1)
