@@ -10,7 +10,6 @@ themselves enters as a penalty, equation (20): a bound from clipped pixels, a me
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -142,7 +141,7 @@ def solve_balance(
     problem, held_out = (whole.restrict(torch.from_numpy(some)) for some in (~tested, tested))
     log_start = torch.from_numpy(np.log(start[first], dtype=np.float64))
     with one_thread():
-        guess = _first_guess(problem, log_start, GUESS_LEVELS[:1] if warm_start else GUESS_LEVELS)
+        guess = problem.joined(log_start) if warm_start else _first_guess(problem, log_start)
         log_e, log_albedo = problem.split(_minimise(problem, guess, iterations))
         losses = held_out.shading_losses(log_e, log_albedo)
         log_std = problem.log_std(log_e)
@@ -172,8 +171,8 @@ def noticeable_radiance(light: NDArray[np.floating], form_factors: NDArray[np.fl
     return START_SHARE * light.mean(0, dtype=np.float64) / np.maximum(reach, 1e-9)
 
 
-def _first_guess(problem: LightBalance, log_e: Tensor, levels: Sequence[float]) -> Tensor:
-    """Unknowns to start from: of starts at several ``levels`` of light, the one with the least loss.
+def _first_guess(problem: LightBalance, log_e: Tensor) -> Tensor:
+    """Unknowns to start from: of starts at GUESS_LEVELS of light, the one with the least loss.
 
     For a lamp a hundred times too dark every patch is an outlier and the lamp's share of the light is nothing, so its
     gradient vanishes. Therefore the robust loss is wide at first, and one start is too bright. One patch in GUESS_EVERY
@@ -181,7 +180,7 @@ def _first_guess(problem: LightBalance, log_e: Tensor, levels: Sequence[float]) 
     """
     coarse = problem.restrict(torch.arange(len(problem.region)) % GUESS_EVERY == 0)
     wide = replace(coarse, scale=GUESS_ROBUST_LOG)
-    ends = [_minimise(wide, wide.joined(log_e + float(np.log(level))), GUESS_ITERATIONS) for level in levels]
+    ends = [_minimise(wide, wide.joined(log_e + float(np.log(level))), GUESS_ITERATIONS) for level in GUESS_LEVELS]
     return min(ends, key=lambda unknowns: float(coarse.loss(unknowns)))
 
 

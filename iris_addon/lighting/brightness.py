@@ -7,6 +7,7 @@ edge of a lamp crosses patches, so there each bright face is a cell of its own, 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,6 +120,11 @@ class Cells:
     def n_cells(self) -> int:
         """Number of cells."""
         return len(self.patch)
+
+    @cached_property
+    def count(self) -> NDArray[np.int64]:
+        """(C,) pixels of each cell."""
+        return np.bincount(self.of_pixel, minlength=self.n_cells)
 
     @staticmethod
     def of_patches(sample_patch: NDArray[np.int32], n_patches: int) -> Cells:

@@ -260,21 +260,21 @@ def _lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> 
 def patches_on(problem: LightProblem, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(N,) patches that lie on emitting faces."""
     on = np.zeros(problem.transport.n_patches, bool)
-    share = np.bincount(problem.surface.sample_patch, mask[problem.samples.face], problem.transport.n_seen)
-    on[: problem.transport.n_seen] = share > 0.5 * problem.surface.count
+    pixels = problem.surface.sample_patch[mask[problem.samples.face]]
+    count = np.bincount(pixels, minlength=problem.transport.n_seen)
+    on[: problem.transport.n_seen] = count > 0.5 * problem.surface.count
     return on
 
 
 def lamp_of_cell(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> NDArray[np.int64]:
     """(C,) index of the emitter that covers most of each cell, -1 for none."""
-    cell, n = problem.cells.of_pixel, problem.cells.n_cells
-    count = np.bincount(cell, minlength=n)
+    cell = problem.cells.of_pixel
     label = emitter_of_face(emitters, len(problem.regions))[problem.samples.face]
     on = np.flatnonzero(label >= 0)
     pair, pixels = np.unique(cell[on].astype(np.int64) * len(emitters) + label[on], return_counts=True)
     of, lamp = np.divmod(pair, max(1, len(emitters)))
-    most = pixels > 0.5 * count[of]
-    result = np.full(n, -1, np.int64)
+    most = pixels > 0.5 * problem.cells.count[of]
+    result = np.full(problem.cells.n_cells, -1, np.int64)
     result[of[most]] = lamp[most]
     return result
 
