@@ -1,8 +1,11 @@
 """A Blender scene written as a capture: its cameras, photos, unit and meshes as the solver reads them."""
 
+import zlib
+
 import bpy
 import numpy as np
 import pytest
+from PIL import Image
 
 from iris_addon.base.errors import BadInput
 from iris_addon.blender.scene_in.scene_capture import read_face_runs, read_view_cameras, write_scene_capture
@@ -30,12 +33,10 @@ def box(name: str, **placed) -> None:
     bpy.context.scene.collection.objects.link(thing)
 
 
-def photo(path, width=40, height=30, level=0):
-    image = bpy.data.images.new("photo", width, height)
-    image.generated_color = (level / 255, level / 255, level / 255, 1.0)
-    image.filepath_raw, image.file_format = str(path), "PNG"
-    image.save()
-    bpy.data.images.remove(image)
+def photo(path, width=40, height=30):
+    """A picture of large soft shapes, other ones for each file name."""
+    shapes = np.random.default_rng(zlib.crc32(path.name.encode())).uniform(20, 230, (3, 4, 3)).astype(np.uint8)
+    Image.fromarray(shapes).resize((width, height), Image.Resampling.BICUBIC).save(path)
     return path
 
 
@@ -85,7 +86,7 @@ def test_photos_of_cameras_with_similar_names_stay_apart_and_are_never_written_t
     for number, name in enumerate(("Camera", "Camera.001", "Camera_001")):
         eye = bpy.data.objects.new(name, bpy.data.cameras.new(name))
         scene.collection.objects.link(eye)
-        path = photo(tmp_path / f"{number}.png", level=40 * number)
+        path = photo(tmp_path / f"{number}.png")
         eye.data.background_images.new().image = bpy.data.images.load(str(path))
         own[name] = path.read_bytes()
     bpy.context.view_layer.update()
