@@ -50,8 +50,9 @@ EFFECTIVE_PATCHES = 500
 """Independent observations that the shading counts as at most, because neighbouring patches err together."""
 START_SHARE = 0.1
 """Share of the light that a lamp without evidence brings at the start; at zero it would have no gradient."""
-LAMP_TINT_STD = 0.25
-"""Standard deviation of a channel's log radiance about the mean of a lamp's channels."""
+LAMP_TINT_STD = 0.35
+"""Standard deviation of a channel's log radiance about the mean of a lamp's channels; a black body of 4000 K lies 0.40
+from white."""
 LAMP_MEASURED_STD = 0.03
 """Standard deviation of log radiance about a measurement from unclipped pixels."""
 LAMP_BOUND_STD = 0.02

@@ -182,7 +182,7 @@ def test_the_loss_is_equation_18(shading: Shading) -> None:
         expected += 50 * share[k] * (np.maximum(albedo - np.log(0.95), 0) ** 2).sum()
     expected += ((((share @ log_a) - np.log(0.45)) / 0.5) ** 2).sum() / n
     for i, e in enumerate(log_e):
-        q = (np.maximum(np.log(1.5 * shading.truth[i]) - e, 0) / 0.02) ** 2 + ((e - e.mean()) / 0.25) ** 2
+        q = (np.maximum(np.log(1.5 * shading.truth[i]) - e, 0) / 0.02) ** 2 + ((e - e.mean()) / 0.35) ** 2
         q += ((e - np.log(0.5 * shading.truth[i])) / 4) ** 2
         q += ((e - np.log(1.1 * shading.truth[i])) / 0.03) ** 2 if i == 0 else 0.0
         expected += q.sum() / n
