@@ -61,7 +61,7 @@ def depth_without_mesh(path: Path) -> list[DepthMap]:
 
 def keep_fused(path: Path, maps: Sequence[DepthMap], update: Callable[[float], None]) -> FusedFile:
     """Fuse ``maps`` of the capture ``path`` into a mesh in its folder, where its readers find it from then on."""
-    return write_fused(maps, (path if path.is_dir() else path.parent) / FUSED_MESH, None, update)
+    return write_fused(path, maps, (path if path.is_dir() else path.parent) / FUSED_MESH, None, update)
 
 
 def fuse_capture(path: Path, out: Path, voxel: float | None, update: Callable[[float], None]) -> FusedFile:
@@ -85,18 +85,26 @@ def fuse_capture(path: Path, out: Path, voxel: float | None, update: Callable[[f
             'give frames a "depth_file_path", or a folder of ScanNet, 7-Scenes or TUM RGB-D with its depth',
             path,
         )
-    return write_fused(maps, out, voxel, update)
+    return write_fused(path, maps, out, voxel, update)
 
 
-def write_fused(maps: Sequence[DepthMap], out: Path, voxel: float | None, update: Callable[[float], None]) -> FusedFile:
-    """Fuse ``maps`` into ``out``, which appears whole or not at all; raises BadInput where they show nothing."""
+def write_fused(
+    path: Path, maps: Sequence[DepthMap], out: Path, voxel: float | None, update: Callable[[float], None]
+) -> FusedFile:
+    """Fuse ``maps`` of the capture ``path`` into ``out``, which appears whole or not at all.
+
+    Raises:
+        BadInput: they show nothing.
+    """
     if len(maps) > MAX_MAPS:
         maps = [maps[k] for k in np.linspace(0, len(maps) - 1, MAX_MAPS).round().astype(int)]
     fused = fuse(maps, voxel, update)
     if not len(fused.mesh.faces):
-        what = f"the {len(maps)} depth maps of the capture show no surface"
+        finer = "" if voxel is None else ", and leave --voxel out: none as fine may be resolved"
         raise BadInput(
-            what, "check their unit (depth_unit_scale_factor) and that their poses are in meters", out.parent
+            f"the {len(maps)} depth maps of the capture show no surface",
+            f"check their unit (depth_unit_scale_factor) and that their poses are in meters{finer}",
+            path,
         )
     atomic_write(out, lambda file: file.write_bytes(_ply(fused.mesh)))
     return FusedFile(out, len(fused.mesh.faces), len(maps), fused.voxel)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -269,8 +270,10 @@ def test_what_cannot_be_fused_is_said(tmp_path: Path) -> None:
         frame["depth_file_path"] = "depth.png"
     (tmp_path / "transforms.json").write_text(json.dumps(meta))
     Image.fromarray(np.zeros((room.meta["h"], room.meta["w"]), np.uint16)).save(tmp_path / "depth.png")
-    with pytest.raises(BadInput, match="6 depth maps of the capture show no surface"):
+    with pytest.raises(BadInput, match=f"^{re.escape(str(tmp_path))}: the 6 depth maps of the capture show no surface"):
         fuse_capture(tmp_path, tmp_path / "a.ply", None, lambda share: None)
+    with pytest.raises(BadInput, match="leave --voxel out"):
+        fuse_capture(tmp_path, tmp_path / "a.ply", 1e-6, lambda share: None)
     Image.new("RGB", (room.meta["w"], room.meta["h"])).save(tmp_path / "depth.png")
     with pytest.raises(BadInput, match="is a picture and no depth map"):
         fuse_capture(tmp_path, tmp_path / "a.ply", None, lambda share: None)
