@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from headless.job_file import read_jobs
-from iris_addon.base.images import write_exr
+from iris_addon.base.images import read_image, write_exr
 from iris_addon.capture.mesh_files import read_mesh
 from iris_addon.capture.photos import load_photo
 from iris_addon.capture.reader import read_capture, read_views
@@ -103,9 +103,8 @@ def _polygons(folder: Path) -> Iterator[Target]:
 def _brackets(folder: Path) -> Iterator[Target]:
     """Photos whose radiance lies in EXR beside them, one of them of a light that others clip."""
     room = write_nerfstudio_room(folder)
-    noise = np.random.default_rng(1).random((24, 32, 3))
     for number, photo in enumerate(room.photos):
-        write_exr(folder / "hdr" / f"{photo.stem}.exr", noise * 4.0**number)
+        write_exr(folder / "hdr" / f"{photo.stem}.exr", read_image(photo)[..., :3] / 255.0 * 4.0**number)
 
     def read() -> None:
         load_photo(read_capture(folder, hdr=folder / "hdr").views[5])

@@ -63,9 +63,9 @@ def _captures(root: Path) -> Iterator[Target]:
     jpeg = write_nerfstudio_room(root / "jpeg")
     exif = Image.Exif()
     exif.get_ifd(0x8769).update({0x829A: 0.01, 0x8827: 100, 0x829D: 4.0})
-    noise = np.random.default_rng(0).integers(0, 256, (24, 32, 3), np.uint8)
+    pixels = [np.asarray(Image.open(path).convert("RGB")) for path in sorted((jpeg.root / "images").glob("*.png"))]
     for k, frame in enumerate(jpeg.meta["frames"]):
-        Image.fromarray(noise).save(jpeg.root / "images" / f"{k:03d}.jpg", exif=exif)
+        Image.fromarray(pixels[k]).save(jpeg.root / "images" / f"{k:03d}.jpg", exif=exif)
         frame["file_path"] = f"images/{k:03d}.jpg"
     jpeg.save()
     (jpeg.root / "mesh.ply").unlink()
@@ -74,7 +74,7 @@ def _captures(root: Path) -> Iterator[Target]:
 
     radiance = write_nerfstudio_room(root / "radiance")
     for k, frame in enumerate(radiance.meta["frames"]):
-        write_exr(radiance.root / "images" / f"{k:03d}.exr", noise / 255.0)
+        write_exr(radiance.root / "images" / f"{k:03d}.exr", pixels[k] / 255.0)
         frame["file_path"] = f"images/{k:03d}.exr"
     radiance.save()
     (radiance.root / "mesh.ply").unlink()
@@ -92,7 +92,7 @@ def _captures(root: Path) -> Iterator[Target]:
     (fipt / "gt" / "cam").mkdir(parents=True)
     maps.mkdir(parents=True)
     np.save(fipt / "gt" / "cam" / "crf_gt.npy", np.tile(np.linspace(0, 1, 1024), (3, 1)))
-    write_exr(maps / "000_0001.exr", noise / 255.0)
+    write_exr(maps / "000_0001.exr", pixels[0] / 255.0)
 
     def truth() -> None:
         photos(fipt)
