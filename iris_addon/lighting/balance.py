@@ -50,9 +50,9 @@ EFFECTIVE_PATCHES = 500
 """Independent observations that the shading counts as at most, because neighbouring patches err together."""
 START_SHARE = 0.1
 """Share of the light that a lamp without evidence brings at the start; at zero it would have no gradient."""
-LAMP_TINT_STD = 0.35
-"""Standard deviation of a channel's log radiance about the mean of a lamp's channels; a black body of 4000 K lies 0.40
-from white."""
+LAMP_TINT_STD, OUTSIDE_TINT_STD = 0.35, 0.25
+"""Standard deviation of a channel's log radiance about the mean of the channels, of a lamp and of light from outside; a
+black body of 4000 K lies 0.40 from white, one of 10 000 K 0.21."""
 LAMP_MEASURED_STD = 0.03
 """Standard deviation of log radiance about a measurement from unclipped pixels."""
 LAMP_BOUND_STD = 0.02
@@ -382,14 +382,14 @@ class DirectEvidence:
     def penalty(self, log_e: Tensor) -> Tensor:
         """Q of equation (20), a sum of squared deviations in standard deviations."""
         below = (self.log_bound - log_e).clamp(min=0).square().sum() / LAMP_BOUND_STD**2
-        tint = (log_e - log_e.mean(1, keepdim=True)).square().sum() / LAMP_TINT_STD**2
+        tint = ((log_e - log_e.mean(1, keepdim=True)) / self._tint).square().sum()
         mean, precision, rest = self._known
         return below + tint + rest + (precision * (log_e - mean).square()).sum()
 
     def precision(self, log_e: Tensor) -> Tensor:
         """(E', 3) inverse variance of each log radiance under all evidence: half the curvature of the penalty."""
         below = (log_e <= self.log_bound) / LAMP_BOUND_STD**2
-        return below + self._known[1] + 2 / 3 / LAMP_TINT_STD**2
+        return below + self._known[1] + 2 / 3 / self._tint**2
 
     @cached_property
     def _known(self) -> tuple[Tensor, Tensor, float]:
@@ -397,8 +397,7 @@ class DirectEvidence:
 
         Two squared deviations are one about their weighted mean, and a constant.
         """
-        clipped = self.log_bound > np.log(NO_BOUND)
-        doubt = torch.where(clipped, LAMP_CLIPPED_STD, OUTSIDE_EXPECTED_STD).to(torch.float64)
+        doubt = torch.where(self._clipped, LAMP_CLIPPED_STD, OUTSIDE_EXPECTED_STD).to(torch.float64)
         measured, expected = torch.nan_to_num(self.log_measured), torch.nan_to_num(self.log_expected)
         of_measured = self.log_measured.isfinite() / LAMP_MEASURED_STD**2
         of_expected = self.log_expected.isfinite() / doubt**2
@@ -406,3 +405,14 @@ class DirectEvidence:
         mean = (of_measured * measured + of_expected * expected) / precision.clamp(min=1e-12)
         rest = of_measured * (measured - mean).square() + of_expected * (expected - mean).square()
         return mean, precision, float(rest.sum())
+
+    @cached_property
+    def _clipped(self) -> Tensor:
+        """(E', 3) whether clipped pixels bound a radiance; light from outside has an expectation and no bound."""
+        return self.log_bound > np.log(NO_BOUND)
+
+    @cached_property
+    def _tint(self) -> Tensor:
+        """(E', 1) standard deviation of each log radiance about the mean of its channels."""
+        outside = (self.log_expected.isfinite() & ~self._clipped).all(1, keepdim=True)
+        return torch.where(outside, OUTSIDE_TINT_STD, LAMP_TINT_STD).to(torch.float64)
