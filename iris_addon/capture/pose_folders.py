@@ -115,7 +115,8 @@ def _tum_lens(folder: Path) -> dict[str, float]:
 
 
 def _pose(path: Path) -> list[list[float]]:
-    return (read_matrix(path) @ DOWN_FORWARD if np.isfinite(read_matrix(path)).all() else read_matrix(path)).tolist()
+    matrix = read_matrix(path)
+    return (matrix @ DOWN_FORWARD if np.isfinite(matrix).all() else matrix).tolist()
 
 
 def read_matrix(path: Path) -> np.ndarray:
