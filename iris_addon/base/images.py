@@ -62,15 +62,7 @@ def write_exr(
         values = values @ REC709.matrix_to(space).T
     pixels = np.ascontiguousarray(np.clip(values, -HALF_MAX, HALF_MAX) if half else values)
     pixels = pixels.astype(np.float16 if half else np.float32)
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    if space is not None:
-        header["chromaticities"] = space.chromaticities
-    if lossy:
-        header |= {"compression": OpenEXR.DWAB_COMPRESSION, "dwaCompressionLevel": DWA_LEVEL}
-    # Through memory, because OpenEXR reports a failed write to disk without its errno.
-    encoded = io.BytesIO()
-    OpenEXR.File(header, {"Y" if pixels.ndim == 2 else "RGB": pixels}).write(encoded)
-    atomic_write(path, lambda temporary: temporary.write_bytes(encoded.getbuffer()))
+    _save_exr(path, {"Y" if pixels.ndim == 2 else "RGB": pixels}, space, lossy=lossy)
 
 
 def write_exr_layers(
@@ -92,11 +84,18 @@ def write_exr_layers(
         channels |= {f"{prefix}{name}": np.ascontiguousarray(pixels[..., k]) for k, name in enumerate("RGB")}
         if layer in alphas:
             channels[f"{prefix}A"] = np.ascontiguousarray(alphas[layer], np.float32)
+    _save_exr(path, channels, space)
+
+
+def _save_exr(path: Path, channels: Mapping[str, NDArray], space: ColorSpace | None, *, lossy: bool = False) -> None:
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     if space is not None:
         header["chromaticities"] = space.chromaticities
+    if lossy:
+        header |= {"compression": OpenEXR.DWAB_COMPRESSION, "dwaCompressionLevel": DWA_LEVEL}
+    # Through memory, because OpenEXR reports a failed write to disk without its errno.
     encoded = io.BytesIO()
-    OpenEXR.File(header, channels).write(encoded)
+    OpenEXR.File(header, dict(channels)).write(encoded)
     atomic_write(path, lambda temporary: temporary.write_bytes(encoded.getbuffer()))
 
 

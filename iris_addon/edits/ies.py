@@ -7,15 +7,11 @@ of the room: 0 degrees is down, wherever the lamp points, so that a program plac
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
+from ..model.capture import HitDistance
 from ..model.surface_points import even_points, interpolated
-
-HitDistance = Callable[[NDArray[np.floating], NDArray[np.floating]], NDArray[np.floating]]
-"""Distance (n,) along rays, origins and unit directions (n, 3), to the first surface; infinite where there is none."""
 
 VERTICAL = np.arange(0.0, 181.0, 5.0)
 """Degrees from straight down."""

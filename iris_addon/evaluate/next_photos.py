@@ -6,18 +6,16 @@ a person can stand at and directions there. What one photo shows well counts as 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.capture import Camera, FloatArray, Mesh
+from ..model.capture import Camera, FloatArray, HitDistance, Mesh
 from ..model.seen_classes import SEEN_OFTEN
+from ..model.sphere import even_directions
 from ..model.surface_points import even_points, interpolated
-
-HitDistance = Callable[[FloatArray, FloatArray], NDArray[np.floating]]
-"""Distance (n,) along rays, origins and unit directions (n, 3), to the first surface; infinite where there is none."""
 
 SURFACE_SAMPLES = 20_000
 """Points of the mesh that are looked up, evenly over its area."""
@@ -39,6 +37,8 @@ FACING_LEAST = 0.15
 """Cosine to the normal below which a surface is not seen."""
 FRAME_MARGIN = 0.04
 """Share of the frame's side that is not counted on, because nobody aims exactly."""
+LOOKS = 60
+"""Directions over the sphere that are tried at a place, but for steep ones."""
 STEEPEST_VIEW = np.sin(np.radians(55.0))
 RAY_OFFSET = 1e-3
 """Of the size of the room: how far rays start from their surface."""
@@ -209,12 +209,8 @@ def _in_frames(place: FloatArray, rotations: FloatArray, points: FloatArray, len
 
 def _directions(axes: FloatArray) -> FloatArray:
     """(l, 3) unit directions over the sphere, none steeper than a tripod likes."""
-    n = 60
-    z = 1 - (2 * np.arange(n) + 1) / n
-    angle = np.pi * (3 - np.sqrt(5)) * np.arange(n)
-    ring = np.sqrt(1 - z**2)
-    local = np.stack([ring * np.cos(angle), ring * np.sin(angle), z], -1)
-    return local[np.abs(z) < STEEPEST_VIEW] @ axes
+    local = even_directions(LOOKS)
+    return local[np.abs(local[:, 2]) < STEEPEST_VIEW] @ axes
 
 
 def _upright(up: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from ..model.capture import Mesh, View
 from ..model.recovered import Backdrop
-from ..model.sphere import dodecahedron, equirect_directions, equirect_texels
+from ..model.sphere import dodecahedron, equirect_directions, equirect_texels, even_directions
 from ..rays.tracer import Tracer
 from ..response.photometry import Photometry
 from ..surface.photo_samples import BackdropPixels
@@ -236,13 +236,9 @@ def _hull(points: NDArray[np.floating]) -> ConvexHull:
     It is the hull of the points that lie furthest out in SHELL_DIRECTIONS directions, with each face moved outwards
     until every point is inside; otherwise it would hide a pane that stands back in its wall.
     """
-    k = np.arange(SHELL_DIRECTIONS) + 0.5
-    z, azimuth = 1 - 2 * k / SHELL_DIRECTIONS, np.pi * (1 + 5**0.5) * k  # a Fibonacci lattice on the sphere
-    ring = np.sqrt(1 - z * z)
-    directions = np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], -1)
     points = np.asarray(points, np.float64)
     outermost = points[ConvexHull(points).vertices]
-    extreme = np.unique((outermost @ directions.T).argmax(0))
+    extreme = np.unique((outermost @ even_directions(SHELL_DIRECTIONS).T).argmax(0))
     inner = ConvexHull(outermost[extreme])
     normals = np.unique(inner.equations[:, :3].round(6), axis=0)
     offsets = (outermost @ normals.T).max(0)

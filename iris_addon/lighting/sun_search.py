@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from ..base.group_by import group_medians
 from ..base.random_streams import stream
 from ..model.response import LUMINANCE
+from ..model.sphere import even_directions
 from ..rays.tracer import Tracer
 from ..response.radiance import GroupRadiance
 from ..transport.gather import ESCAPED
@@ -150,10 +151,7 @@ def _screened(problem: LightProblem, tracer: Tracer, observed: GroupRadiance, li
 
 def _escaping_directions(problem: LightProblem) -> NDArray[np.float64]:
     """(m, 3) directions of an even grid near which a gather ray of a seen patch leaves the room."""
-    k = np.arange(SCREENED_DIRECTIONS) + 0.5
-    z, azimuth = 1 - 2 * k / SCREENED_DIRECTIONS, np.pi * (1 + 5**0.5) * k  # a Fibonacci lattice on the sphere
-    ring = np.sqrt(1 - z * z)
-    grid = np.asarray(np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], -1), np.float64)
+    grid = even_directions(SCREENED_DIRECTIONS)
     t = problem.transport
     row, ray = np.nonzero(t.target == ESCAPED)
     nearest = cKDTree(grid).query(t.rays.direction[row, ray].astype(np.float64), workers=-1)[1]

@@ -7,7 +7,7 @@ direction is ``R @ [(i + 0.5 - cx) / fx, -(j + 0.5 - cy) / fy, -1]``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from ..base.errors import BadInput
 
 FloatArray = NDArray[np.floating]
+HitDistance = Callable[[FloatArray, FloatArray], FloatArray]
+"""Distance (n,) along rays, origins and unit directions (n, 3), to the first surface; infinite where there is none."""
 
 Split = Literal["train", "val"]
 POSE_PIXELS, POSE_DISTANCE = 0.5, 1.0

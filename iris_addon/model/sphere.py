@@ -1,6 +1,7 @@
-"""Functions of direction: real spherical harmonics up to order 2, and equirectangular pictures.
+"""Functions of direction: real spherical harmonics up to order 2, equirectangular pictures, and even lattices.
 
-Both are bases of light from outside the mesh. Pictures are as Cycles reads them: +z on top, row 0 of an array above.
+The first two are bases of light from outside the mesh. Pictures are as Cycles reads them: +z on top, row 0 of an array
+above.
 """
 
 from __future__ import annotations
@@ -54,6 +55,14 @@ def equirect_texels(directions: NDArray[np.floating], width: int, height: int) -
     column = np.floor(u * width).astype(np.int64) % width
     row = np.clip(np.floor(v * height).astype(np.int64), 0, height - 1)
     return row * width + column
+
+
+def even_directions(count: int) -> NDArray[np.float64]:
+    """(count, 3) unit vectors spread evenly over the sphere, from +z down: a Fibonacci lattice."""
+    k = np.arange(count) + 0.5
+    z, azimuth = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
+    ring = np.sqrt(1 - z * z)
+    return np.asarray(np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], -1), np.float64)
 
 
 def dodecahedron() -> NDArray[np.float64]:

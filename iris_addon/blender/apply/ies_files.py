@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from ...base.errors import IrisError
 from ...base.files import atomic_write
-from ...edits.ies import HitDistance, ies_file, seen_areas
+from ...edits.ies import ies_file, seen_areas
+from ...model.capture import HitDistance
 from .area_lamps import lamp_triangles
 from .suggested_photos import tree_distance
 

@@ -10,8 +10,8 @@ import numpy as np
 from mathutils.bvhtree import BVHTree
 from numpy.typing import NDArray
 
-from ...evaluate.next_photos import BadlySeen, HitDistance, SuggestedPhoto, next_photos
-from ...model.capture import Camera, Mesh
+from ...evaluate.next_photos import BadlySeen, SuggestedPhoto, next_photos
+from ...model.capture import Camera, HitDistance, Mesh
 from ..camera import add_camera
 from .on_objects import MADE, FaceRun
 
