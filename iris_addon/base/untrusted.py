@@ -33,8 +33,8 @@ RESTORE = "correct or restore the file"
 MAX_JSON_BYTES = 256 << 20
 MAX_DEPTH = 64
 """Containers within containers of a JSON or TOML file; those of the project need ten."""
-MAX_DOTS = 64
-"""In a line of TOML, where dots part the names of tables in tables."""
+MAX_SQUARED_DOTS = 30_000_000
+"""Of the lines of a TOML file, summed: dots part the names of tables in tables."""
 MAX_INTEGER_DIGITS = 18
 """Longer integers of JSON are read as floats, which numpy can look at whatever their size."""
 MAX_NUMBER = 1e30
@@ -225,8 +225,8 @@ def read_toml(path: Path, largest: int, mend: str = "correct the line") -> dict[
     """The content of a TOML file; raises BadInput."""
     data = read_bytes(path, largest, mend=mend)
     # The time that tomllib takes for a name rises with the square of its parts.
-    if any(line.count(b".") > MAX_DOTS for line in data.splitlines()):
-        raise BadInput(f"has a line with more than {MAX_DOTS} dots", mend, path)
+    if sum(line.count(b".") ** 2 for line in data.splitlines()) > MAX_SQUARED_DOTS:
+        raise BadInput("has names of too many parts, or too many dots in a line", mend, path)
     with decoding(path, "is not valid TOML", mend):
         content = tomllib.loads(data.decode("utf-8-sig"))
     _require_shallow(content, path, mend)
