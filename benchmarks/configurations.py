@@ -31,6 +31,7 @@ SWEEP = preset(
 )
 """`draft` for captures of half the size: a sweep is hundreds of solves, and looks for decibels, not for tenths."""
 CLOSED_ROOM = Refinements(
+    device_curves=False,
     channel_curves=False,
     white_balance=False,
     corrected_exposures=False,

@@ -45,11 +45,11 @@ def render_frames(
 
     def save(frame: int, radiance: FloatArray) -> None:
         if not args.linear:
+            base = views[_first_view(at_time(move, 0.0))]
             if "exposure" not in frames.facts:
-                base = views[_first_view(at_time(move, 0.0))]
                 factor = Developer(result, args.out, args.exposure).factor(base, radiance)
                 frames.remember(exposure=np.asarray(factor).tolist())
-            radiance = result.response.apply(radiance * frames.exposure())
+            radiance = result.device_of(base).response.apply(radiance * frames.exposure())
         write_picture(frames.path(frame), radiance, acescg=args.acescg)
 
     todo = [frame for frame in args.frames if not frames.finished(frame)]

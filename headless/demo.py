@@ -82,8 +82,9 @@ def make_pictures(
     edits = [edit for _, edit in insertion_edits(result, read_json(CAPTURE / "insert" / "objects.json"))]
     edit, host = best_seen(edits, capture.views, Tracer(result.mesh))
     onto = load_photo(host).values
-    exposure = photo_exposure(result, host) * result.local.gain(onto, result.response)
-    inserted = insert_onto_photo(result, host.camera, onto, exposure, edit, RENDER)
+    device = result.device_of(host)
+    exposure = photo_exposure(result, host) * device.gain(onto)
+    inserted = insert_onto_photo(result, host.camera, onto, exposure, edit, RENDER, device.response)
     renderer = MapRenderer(result)
     maps = renderer.maps(view.camera)
     # The view that shows most of the lamps; ``view`` may show none.

@@ -81,7 +81,8 @@ class PhotoInsertion:
         self.result, self.view = result, view
         self.photo = load_photo(view)
         require_response(result, self.photo, view)
-        self._gain = np.ones(1) if self.photo.hdr else result.local.gain(self.photo.values, result.response)
+        self._device = result.device_of(view)
+        self._gain = np.ones(1) if self.photo.hdr else self._device.gain(self.photo.values)
         self.settings = settings
         self._without: tuple[FloatArray, FloatArray] | None = None
 
@@ -89,7 +90,7 @@ class PhotoInsertion:
         """The photo as it would have been with ``edit`` in the room; the photo itself if that changes nothing."""
         from iris_addon.blender.insert.differential import change_light, change_photo, render_change, render_pair
 
-        values, response = self.photo.values.astype(np.float64), self.result.response
+        values, response = self.photo.values.astype(np.float64), self._device.response
         known = known_exposure(self.result, self.view)
         if known is not None:
             known = known * self._gain
@@ -116,4 +117,4 @@ class PhotoInsertion:
         """The exposure that makes the render look like the photo, (H, W, 3) or broadcastable to it."""
         from iris_addon.evaluate.pictures import fit_gains
 
-        return self._gain * fit_gains(without * self._gain, self.photo, self.result.response)
+        return self._gain * fit_gains(without * self._gain, self.photo, self._device.response)

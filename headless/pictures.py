@@ -22,7 +22,7 @@ def known_exposure(result: Result, view: View) -> FloatArray | None:
     """(3,) the exposure of ``view``'s photo as recovered or as recorded, None if it is neither."""
     if view.split == "train" and view.name in result.exposures:
         return result.exposures[view.name]
-    return None if view.exposure is None else np.full(3, view.exposure)
+    return None if view.exposure is None else view.exposure * np.array(result.device_of(view).exposure_factor)
 
 
 def photo_exposure(result: Result, view: View) -> FloatArray:
@@ -55,7 +55,7 @@ class Developer:
 
     def develop(self, view: View, radiance: FloatArray) -> FloatArray:
         """(H, W, 3) display values in [0, 1] of ``radiance`` (H, W, 3)."""
-        return self.result.response.apply(radiance * self.factor(view, radiance))
+        return self.result.device_of(view).response.apply(radiance * self.factor(view, radiance))
 
     def write(self, view: View, radiance: FloatArray) -> Path:
         """Write ``radiance`` under the view's name; raises IrisError if it cannot be written."""

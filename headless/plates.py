@@ -42,6 +42,7 @@ def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
     """A plate with the objects of a job in it."""
     from iris_addon.base.images import HDR_SUFFIXES, check_image, read_exr
     from iris_addon.base.untrusted import read_json
+    from iris_addon.capture.exposures import with_device
     from iris_addon.capture.plate_files import plate_files
     from iris_addon.capture.reader import read_views
     from iris_addon.edits.jobs import insertion_edits
@@ -94,7 +95,7 @@ def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
             )
         if number not in pictures:
             raise BadInput(f"has no frame {number}", "add the picture, or shorten --frames", args.plate)
-        view = replace(views[number], name=frames.path(number).stem, photo=pictures[number], split="val")
+        view = with_device(replace(views[number], name=frames.path(number).stem, photo=pictures[number], split="val"))
         picture, exposure = room.picture(view, frames.time(number))
         if exposure is not None:
             _write_exposure(frames, number, exposure, pictures[number])
@@ -160,14 +161,15 @@ class PlateRoom:
 
         from .onto_photos import ChangedPhoto, require_response
 
-        photo, response = load_photo(view), self.result.response
+        photo, device = load_photo(view), self.result.device_of(view)
+        response = device.response
         require_response(self.result, photo, view)
         values, edit = photo.values.astype(np.float64), self.edit_at(time)
         if edit.changes_nothing:
             linear = values if photo.hdr else response.invert(values)
             return ChangedPhoto(None if photo.hdr else values, linear, shows_added=False), None
         changed = self._change(view, edit)
-        gain = np.ones(1) if photo.hdr else self.result.local.gain(photo.values, response)
+        gain = np.ones(1) if photo.hdr else device.gain(photo.values)
         exposure = match_exposure(changed.without, photo, response, gain)
         shows_added = bool(changed.covered.any())
         if photo.hdr:
@@ -199,10 +201,10 @@ def composite_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
     from iris_addon.model.render_settings import RenderSettings
     from iris_addon.results.records import read_response
 
-    response, _, local = read_response(args.result)
+    device = read_response(args.result).device_of("")  # that of most photos: a plate is none of them
     scene = open_scene(args.blend)
     hdr = plate_picture(scene, args.frames.first).suffix.lower() == RADIANCE_SUFFIX
-    if response.family == "identity" and not hdr:
+    if device.response.family == "identity" and not hdr:
         what, fix = "was solved from radiance, so the response of the plate is not known", "give the plate as EXR"
         raise BadInput(what, fix, args.result)
     made_of = {"command": "composite", "result": result_digests(args.result)}
@@ -211,7 +213,7 @@ def composite_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
     settings = RenderSettings(samples=args.samples, seed=args.seed, gpu=args.gpu)
 
     def work(number: int) -> bool:
-        frame = composite_frame(scene, number, frames.path(number), response, local, settings)
+        frame = composite_frame(scene, number, frames.path(number), device, settings)
         _write_exposure(frames, number, frame.exposure, frame.picture)
         return frame.shows_added
 

@@ -38,7 +38,9 @@ def camera(args: argparse.Namespace, progress: Progress) -> Outcome:
 
     result = load_result(args.result)
     progress.check()
-    return Outcome.of("Wrote the camera", {"files": write_luts(args.out, result.response, result.exposures)})
+    return Outcome.of(
+        "Wrote the camera", {"files": write_luts(args.out, result.response, result.exposures, result.devices)}
+    )
 
 
 def composite(args: argparse.Namespace, progress: Progress) -> Outcome:
@@ -55,8 +57,9 @@ def composite(args: argparse.Namespace, progress: Progress) -> Outcome:
     from iris_addon.blender.insert.photo_composite import RENDERS, composite_file
     from iris_addon.results.records import exposure_of, read_response
 
-    response, exposures, local = read_response(args.result)
-    if response.family == "identity":
+    camera = read_response(args.result)
+    device = camera.device_of(args.view)
+    if device.response.family == "identity":
         what, fix = "was solved from radiance, so the response of photos is not known", "solve the photos"
         raise BadInput(what, fix, args.result)
     with progress.stage("composite"):
@@ -64,9 +67,8 @@ def composite(args: argparse.Namespace, progress: Progress) -> Outcome:
             args.blend,
             args.photo,
             args.out,
-            response,
-            exposure_of(args.view, exposures),
-            local,
+            device,
+            exposure_of(args.view, camera.exposures),
             _render_settings(args),
             on_step=lambda done: progress.update(done / RENDERS),
         )

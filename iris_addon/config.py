@@ -21,6 +21,7 @@ class Refinements:
     """Optional parts of the model. None lets held-out data decide; True and False force the choice.
 
     Attributes:
+        device_curves: a response curve per camera model.
         channel_curves: a response curve per colour channel.
         white_balance: an exposure factor per channel, where exposures are unknown or corrected.
         corrected_exposures: exposures fitted to the overlap in place of recorded ones.
@@ -31,6 +32,7 @@ class Refinements:
         poses: poses of single photos fitted to each other on the mesh, in place of the given ones.
     """
 
+    device_curves: bool | None = None
     channel_curves: bool | None = None
     white_balance: bool | None = None
     corrected_exposures: bool | None = None

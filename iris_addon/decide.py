@@ -67,6 +67,12 @@ REFINEMENTS: Mapping[str, Refinement] = {
         experiment="0110-what-is-lost-on-scans",
     ),
     # ---- response
+    "device_curves": Refinement(
+        "a response curve, a gain per channel and local exposure per camera model",
+        OVERLAP,
+        gain=0.05,
+        experiment="0161-do-two-cameras-have-two-curves",
+    ),
     "channel_curves": Refinement(
         "a response curve per colour channel", OVERLAP, gain=0.03, experiment="0004-which-family-for-the-response"
     ),

@@ -75,6 +75,6 @@ class IRIS_OT_mix_lights(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
 
 def current_look(scene: bpy.types.Scene) -> tuple[Response, dict[str, NDArray[np.float64]], str]:
     """Response, exposures and name of the current photo of ``scene``; raises BadInput without one."""
-    response, exposures = kept_look(scene)
     views = scene.iris.views
-    return response, exposures, views[scene.iris.view_index].name if views else ""
+    photo = views[scene.iris.view_index].name if views else ""
+    return *kept_look(scene, photo), photo

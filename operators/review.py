@@ -42,7 +42,8 @@ class IRIS_OT_review(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's
         settings, out = context.scene.iris, folder(context.scene)
         try:
             if self.kind == "curve":
-                image = curve_image(read_response(out)[0].samples)
+                photo = settings.views[settings.view_index].name if settings.views else ""
+                image = curve_image(read_response(out).device_of(photo).response.samples)
             elif self.kind == "photo" and (current := _current_photo(settings)) is not None:
                 camera, image = current
                 show_instead(camera, None)

@@ -19,7 +19,7 @@ from ..base.images import HDR_SUFFIXES
 from ..base.untrusted import decoding, number_in_text, open_text
 from ..model.capture import View
 from .listing import load_array, number, read_json_object
-from .photo_files import read_exif
+from .photo_files import read_device, read_exif
 
 MAX_CSV_BYTES = 16 * 1024 * 1024
 
@@ -101,6 +101,11 @@ def exif_settings(photo: Path) -> dict[str, float]:
     iso = next((value for value in isos if value is not None and value != ISO_OVERFLOW), None)
     found = {"seconds": time, "f_number": f_number, "iso": iso}
     return {name: value for name, value in found.items() if value is not None}
+
+
+def with_device(view: View) -> View:
+    """The view with the maker and model of its camera by EXIF, unless the capture gives them."""
+    return view if view.device or view.photo is None else replace(view, device=read_device(view.photo))
 
 
 def _finite(value: Any) -> float | None:

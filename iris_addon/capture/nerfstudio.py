@@ -101,6 +101,7 @@ def _views(
             distortion=read_distortion(values, name, source),
             split=split or "train",
             mask=_mask(frame, name, root, source) if photos else None,
+            device=frame["device"] if isinstance(frame.get("device"), str) else "",
         )
         views.append(view if split is not None else None)
     check_unique([view for view in views if view is not None], source)

@@ -20,11 +20,12 @@ from ..base.images import HDR_SUFFIXES
 from ..base.untrusted import floats
 from ..model.camera_height import CameraHeight
 from ..model.capture import Capture, FloatArray, Mesh, View, in_metres, moved_by
+from ..model.device import devices_of
 from ..rays.tracer import Tracer
 from .assumed_scale import height_over_floor
 from .colmap import colmap_model, read_colmap, read_colmap_views
 from .common_frame import OURS, Together, bring_together, extent
-from .exposures import apply_file, from_exif
+from .exposures import apply_file, from_exif, with_device
 from .fipt import PhotoSet, fipt_root, read_fipt, read_fipt_views
 from .listing import FUSED_MESH, Listing, axis_near, mean_up, up_axis, upright
 from .mended_poses import mend_record, mended_like
@@ -32,7 +33,7 @@ from .mesh_files import read_mesh
 from .mesh_from_depth import depth_without_mesh, keep_fused
 from .nerfstudio import read_nerfstudio, read_nerfstudio_views
 from .photo_contents import showing_something
-from .photo_files import SIDEWAYS, UPRIGHT, check_photo, read_device, read_orientation
+from .photo_files import SIDEWAYS, UPRIGHT, check_photo, read_orientation
 from .photos import check_photo_size
 from .programs import find_program, read_program, read_program_views
 
@@ -102,6 +103,7 @@ def read_capture(
     if hdr is not None:
         views = _with_radiance(views, Path(hdr))
     views, turned = check_photos(views)
+    views, val_views = ([with_device(view) for view in group] for group in (views, val_views))
     warnings += [*turned, *_two_devices(views)]
     views, val_views = _with_exposures(views, val_views, exposures)
     views, empty = showing_something(views, strict, check)
@@ -199,7 +201,8 @@ def read_views(path: Path, report: Mapping[str, Any] | None = None) -> tuple[Vie
     Raises:
         BadInput: no cameras there, or unusable ones.
     """
-    return mended_like(report or {}, _read_views(Path(path), report or {}))
+    views = tuple(with_device(view) for view in _read_views(Path(path), report or {}))
+    return mended_like(report or {}, views)
 
 
 def _read_views(path: Path, report: Mapping[str, Any]) -> tuple[View, ...]:
@@ -371,14 +374,16 @@ def _turned_to_fit(view: View, size: tuple[int, int]) -> View:
 
 
 def _two_devices(views: Sequence[View]) -> list[str]:
-    """A warning where photos come from several cameras, each with a curve of its own."""
-    devices = Counter(read_device(view.photo) for view in views if view.photo is not None)
-    if len(devices) < 2:
+    """A warning where photos come from more cameras than get a curve of their own."""
+    photos = Counter(view.device for view in views)
+    found = devices_of(views)
+    alone = [name for name in photos if found is None or name not in found.names]
+    if len(photos) < 2 or not alone:
         return []
-    names = ", ".join(f"{name or 'unknown'} ({count})" for name, count in devices.most_common())
+    names = ", ".join(f"{name or 'unknown'} ({photos[name]})" for name in alone[:5]) + (" …" if len(alone) > 5 else "")
     return [
-        f"the photos come from {len(devices)} cameras, and one response is fitted to all: {names}. Colors and gloss "
-        "suffer; solve the photos of one camera alone"
+        f"the photos come from {len(photos)} cameras, and {names} took too few to be told from the others. Colors "
+        "suffer if these differ; leave those photos out, or take more"
     ]
 
 

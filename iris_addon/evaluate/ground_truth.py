@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..base.errors import BadInput
 from ..base.images import read_exr, read_image, read_map
 from ..base.untrusted import finite, read_json, read_npy
+from ..capture.exposures import with_device
 from ..capture.fipt import fipt_root, read_fipt_views
 from ..model.capture import Split, View
 from ..model.response import N_SAMPLES, Response
@@ -92,7 +93,8 @@ def read_ground_truth(path: Path) -> GroundTruth | None:
     folder = root / "gt" if (root / "gt").is_dir() else root
     if not any((folder / "train" / kind).is_dir() for kind in ("DiffCol", "BaseCol", "Emit")):
         return None
-    val_views = read_fipt_views(root, "val") if (root / "val" / "transforms.json").is_file() else ()
+    held_out = read_fipt_views(root, "val") if (root / "val" / "transforms.json").is_file() else ()
+    val_views = tuple(with_device(view) for view in held_out)
     return GroundTruth(
         root=root, folder=folder, views=read_fipt_views(root, "train"), val_views=val_views, response=_response(folder)
     )

@@ -70,7 +70,7 @@ class Picture:
     radiance: FloatArray
     truth: FloatArray
     response: Response
-    exposure: float
+    exposure: float | FloatArray
     mask: Mask | None = None
 
     def ldr(self, scale: float = 1.0) -> FloatArray:
@@ -119,16 +119,17 @@ def novel_views(
         if view.exposure is not None and (photo := truth.photo(index)) is not None
     ]
     images = render_all(result, [view.camera for view, _ in chosen], None, render, samples, seed, progress)
+    devices = [result.device_of(view) for view, _ in chosen]
     return [
         Picture(
             metric="nvs_psnr",
             view=view.name,
             radiance=image,
             truth=photo,
-            response=result.response,
-            exposure=view.exposure or 1.0,
+            response=device.response,
+            exposure=(view.exposure or 1.0) * np.array(device.exposure_factor),
         )
-        for (view, photo), image in zip(chosen, images, strict=True)
+        for (view, photo), image, device in zip(chosen, images, devices, strict=True)
     ]
 
 
@@ -220,9 +221,9 @@ def score_held_out(result: Result, views: Sequence[View], images: Sequence[Float
     """
     scores: dict[str, dict[str, float]] = {"nvs_psnr": {}, "nvs_ssim": {}}
     for view, radiance in zip(views, images, strict=True):
-        photo = load_photo(view)
-        gains = fit_gains(radiance, photo, result.response)
-        ldr = metrics.to_ldr(radiance, result.response, gains)
+        photo, response = load_photo(view), result.device_of(view).response
+        gains = fit_gains(radiance, photo, response)
+        ldr = metrics.to_ldr(radiance, response, gains)
         # Pixels that undistortion could not fill count as right on both sides: SSIM wants a full image.
         truth = np.where(photo.valid[..., None], photo.values, ldr)
         scores["nvs_psnr"][view.name] = metrics.psnr(ldr, truth, photo.valid)

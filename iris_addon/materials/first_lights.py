@@ -31,7 +31,7 @@ from ..lighting.sun_search import ShownPixels
 from ..model.response import LUMINANCE
 from ..response.observations import Observations
 from ..response.photometry import Photometry
-from ..response.radiance import group_radiance, linearise
+from ..response.radiance import group_radiance
 from ..surface.traced_room import TracedRoom
 from ..transport.transport import Transport
 from .gloss import GLOSS_LEVELS, rough_everywhere
@@ -59,8 +59,7 @@ def pose_problem(
     Raises:
         BadInput: no pixel of any photo is unclipped in all channels, or the file of lamps cannot be used.
     """
-    exposure = photometry.exposure_at(observations.view, observations.pixel)
-    linear = linearise(observations, photometry.response, exposure)
+    linear = photometry.linearise_observations(observations)
     if not linear.unclipped.all(1).any():
         raise BadInput("every pixel of the photos is clipped in one channel or another", "add darker photos")
     photos, regions, n_patches = room.photos, room.regions.of_face, len(room.patches.region)

@@ -155,6 +155,7 @@ class View:
         distortion: of the file on disk; :func:`iris_addon.capture.photos.load_photo` removes it.
         orientation: EXIF's, under which the stored photo is turned to fit its camera; 1 where it is taken as stored.
         mask: picture of the same size, above the middle grey where the photo may be used.
+        device: maker and model of the camera, "" where the photo does not record them.
         margins: pixels of the file left, above, right and below, as turned for the camera, that are no picture.
         reduction: a pixel of ``camera`` is the mean over a block of so many rows and columns of the file.
     """
@@ -169,6 +170,7 @@ class View:
     mask: Path | None = None
     reduction: int = 1
     margins: tuple[int, int, int, int] = (0, 0, 0, 0)
+    device: str = ""
 
     def reduced(self, factor: int) -> View:
         """The view at a size smaller by a whole ``factor``: :meth:`Camera.reduced`."""

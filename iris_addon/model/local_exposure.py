@@ -67,13 +67,16 @@ class LocalExposure:
     """Gain of every place of every photo.
 
     Attributes:
+        settings: of all photos, or of those of the first device.
         log_gain: (V, 24, 32) float32 natural logarithm.
         sizes: (V, 2) height and width of the photos.
+        others: settings of the further devices, empty where those are of all photos.
     """
 
     settings: LocalSettings
     log_gain: NDArray[np.float32]
     sizes: NDArray[np.int64]
+    others: tuple[LocalSettings, ...] = ()
 
     def at(self, view: NDArray[np.integer], pixel: NDArray[np.integer]) -> NDArray[np.float64]:
         """(n,) factor of the exposure at row-major pixels (n,) of views (n,)."""
@@ -97,6 +100,7 @@ class LocalExposure:
             "local_settings": np.array(astuple(self.settings)),
             "local_log_gain": self.log_gain,
             "local_sizes": self.sizes,
+            "local_others": np.array([astuple(own) for own in self.others]),
         }
 
     @staticmethod
@@ -105,13 +109,18 @@ class LocalExposure:
         if "local_settings" not in arrays:
             return None
         settings = LocalSettings(*arrays["local_settings"].tolist())
-        return LocalExposure(settings, arrays["local_log_gain"], arrays["local_sizes"])
+        others = tuple(LocalSettings(*own) for own in arrays["local_others"].tolist())
+        log_gain, sizes = arrays["local_log_gain"], arrays["local_sizes"]
+        return LocalExposure(settings=settings, log_gain=log_gain, sizes=sizes, others=others)
 
     def raised(self, exponent: float) -> LocalExposure:
         """The local exposure under which the same photos show radiance to the power ``exponent``."""
-        own = self.settings
-        raised = replace(own, headroom=own.headroom**exponent, falloff=own.falloff * exponent)
-        return replace(self, settings=raised, log_gain=(self.log_gain * exponent).astype(np.float32))
+        settings, *others = (
+            replace(own, headroom=own.headroom**exponent, falloff=own.falloff * exponent)
+            for own in (self.settings, *self.others)
+        )
+        log_gain = (self.log_gain * exponent).astype(np.float32)
+        return replace(self, settings=settings, log_gain=log_gain, others=tuple(others))
 
 
 @dataclass(frozen=True)
@@ -127,6 +136,10 @@ class SmallPhotos:
     z: NDArray[np.float32]
     clipped: NDArray[np.float32]
     sizes: NDArray[np.int64]
+
+    def take(self, rows: NDArray[np.bool_]) -> SmallPhotos:
+        """Some of the photos."""
+        return SmallPhotos(self.z[rows], self.clipped[rows], self.sizes[rows])
 
     def local_exposure(self, settings: LocalSettings, response: Response) -> LocalExposure:
         """The gains of the photos under their curve ``response`` and ``settings``.

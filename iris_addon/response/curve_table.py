@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -31,6 +32,11 @@ class CurveTable:
         """The table of a response."""
         return CurveTable(torch.from_numpy(response.samples))
 
+    @property
+    def tables(self) -> tuple[CurveTable, ...]:
+        """This one, as :class:`DeviceCurves` has several."""
+        return (self,)
+
     def at(self, x: Tensor) -> Tensor:
         """Display values (3, m) of relative exposures (3, m); constant outside [0, 1]."""
         return _between(self.samples, x)
@@ -54,6 +60,51 @@ class CurveTable:
         x = (right - 1 + ((z - low) / (high - low)).clamp(0, 1)) / last
         # The derivative is that of one step of Newton's method from there: dx = -df(x) / f'(x).
         return x - (self.at(x) - CurveTable(fixed).at(x)) / ((high - low) * last).clamp(min=MIN_SLOPE)
+
+
+@dataclass(frozen=True)
+class DeviceCurves:
+    """A table for each of several devices; what is looked up, (3, m), was taken with one or another.
+
+    Attributes:
+        tables: of the devices.
+        device: (m,) index of the table of each column.
+    """
+
+    tables: tuple[CurveTable, ...]
+    device: Tensor
+
+    def at(self, x: Tensor) -> Tensor:
+        """As :meth:`CurveTable.at`."""
+        return self._each(CurveTable.at, x)
+
+    def slope(self, x: Tensor) -> Tensor:
+        """As :meth:`CurveTable.slope`."""
+        return self._each(CurveTable.slope, x)
+
+    def inverse(self, z: Tensor) -> Tensor:
+        """As :meth:`CurveTable.inverse`."""
+        return self._each(CurveTable.inverse, z)
+
+    def _each(self, look_up: Callable[[CurveTable, Tensor], Tensor], values: Tensor) -> Tensor:
+        parts = [
+            look_up(table, values.index_select(-1, columns))
+            for table, columns in zip(self.tables, self._columns, strict=True)
+        ]
+        return torch.cat(parts, -1).index_select(-1, self._back)
+
+    @cached_property
+    def _columns(self) -> list[Tensor]:
+        return [torch.nonzero(self.device == index)[:, 0] for index in range(len(self.tables))]
+
+    @cached_property
+    def _back(self) -> Tensor:
+        """(m,) where each column lies among those of :attr:`_columns`, one device after another."""
+        return torch.argsort(torch.cat(self._columns))
+
+
+Curves = CurveTable | DeviceCurves
+"""One curve for all observations, or one for those of each device."""
 
 
 def _between(rows: Tensor, x: Tensor) -> Tensor:

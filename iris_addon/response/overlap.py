@@ -9,12 +9,16 @@ Local exposure is found from patches that photos show in different places: one b
 in another tells how strongly contrast is compressed, one in the middle and in a corner tells the vignetting. What all
 photos compress in the same way cannot be seen, but is described by the same parameters.
 
-Every refinement (a curve per channel, local exposure, corrected exposures) is fitted on four fifths of the patches and
-kept if it lowers the disagreement on the others.
+Where several devices took the photos, each may have a curve, a gain per channel and local exposure of its own; radiance
+is common to all, and the patches that two devices show tie their curves together.
+
+Every refinement (a curve per device or channel, local exposure, corrected exposures) is fitted on four fifths of the
+patches and kept if it lowers the disagreement on the others.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +28,7 @@ from torch import Tensor
 
 from ..base.minimise import simplex
 from ..decide import Decisions
+from ..model.device import Devices
 from ..model.local_exposure import UNIFORM, LocalExposure, LocalSettings, SmallPhotos
 from ..model.response import Response
 from . import family
@@ -67,10 +72,12 @@ class OverlapFit:
     """Curve, exposures and how well they explain held-out patches.
 
     Attributes:
+        response: that of all photos, or of the first device.
         exposures: (V, 3) factor per view and channel; the channels differ where white balance was found to drift.
         residual: median absolute residual of display values on held-out patches, each as the robust loss takes it.
         per_channel: whether each channel has its own curve.
         local: exposure by place within a photo, None where photos are uniformly exposed.
+        others: responses of the further devices, empty where one response is that of all photos.
     """
 
     response: Response
@@ -78,6 +85,7 @@ class OverlapFit:
     residual: float
     per_channel: bool
     local: LocalExposure | None = None
+    others: tuple[Response, ...] = ()
 
 
 def _select(observations: Observations, rng: np.random.Generator) -> NDArray[np.int64]:
@@ -141,6 +149,7 @@ def fit_overlap(
     fixed: Response | None = None,
     decisions: Decisions | None = None,
     small: SmallPhotos | None = None,
+    devices: Devices | None = None,
 ) -> OverlapFit:
     """Recover the response, and the exposures where ``exposures`` is None.
 
@@ -151,6 +160,7 @@ def fit_overlap(
         fixed: a given response; only exposures are then fitted.
         decisions: where refinements are decided on held-out patches and written down.
         small: the photos, for local exposure; None leaves that out.
+        devices: what took the photos; None where that is one camera, or not known.
     """
     decisions = decisions or Decisions()
     index = _select(observations, rng)
@@ -165,6 +175,12 @@ def fit_overlap(
     held_out = rng.random(problem.n_patches) < 0.2
     training, testing = problem.restrict(~held_out), problem.restrict(held_out)
     knots, error = _fit_curves(training, testing, decisions)
+    if devices is not None and not decisions.forbids("device_curves"):
+        device = torch.from_numpy(devices.index)
+        apart, unseen = (replace(p, device=device) for p in (training, testing))
+        own, own_error = _fit_curves(apart, unseen, decisions)
+        if decisions.accept("device_curves", error, own_error, subject=", ".join(devices.names)):
+            problem, training, testing, knots, error = replace(problem, device=device), apart, unseen, own, own_error
     # Before exposures: four parameters for all photos are the smaller model than one per photo.
     local = None
     if small is not None and not decisions.forbids("local_exposure"):
@@ -177,13 +193,20 @@ def fit_overlap(
         if log_t is not None:
             problem, training, testing = (replace(p, log_t=log_t) for p in (problem, training, testing))
             knots, error = _fit_curves(training, testing, decisions)
+    response, *others = _responses(knots)
     return OverlapFit(
-        response=family.to_response(knots),
-        exposures=problem.exposures(family.table(knots), decisions),
+        response=response,
+        exposures=problem.exposures(problem.curves(knots), decisions),
         residual=error,
-        per_channel=len(knots) == 3,
+        per_channel=knots.shape[-2] == 3,
         local=local,
+        others=tuple(others),
     )
+
+
+def _responses(knots: Tensor) -> list[Response]:
+    """The response with the knots (C, 9), or that of each device with (D, C, 9)."""
+    return [family.to_response(own) for own in knots.reshape(-1, *knots.shape[-2:])]
 
 
 def _of_one_exposure(problem: OverlapProblem) -> bool:
@@ -195,13 +218,16 @@ def _of_one_exposure(problem: OverlapProblem) -> bool:
 
 
 def _fit_curves(training: OverlapProblem, testing: OverlapProblem, decisions: Decisions) -> tuple[Tensor, float]:
-    """Knots (C, 9) of one curve, or of three if held-out patches bear them out; and the disagreement of these."""
-    shared = training.minimise(_first_guess(training)[None], MAX_STEPS)
+    """Knots (C, 9) of one curve, or of three if held-out patches bear them out; and the disagreement of these.
+
+    Knots (D, C, 9) where devices have their own.
+    """
+    shared = training.minimise(_first_guess(training), MAX_STEPS)
     error = testing.disagreement(shared)
     if decisions.forbids("channel_curves"):
         return shared, error
     leading = replace(training, highlights=False)
-    separate = leading.minimise(shared.repeat(3, 1), SEPARATE_STEPS)
+    separate = leading.minimise(shared.repeat_interleave(3, -2), SEPARATE_STEPS)
     # One curve is the null hypothesis: cameras apply the same curve to all channels far more often than not.
     separate_error = testing.disagreement(separate)
     if decisions.accept("channel_curves", error, separate_error):
@@ -211,13 +237,15 @@ def _fit_curves(training: OverlapProblem, testing: OverlapProblem, decisions: De
 
 
 def _first_guess(problem: OverlapProblem) -> Tensor:
-    """Knots (9,) to start from: the median measured response, or a power with a lower loss on a quarter of the patches.
+    """Knots (1, 9) or (D, 1, 9) to start from.
+
+    The median measured response, or a power with a lower loss on a quarter of the patches.
 
     Started from the median alone, the fit of a curve that crushes the shadows ends in a poor local minimum.
     """
     coarse = replace(problem.restrict(np.arange(problem.n_patches) % START_EVERY == 0), highlights=False)
     starts = [family.PRIOR_MEAN, *(torch.full_like(family.PRIOR_MEAN, level) for level in START_LEVELS)]
-    ends = [coarse.minimise(start[None], START_STEPS)[0] for start in starts]
+    ends = [coarse.minimise(coarse.with_shared(start), START_STEPS) for start in starts]
     return min(ends, key=lambda knots: float(coarse.residual(knots).square().sum()))
 
 
@@ -233,7 +261,7 @@ def _corrected_exposures(
     for per_channel in (False,) if decisions.forbids("white_balance") else (False, True):
         tried, log_t = knots, training.log_t
         for round_ in range(CORRECTION_ROUNDS):
-            log_t = training.corrected_exposures(family.table(tried), per_channel)
+            log_t = training.corrected_exposures(training.curves(tried), per_channel)
             worse = replace(testing, log_t=log_t).disagreement(tried) > best
             if round_ == 0 and worse and not decisions.forces("corrected_exposures"):
                 break
@@ -250,9 +278,9 @@ def _corrected_exposures(
 
 @dataclass(frozen=True)
 class _Fit:
-    """Settings, the curve that goes with them, and the disagreement of held-out patches under both."""
+    """Settings by device, curves that go with them, and the disagreement of held-out patches under both."""
 
-    settings: LocalSettings
+    settings: tuple[LocalSettings, ...]
     knots: Tensor
     error: float
 
@@ -268,32 +296,36 @@ def find_local_exposure(
         knots: of the curve for uniformly exposed photos.
         decisions: where each parameter is decided; if local exposure is forced, all of them are taken.
     """
-    search, forced = _Search(training, testing, small), decisions.forces("local_exposure")
-    fit = _Fit(UNIFORM, knots, testing.disagreement(knots))
+    uniform = (UNIFORM,) * training.n_devices
+    forced, fit = decisions.forces("local_exposure"), _Fit(uniform, knots, testing.disagreement(knots))
     if not np.isfinite(fit.error):  # no unclipped patch was held out
         return None
-    untried = list(LOCAL_TRIAL)
-    while untried:
-        ends = {name: search.along((name,), fit, forced) for name in untried}
-        name, best = min(ends.items(), key=lambda end: end[1].error)
-        if not decisions.accept("local_exposure", fit.error, best.error, subject=name):
-            break
-        fit = best
-        untried.remove(name)
-    if not untried:  # both darken corners, and one at a time they would creep along a valley of the loss
-        fit = search.along(tuple(LOCAL_TRIAL), fit, forced=True)
-    if fit.settings == UNIFORM:
+    for device, share in enumerate(training.device_shares):
+        search = _Search(training, testing, small, device)
+        untried = list(LOCAL_TRIAL)
+        while untried:
+            ends = {name: search.along((name,), fit, forced) for name in untried}
+            name, best = min(ends.items(), key=lambda end: end[1].error)
+            subject = name if len(uniform) == 1 else f"{name} of camera {device + 1}"
+            if not decisions.accept("local_exposure", fit.error, best.error, share=share, subject=subject):
+                break
+            fit = best
+            untried.remove(name)
+        if not untried:  # both darken corners, and one at a time they would creep along a valley of the loss
+            fit = search.along(tuple(LOCAL_TRIAL), fit, forced=True)
+    if fit.settings == uniform:
         return None
-    return small.local_exposure(fit.settings, family.to_response(fit.knots))
+    return _local_exposure(small, fit.settings, fit.knots, training)
 
 
 @dataclass(frozen=True)
 class _Search:
-    """Minimises the disagreement of the patches ``training`` over settings and curve, in turns."""
+    """Minimises the disagreement of the patches ``training`` over curves and the settings of a device, in turns."""
 
     training: OverlapProblem
     testing: OverlapProblem
     small: SmallPhotos
+    device: int = 0
 
     def along(self, names: tuple[str, ...], start: _Fit, forced: bool) -> _Fit:
         """The best fit that differs from ``start`` in the parameters ``names`` and in the curve.
@@ -305,32 +337,53 @@ class _Search:
         scales = [{"scale": scale} for scale in LOCAL_SCALES] if mapped else [{}]
         headrooms = [{"headroom": height} for height in LOCAL_HEADROOMS] if mapped else [{}]
         trial = {name: LOCAL_TRIAL[name] for name in names}
-        tried = min(self._error(replace(settings, **trial, **scale), knots) for scale in scales)
+        tried = min(self._error(self._with(settings, {**trial, **scale}), knots) for scale in scales)
         if not forced and tried >= self._error(settings, knots):
             return start
         for choices in (scales, scales, headrooms, headrooms):
-            ends = [self._best(names, replace(settings, **choice), knots) for choice in choices]
+            ends = [self._best(names, self._with(settings, choice), knots) for choice in choices]
             settings = min(ends, key=lambda end: end[1])[0]
             knots = self._exposed(self.training, settings, knots).minimise(knots, LOCAL_CURVE_STEPS)
         return _Fit(settings, knots, self._exposed(self.testing, settings, knots).disagreement(knots))
 
-    def _best(self, names: tuple[str, ...], start: LocalSettings, knots: Tensor) -> tuple[LocalSettings, float]:
-        """The parameters at which patches agree best under a given curve, and how well."""
+    def _with(self, settings: tuple[LocalSettings, ...], changed: Mapping[str, float]) -> tuple[LocalSettings, ...]:
+        """``settings`` with some parameters of the device changed."""
+        own = replace(settings[self.device], **changed)
+        return (*settings[: self.device], own, *settings[self.device + 1 :])
 
-        def at(x: NDArray[np.float64]) -> LocalSettings:
-            return replace(start, **dict(zip(names, x.tolist(), strict=True)))
+    def _best(
+        self, names: tuple[str, ...], start: tuple[LocalSettings, ...], knots: Tensor
+    ) -> tuple[tuple[LocalSettings, ...], float]:
+        """The parameters at which patches agree best under given curves, and how well."""
 
-        first = np.array([getattr(start, name) for name in names])
+        def at(x: NDArray[np.float64]) -> tuple[LocalSettings, ...]:
+            return self._with(start, dict(zip(names, x.tolist(), strict=True)))
+
+        first = np.array([getattr(start[self.device], name) for name in names])
         corners = first + np.vstack([np.zeros(len(names)), np.diag([LOCAL_TRIAL[name] for name in names])])
         bounds = [(0.0, LOCAL_MAX[name]) for name in names]
         found, error = simplex(lambda x: self._error(at(x), knots), corners, LOCAL_TOLERANCE, bounds)
         return at(found), error
 
-    def _error(self, settings: LocalSettings, knots: Tensor) -> float:
+    def _error(self, settings: tuple[LocalSettings, ...], knots: Tensor) -> float:
         return self._exposed(self.training, settings, knots).disagreement(knots)
 
-    def _exposed(self, problem: OverlapProblem, settings: LocalSettings, knots: Tensor) -> OverlapProblem:
-        return with_local_exposure(problem, self.small.local_exposure(settings, family.to_response(knots)))
+    def _exposed(self, problem: OverlapProblem, settings: tuple[LocalSettings, ...], knots: Tensor) -> OverlapProblem:
+        return with_local_exposure(problem, _local_exposure(self.small, settings, knots, problem))
+
+
+def _local_exposure(
+    small: SmallPhotos, settings: tuple[LocalSettings, ...], knots: Tensor, problem: OverlapProblem
+) -> LocalExposure:
+    """The gains of all photos under the settings and the curve of the device of each."""
+    if problem.device is None:
+        return small.local_exposure(settings[0], family.to_response(knots))
+    device = problem.device.numpy()
+    log_gain = np.empty(small.clipped.shape, np.float32)
+    for index, response in enumerate(_responses(knots)):
+        own = device == index
+        log_gain[own] = small.take(own).local_exposure(settings[index], response).log_gain
+    return LocalExposure(settings=settings[0], log_gain=log_gain, sizes=small.sizes, others=settings[1:])
 
 
 def with_local_exposure(problem: OverlapProblem, local: LocalExposure) -> OverlapProblem:

@@ -20,7 +20,7 @@ from ..base.minimise import gauss_newton, one_thread
 from ..base.segments import Segments
 from ..decide import Decisions
 from . import family
-from .curve_table import CurveTable
+from .curve_table import Curves, DeviceCurves
 from .observations import Observations
 
 EXPONENT_WEIGHT = 300.0
@@ -71,6 +71,8 @@ class OverlapProblem:
         log_t: (C, V) log exposures, None where they are unknown.
         highlights: whether an observation may clip that other views show below saturation. Without, a curve that is far
             from the right one is led there.
+        device: (V,) which of D devices took each photo; each has a curve of its own, and a gain per channel over the
+            first. None where one curve is fitted to all.
     """
 
     z: Tensor
@@ -85,6 +87,7 @@ class OverlapProblem:
     n_views: int
     log_t: Tensor | None
     highlights: bool = True
+    device: Tensor | None = None
 
     @staticmethod
     def build(
@@ -127,9 +130,9 @@ class OverlapProblem:
     # ---- The loss, equation (14) ----
 
     def residual(self, log_knots: Tensor) -> Tensor:
-        """All terms as one flat vector, whose squares add up to the loss; ``log_knots`` (9,) or (3 * 9,)."""
+        """All terms as one flat vector, whose squares add up to the loss; ``log_knots`` flat, of :meth:`curves`."""
         knots = log_knots.reshape(-1, family.N_KNOTS)
-        curves = family.table(knots)
+        curves = self.curves(knots if self.device is None else knots.unflatten(0, (self.n_devices, -1)))
         x = self.exposed(curves)
         terms = [
             self.mismatch(curves, x),
@@ -140,10 +143,34 @@ class OverlapProblem:
         # (f^g, t^g, L^g) fits as well for any g: without exposure times only the prior fixes the exponent, by contrast
         # as far as it leaves the curve free.
         if self.log_t is None:
-            terms.append(EXPONENT_WEIGHT / self._prior_weight * family.contrast_residual(curves))
+            contrast = torch.cat([family.contrast_residual(table) for table in curves.tables])
+            terms.append(EXPONENT_WEIGHT / self._prior_weight * contrast)
         return torch.cat([term.reshape(-1) for term in terms])
 
-    def mismatch(self, curves: CurveTable, x: Tensor) -> Tensor:
+    @property
+    def n_devices(self) -> int:
+        """D, the number of curves (or of triples of them)."""
+        return 1 if self.device is None else int(self.device.max()) + 1
+
+    @property
+    def device_shares(self) -> list[float]:
+        """Share of the observations that each device took."""
+        if self.device is None:
+            return [1.0]
+        counts = torch.bincount(self.device[self.view], minlength=self.n_devices)
+        return (counts / max(len(self.view), 1)).tolist()
+
+    def curves(self, log_knots: Tensor) -> Curves:
+        """The curves with knots (C, 9), or (D, C, 9) where devices have their own."""
+        if self.device is None:
+            return family.table(log_knots)
+        return DeviceCurves(tuple(family.table(own) for own in log_knots), self.device[self.view])
+
+    def with_shared(self, log_knots: Tensor) -> Tensor:
+        """(1, 9) or (D, 1, 9) knots of which every curve has those given, (9,)."""
+        return log_knots[None] if self.device is None else log_knots.expand(self.n_devices, 1, -1)
+
+    def mismatch(self, curves: Curves, x: Tensor) -> Tensor:
         """(C, m) robust distance of unclipped display values from those of relative exposures ``x`` (C, m)."""
         off = torch.where(self.clipped, 0.0, curves.at(x) - self.z)
         return cauchy_root(self.weight * off / ROBUST_SCALE)
@@ -157,16 +184,32 @@ class OverlapProblem:
 
     # ---- What is eliminated ----
 
-    def exposed(self, curves: CurveTable) -> Tensor:
+    def exposed(self, curves: Curves) -> Tensor:
         """(C, m) relative exposures x = t g L under the exposures and the radiance that fit best under a curve."""
         t = self._exposure(self.log_exposures(curves))
         return self._patches.spread(self.radiance(curves, t)) * t
 
-    def log_exposures(self, curves: CurveTable) -> Tensor:
-        """(C, V) log exposures of the photos: known, or the best under a curve."""
-        return self._chained(curves) if self.log_t is None else self.log_t
+    def log_exposures(self, curves: Curves) -> Tensor:
+        """(C, V) log exposures of the photos: known, or the best under a curve; with the gain of each device."""
+        log_t = self._chained(curves) if self.log_t is None else self.log_t
+        return log_t if self.device is None else log_t + self._device_gains(curves, log_t)[:, self.device]
 
-    def radiance(self, curves: CurveTable, t: Tensor) -> Tensor:
+    def _device_gains(self, curves: Curves, log_t: Tensor) -> Tensor:
+        """(C, D) logarithm of what devices expose by more than the first does at the same exposure (C, V).
+
+        Devices differ in what they call ISO 100, and in white balance. It is the exposure of photos once more, all
+        photos of a device being one.
+        """
+        gains = self._of_devices._chained(curves, per_channel=True, beside=self._views.spread(log_t))
+        return gains - gains[:, :1]
+
+    @cached_property
+    def _of_devices(self) -> OverlapProblem:
+        """The problem with devices in place of photos."""
+        assert self.device is not None
+        return replace(self, view=self.device[self.view], n_views=self.n_devices, log_t=None, device=None)
+
+    def radiance(self, curves: Curves, t: Tensor) -> Tensor:
         """(C, n) radiance of every patch that its observations of exposure ``t`` (C, m) agree on under a curve."""
         x = self._seen(curves)
         precision = self._precision(curves.slope(x) * t) + WEIGHT_FLOOR
@@ -177,7 +220,7 @@ class OverlapProblem:
             radiance = self._patches.means(x / t, precision / (1 + off.square()))
         return radiance
 
-    def _seen(self, curves: CurveTable) -> Tensor:
+    def _seen(self, curves: Curves) -> Tensor:
         """(C, m) relative exposures by the display values alone."""
         return curves.inverse(self.z).clamp(min=BLACK_EXPOSURE)
 
@@ -200,14 +243,16 @@ class OverlapProblem:
     def _views(self) -> Segments:
         return Segments.of(self.view, self.n_views)
 
-    def _chained(self, curves: CurveTable, per_channel: bool = False) -> Tensor:
+    def _chained(self, curves: Curves, per_channel: bool = False, beside: Tensor | float = 0.0) -> Tensor:
         """(C, V) log exposures on which the views of each patch agree under a curve, equation (15).
+
+        ``beside`` (C, m) is the logarithm of what exposes the observations in addition.
 
         Observations that are black, or on the shoulder of the curve, hardly count; outliers count less in a second
         pass. Photos that share nothing with the rest come out near the mean.
         """
         x = self._seen(curves)
-        log_x, precision = x.log() - self.log_gain, self._precision(curves.slope(x) * x)
+        log_x, precision = x.log() - self.log_gain - beside, self._precision(curves.slope(x) * x)
         log_t = self._agreed(log_x, precision, per_channel)
         off = (self._apart(log_x, precision, log_t)) / ROBUST_SCALE
         return self._agreed(log_x, precision / (1 + off.square()), per_channel)
@@ -248,7 +293,7 @@ class OverlapProblem:
         cell = self.patch * self.n_views + self.view
         own, shared = self._views.sums(precision), []
         for row in precision * norm.rsqrt():
-            of_patch = row.new_zeros(self.n_patches * self.n_views).index_copy(0, cell, row).reshape(-1, self.n_views)
+            of_patch = row.new_zeros(self.n_patches * self.n_views).index_add(0, cell, row).reshape(-1, self.n_views)
             shared.append(of_patch.T @ of_patch)
         return torch.diag_embed(own) - torch.stack(shared)
 
@@ -258,7 +303,7 @@ class OverlapProblem:
         """Standard deviation of the exposures in stops, under the median measured response."""
         return float(self.log_exposures(family.table(family.PRIOR_MEAN[None])).std(correction=0) / np.log(2))
 
-    def exposures(self, curves: CurveTable, decisions: Decisions) -> NDArray[np.float64]:
+    def exposures(self, curves: Curves, decisions: Decisions) -> NDArray[np.float64]:
         """(V, 3) exposure factors under a curve: the known ones, or those that fit the overlap best.
 
         A factor per channel (white balance) is taken where it explains the overlap clearly better than one per photo.
@@ -272,7 +317,7 @@ class OverlapProblem:
             log_t = self._long_enough_to_clip(curves, log_t)
         return log_t.exp().T.numpy().copy()
 
-    def _long_enough_to_clip(self, curves: CurveTable, log_t: Tensor) -> Tensor:
+    def _long_enough_to_clip(self, curves: Curves, log_t: Tensor) -> Tensor:
         """Log exposures (C, V), those of photos that show nothing unclipped raised until what they clip does clip.
 
         The brightest photo of a bracket may be of that kind. Its exposure is only bounded from below; too short a one
@@ -292,27 +337,28 @@ class OverlapProblem:
                 raised[:, view] = torch.maximum(raised[:, view], bound)
         return raised
 
-    def corrected_exposures(self, curves: CurveTable, per_channel: bool) -> Tensor:
+    def corrected_exposures(self, curves: Curves, per_channel: bool) -> Tensor:
         """(3, V) log exposures that fit the overlap best under a curve, on the scale of the known ones.
 
         The overlap fixes them up to an offset and a factor, the exponent of the curve. Both come from the regression of
         the known exposures, which have the errors, on those of the overlap. Photos without overlap keep theirs.
         """
         assert self.log_t is not None
+        recorded = self.log_exposures(curves)
         seen = torch.bincount(self.view[~self.clipped], minlength=self.n_views) > 0
         if not seen.any():
-            return self.log_t
-        known, free = self.log_t[:, seen], self._chained(curves, per_channel)[:, seen]
+            return recorded
+        known, free = recorded[:, seen], self._chained(curves, per_channel)[:, seen]
         free = free - free.mean(1, keepdim=True)
         common = free.mean(0)
         varied = known.std(correction=0) > MIN_EXPOSURE_SPREAD * np.log(2)
         energy = common @ common  # zero where all photos look alike, whatever their exposures
         factor = (common @ known.mean(0)) / energy if varied and energy > MIN_COMMON else 1.0
-        log_t = self.log_t.clone()
+        log_t = recorded.clone()
         log_t[:, seen] = known.mean(1, keepdim=True) + factor * free
         return log_t
 
-    def _spread(self, curves: CurveTable, log_t: Tensor) -> float:
+    def _spread(self, curves: Curves, log_t: Tensor) -> float:
         """Median disagreement of views about a patch's log radiance under given log exposures (C, V)."""
         log_l = self._seen(curves).log() - self.log_gain - self._views.spread(log_t)
         log_l, patch = log_l[:, ~self.clipped].T.numpy(), self.patch[~self.clipped].numpy()
@@ -329,10 +375,13 @@ class OverlapProblem:
         return PRIOR_WEIGHT * max(1.0, (AMPLE_EXPOSURE_SPREAD / max(self.exposure_spread(), MIN_UNKNOWN_SPREAD)) ** 2)
 
     def minimise(self, start: Tensor, max_steps: int) -> Tensor:
-        """Knots (C, 9) of one or three curves; radiance and exposures are eliminated (variable projection)."""
-        if len(start) > 1 and self.log_t is not None:  # nothing couples the channels
-            ends = [self.of_channel(c).minimise(knots[None], max_steps) for c, knots in enumerate(start)]
-            return torch.cat(ends)
+        """Knots (C, 9) of one or three curves, or (D, C, 9) of those of devices.
+
+        Radiance and exposures are eliminated (variable projection).
+        """
+        if start.shape[-2] > 1 and self.log_t is not None:  # nothing couples the channels
+            of_channels = enumerate(start.split(1, dim=-2))
+            return torch.cat([self.of_channel(c).minimise(knots, max_steps) for c, knots in of_channels], dim=-2)
         found = gauss_newton(self.residual, start.reshape(-1), max_steps, CURVE_TOLERANCE)
         return found.reshape(start.shape)
 
@@ -344,7 +393,7 @@ class OverlapProblem:
         if self.clipped.all():
             return np.nan
         with one_thread():
-            curves = family.table(log_knots)
+            curves = self.curves(log_knots)
             off = self.mismatch(curves, self.exposed(curves)) / self.weight
         return float(np.median(off[:, ~self.clipped].abs().numpy()) * ROBUST_SCALE)
 

@@ -5,6 +5,7 @@ Response files are a response.json of a result, or a table as .npy or text.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from ..config import SolveConfig
 from ..decide import Decisions
 from ..model import response as curve
 from ..model.capture import Capture
+from ..model.device import devices_of
 from ..model.local_exposure import LocalExposure
 from ..model.response import N_SAMPLES, SATURATED, Response
 from ..surface.photo_samples import PhotoSamples
@@ -30,6 +32,7 @@ from .radiance import (
     Linearised,
     darkest,
     exposure_noise,
+    linearise,
     linearise_bytes,
     radiance_itself,
     relative_exposure,
@@ -57,6 +60,8 @@ class Photometry:
         exposure_error: stops RMS by which the given exposures were corrected, 0 where they stand.
         exponent: by which response, exposures and radiance were raised over those that the prior chose.
         local: exposure by place within a photo, None where photos are uniformly exposed.
+        others: responses of devices beside that of ``response``, empty where it is that of all photos.
+        device: (V,) which of (response, *others) each photo was taken with; None where there is one.
     """
 
     response: Response
@@ -67,6 +72,8 @@ class Photometry:
     exposure_error: float = 0.0
     exponent: float = 1.0
     local: LocalExposure | None = None
+    others: tuple[Response, ...] = ()
+    device: NDArray[np.int64] | None = None
 
     @property
     def hdr(self) -> bool:
@@ -79,8 +86,9 @@ class Photometry:
         if self.hdr:
             return ()
         found = []
-        if self.local is not None and self.local.settings.strength:
-            lost = f"{self.local.settings.strength:.0%} of the contrast between large areas"
+        mapped = 0.0 if self.local is None else max(own.strength for own in (self.local.settings, *self.local.others))
+        if mapped:
+            lost = f"{mapped:.0%} of the contrast between large areas"
             found.append(f"the photos are locally tone mapped ({lost}); it was undone")
         if not self.known_exposures:
             found.append("exposures are unknown: the overall brightness of lights is relative")
@@ -116,7 +124,19 @@ class Photometry:
             exposures=self.exposures**exponent,
             exponent=self.exponent * exponent,
             local=None if self.local is None else self.local.raised(exponent),
+            others=tuple(other.raised(exponent) for other in self.others),
         )
+
+    def response_of(self, view: int) -> Response:
+        """The response that photo ``view`` was taken with."""
+        return self.response if self.device is None else (self.response, *self.others)[self.device[view]]
+
+    def _by_response(self, view: NDArray[np.integer]) -> list[tuple[Response, NDArray[np.integer] | slice]]:
+        """Each response, and which of the rows of ``view`` (n,) it exposed."""
+        if self.device is None:
+            return [(self.response, slice(None))]
+        of_row = self.device[view]
+        return [(own, np.flatnonzero(of_row == k)) for k, own in enumerate((self.response, *self.others))]
 
     def exposure_at(self, view: NDArray[np.integer], pixel: NDArray[np.integer]) -> NDArray[np.float64]:
         """(n, 3) exposure factor of row-major pixels (n,) of views (n,)."""
@@ -134,31 +154,36 @@ class Photometry:
         """
         if self.hdr:
             return radiance_itself(z / self.exposures[view])
-        radiance, bound, ceiling, precision = (np.empty(z.shape) for _ in range(4))
-        whole = Linearised(
-            radiance=radiance,
-            unclipped=np.empty(z.shape, bool),
-            bound=bound,
-            ceiling=ceiling,
-            precision=precision,
-        )
+        whole = _empty(z.shape)
 
         def work(rows: slice) -> None:
             t, some = self.exposure_at(view[rows], pixel[rows]), z[rows]
             clipped, black = (some >= SATURATED).astype(np.float32), (some <= 0).astype(np.float32)
-            linear = linearise_bytes(self.response, some, t, clipped, black)
-            for column in fields(Linearised):
-                getattr(whole, column.name)[rows] = getattr(linear, column.name)
+            for response, own in self._by_response(view[rows]):
+                linear = linearise_bytes(response, some[own], t[own], clipped[own], black[own])
+                _put(linear, whole, rows, own)
 
         over_blocks(len(z), BLOCK, work)
         return whole
 
-    def exposures_of(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(H, W, 3) relative exposure of the display values of a photo, NaN where clipped; of HDR input radiance."""
+    def linearise_observations(self, o: Observations) -> Linearised:
+        """Radiance of every observation, with its bounds."""
+        t = self.exposure_at(o.view, o.pixel)
+        if self.device is None or self.hdr:
+            return linearise(o, self.response, t)
+        whole = _empty(o.z.shape)
+        for response, own in self._by_response(o.view):
+            z = o.z[own].astype(np.float64)
+            _put(linearise_bytes(response, z, t[own], o.saturated[own], o.black[own]), whole, slice(None), own)
+        return whole
+
+    def exposures_of(self, values: NDArray[np.float32], view: int) -> NDArray[np.float32]:
+        """(H, W, 3) relative exposure of the display values of photo ``view``, NaN where clipped; of HDR input
+        radiance."""
         if self.hdr:
             return values
         z = np.repeat(np.arange(DISPLAY_STEPS)[:, None] / (DISPLAY_STEPS - 1), 3, 1)
-        exposure, _ = relative_exposure(self.response, z, z == 0)
+        exposure, _ = relative_exposure(self.response_of(view), z, z == 0)
         table = np.where(z >= SATURATED, np.nan, exposure).astype(np.float32)
         exposures = np.empty(values.shape, np.float32)
 
@@ -179,27 +204,36 @@ class Photometry:
         x = np.where(known, exposure, 1.0)
         if self.hdr:
             return replace(radiance_itself(x / t), unclipped=known)
-        noise, black = exposure_noise(self.response, x)
-        return Linearised(
-            radiance=x / t,
-            unclipped=known,
-            bound=np.where(known, 0.0, 1 / t),
-            ceiling=np.where(black, darkest(self.response) / t, np.inf),
-            precision=1.0 / (MODEL_NOISE**2 + noise**2),
-        )
+        whole = _empty(x.shape)
+        for response, own in self._by_response(view):
+            noise, black = exposure_noise(response, x[own])
+            linear = Linearised(
+                radiance=x[own] / t[own],
+                unclipped=known[own],
+                bound=np.where(known[own], 0.0, 1 / t[own]),
+                ceiling=np.where(black, darkest(response) / t[own], np.inf),
+                precision=1.0 / (MODEL_NOISE**2 + noise**2),
+            )
+            _put(linear, whole, slice(None), own)
+        return whole
 
     def develop(
         self, radiance: NDArray[np.floating], view: NDArray[np.integer], pixel: NDArray[np.integer]
     ) -> NDArray[np.float64]:
         """Display values (n, 3) of radiance; the radiance itself for HDR input."""
         exposed = radiance * self.exposure_at(view, pixel)
-        return exposed if self.hdr else self.response.apply(exposed)
+        if self.hdr or self.device is None:
+            return exposed if self.hdr else self.response.apply(exposed)
+        for response, own in self._by_response(view):
+            exposed[own] = response.apply(exposed[own])
+        return exposed
 
     def report(self) -> dict[str, Any]:
         """For report.json: which parts of the model were used, and how well they predict held-out patches."""
         return {
             "family": self.response.family,
             "curves": 3 if self.per_channel else 1,
+            "devices": 1 + len(self.others),
             "exposures": ("corrected" if self.exposure_error else "known") if self.known_exposures else "estimated",
             "exposure_error_stops": round(self.exposure_error, 3),
             "exponent": round(self.exponent, 3),
@@ -218,6 +252,7 @@ class Photometry:
             "flags": np.array([self.per_channel, self.known_exposures]),
             "exposure_error": np.array(self.exposure_error),
             **({} if self.local is None else self.local.arrays()),
+            **({} if self.device is None else _arrays_of_devices(self.device, self.others)),
         }
 
     @staticmethod
@@ -227,6 +262,8 @@ class Photometry:
         per_channel, known = (bool(flag) for flag in arrays["flags"])
         held_out, error = float(arrays["held_out"]), float(arrays["exposure_error"])
         local = LocalExposure.from_arrays(arrays)
+        stored = zip(arrays["other_samples"], arrays["other_coefficients"], strict=True) if "device" in arrays else ()
+        others = tuple(Response(table, response.family, tuple(own.tolist())) for table, own in stored)
         return Photometry(
             response=response,
             exposures=arrays["exposures"],
@@ -235,7 +272,34 @@ class Photometry:
             known_exposures=known,
             exposure_error=error,
             local=local,
+            others=others,
+            device=arrays.get("device"),
         )
+
+
+def _arrays_of_devices(device: NDArray[np.int64], others: Sequence[Response]) -> dict[str, NDArray]:
+    return {
+        "device": device,
+        "other_samples": np.array([own.samples for own in others]),
+        "other_coefficients": np.array([own.coefficients for own in others]),
+    }
+
+
+def _empty(shape: tuple[int, ...]) -> Linearised:
+    """Room for observations of ``shape``."""
+    return Linearised(
+        radiance=np.empty(shape),
+        unclipped=np.empty(shape, bool),
+        bound=np.empty(shape),
+        ceiling=np.empty(shape),
+        precision=np.empty(shape),
+    )
+
+
+def _put(linear: Linearised, whole: Linearised, rows: slice, own: NDArray[np.integer] | slice) -> None:
+    """Write ``linear`` into the rows ``own`` among the ``rows`` of ``whole``."""
+    for column in fields(Linearised):
+        getattr(whole, column.name)[rows][own] = getattr(linear, column.name)
 
 
 def measure_photometry(
@@ -263,9 +327,10 @@ def measure_photometry(
             response=curve.identity(), exposures=exposures, held_out=np.nan, per_channel=False, known_exposures=True
         )
     fixed = fixed_response(config)
-    fit = fit_overlap(observations, given, n, rng, fixed, decisions, photos.small)
-    error = 0.0 if given is None else float(np.sqrt(np.mean(np.log2(fit.exposures / given[:, None]) ** 2)))
-    error = error if error > 1e-6 else 0.0
+    devices = devices_of(capture.views)
+    fit = fit_overlap(observations, given, n, rng, fixed, decisions, photos.small, devices)
+    device = devices.index if devices is not None and fit.others else None
+    error = 0.0 if given is None else _error_of_recorded(fit.exposures, given, device)
     return Photometry(
         response=fit.response,
         exposures=fit.exposures,
@@ -274,7 +339,20 @@ def measure_photometry(
         known_exposures=known,
         exposure_error=error,
         local=fit.local,
+        others=fit.others,
+        device=device,
     )
+
+
+def _error_of_recorded(
+    exposures: NDArray[np.floating], given: NDArray[np.floating], device: NDArray[np.int64] | None
+) -> float:
+    """Stops RMS between fitted (V, 3) and recorded (V,) exposures, gains of whole devices aside; 0 where none."""
+    off = np.log2(exposures / given[:, None])
+    for k in () if device is None else range(1, int(device.max()) + 1):
+        off[device == k] -= off[device == k].mean(0)
+    error = float(np.sqrt(np.mean(off**2)))
+    return error if error > 1e-6 else 0.0
 
 
 def fixed_response(config: SolveConfig) -> Response | None:

@@ -24,6 +24,7 @@ from ..materials.shading import Shading, sunlight_at
 from ..materials.solution import Solution
 from ..materials.specular import pixel_lobes, subtract_specular
 from ..model.capture import Capture, View
+from ..model.device import Device
 from ..model.local_exposure import UNIFORM
 from ..model.recovered import Emitter, OutsideLight, Sunlight
 from ..response.photometry import Photometry
@@ -154,11 +155,35 @@ def make_result(
         report=report,
         up=capture.up,
         local=UNIFORM if photometry.local is None else photometry.local.settings,
+        devices=_further_devices(capture, photometry),
         backdrop=problem.backdrop.recovered
         if light.hidden.holes is None
         else as_surface(light.hidden.completed(problem.backdrop, lights.hidden_radiance), light, lights, progress),
     )
     return result, _rerenders(capture, samples, rerender)
+
+
+def _further_devices(capture: Capture, photometry: Photometry) -> tuple[Device, ...]:
+    """The cameras whose response is not that of ``photometry.response``."""
+    if photometry.device is None:
+        return ()
+    others = photometry.local.others if photometry.local is not None else (UNIFORM,) * len(photometry.others)
+    recorded = np.array([view.exposure or 1.0 for view in capture.views])[:, None]
+    over = np.log(photometry.exposures / recorded) if photometry.known_exposures else np.zeros((len(recorded), 3))
+    found = []
+    for k, (response, local) in enumerate(zip(photometry.others, others, strict=True), start=1):
+        own = [capture.views[view] for view in np.flatnonzero(photometry.device == k)]
+        factor = np.exp(over[photometry.device == k].mean(0) - over[photometry.device == 0].mean(0))
+        found.append(
+            Device(
+                name=own[0].device,
+                response=response,
+                local=local,
+                photos=tuple(view.name for view in own),
+                exposure_factor=(float(factor[0]), float(factor[1]), float(factor[2])),
+            )
+        )
+    return tuple(found)
 
 
 def _pixel_albedo(

@@ -7,24 +7,33 @@
 ``camera_3d.cube``   the same over the same shaper as 65³ nodes, for programs that take no 1D tables.
 ``config.ocio``      the display "Camera" with one view per photo: its exposure and white balance, then ``camera.cube``.
 
+Where several cameras took the photos, ``camera_2.cube``, ``camera_2_log.cube`` and ``camera_2_3d.cube`` are the second
+one's, and so on; a photo's view passes through the table of its camera.
+
 Input is scene-linear Rec.709, output is the display value the photo has.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..base.files import atomic_write
+from ..model.device import Device
 from ..model.response import N_SAMPLES, Response
 
 SHAPER_STOPS_BELOW, SHAPER_STOPS = 14.0, 16.0
 """Range of the shaper in stops: below saturation, and in all."""
 LOG_ENTRIES, GRID_SIDE = 4096, 65
 """Entries of camera_log.cube, and nodes per axis of camera_3d.cube."""
+
+
+NO_TABLES: Mapping[str, str] = MappingProxyType({})
+"""For photos of one camera."""
 
 
 def shaper(x: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -38,37 +47,55 @@ def unshaper(s: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.where(s > 0.0, 2.0 ** (s * SHAPER_STOPS - SHAPER_STOPS_BELOW), 0.0)
 
 
-def write_luts(folder: Path, response: Response, exposures: Mapping[str, NDArray[np.floating]]) -> list[Path]:
-    """Write the four files of the module's docstring into ``folder`` and return them.
+def write_luts(
+    folder: Path,
+    response: Response,
+    exposures: Mapping[str, NDArray[np.floating]],
+    devices: Sequence[Device] = (),
+) -> list[Path]:
+    """Write the files of the module's docstring into ``folder`` and return them.
 
     Args:
         exposures: (3,) factor from radiance to the argument of the response, by name of the photo.
+        devices: further cameras with a response of their own.
 
     Raises:
         IrisError: a file cannot be written.
     """
+    files = _tables("camera", response)
+    table_of = {}
+    for number, device in enumerate(devices, start=2):
+        files |= _tables(f"camera_{number}", device.response)
+        table_of |= dict.fromkeys(device.photos, f"camera_{number}.cube")
+    files["config.ocio"] = ocio_config(exposures, table_of)
+    for name, text in files.items():
+        atomic_write(folder / name, lambda path, text=text: path.write_text(text, encoding="utf-8"))
+    return [folder / name for name in files]
+
+
+def _tables(stem: str, response: Response) -> dict[str, str]:
+    """The three tables of a response, by name of their file."""
     log_curve = _shaped(response, LOG_ENTRIES)
     grid = _shaped(response, GRID_SIDE)
     # The red index runs fastest in a .cube file.
     blue, green, red = np.meshgrid(*[np.arange(GRID_SIDE)] * 3, indexing="ij")
     cube = np.stack([grid[red.ravel(), 0], grid[green.ravel(), 1], grid[blue.ravel(), 2]], -1)
     over_log = "input: (log2(radiance * exposure) + 14) / 16"
-    files = {
-        "camera.cube": _cube("LUT_1D_SIZE", N_SAMPLES, response.samples.T, "input: radiance * exposure, 0 to 1"),
-        "camera_log.cube": _cube("LUT_1D_SIZE", LOG_ENTRIES, log_curve, over_log),
-        "camera_3d.cube": _cube("LUT_3D_SIZE", GRID_SIDE, cube, over_log),
-        "config.ocio": ocio_config(exposures),
+    return {
+        f"{stem}.cube": _cube("LUT_1D_SIZE", N_SAMPLES, response.samples.T, "input: radiance * exposure, 0 to 1"),
+        f"{stem}_log.cube": _cube("LUT_1D_SIZE", LOG_ENTRIES, log_curve, over_log),
+        f"{stem}_3d.cube": _cube("LUT_3D_SIZE", GRID_SIDE, cube, over_log),
     }
-    for name, text in files.items():
-        atomic_write(folder / name, lambda path, text=text: path.write_text(text, encoding="utf-8"))
-    return [folder / name for name in files]
 
 
-def ocio_config(exposures: Mapping[str, NDArray[np.floating]]) -> str:
-    """An OpenColorIO 2 configuration beside ``camera.cube``: scene-linear Rec.709 and a view per photo."""
+def ocio_config(exposures: Mapping[str, NDArray[np.floating]], table_of: Mapping[str, str] = NO_TABLES) -> str:
+    """An OpenColorIO 2 configuration beside ``camera.cube``: scene-linear Rec.709 and a view per photo.
+
+    ``table_of`` names the file of the curve of photos that another camera took.
+    """
     views = exposures or {"exposure 1": np.ones(3)}
     shown = "\n".join(f'    - !<View> {{name: "{name}", colorspace: "photo {name}"}}' for name in views)
-    spaces = "\n".join(_photo_space(name, exposure) for name, exposure in views.items())
+    spaces = "\n".join(_photo_space(name, views[name], table_of.get(name, "camera.cube")) for name in views)
     return f"""ocio_profile_version: 2
 search_path: .
 roles:
@@ -93,7 +120,7 @@ colorspaces:
 """
 
 
-def _photo_space(name: str, exposure: NDArray[np.floating]) -> str:
+def _photo_space(name: str, exposure: NDArray[np.floating], table: str) -> str:
     r, g, b = (f"{factor:.9g}" for factor in exposure)
     matrix = f"[{r}, 0, 0, 0, 0, {g}, 0, 0, 0, 0, {b}, 0, 0, 0, 0, 1]"
     return f"""  - !<ColorSpace>
@@ -101,7 +128,7 @@ def _photo_space(name: str, exposure: NDArray[np.floating]) -> str:
     from_scene_reference: !<GroupTransform>
       children:
         - !<MatrixTransform> {{matrix: {matrix}}}
-        - !<FileTransform> {{src: camera.cube, interpolation: linear}}"""
+        - !<FileTransform> {{src: {table}, interpolation: linear}}"""
 
 
 def _shaped(response: Response, entries: int) -> NDArray[np.float64]:

@@ -91,7 +91,7 @@ def _load(folder: Path, read: ReadImage) -> Result:
             path,
         )
     mesh, regions, up = read_glb(result_file(folder, MESH))
-    response, exposures, local = read_response(folder)
+    camera = read_response(folder)
     emitters, outside, sun, shell = read_emitters(folder, mesh)
     textures = _read_textures(folder, read)
     backdrop = None if shell is None else _painted(shell, folder, read)
@@ -102,11 +102,12 @@ def _load(folder: Path, read: ReadImage) -> Result:
         emitters=emitters,
         outside=outside,
         sun=sun,
-        response=response,
-        exposures=exposures,
+        response=camera.response,
+        exposures=camera.exposures,
         report=report,
         up=up,
-        local=local,
+        local=camera.local,
+        devices=camera.devices,
         backdrop=backdrop,
     )
     with decoding(path, "'model.camera' holds no corrections of cameras", MEND):

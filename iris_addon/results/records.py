@@ -19,6 +19,7 @@ from ..base.errors import BadInput
 from ..base.files import from_ranges, to_ranges
 from ..base.untrusted import MEND, json_object, numbers, read_json
 from ..model.capture import Mesh
+from ..model.device import Device, device_of_photo
 from ..model.local_exposure import UNIFORM, LocalSettings
 from ..model.recovered import Backdrop, Emitter, OutsideLight, Sunlight
 from ..model.response import N_SAMPLES, Response
@@ -161,46 +162,101 @@ def _read_shell(content: dict[str, Any], path: Path) -> StoredShell:
 # ---- response.json -------------------------------------------------------------------------------------------------
 
 
+class StoredCamera(NamedTuple):
+    """What took the photos: a response and local exposure, (3,) exposure × white balance by photo, and further devices
+    with a response of their own."""
+
+    response: Response
+    exposures: dict[str, NDArray[np.float64]]
+    local: LocalSettings
+    devices: tuple[Device, ...]
+
+    def device_of(self, photo: str) -> Device:
+        """What took the training photo ``photo``."""
+        return device_of_photo(Device("", self.response, self.local), self.devices, photo)
+
+
 def response_json(result: Result) -> dict[str, Any]:
     """The content of response.json."""
-    samples = result.response.samples
-    same = bool((samples == samples[0]).all())
+    devices = [
+        {
+            "name": device.name,
+            "photos": list(device.photos),
+            "exposure_factor": list(device.exposure_factor),
+            **_curve_json(device.response, device.local),
+        }
+        for device in result.devices
+    ]
     return {
-        "family": result.response.family,
-        "coefficients": list(result.response.coefficients),
-        "samples": samples[0] if same else samples,
+        **_curve_json(result.response, result.local),
         "exposures": {
             name: {"factor": value, "exposure": value[1], "white_balance": value / value[1] if value[1] else value}
             for name, value in ((name, np.asarray(value, float)) for name, value in result.exposures.items())
         },
-        "local_exposure": asdict(result.local),
+        **({"devices": devices} if devices else {}),
     }
 
 
-def read_response(folder: Path) -> tuple[Response, dict[str, NDArray[np.float64]], LocalSettings]:
-    """The recovered camera of the result in ``folder``: its response, (3,) exposure × white balance by photo, and local
-    exposure.
+def _curve_json(response: Response, local: LocalSettings) -> dict[str, Any]:
+    samples = response.samples
+    same = bool((samples == samples[0]).all())
+    return {
+        "family": response.family,
+        "coefficients": list(response.coefficients),
+        "samples": samples[0] if same else samples,
+        "local_exposure": asdict(local),
+    }
+
+
+def read_response(folder: Path) -> StoredCamera:
+    """The recovered camera of the result in ``folder``.
 
     Raises:
         BadInput: it is missing or damaged.
     """
     path = result_file(folder, RESPONSE)
     content = read_json(path)
-    samples = content.get("samples")
-    if isinstance(samples, list) and len(samples) == 3:
-        table = numbers(samples, (3, N_SAMPLES), "samples", path)
-    else:
-        table = np.tile(numbers(samples, (N_SAMPLES,), "samples", path), (3, 1))
-    coefficients = numbers(content.get("coefficients", []), (None,), "coefficients", path)
+    response, local = _read_curve(content, path)
     exposures = {
         _photo_name(name, path): numbers(
             json_object(value, name, path).get("factor"), (3,), f"exposures of {name}", path
         )
         for name, value in json_object(content.get("exposures"), "exposures", path).items()
     }
+    listed = content.get("devices", [])  # only where there are several
+    if not isinstance(listed, list):
+        raise BadInput("'devices' is no list", MEND, path)
+    devices = tuple(_read_device(json_object(entry, "devices", path), exposures, path) for entry in listed)
+    return StoredCamera(response=response, exposures=exposures, local=local, devices=devices)
+
+
+def _read_device(content: Mapping[str, Any], exposures: Mapping[str, object], path: Path) -> Device:
+    name, photos = content.get("name"), content.get("photos")
+    listed = isinstance(photos, list) and all(isinstance(photo, str) and photo in exposures for photo in photos)
+    if not isinstance(name, str) or not listed:
+        raise BadInput("'devices' has no names, or photos that 'exposures' lacks", MEND, path)
+    red, green, blue = numbers(content.get("exposure_factor"), (3,), "devices.exposure_factor", path).tolist()
+    if min(red, green, blue) <= 0:
+        raise BadInput("'devices.exposure_factor' is not above zero", MEND, path)
+    response, local = _read_curve(content, path)
+    return Device(
+        name=name,
+        response=response,
+        local=local,
+        photos=tuple(photos or ()),
+        exposure_factor=(red, green, blue),
+    )
+
+
+def _read_curve(content: Mapping[str, Any], path: Path) -> tuple[Response, LocalSettings]:
+    samples = content.get("samples")
+    if isinstance(samples, list) and len(samples) == 3:
+        table = numbers(samples, (3, N_SAMPLES), "samples", path)
+    else:
+        table = np.tile(numbers(samples, (N_SAMPLES,), "samples", path), (3, 1))
+    coefficients = numbers(content.get("coefficients", []), (None,), "coefficients", path)
     response = Response(table, str(content.get("family", "")), tuple(coefficients.tolist()))
-    local = json_object(content.get("local_exposure", {}), "local_exposure", path)
-    return response, exposures, _read_local(local, path)
+    return response, _read_local(json_object(content.get("local_exposure", {}), "local_exposure", path), path)
 
 
 def _photo_name(name: str, path: Path) -> str:

@@ -18,7 +18,8 @@ from ..base.images import to_codes, write_png
 from ..base.parallel import over_each
 from ..capture.photos import load_photo, shrink
 from ..model.capture import Camera, Capture, View
-from ..model.response import grey_exposure, srgb
+from ..model.device import Device
+from ..model.response import Response, grey_exposure, srgb
 from ..rays.tracer import Tracer
 from .files import PICTURES, REPORT_PAGE
 from .lamp_pictures import write_lamp_pictures
@@ -71,7 +72,7 @@ def write_report(
         _gallery(saver, gallery or {}),
         _photos(saver, shown, pictures),
         _maps(saver, shown, maps),
-        _response(result),
+        _responses(result),
         _emitters(result, lamps),
         _outside(result),
         _sun(result),
@@ -214,22 +215,31 @@ def _bars(seconds: Mapping[str, float]) -> str:
     return f'<section><h2>Seconds per stage</h2><div class="bars">{rows}</div></section>'
 
 
-def _response(result: Result) -> str:
-    """The curve as inline SVG beside its family."""
-    x = np.linspace(0, 1, result.response.samples.shape[1])[::8]
+def _responses(result: Result) -> str:
+    """The curve of each camera."""
+    devices = (Device("", result.response, result.local), *result.devices)
+    curves = "".join(
+        _curve(device.response, f"camera {number}{f', {device.name}' if device.name else ''}" if number else "")
+        for number, device in enumerate(devices, start=len(devices) > 1)
+    )
+    return f"<section><h2>Camera response</h2>{curves}</section>"
+
+
+def _curve(response: Response, of: str) -> str:
+    """The curve as inline SVG beside its family, ``of`` a camera among several."""
+    x = np.linspace(0, 1, response.samples.shape[1])[::8]
     lines = "".join(
         f'<polyline fill="none" stroke="{color}" stroke-width="2" points="'
         + " ".join(f"{200 * a:.1f},{200 * (1 - b):.1f}" for a, b in zip(x, row[::8], strict=True))
         + '"/>'
-        for color, row in zip(CHANNEL_COLOURS, result.response.samples, strict=True)
+        for color, row in zip(CHANNEL_COLOURS, response.samples, strict=True)
     )
     grid = "".join(f'<path d="M{50 * i} 0V200M0 {50 * i}H200" stroke="currentColor" opacity=".15"/>' for i in range(5))
-    coefficients = ", ".join(f"{value:.4g}" for value in result.response.coefficients)
+    coefficients = ", ".join(f"{value:.4g}" for value in response.coefficients)
     return (
-        "<section><h2>Camera response</h2>"
         f'<svg viewBox="-8 -8 216 216" role="img" aria-label="response curve">{grid}{lines}</svg>'
-        f"<p>{escape(result.response.family)}{f' ({coefficients})' if coefficients else ''}; "
-        "relative exposure to the right, display value up.</p></section>"
+        f"<p>{escape(f'{of}: ' if of else '')}{escape(response.family)}"
+        f"{f' ({coefficients})' if coefficients else ''}; relative exposure to the right, display value up.</p>"
     )
 
 

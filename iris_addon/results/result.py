@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..base.untrusted import finite
 from ..model.capture import Camera, Mesh, View, in_metres
 from ..model.corrections import CameraCorrection, PoseCorrections
+from ..model.device import Device, device_of_view
 from ..model.local_exposure import UNIFORM, LocalSettings
 from ..model.recovered import Backdrop, DiffuseLobe, Emitter, OutsideLight, Sunlight, Textures
 from ..model.response import Response
@@ -39,6 +40,7 @@ class Result:
         exposures: per training photo, keyed by view name, (3,) factor with white balance.
         report: the content of report.json.
         local: what the camera did to exposure from place to place; exposures are those of the middle.
+        devices: cameras with another response than that, where several took the photos (:meth:`device_of`).
         up: unit up vector of the capture.
         backdrop: what cameras see through holes of the mesh; None where it has hardly any.
         sun: light of the sun beside that of ``outside``; None where none shines in.
@@ -56,6 +58,7 @@ class Result:
     local: LocalSettings = UNIFORM
     backdrop: Backdrop | None = None
     sun: Sunlight | None = None
+    devices: tuple[Device, ...] = ()
 
     def __repr__(self) -> str:
         size = len(self.textures.base_color)
@@ -86,6 +89,10 @@ class Result:
         from .maps import MapRenderer
 
         return MapRenderer(self)
+
+    def device_of(self, view: View) -> Device:
+        """The camera that took the photo of ``view``; the first one where that is not known."""
+        return device_of_view(Device("", self.response, self.local), self.devices, view)
 
     def save(self, folder: Path | str) -> None:
         """Write this result as the result folder ``folder``, where ``apply``, ``render`` and Blender's panel find it.

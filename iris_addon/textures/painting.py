@@ -116,7 +116,7 @@ class Painter:
         texels = self._as_pixels(seen, picture, index)
         size, region = self.points.size[seen.row] / seen.footprint, self.regions[texels.face]
         photo = read_pixels(view)
-        exposures = self.photometry.exposures_of(photo.values)
+        exposures = self.photometry.exposures_of(photo.values, index)
         exposures[~photo.valid] = np.nan
         near_edge = picture.near_edge[texels.pixel]
         exposure, averaged = read_texels(exposures, seen, size, near_edge)

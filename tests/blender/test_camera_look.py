@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from iris_addon.model.device import Device
 from iris_addon.model.render_settings import RenderSettings
 from iris_addon.model.response import Response, gamma
 from iris_addon.results.camera_luts import shaper, unshaper, write_luts
@@ -197,3 +198,40 @@ def test_the_camera_comes_last_in_an_existing_compositing(scene):
         assert sum(node.bl_idname == blur.bl_idname for node in tree.nodes) == 1
     stop_matching(scene)
     assert snapshot(scene) == before
+
+
+def test_photos_of_another_camera_pass_through_its_tables(tmp_path):
+    second = Device("Acme Two", gamma(0.3), photos=("b",))
+    files = write_luts(tmp_path, film(), {"a": EXPOSURE, "b": EXPOSURE}, [second])
+    assert [path.name for path in files[3:]] == [
+        "camera_2.cube",
+        "camera_2_log.cube",
+        "camera_2_3d.cube",
+        "config.ocio",
+    ]
+    _, _, table = read_cube(tmp_path / "camera_2.cube")
+    np.testing.assert_allclose(table, second.response.samples.T, atol=1e-6)
+    text = files[-1].read_text(encoding="utf-8")
+    for name, cube in (("a", "camera.cube"), ("b", "camera_2.cube")):
+        assert cube in text.split(f'name: "photo {name}"')[1].split("ColorSpace")[0]
+
+
+@pytest.mark.bpy
+def test_the_curve_follows_the_camera_of_the_photo(scene, tmp_path):
+    from iris_addon.blender.apply.camera_look import follow_photo, keep_look, kept_look, match_photo
+    from iris_addon.blender.camera import add_camera, look_through
+    from iris_addon.blender.render.cycles import render_linear, set_cycles
+    from iris_addon.blender.scene_out.build import build_scene
+    from tests.blender_room import camera, room
+
+    view, built = camera(24, 18), build_scene(room(emission={4: (9, 6, 3)}))
+    set_cycles(built.scene, RenderSettings(samples=16, denoise=False, seed=2, max_bounces=4))
+    look_through(built.scene, view, add_camera(view, "view", built.scene.collection))
+    radiance = render_linear(built.scene)
+    exposures, second = {"a": EXPOSURE, "b": EXPOSURE / 2}, gamma(0.3)
+    keep_look(built.scene, film(), exposures, [Device("Acme Two", second, photos=("b",))])
+    match_photo(built.scene, *kept_look(built.scene, "b"), "b")
+    for photo, response in (("b", second), ("a", film()), ("b", second)):
+        follow_photo(built.scene, photo)
+        seen = through_blender(built.scene, "seen.png", tmp_path)
+        assert np.abs(seen - response.apply(radiance * exposures[photo])).max() < BYTE

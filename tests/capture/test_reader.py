@@ -422,3 +422,34 @@ def test_up_is_z_unless_the_photos_lie_on_their_side(
         assert up == expected
     (nerfstudio_room.root / "meta.json").write_text('{"up_axis": "+x"}')
     assert read_nerfstudio(file).up == (1.0, 0.0, 0.0)
+
+
+def with_models(capture: RoomCapture, models: str) -> None:
+    """Turn the photos into JPEG with the maker and model of a camera, a letter each; "-" leaves them out."""
+    for photo, frame, model in zip(capture.photos, capture.meta["frames"], models, strict=True):
+        exif = Image.Exif()
+        if model != "-":
+            exif.update({271: "Acme", 272: model})
+        Image.open(photo).save(photo.with_suffix(".jpg"), exif=exif)
+        frame["file_path"] = f"images/{photo.stem}.jpg"
+
+
+def test_the_camera_of_each_photo_is_that_of_exif(nerfstudio_room: RoomCapture) -> None:
+    with_models(nerfstudio_room, "abbaab")
+    capture = read_capture(nerfstudio_room.save())
+    assert [view.device for view in capture.views] == [f"Acme {letter}" for letter in "abbaab"]
+    assert not any("cameras" in warning for warning in capture.warnings)
+
+
+def test_the_camera_that_a_frame_names_stands_before_that_of_exif(nerfstudio_room: RoomCapture) -> None:
+    with_models(nerfstudio_room, "aaaaaa")
+    for frame in nerfstudio_room.meta["frames"][::2]:
+        frame["device"] = "other"
+    capture = read_capture(nerfstudio_room.save())
+    assert [view.device for view in capture.views] == ["other", "Acme a"] * 3
+
+
+def test_a_camera_of_too_few_photos_is_a_warning(nerfstudio_room: RoomCapture) -> None:
+    with_models(nerfstudio_room, "aaa-bb")
+    (warning,) = [warning for warning in read_capture(nerfstudio_room.save()).warnings if "cameras" in warning]
+    assert "3 cameras" in warning and "unknown (1)" in warning and "Acme b (2)" in warning

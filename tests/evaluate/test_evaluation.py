@@ -7,11 +7,12 @@ import pytest
 import trimesh
 
 from iris_addon.base.errors import BadInput
-from iris_addon.base.images import read_exr, write_exr
+from iris_addon.base.images import read_exr, write_exr, write_png
 from iris_addon.evaluate import metrics
 from iris_addon.evaluate.evaluation import evaluate
-from iris_addon.evaluate.pictures import fit_gains
-from iris_addon.model.capture import Photo
+from iris_addon.evaluate.pictures import fit_gains, score_held_out
+from iris_addon.model.capture import Camera, Photo, View
+from iris_addon.model.device import Device
 from iris_addon.model.recovered import Backdrop, Textures
 from iris_addon.model.response import Response, gamma
 from iris_addon.results.maps import MapRenderer, bilinear
@@ -275,3 +276,21 @@ def test_the_truth_of_a_public_capture_scores_near_perfectly(shared):
     assert scores["kd_psnr"] > 40 and scores["roughness_psnr"] > 60 and scores["metallic_l2"] < 1e-6
     assert scores["emission_iou"] > 0.999 and scores["emission_log_l2"] < 1e-6
     assert scores["crf_l2"] == 0 and scores["exposure_log2_rmse"] < 1e-9
+
+
+def test_held_out_photos_pass_through_the_curve_of_their_camera(tmp_path):
+    """A photo of the second camera, made of the rendering itself, is met exactly by its curve and by no other."""
+    rng = np.random.default_rng(0)
+    image, camera = (
+        rng.lognormal(-1, 0.5, (30, 40, 3)),
+        Camera(width=40, height=30, fx=40.0, fy=40.0, cx=20.0, cy=15.0, c2w=np.eye(4)),
+    )
+    second = Device("Acme Two", gamma(0.8))
+    path = tmp_path / "photo.png"
+    write_png(path, np.floor(255 * second.response.apply(image * 0.4)).astype(np.uint8))
+    result = replace(true_result(), devices=(second,))
+    psnr = {
+        device: score_held_out(result, [View("photo", camera, path, split="val", device=device)], [image])["nvs_psnr"]
+        for device in ("Acme Two", "")
+    }
+    assert psnr["Acme Two"]["photo"] > 50 > 35 > psnr[""]["photo"]

@@ -15,11 +15,14 @@ import trimesh
 from iris_addon.base import images as imaging
 from iris_addon.base.errors import BadInput, IrisError
 from iris_addon.base.files import from_ranges, plain, to_ranges
+from iris_addon.model.capture import Camera, View
+from iris_addon.model.device import Device
 from iris_addon.model.local_exposure import LocalSettings
 from iris_addon.model.recovered import Backdrop
 from iris_addon.model.response import Response, gamma
 from iris_addon.results.files import WHOLE, complete_save
 from iris_addon.results.folder import load_result, save_result
+from iris_addon.results.records import read_response
 from iris_addon.results.result import Result
 from tests.result_room import room
 
@@ -325,3 +328,65 @@ print(len(load_result(Path({str(saved)!r}), lambda path: np.zeros((16, 16, 3), n
 """
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=False)
     assert run.stdout.strip() == "2", run.stderr
+
+
+def of_two_cameras():
+    curve = np.stack([gamma(g).samples[0] for g in (0.4, 0.5, 0.6)])
+    local = LocalSettings(falloff=0.2)
+    second = Device(
+        name="Acme Two",
+        response=Response(curve, "power-spline", (0.1, 0.2)),
+        local=local,
+        photos=("001_0001",),
+        exposure_factor=(1.2, 1.0, 0.9),
+    )
+    return replace(room(), devices=(second,))
+
+
+def test_cameras_survive_and_photos_are_theirs(tmp_path):
+    result = of_two_cameras()
+    save_result(result, tmp_path)
+    loaded, (second,) = load_result(tmp_path), result.devices
+    (found,) = loaded.devices
+    assert np.array_equal(found.response.samples, second.response.samples)
+    assert replace(found, response=second.response) == second
+    camera = Camera(width=4, height=3, fx=4.0, fy=4.0, cx=2.0, cy=1.5, c2w=np.eye(4))
+    for view, name in (
+        (View("001_0001", camera, None), "Acme Two"),  # a photo of the solve, whatever became of its EXIF
+        (View("000_0001", camera, None), ""),
+        (View("001_0001", camera, None, split="val"), ""),  # held-out photos have names of their own
+        (View("7", camera, None, split="val", device="Acme Two"), "Acme Two"),
+        (View("7", camera, None, split="val", device="Acme Three"), ""),
+    ):
+        assert loaded.device_of(view).name == name
+    assert read_response(tmp_path).device_of("001_0001").local == LocalSettings(falloff=0.2)
+    assert read_response(tmp_path).device_of("").response.family == "gamma"
+
+
+def test_a_result_of_one_camera_is_written_as_ever(tmp_path):
+    save_result(room(), tmp_path)
+    assert "devices" not in json.loads((tmp_path / "response.json").read_text())
+    assert load_result(tmp_path).devices == ()
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "photos",
+        {"name": 3},
+        {"photos": ["of another result"]},
+        {"photos": [["000_0001"]]},
+        {"photos": "000_0001"},
+        {"samples": [0.0, 1.0]},
+        {"exposure_factor": [1.0, 0.0, 1.0]},
+        {"local_exposure": {"strength": 2}},
+    ],
+)
+def test_damaged_cameras_are_bad_input(tmp_path, damage):
+    save_result(of_two_cameras(), tmp_path)
+    path = tmp_path / "response.json"
+    content = json.loads(path.read_text())
+    content["devices"] = damage if isinstance(damage, str) else [{**content["devices"][0], **damage}]
+    path.write_text(json.dumps(content))
+    with pytest.raises(BadInput, match=r"response\.json"):
+        load_result(tmp_path)

@@ -10,7 +10,8 @@ from iris_addon.base.images import read_image, write_exr
 from iris_addon.capture.photos import load_photo
 from iris_addon.capture.reader import read_capture
 from iris_addon.model.capture import Capture
-from iris_addon.model.response import srgb
+from iris_addon.model.device import Device
+from iris_addon.model.response import gamma, srgb
 from iris_addon.results import report as report_html
 from iris_addon.results.report import heat, write_report
 from iris_addon.results.result import Result
@@ -113,6 +114,15 @@ def test_a_room_without_lights_or_report_still_has_a_page(solved, tmp_path):
     result, capture = solved
     result = replace(result, emitters=(), outside=None, report={}, exposures={})
     assert "No light was found" in write_report(result, capture, tmp_path, {}).read_text(encoding="utf-8")
+
+
+def test_each_camera_has_its_curve(solved, tmp_path):
+    result, capture = solved
+    html = write_report(result, capture, tmp_path, {}).read_text(encoding="utf-8")
+    assert html.count('aria-label="response curve"') == 1
+    result = replace(result, devices=(Device("Acme <Two>", gamma(0.8), photos=("000_0001",)),))
+    html = write_report(result, capture, tmp_path, {}).read_text(encoding="utf-8")
+    assert html.count('aria-label="response curve"') == 2 and "camera 2, Acme &lt;Two&gt;" in html
 
 
 def test_heat_rises_in_lightness():

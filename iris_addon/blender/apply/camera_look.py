@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.errors import BadInput
+from ...model.device import Device
 from ...model.response import Response
 from ...results.records import exposure_of
 from ..render.light_groups import group_lights, mixed_picture
@@ -115,11 +116,10 @@ def _set_curves(mapping: bpy.types.CurveMapping, response: Response) -> None:
     mapping.extend = "HORIZONTAL"
     for channel in range(3):
         points = mapping.curves[channel].points
-        points[0].location, points[-1].location = (0.0, float(z[0, channel])), (1.0, float(z[-1, channel]))
-        for x, y in zip(s[1:-1], z[1:-1, channel], strict=True):
-            points.new(float(x), float(y))
-        for point in points:
-            point.handle_type = "VECTOR"
+        for x in s[len(points) - 1 : -1]:  # two points are there at first, and all where a curve is replaced
+            points.new(float(x), float(x))
+        for point, x, y in zip(points, s, z[:, channel], strict=True):
+            point.location, point.handle_type = (float(x), float(y)), "VECTOR"
     mapping.update()
 
 
@@ -138,26 +138,37 @@ LOOK = "iris_look"
 """Custom property of a scene with an applied result: the recovered camera, which the result folder may not outlive."""
 
 
-def keep_look(scene: bpy.types.Scene, response: Response, exposures: Mapping[str, NDArray[np.floating]]) -> None:
-    """Store the recovered camera on ``scene``: its response, and (3,) exposure × white balance by photo."""
-    samples = response.samples[:1] if (response.samples == response.samples[0]).all() else response.samples
-    scene[LOOK] = json.dumps(
-        {
-            "family": response.family,
-            "samples": samples.tolist(),
-            "exposures": {name: exposure.tolist() for name, exposure in exposures.items()},
-        }
-    )
+def keep_look(
+    scene: bpy.types.Scene,
+    response: Response,
+    exposures: Mapping[str, NDArray[np.floating]],
+    devices: Sequence[Device] = (),
+) -> None:
+    """Store the recovered camera on ``scene``: its response, (3,) exposure × white balance by photo, and further
+    cameras."""
+    others = [{**_curve(device.response), "photos": list(device.photos)} for device in devices]
+    listed = {name: exposure.tolist() for name, exposure in exposures.items()}
+    scene[LOOK] = json.dumps({**_curve(response), "exposures": listed, "devices": others})
 
 
-def kept_look(scene: bpy.types.Scene) -> tuple[Response, dict[str, NDArray[np.float64]]]:
-    """What :func:`keep_look` stored on ``scene``; raises BadInput where nothing was."""
+def kept_look(scene: bpy.types.Scene, photo: str = "") -> tuple[Response, dict[str, NDArray[np.float64]]]:
+    """What :func:`keep_look` stored on ``scene``: the response that ``photo`` was taken with, and exposures by photo.
+
+    Raises:
+        BadInput: nothing was stored.
+    """
     if LOOK not in scene:
         raise BadInput("this scene has no recovered camera", "apply the result again")
     kept = json.loads(scene[LOOK])
-    samples = np.array(kept["samples"])
-    response = Response(np.repeat(samples, 3 // len(samples), axis=0), kept["family"])
+    of_photo = next((device for device in kept.get("devices", ()) if photo in device["photos"]), kept)
+    samples = np.array(of_photo["samples"])
+    response = Response(np.repeat(samples, 3 // len(samples), axis=0), of_photo["family"])
     return response, {name: np.array(exposure) for name, exposure in kept["exposures"].items()}
+
+
+def _curve(response: Response) -> dict[str, Any]:
+    samples = response.samples[:1] if (response.samples == response.samples[0]).all() else response.samples
+    return {"family": response.family, "samples": samples.tolist()}
 
 
 def match_photo(
@@ -197,12 +208,15 @@ def match_photo(
 
 
 def follow_photo(scene: bpy.types.Scene, photo: str) -> None:
-    """Use the exposure of another photo, where renders of ``scene`` pass through the camera."""
+    """Use exposure and response of another photo, where renders of ``scene`` pass through the camera."""
     tree = compositor_tree(scene) if MATCHED in scene else None
     camera = None if tree is None else tree.nodes.get(CAMERA_GROUP)
     if camera is not None:
         listed = json.loads(scene[MATCHED])["exposures"]
         set_photo(camera, exposure_of(photo, {name: np.array(exposure) for name, exposure in listed.items()}))
+        if LOOK in scene and json.loads(scene[LOOK]).get("devices"):
+            curves = next(node for node in camera.node_tree.nodes if node.bl_idname == "CompositorNodeCurveRGB")
+            _set_curves(curves.mapping, kept_look(scene, photo)[0])
 
 
 def stop_matching(scene: bpy.types.Scene) -> None:

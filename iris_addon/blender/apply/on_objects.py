@@ -93,7 +93,7 @@ def apply_to_objects(result: Result, runs: Sequence[FaceRun], scene: bpy.types.S
         sun[RECOVERED_TURN] = [float(value) for value in sun.matrix_world.to_quaternion()]
         sun[MADE] = sun.data[MADE] = True
     show_like_the_photos(result, scene)
-    keep_look(scene, result.response, result.exposures)
+    keep_look(scene, result.response, result.exposures, result.devices)
     images = set(bpy.data.images) - before
     for image in images:  # those of world and backdrop too: unpacked images are black after undo and reload
         image.pack()

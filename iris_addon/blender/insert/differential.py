@@ -61,18 +61,20 @@ def insert_onto_photo(
     exposure: NDArray[np.floating],
     edit: SceneEdit,
     settings: RenderSettings,
+    response: Response | None = None,
 ) -> NDArray[np.float64]:
     """(H, W, 3) display values of the photo as it would have been with ``edit`` in the room.
 
     Args:
         photo: (H, W, 3) display values in [0, 1] of the undistorted photo.
         exposure: factor from radiance to the argument of the response, broadcastable to the photo.
+        response: that the photo was taken with; by default that of ``result``.
     """
     if edit.changes_nothing:
         return np.array(photo, dtype=np.float64)
     without = render_pair(result, camera, None, settings)
     changed = render_change(result, camera, edit, without, settings)
-    return change_photo(photo, changed, result.response, exposure)[0]
+    return change_photo(photo, changed, response or result.response, exposure)[0]
 
 
 def render_pair(

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.errors import BadInput
-from ...model.local_exposure import LocalSettings
+from ...model.device import Device
 from ...model.render_settings import RenderSettings
 from ...model.response import Response
 from ..apply.on_objects import APPLIED, MADE, ORIGINAL
@@ -127,17 +127,16 @@ def composite_file(
     blend: Path,
     photo: Path,
     out: Path,
-    response: Response,
+    device: Device,
     exposure: NDArray[np.floating],
-    local: LocalSettings,
     settings: RenderSettings,
     on_step: Callable[[int], None] = lambda done: None,
 ) -> None:
     """:func:`composite` of the scene in ``blend`` onto the file ``photo``, as the PNG ``out``. Opens ``blend``.
 
     Args:
+        device: the camera that took the photo.
         exposure: (3,) of the photo.
-        local: how the camera changed the exposure over the photo.
 
     Raises:
         BadInput: a file cannot be read, or for the reasons of :func:`composite`.
@@ -145,8 +144,8 @@ def composite_file(
     """
     scene = open_scene(blend)
     pixels = read_image(photo)
-    local_exposure = exposure * local.gain(pixels, response)
-    write_png(out, composite(scene, pixels, response, local_exposure, settings, on_step))
+    local_exposure = exposure * device.gain(pixels)
+    write_png(out, composite(scene, pixels, device.response, local_exposure, settings, on_step))
 
 
 def open_scene(blend: Path) -> bpy.types.Scene:

@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.errors import BadInput
-from ...model.local_exposure import LocalSettings
+from ...model.device import Device
 from ...model.render_settings import RenderSettings
-from ...model.response import Response
 from ...response.matching import match_exposure
 from .differential import change_light, change_photo
 from .photo_composite import additions, write_png, write_radiance
@@ -44,8 +43,7 @@ def composite_frame(
     scene: bpy.types.Scene,
     frame: int,
     out: Path,
-    response: Response,
-    local: LocalSettings,
+    device: Device,
     settings: RenderSettings,
 ) -> CompositedFrame:
     """Write the frame ``frame`` of the plate of ``scene`` with what was added to the room as ``out``.
@@ -53,6 +51,7 @@ def composite_frame(
     Changes the frame and the render settings of ``scene``.
 
     Args:
+        device: the camera of the plate.
         out: .exr of radiance for plates of radiance, else .png.
 
     Raises:
@@ -64,12 +63,12 @@ def composite_frame(
     values = photo.values
     _check_shape(scene, values, picture)
     changed = additions(scene, values.shape, settings)
-    gain = np.ones(1) if photo.hdr else local.gain(values, response)
-    exposure = match_exposure(changed.without, photo, response, gain)
+    gain = np.ones(1) if photo.hdr else device.gain(values)
+    exposure = match_exposure(changed.without, photo, device.response, gain)
     if photo.hdr:
         write_radiance(out, change_light(values, changed, exposure), scene)
     else:
-        write_png(out, change_photo(values, changed, response, gain * exposure)[0])
+        write_png(out, change_photo(values, changed, device.response, gain * exposure)[0])
     return CompositedFrame(picture, exposure, bool(changed.covered.any()))
 
 
