@@ -95,6 +95,8 @@ class ShadedPatches:
         form_factors: (P, E) shares of the emitters, ``B`` and ``C`` of equation (1).
         region: (P,) region of each patch.
         weight: (P,) statistical weight, >= 0.
+        bounded: (P, 3) bool, where ``radiance`` is no more than a lower bound, because all photos clip there; by
+            default nowhere.
     """
 
     radiance: NDArray[np.floating]
@@ -102,6 +104,7 @@ class ShadedPatches:
     form_factors: NDArray[np.floating]
     region: NDArray[np.integer]
     weight: NDArray[np.floating]
+    bounded: NDArray[np.bool_] | None = None
 
 
 def solve_balance(
@@ -123,11 +126,13 @@ def solve_balance(
         iterations: of L-BFGS at most.
     """
     radiance, indirect, form_factors, weight = patches.radiance, patches.indirect, patches.form_factors, patches.weight
-    rows, label, region_ids = _usable(radiance, patches.region, weight)
+    bounded = np.zeros(radiance.shape, bool) if patches.bounded is None else patches.bounded
+    rows, label, region_ids = _usable(radiance, patches.region, weight, bounded)
     n_tied = int(evidence.tie.max()) + 1
     first = np.array([np.flatnonzero(evidence.tie == k)[0] for k in range(n_tied)])
     whole = LightBalance(
         log_radiance=_columns(np.log(radiance[rows])),
+        bounded=torch.from_numpy(np.ascontiguousarray(bounded[rows].T)),
         indirect=_columns(np.maximum(indirect[rows], 1e-6)),
         form_factors=_columns(
             np.stack([form_factors[rows][:, evidence.tie == k].sum(1, np.float64) for k in range(n_tied)], 1)
@@ -138,7 +143,7 @@ def solve_balance(
         direct=DirectEvidence.of(evidence, n_tied),
         scale=robust_log,
     )
-    tested = np.arange(len(rows)) % HELD_OUT_EVERY == 0
+    tested = _held_out(bounded[rows].any(1))
     problem, held_out = (whole.restrict(torch.from_numpy(some)) for some in (~tested, tested))
     log_start = torch.from_numpy(np.log(start[first], dtype=np.float64))
     with one_thread():
@@ -200,6 +205,7 @@ class LightBalance:
     """The loss of equation (18): P patches, E' tied emitters, n regions. Patches run along the last axis."""
 
     log_radiance: Tensor  # (3, P)
+    bounded: Tensor  # (3, P) bool
     indirect: Tensor  # (3, P)
     form_factors: Tensor  # (E', P)
     weight: Tensor  # (P,) sums to 1
@@ -225,9 +231,13 @@ class LightBalance:
         return torch.log1p(self.deviation(log_e, log_albedo).square()).sum(0)
 
     def deviation(self, log_e: Tensor, log_albedo: Tensor) -> Tensor:
-        """r (3, P): log albedo of each patch about that of its region (n, 3), over the robust scale."""
+        """r (3, P): log albedo of each patch about that of its region (n, 3), over the robust scale.
+
+        A patch that clips in all photos may be brighter than its bound, but not darker (Tobin 1958).
+        """
         of_region = log_albedo.reshape(-1).index_select(0, self._entry).reshape(3, -1)
-        return (self.log_radiance - self.incoming(log_e).log() - of_region) / self.scale
+        r = (self.log_radiance - self.incoming(log_e).log() - of_region) / self.scale
+        return torch.where(self.bounded, r.clamp(min=0), r)
 
     def incoming(self, log_e: Tensor) -> Tensor:
         """(3, P) irradiance / pi, equation (1), under emitters of log radiance (E', 3)."""
@@ -239,7 +249,7 @@ class LightBalance:
 
     def room_albedo(self, log_albedo: Tensor) -> Tensor:
         """Squared deviation of the room's albedo from that of rooms, in standard deviations."""
-        return ((self.share @ log_albedo - np.log(ROOM_ALBEDO)) / ROOM_ALBEDO_STD).square().sum()
+        return ((self.measured_share * (log_albedo - np.log(ROOM_ALBEDO))).sum(0) / ROOM_ALBEDO_STD).square().sum()
 
     # ---- Unknowns ----
 
@@ -255,10 +265,12 @@ class LightBalance:
     def implied_albedo(self, log_e: Tensor) -> Tensor:
         """(n, 3) median log albedo of every region under emitters of log radiance (E', 3)."""
         implied = (self.log_radiance - self.incoming(log_e).log()).T.numpy()
-        region = self.region.numpy()
-        seen = np.bincount(region, minlength=self.n_regions) > 0
-        medians = group_medians(implied, region, self.n_regions)
-        return torch.from_numpy(np.where(seen[:, None], medians, np.log(UNKNOWN_ALBEDO)))
+        region, measured = self.region.numpy(), ~self.bounded.any(0).numpy()
+        albedo = np.full((self.n_regions, 3), np.log(UNKNOWN_ALBEDO))
+        for rows in (np.ones(len(region), bool), measured):  # what clips counts only where nothing else does
+            seen = np.bincount(region[rows], minlength=self.n_regions) > 0
+            albedo[seen] = group_medians(implied[rows], region[rows], self.n_regions)[seen]
+        return torch.from_numpy(albedo)
 
     def units(self, unknowns: Tensor) -> Tensor:
         """Scale of each unknown: 1 / sqrt of the diagonal curvature of the loss, outliers disregarded."""
@@ -274,6 +286,7 @@ class LightBalance:
         return replace(
             self,
             log_radiance=self.log_radiance[:, keep],
+            bounded=self.bounded[:, keep],
             indirect=self.indirect[:, keep],
             form_factors=self.form_factors[:, keep],
             weight=self.weight[keep] / self.weight[keep].sum(),
@@ -294,6 +307,14 @@ class LightBalance:
         """(n,) weight of each region."""
         return torch.zeros(self.n_regions, dtype=torch.float64).index_add_(0, self.region, self.weight)
 
+    @cached_property
+    def measured_share(self) -> Tensor:
+        """(n, 3) share of each region in the weight of all that is measured, in each channel."""
+        of_patch = torch.where(self.bounded, 0.0, self.weight)
+        total = torch.zeros(3 * self.n_regions, dtype=torch.float64).index_add_(0, self._entry, of_patch.reshape(-1))
+        total = total.reshape(-1, 3)
+        return total / total.sum(0).clamp(min=1e-12)
+
     @property
     def n_effective(self) -> int:
         """Independent observations that the patches stand for."""
@@ -311,25 +332,42 @@ class LightBalance:
         return torch.stack(shares, 1) * (2 * log_e).exp()
 
 
-def fitted_patches(radiance: NDArray[np.floating], weight: NDArray[np.floating]) -> NDArray[np.int64]:
-    """Indices of the patches that enter the balance: of positive weight, not black, and at most MAX_PATCHES.
+def fitted_patches(
+    radiance: NDArray[np.floating], weight: NDArray[np.floating], bounded: NDArray[np.bool_]
+) -> NDArray[np.int64]:
+    """Indices of the patches that enter the balance: of positive weight, not black, and at most MAX_PATCHES of those
+    that are measured and of those that clip.
 
     Args:
         radiance: (P, 3).
         weight: (P,).
+        bounded: (P, 3) bool, where radiance is no more than a lower bound.
     """
-    rows = np.flatnonzero((weight > 0) & (radiance.min(1) > 1e-5))
-    if len(rows) > MAX_PATCHES:
-        # A regular subset is deterministic and preserves the mix of regions.
-        rows = rows[np.linspace(0, len(rows) - 1, MAX_PATCHES).astype(np.int64)]
-    return rows
+    usable, clips = (weight > 0) & (radiance.min(1) > 1e-5), bounded.any(1)
+    return np.sort(np.concatenate([_evenly(np.flatnonzero(usable & some)) for some in (~clips, clips)]))
+
+
+def _evenly(rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """At most MAX_PATCHES of ``rows``: a regular subset is deterministic and preserves the mix of regions."""
+    if len(rows) <= MAX_PATCHES:
+        return rows
+    return rows[np.linspace(0, len(rows) - 1, MAX_PATCHES).astype(np.int64)]
+
+
+def _held_out(clips: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(n,) rows that are held out: one in HELD_OUT_EVERY of those that are measured and of those that clip (n,)."""
+    number = np.where(clips, np.cumsum(clips), np.cumsum(~clips)) - 1
+    return number % HELD_OUT_EVERY == 0
 
 
 def _usable(
-    radiance: NDArray[np.floating], region: NDArray[np.integer], weight: NDArray[np.floating]
+    radiance: NDArray[np.floating],
+    region: NDArray[np.integer],
+    weight: NDArray[np.floating],
+    bounded: NDArray[np.bool_],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Rows that take part, their regions as 0 ... n-1, and the ids (n,) of these; tiny regions are left out."""
-    rows = fitted_patches(radiance, weight)
+    rows = fitted_patches(radiance, weight, bounded)
     ids, label, count = np.unique(region[rows], return_inverse=True, return_counts=True)
     big = count >= min(MIN_PATCHES_PER_REGION, count.max())
     rows, label = rows[big[label]], label[big[label]]

@@ -94,16 +94,19 @@ def solve_lights(
     if warm_start:
         known = _columns(emitters, before.emitters)
         start[np.flatnonzero(known >= 0)] = before.radiance[known[known >= 0]]
-    usable = observed.known.all(1) & ~on_lamp[: problem.transport.n_seen]
-    weight = usable * (patch_weight(problem, observed) if fit.weight is None else fit.weight)
     n = problem.transport.n_seen
+    bounded = ~observed.known & (observed.bound > 0) & problem.clipped_counts
+    usable = (observed.known | bounded).all(1) & ~on_lamp[:n]
+    weight = usable * (patch_weight(problem, observed) if fit.weight is None else fit.weight)
     shaded = observed.radiance if fit.diffuse is None else fit.diffuse
     region = problem.transport.region
-    rows = fitted_patches(shaded, weight if fit.fit_mask is None else weight * fit.fit_mask)
+    rows = fitted_patches(shaded, weight if fit.fit_mask is None else weight * fit.fit_mask, bounded)
     if not len(rows):
         return before
     # Both sides of L = a (I + B e) are averaged over neighbours of one albedo alike, so that the balance still holds.
-    kernel = problem.field.kernel(BALANCE_SMOOTHING, rows, np.where(weight > 0, region[:n], -1))
+    # Patches that clip are averaged among themselves: the mean of a measurement and a bound is no measurement.
+    group = 2 * region[:n] + bounded.any(1)
+    kernel = problem.field.kernel(BALANCE_SMOOTHING, rows, np.where(weight > 0, group, -1))
     smooth_shaded, smooth_factors = (kernel @ values[:n].astype(np.float32) for values in (shaded, all_factors))
     for from_solution in (True,) if warm_start else (False, True):
         unknown = mean_radiance(radiance, problem)
@@ -115,6 +118,7 @@ def solve_lights(
             indirect = indirect + hidden.holes.irradiance(kappa)
         patches = ShadedPatches(
             radiance=smooth_shaded,
+            bounded=kernel @ bounded.astype(np.float32) > 0,
             indirect=kernel @ indirect[:n],
             form_factors=smooth_factors,
             region=region[rows],

@@ -118,6 +118,8 @@ class LightProblem:
         aimed: rays to bright patches, once the light is about known; None where there are none.
         given_emitters: faces of each lamp where the configuration names the lamps, None to search for them.
         robust_log: deviation of log albedo at which a patch starts to count as an outlier.
+        clipped_counts: whether patches that clip in all photos bound the light from below. Only in a room without
+            lamps: beside a lamp they are its glare, and light that differs most within a patch.
     """
 
     tracer: Tracer
@@ -140,6 +142,7 @@ class LightProblem:
     aimed: SparseRays | None = None
     given_emitters: list[NDArray[np.int64]] | None = None
     robust_log: float = ROBUST_LOG
+    clipped_counts: bool = False
 
 
 class Bounce(Protocol):

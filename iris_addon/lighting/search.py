@@ -109,6 +109,8 @@ def choose_outside(
     directions, decisions = len(problem.hidden.directions), problem.decisions
     forced = decisions.forces("hidden_light")
     best: tuple[LightProblem, Lights] | None = None
+    if known is not None:
+        problem = replace(problem, clipped_counts=not known.emitters)
     # A mesh with large holes is no closed room: without outside light everything in it would seem to emit.
     is_open = float((problem.transport.target == ESCAPED).mean()) > OPEN_MESH_SHARE
     hypotheses = sorted({min(1, directions), directions} | (set() if is_open else {0}))
@@ -118,6 +120,9 @@ def choose_outside(
         before = known if best is None else best[1]
         if before is None:
             lights = find_lights(tried, observed, progress)
+            if not lights.emitters:
+                problem, tried = (replace(posed, clipped_counts=True) for posed in (problem, tried))
+                lights = _with_outside(tried, observed, lights, progress)
         else:
             lights = _with_outside(tried, observed, before, progress)
         if best is None:

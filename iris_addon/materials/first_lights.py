@@ -132,7 +132,8 @@ class FirstLights:
 
     def settle(self, problem: MaterialProblem) -> MaterialProblem:
         """``problem`` with regions of one material joined and the chosen kind of light from outside."""
-        return problem.with_materials(self.material).with_outside(self.outside, self.sun)
+        settled = problem.with_materials(self.material).with_outside(self.outside, self.sun)
+        return replace(settled, light=replace(settled.light, clipped_counts=not self.lights.emitters))
 
     def arrays(self) -> dict[str, NDArray]:
         """Plain arrays for a checkpoint."""

@@ -23,6 +23,8 @@ OUTLIER_LOG = 0.2
 """Log distance from a patch's mean at which a view loses half its weight (a highlight that only it sees)."""
 MAX_COUNTED_PIXELS = 25.0
 """Pixels up to which the weight of an observation grows with their number: beyond, they err together."""
+TELLING_BOUND = 0.9
+"""Bound of a clipped observation over the largest one of its patch from which it counts."""
 CLIPPED_SHARE = 0.5
 """From this share of clipped pixels on, an observation is a lower bound, of black ones an upper bound."""
 
@@ -69,7 +71,7 @@ class GroupRadiance:
         radiance: (P, 3) float64 robust mean; the lower bound where nothing else is known; 0 where nothing is.
         known: (P, 3) bool, at least one unclipped observation.
         bound: (P, 3) float64 largest lower bound that a clipped observation gave.
-        weight: (P,) float64 effective number of pixels behind the mean.
+        weight: (P,) float64 effective number of pixels behind the mean, or the bound where nothing else is known.
     """
 
     radiance: NDArray[np.float64]
@@ -181,7 +183,7 @@ def group_radiance(
     """
     radiance, ceiling, lower = linear.radiance, linear.ceiling, linear.bound
     if subtract is not None:
-        radiance, ceiling = without_specular(radiance, subtract), without_specular(ceiling, subtract)
+        radiance, ceiling, lower = (without_specular(column, subtract) for column in (radiance, ceiling, lower))
     if view_factor is not None:
         radiance, lower, ceiling = (column / view_factor[:, None] for column in (radiance, lower, ceiling))
     weight = linear.unclipped * linear.precision * np.minimum(count, MAX_COUNTED_PIXELS)[:, None]
@@ -193,7 +195,12 @@ def group_radiance(
     bound = np.zeros((n_groups, 3))
     np.maximum.at(bound, group, lower)
     known = norm > 0
-    return GroupRadiance(np.where(known, robust, bound), known, bound, norm.min(1) * MODEL_NOISE**2)
+    # Of clipped observations those count that tell most: a longer exposure knows no more of what clips in a short one.
+    telling = (lower > 0) & (lower >= TELLING_BOUND * bound[group]) & ~known[group]
+    pixels = np.minimum(count, MAX_COUNTED_PIXELS)[:, None]
+    clipped = group_sums(np.where(telling, pixels, 0.0), group, n_groups)
+    weight = np.where(known, norm * MODEL_NOISE**2, clipped).min(1)
+    return GroupRadiance(np.where(known, robust, bound), known, bound, weight)
 
 
 def without_specular(radiance: NDArray[np.floating], specular: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -36,6 +36,7 @@ class Shading:
     region: np.ndarray
     weight: np.ndarray
     truth: np.ndarray
+    bounded: np.ndarray | None = None
 
     @property
     def nothing_known(self) -> Evidence:
@@ -51,6 +52,7 @@ class Shading:
             form_factors=self.form_factors,
             region=self.region,
             weight=self.weight,
+            bounded=self.bounded,
         )
         return solve_balance(patches, evidence or self.nothing_known, begin)
 
@@ -135,6 +137,39 @@ def test_texture_and_outliers_hardly_change_the_lamps(shading: Shading) -> None:
     assert noisy.solve().radiance == pytest.approx(shading.truth, rel=0.15)
 
 
+def clipped_at(shading: Shading, level: float) -> Shading:
+    """What photos show that clip from a radiance of ``level`` on."""
+    clipped = shading.radiance > level
+    return replace(shading, radiance=np.minimum(shading.radiance, level), bounded=clipped)
+
+
+def test_what_clips_may_be_brighter(shading: Shading) -> None:
+    """A quarter of all patches is brighter than its bound, up to several times."""
+    shown = clipped_at(shading, float(np.quantile(shading.radiance, 0.75)))
+    assert shown.bounded is not None and shown.bounded.mean() > 0.2
+    assert shown.solve().radiance == pytest.approx(shading.truth, rel=0.03)
+    measured = replace(shown, bounded=None).solve()
+    assert np.abs(measured.radiance / shading.truth - 1).max() > 0.1  # as measurements the bounds mislead
+
+
+def test_what_clips_is_no_darker(shading: Shading) -> None:
+    """Without interreflection the level of light is the prior's, unless a surface clips that it leaves too dark."""
+    from_lamps = shading.form_factors @ shading.truth
+    direct = shading.radiance * from_lamps / (shading.indirect + from_lamps)
+    dark = replace(shading, radiance=direct, indirect=np.zeros_like(direct), bounded=np.zeros(direct.shape, bool))
+    before = dark.solve()
+    usual = np.median(before.region_albedo)
+    wall = int(np.bincount(shading.region).argmax())
+    of_wall = before.region_albedo[list(before.region_ids).index(wall)]
+    bright, bounded = direct.copy(), dark.bounded.copy()
+    bright[shading.region == wall] *= 4 * usual / of_wall  # needs a reflectance of four times the usual one
+    bounded[shading.region == wall] = True
+    after = replace(dark, radiance=bright, bounded=bounded).solve()
+    assert 4 * usual > 1.3  # or nothing is too bright
+    least = 4 * usual / MAX_ALBEDO
+    assert (after.radiance / before.radiance).min() > 0.8 * least
+
+
 def posed(shading: Shading, region: np.ndarray, evidence: Evidence) -> LightBalance:
     """The loss over all patches, with regions labelled 0 to n - 1."""
     ids, label = np.unique(region, return_inverse=True)
@@ -142,6 +177,7 @@ def posed(shading: Shading, region: np.ndarray, evidence: Evidence) -> LightBala
     log_radiance, indirect, form_factors = (torch.from_numpy(column.T.copy()) for column in columns)
     return LightBalance(
         log_radiance=log_radiance,
+        bounded=torch.zeros(log_radiance.shape, dtype=torch.bool),
         indirect=indirect,
         form_factors=form_factors,
         weight=torch.full((len(label),), 1 / len(label), dtype=torch.float64),
@@ -152,11 +188,17 @@ def posed(shading: Shading, region: np.ndarray, evidence: Evidence) -> LightBala
     )
 
 
+def partly_clipped(problem: LightBalance) -> LightBalance:
+    """The same with every fifth value no more than a bound."""
+    every_fifth = torch.arange(problem.log_radiance.numel()).reshape(problem.log_radiance.shape) % 5 == 0
+    return replace(problem, bounded=every_fifth)
+
+
 def test_gradient_is_that_of_the_loss(shading: Shading) -> None:
     rng = np.random.default_rng(2)
     evidence = replace(shading.nothing_known, bound=shading.truth * 1.5, expected=shading.truth * 0.5)
     evidence.measured[0] = shading.truth[0] * 1.1
-    problem = posed(shading, shading.region, evidence)
+    problem = partly_clipped(posed(shading, shading.region, evidence))
     log_e = torch.from_numpy(np.log(shading.truth) + rng.normal(0, 0.4, (2, 3)))
     log_albedo = problem.implied_albedo(log_e) + torch.from_numpy(rng.normal(0, 0.3, (problem.n_regions, 3)))
     log_albedo[0] = np.log(MAX_ALBEDO) + 0.2  # the penalty on white is in force
@@ -168,7 +210,7 @@ def test_the_loss_is_equation_18(shading: Shading) -> None:
     """Written once more as loops over patches, regions and lamps."""
     evidence = replace(shading.nothing_known, bound=shading.truth * 1.5, expected=shading.truth * 0.5)
     evidence.measured[0] = shading.truth[0] * 1.1
-    problem = posed(shading, shading.region, evidence)
+    problem = partly_clipped(posed(shading, shading.region, evidence))
     log_e = np.log(shading.truth) + 0.1 * np.arange(6).reshape(2, 3)
     log_a = np.log(np.linspace(0.3, 1.2, 3 * problem.n_regions)).reshape(-1, 3)
     label = np.unique(shading.region, return_inverse=True)[1]
@@ -177,10 +219,13 @@ def test_the_loss_is_equation_18(shading: Shading) -> None:
     for p in range(len(label)):
         incoming = shading.indirect[p] + shading.form_factors[p] @ np.exp(log_e)
         r = (np.log(shading.radiance[p]) - np.log(incoming) - log_a[label[p]]) / ROBUST_LOG
+        r = np.where(problem.bounded[:, p].numpy(), np.maximum(r, 0), r)
         expected += np.log(1 + r**2).sum() / len(label)
     for k, albedo in enumerate(log_a):
         expected += 50 * share[k] * (np.maximum(albedo - np.log(0.95), 0) ** 2).sum()
-    expected += ((((share @ log_a) - np.log(0.45)) / 0.5) ** 2).sum() / n
+    measured = ~problem.bounded.numpy().T
+    for c in range(3):  # what clips says nothing of the room's albedo
+        expected += ((log_a[label[measured[:, c]], c].mean() - np.log(0.45)) / 0.5) ** 2 / n
     for i, e in enumerate(log_e):
         q = (np.maximum(np.log(1.5 * shading.truth[i]) - e, 0) / 0.02) ** 2 + ((e - e.mean()) / 0.35) ** 2
         q += ((e - np.log(0.5 * shading.truth[i])) / 4) ** 2

@@ -208,11 +208,12 @@ def test_a_round_lamp_is_kept_whole() -> None:
 # ---- light from outside --------------------------------------------------------------------------------------------
 
 
-def open_room(sky: float | np.ndarray) -> LitRoom:
-    """The room with its lamp and without the wall in the east."""
-    pieces, regions, albedo = panels(CEILING_LAMP)
+def open_room(sky: float | np.ndarray, emission: dict[int, float] | None = None, **photos: float) -> LitRoom:
+    """The room without the wall in the east, and with its lamp unless ``emission`` is empty."""
+    emission = {LAMP: 10.0} if emission is None else emission
+    pieces, regions, albedo = panels(CEILING_LAMP) if emission else panels()
     inside = [k for k, region in enumerate(regions) if region != EAST_WALL]
-    return light_room([pieces[k] for k in inside], [regions[k] for k in inside], albedo, {LAMP: 10.0}, sky=sky)
+    return light_room([pieces[k] for k in inside], [regions[k] for k in inside], albedo, emission, sky=sky, **photos)  # type: ignore[arg-type]
 
 
 SUN = 3 * np.maximum(0, dodecahedron() @ [0.6, -0.7, 0.4])
@@ -230,6 +231,26 @@ def test_chosen_light_from_outside_is_that_on_the_walls(sky: float | np.ndarray,
     true = room.problem.hidden.irradiance(np.broadcast_to(np.asarray(sky), 12)[:, None].repeat(3, 1), kappa)
     found = problem.hidden.irradiance(lights.hidden_radiance, kappa)
     assert np.linalg.norm(found - true) <= 0.1 * np.linalg.norm(true)
+
+
+@pytest.mark.parametrize("lit", [False, True])
+def test_what_clips_bounds_the_light_of_a_room_without_lamps(lit: bool) -> None:
+    """One patch in five clips in all photos; beside a lamp it would be glare."""
+    sky = np.full(12, 0.3)
+    sky[3] = 6.0
+    emission = {LAMP: 10.0} if lit else {}
+    clip = float(np.quantile(open_room(sky, emission, noise=0.15).observed.radiance, 0.8))
+    room = open_room(sky, emission, noise=0.15, clip=clip)
+    problem, lights = choose_outside(room.problem, room.observed, Progress())
+    clips = ~room.observed.known.all(1)
+    assert clips.mean() > 0.15
+    assert clips[lights.losses.observation].any() == (not lit)
+    if not lit:
+        kappa = problem.transport.kappa
+        true = room.problem.hidden.irradiance(sky[:, None].repeat(3, 1), kappa)
+        found = problem.hidden.irradiance(lights.hidden_radiance, kappa)
+        assert not lights.emitters
+        assert np.linalg.norm(found - true) <= 0.05 * np.linalg.norm(true)
 
 
 def test_light_from_outside_is_chosen_again_without_a_search_for_known_lamps() -> None:

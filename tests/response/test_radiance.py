@@ -44,6 +44,9 @@ def test_radiance_clipped_in_every_photo_is_a_lower_bound() -> None:
     assert found.bound == pytest.approx(np.full((2, 3), 4.0))
     assert found.radiance[0] == pytest.approx(4.0)
     assert found.radiance[1] == pytest.approx(((0.5 + 0.5 / 255) ** 2.2) / 2, rel=1e-3)
+    # The long exposure tells nothing of what clips in the short one.
+    of_short = observations.count[(observations.patch == 0) & (observations.view == 1)]
+    assert found.weight[0] == pytest.approx(of_short.sum())
 
 
 def test_pixels_that_clip_in_the_shortest_exposure_raise_their_patch() -> None:
