@@ -61,7 +61,7 @@ class Texels:
     def __init__(self, result: Result) -> None:
         if result.mesh.uv is None:
             raise ValueError("the mesh of a result must have UVs")
-        self.tracer = Tracer(result.mesh)
+        self.tracer = Tracer(result.mesh, without=result.panes)
         side = len(result.textures.base_color)
         face, weights = rasterise_atlas(result.mesh.uv, side)
         covered = np.flatnonzero((face.ravel() >= 0) & (result.textures.confidence.ravel() > SEEN))

@@ -80,7 +80,7 @@ def make_pictures(
     relit = Developer(result, Path(), "auto").develop(view, rendered(night(result)))
     progress.update(2 / 3)
     edits = [edit for _, edit in insertion_edits(result, read_json(CAPTURE / "insert" / "objects.json"))]
-    edit, host = best_seen(edits, capture.views, Tracer(result.mesh))
+    edit, host = best_seen(edits, capture.views, Tracer(result.mesh, without=result.panes))
     onto = load_photo(host).values
     device = result.device_of(host)
     exposure = photo_exposure(result, host) * device.gain(onto)

@@ -66,6 +66,14 @@ REFINEMENTS: Mapping[str, Refinement] = {
         gain=-0.005,
         experiment="0110-what-is-lost-on-scans",
     ),
+    # Of a pane a tenth of the loss is left; of what shines, and of small parts in few photos, no less than half.
+    "pane": Refinement(
+        "a flat part that photos look through, in place of one that they show",
+        "robust deviation of log luminance of its pixels from what other photos show there",
+        gain=0.6,
+        errors=1.0,
+        experiment="0121-does-a-photo-look-through-a-pane",
+    ),
     # ---- response
     "device_curves": Refinement(
         "a response curve, a gain per channel and local exposure per camera model",

@@ -2,7 +2,7 @@
 
 ::
 
-    photos -> surface -> transport -> response -> lights -> materials -> textures -> result
+    photos -> surface -> response -> transport -> lights -> materials -> textures -> result
 """
 
 from __future__ import annotations
@@ -30,8 +30,9 @@ from .materials.first_lights import FirstLights, find_first_lights, pose_problem
 from .materials.rounds import solve_materials
 from .materials.solution import Solution
 from .model.capture import Capture
-from .response.observations import observe
-from .response.photometry import Photometry, fixed_response, measure_photometry
+from .rays.tracer import Tracer
+from .response.observations import Observations, observe
+from .response.photometry import Photometry, fixed_response, measure_photometry, shown_pixels
 from .results.assembly import make_result, with_figures
 from .results.checkpoints import Checkpoints, Stage, fingerprint, sole_writer
 from .results.files import REPORT_PAGE, require_no_links
@@ -39,9 +40,10 @@ from .results.folder import save_result
 from .results.preview import write_previews
 from .results.report import write_report
 from .results.result import Result
-from .surface.photo_samples import sample_photos, within_budget
+from .surface.panes import find_panes
+from .surface.photo_samples import PhotoSamples, sample_photos, within_budget
 from .surface.scan_surface import choose_surface
-from .surface.traced_room import trace_room
+from .surface.traced_room import TracedRoom, trace_room
 from .textures.charts import atlas_for_photos
 from .textures.texel_density import density_warnings, describe_atlas
 from .transport.cache import cached_transport
@@ -50,8 +52,8 @@ Made = TypeVar("Made")
 STAGE_SECONDS = {
     "photos": 3,
     "surface": 3,
-    "transport": 8,
     "response": 6,
+    "transport": 8,
     "lights": 15,
     "materials": 20,
     "textures": 20,
@@ -104,49 +106,45 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         decisions.restore(arrays.pop("decisions"))
         return arrays
 
+    def traced(tracer: Tracer, photos: PhotoSamples) -> tuple[TracedRoom, Observations]:
+        """The mesh as ``tracer`` sees it under the photos, and what they show of its patches."""
+        patches = stream(config.seed, "surface.patches")
+        room = cancellable(lambda: trace_room(reduced, surface, tracer, photos, config.max_patches, patches))
+        seen, widths = room.samples, photos.small.sizes[:, 1]
+        shown = room.patches.sample_patch, seen.view, seen.pixel, widths, photos.z, room.mixed.mask, photos.hdr
+        return room, observe(*shown, stream(config.seed, "response.observations"))
+
     with progress.stage("photos"):
         surface, tracer = choose_surface(capture, stream(config.seed, "surface.scan"), progress, decisions)
         capture, cameras = fit_cameras(capture, tracer, stream(config.seed, "cameras.points"), progress, decisions)
         reduced = replace(capture, views=within_budget(capture.views))
         photos = sample_photos(reduced, tracer, config.hdr is not None, progress)
     with progress.stage("surface"):
-        room = cancellable(
-            lambda: trace_room(
-                reduced, surface, tracer, photos, config.max_patches, stream(config.seed, "surface.patches")
-            )
-        )
+        room, observations = traced(tracer, photos)
+    with progress.stage("response"):
+
+        def measure() -> dict[str, NDArray]:
+            overlap = stream(config.seed, "response.overlap")
+            found = measure_photometry(reduced, config, observations, photos, overlap, decisions)
+            panes = find_panes(surface, tracer, room.samples, shown_pixels(found, room), decisions)
+            return {**found.arrays(), "panes": panes}
+
+        arrays = stage("response", lambda: cancellable(measure))
+        panes = arrays.pop("panes")
+        photometry = Photometry.from_arrays(arrays)
+    if len(panes):
+        with progress.stage("surface"):  # once more, as one sees it through them
+            tracer = Tracer(surface.mesh, surface.normals, surface.noise, without=panes)
+            room, observations = traced(tracer, sample_photos(reduced, tracer, config.hdr is not None, progress))
+    # One core at most, and not needed before there are textures.
+    reduction = np.array([view.reduction for view in reduced.views])
+    size = config.texture_size
+    atlas = aside(lambda: atlas_for_photos(capture.mesh, room.samples, reduction, size))
     with progress.stage("transport"):
         transport = cached_transport(room, config, stream(config.seed, "transport.gather_rays"), progress)
         hidden = nothing_hidden(transport)
         if not decisions.forbids("hidden_light"):
             hidden = find_hidden(transport, room.regions.of_face, room.smooth_components, room.surveyed)
-    patch, seen, widths = room.patches.sample_patch, room.samples, photos.small.sizes[:, 1]
-    observations = observe(
-        patch,
-        seen.view,
-        seen.pixel,
-        widths,
-        photos.z,
-        room.mixed.mask,
-        photos.hdr,
-        stream(config.seed, "response.observations"),
-    )
-    # One core at most, and not needed before there are textures.
-    reduction = np.array([view.reduction for view in reduced.views])
-    size = config.texture_size
-    atlas = aside(lambda: atlas_for_photos(capture.mesh, room.samples, reduction, size))
-    with progress.stage("response"):
-        measure = partial(
-            measure_photometry,
-            reduced,
-            config,
-            observations,
-            photos,
-            stream(config.seed, "response.overlap"),
-            decisions,
-        )
-        arrays = stage("response", lambda: cancellable(measure).arrays())
-        photometry = Photometry.from_arrays(arrays)
     with progress.stage("lights"):
         pose = partial(pose_problem, room, transport, hidden, observations, config, decisions)
         problem = cancellable(lambda: pose(photometry))
@@ -156,19 +154,20 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
             photometry = photometry.raised(first.exponent)
             problem = pose(photometry)
         problem = first.settle(problem)
-        write_previews(out, reduced, photos.z, photometry, problem, first.lights)
+        write_previews(out, reduced, room.photos.z, photometry, problem, first.lights)
     with progress.stage("materials"):
         rounds = partial(solve_materials, problem, first.lights, config.rounds, progress)
         arrays = stage("materials", lambda: Solution(photometry, *rounds()).arrays())
         solution = Solution.from_arrays(photometry, arrays)
         problem = problem.with_gloss(solution.gloss)
-        write_previews(out, reduced, photos.z, photometry, problem, solution.lights)
+        write_previews(out, reduced, room.photos.z, photometry, problem, solution.lights)
     with progress.stage("textures"):
         texels = waited_for(atlas, progress.check)
         result, rerenders = cancellable(
             lambda: make_result(room, capture.views, config, texels, problem, solution, checkpoints, progress)
         )
-        result = result.with_exposures_times(unit / photos.unit)
+        result = result.with_exposures_times(unit / room.photos.unit)
+    result = replace(result, panes=panes)
     result = with_figures(result, room, config, cameras, problem, solution, progress)
     result.report["decisions"] = decisions.report()
     result.report["atlas"] = reached = describe_atlas(result.mesh, texels, room.samples)

@@ -97,6 +97,8 @@ def solve_lights(
     n = problem.transport.n_seen
     bounded = ~observed.known & (observed.bound > 0) & problem.clipped_counts
     usable = (observed.known | bounded).all(1) & ~on_lamp[:n]
+    if hidden.sun is not None:  # what photos measure beside sunlight that clips lacks the brightest pixels
+        usable &= ~(hidden.sun.border & _clips(observed)[problem.field.neighbours].any(1))
     weight = usable * (patch_weight(problem, observed) if fit.weight is None else fit.weight)
     shaded = observed.radiance if fit.diffuse is None else fit.diffuse
     region = problem.transport.region
@@ -108,26 +110,34 @@ def solve_lights(
     group = 2 * region[:n] + bounded.any(1)
     kernel = problem.field.kernel(BALANCE_SMOOTHING, rows, np.where(weight > 0, group, -1))
     smooth_shaded, smooth_factors = (kernel @ values[:n].astype(np.float32) for values in (shaded, all_factors))
+    albedo = before.region_albedo
     for from_solution in (True,) if warm_start else (False, True):
         unknown = mean_radiance(radiance, problem)
-        indirect = problem.transport.gather_radiance(radiance, unknown, mask)
-        for more in (problem.bounce, problem.aimed):
-            if more is not None:
-                indirect = indirect + more.gather_radiance(radiance, unknown, mask)
+        indirect = _gathered(problem, radiance, unknown, mask)
         if hidden.holes is not None:
             indirect = indirect + hidden.holes.irradiance(kappa)
+        factors, smooth = all_factors, smooth_factors
+        if hidden.sun is not None:
+            sunlit = _inferred(problem, observed, on_lamp) * _albedo_table(problem, albedo) * all_factors[:, -1:]
+            by_sun = sunlit * start[-1]
+            passed_on = _gathered(problem, np.repeat(sunlit.mean(1, keepdims=True), 3, axis=1), np.zeros(3), mask)[:, 0]
+            more = _gathered(problem, by_sun - np.minimum(by_sun, radiance), np.zeros(3), mask)
+            indirect = indirect + more - passed_on[:, None] * start[-1]
+            factors, smooth = all_factors.copy(), smooth_factors.copy()
+            factors[:, -1] += passed_on
+            smooth[:, -1] += kernel @ passed_on[:n]
         patches = ShadedPatches(
             radiance=smooth_shaded,
             bounded=kernel @ bounded.astype(np.float32) > 0,
             indirect=kernel @ indirect[:n],
-            form_factors=smooth_factors,
+            form_factors=smooth,
             region=region[rows],
             weight=weight[rows],
         )
         iterations = ITERATIONS if from_solution else FIRST_ITERATIONS
         balance = solve_balance(patches, evidence, start, problem.robust_log, from_solution, iterations)
         start = balance.radiance
-        irradiance = indirect + all_factors @ balance.radiance
+        irradiance = indirect + factors @ balance.radiance
         albedo = dict(zip(balance.region_ids.tolist(), balance.region_albedo, strict=True))
         radiance = _infer_unseen(problem, observed, radiance, irradiance, albedo, on_lamp)
     lamps = len(emitters)
@@ -323,16 +333,54 @@ def _infer_unseen(
     on_lamp: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
     """(N, 3) radiance with that of unobserved patches inferred from ``irradiance`` (N, 3) and their region's albedo."""
-    typical = np.median(np.stack(list(albedo.values())), axis=0) if albedo else np.full(3, 0.5)
-    table = np.tile(np.clip(typical, 0.05, 0.9), (int(problem.regions.max()) + 1, 1))
-    for region, value in albedo.items():
-        table[region] = np.clip(value, 0.0, MAX_ALBEDO)
-    inferred = table[problem.transport.region] * irradiance
+    inferred = _albedo_table(problem, albedo) * irradiance
     result = radiance.copy()
     n = problem.transport.n_seen
     result[n:] = inferred[n:]
     # A clipped patch reflects at least its bound, and about as much as its region.
-    clipped = ~observed.known
-    result[:n] = np.where(clipped, np.maximum(observed.bound, inferred[:n]), result[:n])
+    result[:n] = np.where(_measured(problem, observed), result[:n], np.maximum(observed.radiance, inferred[:n]))
     result[on_lamp] = 0.0
     return result
+
+
+def _albedo_table(problem: LightProblem, albedo: dict[int, NDArray[np.float64]]) -> NDArray[np.float64]:
+    """(N, 3) albedo of each patch: that of its region, or a typical one."""
+    typical = np.median(np.stack(list(albedo.values())), axis=0) if albedo else np.full(3, 0.5)
+    table = np.tile(np.clip(typical, 0.05, 0.9), (int(problem.regions.max()) + 1, 1))
+    for region, value in albedo.items():
+        table[region] = np.clip(value, 0.0, MAX_ALBEDO)
+    return table[problem.transport.region]
+
+
+def _gathered(
+    problem: LightProblem, radiance: NDArray[np.floating], unknown: NDArray[np.floating], mask: NDArray[np.bool_]
+) -> NDArray[np.floating]:
+    """(N, 3) irradiance / pi by the radiance (N, 3) of patches, and (3,) of surfaces without one, but for lamps."""
+    gathered = problem.transport.gather_radiance(radiance, unknown, mask)
+    for more in (problem.bounce, problem.aimed):
+        if more is not None:
+            gathered = gathered + more.gather_radiance(radiance, unknown, mask)
+    return gathered
+
+
+# ---- Sunlight that clips --------------------------------------------------------------------------------------------
+
+
+def _inferred(problem: LightProblem, observed: GroupRadiance, on_lamp: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(N, 3) patches whose radiance no photo measures, so that it depends on the light that is solved for."""
+    inferred = np.ones((problem.transport.n_patches, 3), bool)
+    inferred[: len(observed.known)] = ~_measured(problem, observed)
+    inferred[on_lamp] = False
+    return inferred
+
+
+def _measured(problem: LightProblem, observed: GroupRadiance) -> NDArray[np.bool_]:
+    """(P, 3) patches whose radiance photos measure: of those that sunlight covers in part, where it clips, photos
+    measure only the darker part."""
+    sun = problem.hidden.sun
+    return observed.known if sun is None else observed.known & ~(sun.border & _clips(observed))[:, None]
+
+
+def _clips(observed: GroupRadiance) -> NDArray[np.bool_]:
+    """(P,) patches of which something clips in a photo, brighter than what others measure."""
+    return (~observed.known | (observed.bound > observed.radiance)).any(1)

@@ -12,11 +12,14 @@ from dataclasses import replace
 import numpy as np
 
 from ..base.progress import Progress
+from ..base.random_streams import stream
 from ..response.radiance import GroupRadiance
+from ..surface.photo_samples import ShownPixels
+from ..transport.aimed_rays import aim_at_bright
 from .lamp_radiance import lights_without_lamps, solve_lights
 from .problem import LightProblem, Lights
 from .sun import Sun, sun_from
-from .sun_search import ShownPixels, SunGuess, find_suns, lit_pixels, refined
+from .sun_search import SunGuess, find_suns, lit_pixels, refined
 
 
 def with_sun(problem: LightProblem, observed: GroupRadiance, shown: ShownPixels, progress: Progress) -> LightProblem:
@@ -37,7 +40,7 @@ def with_sun(problem: LightProblem, observed: GroupRadiance, shown: ShownPixels,
     accepted = problem.decisions.accept(
         "sun", base.held_out, lights.held_out, base.paired_error(lights), subject="without lamps"
     )
-    return sunlit if accepted else problem
+    return _aimed_at_sunlight(sunlit, lights) if accepted else problem
 
 
 def sun_is_needed(problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress) -> bool:
@@ -74,3 +77,13 @@ def _sun(problem: LightProblem, guess: SunGuess) -> Sun:
 def _direct(problem: LightProblem, lights: Lights) -> np.ndarray:
     """(N, 3) irradiance / pi by the sun."""
     return problem.hidden.sunlight(lights.hidden_radiance, problem.transport.kappa)
+
+
+def _aimed_at_sunlight(sunlit: LightProblem, lights: Lights) -> LightProblem:
+    """``sunlit`` with rays aimed at what the sun lights, which may send most of the light of the room.
+
+    The noise of gather rays, of which few meet it, would make walls too white and the sun too weak.
+    """
+    rng = stream(sunlit.seed, "lighting.aimed_at_sunlight")
+    light = lights.patch_radiance, lights.irradiance, lights.mask
+    return replace(sunlit, aimed=aim_at_bright(sunlit.tracer, sunlit.transport, sunlit.regions, *light, rng))

@@ -21,6 +21,7 @@ from ..model.response import LUMINANCE
 from ..model.sphere import even_directions
 from ..rays.tracer import Tracer
 from ..response.radiance import GroupRadiance
+from ..surface.photo_samples import ShownPixels
 from ..transport.gather import ESCAPED
 from .lamp_radiance import patch_weight, patches_on
 from .problem import LightProblem, Lights
@@ -46,21 +47,6 @@ REFINED_POOL, REFINED_PIXELS = 60_000, 3000
 """Pixels that are looked through for such as tell directions apart, and of those used at most."""
 MIN_LIT_PIXELS = 50
 """Pixels that tell directions apart below which there is no border to fit."""
-
-
-@dataclass(frozen=True)
-class ShownPixels:
-    """What photos show at each of n pixels.
-
-    Attributes:
-        luminance: (n,) float32 of the radiance, a lower bound where ``clipped``.
-        clipped: (n,) bool.
-        usable: (n,) bool, pixels that show one surface and are not black.
-    """
-
-    luminance: NDArray[np.float32]
-    clipped: NDArray[np.bool_]
-    usable: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

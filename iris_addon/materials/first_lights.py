@@ -27,10 +27,8 @@ from ..lighting.problem import LightProblem, Lights
 from ..lighting.search import choose_exponent, choose_outside
 from ..lighting.sun import Sun
 from ..lighting.sun_choice import sun_is_needed, with_sun
-from ..lighting.sun_search import ShownPixels
-from ..model.response import LUMINANCE
 from ..response.observations import Observations
-from ..response.photometry import Photometry
+from ..response.photometry import Photometry, shown_pixels
 from ..response.radiance import group_radiance
 from ..surface.traced_room import TracedRoom
 from ..transport.transport import Transport
@@ -171,7 +169,7 @@ def find_first_lights(
         problem: the problem under ``photometry``.
     """
     exponent = 1.0
-    dark, shown = problem.light, _shown(photometry, room)
+    dark, shown = problem.light, shown_pixels(photometry, room)
     problem = replace(problem, light=with_sun(dark, problem.observed, shown, progress))
     light, lights = choose_outside(problem.light, problem.observed, progress)
     if not sun_is_needed(light, problem.observed, lights, progress):
@@ -194,15 +192,4 @@ def find_first_lights(
         outside=light.hidden.kind,
         exponent=exponent,
         sun=light.hidden.sun,
-    )
-
-
-def _shown(photometry: Photometry, room: TracedRoom) -> ShownPixels:
-    """Luminance of all pixels as photos show it."""
-    samples = room.samples
-    linear = photometry.linearise_pixels(room.photos.z, samples.view, samples.pixel)
-    return ShownPixels(
-        luminance=(np.where(linear.unclipped, linear.radiance, linear.bound) @ LUMINANCE).astype(np.float32),
-        clipped=~linear.unclipped.all(1),
-        usable=np.isinf(linear.ceiling).all(1) & (room.mixed.mask == 0),
     )

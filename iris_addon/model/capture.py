@@ -220,6 +220,13 @@ class Mesh:
         """The same mesh with other texture coordinates."""
         return replace(self, uv=uv)
 
+    def without(self, faces: NDArray[np.integer]) -> Mesh:
+        """The mesh less some of its faces."""
+        columns = {"faces": self.faces, "uv": self.uv, "regions": self.regions, "normals": self.normals}
+        return replace(
+            self, **{name: np.delete(column, faces, axis=0) for name, column in columns.items() if column is not None}
+        )
+
 
 def in_metres(view: View, metres_per_unit: float) -> View:
     """The view, its pose multiplied by ``metres_per_unit``."""

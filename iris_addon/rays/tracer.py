@@ -50,12 +50,19 @@ class Tracer:
         areas: (F,) square metres.
     """
 
-    def __init__(self, mesh: Mesh, normals: NDArray[np.floating] | None = None, noise: float = 0.0) -> None:
+    def __init__(
+        self,
+        mesh: Mesh,
+        normals: NDArray[np.floating] | None = None,
+        noise: float = 0.0,
+        without: NDArray[np.integer] | None = None,
+    ) -> None:
         """The tracer of ``mesh``.
 
         Args:
             normals: (F, 3) unit normals of the surface behind its faces, by default those of the faces themselves.
             noise: standard deviation of its places, metres: rays start above the bumps that it leaves.
+            without: faces that rays pass, such as panes of glass; they count as degenerate.
         """
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
@@ -63,6 +70,8 @@ class Tracer:
         corners = mesh.vertices[mesh.faces]
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(cross, axis=1)
+        if without is not None:
+            length[without] = 0.0
         self.areas = 0.5 * length
         unit = cross / np.maximum(length, 1e-300)[:, None]
         known = unit if normals is None else normals

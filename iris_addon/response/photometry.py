@@ -22,8 +22,9 @@ from ..model import response as curve
 from ..model.capture import Capture
 from ..model.device import devices_of
 from ..model.local_exposure import LocalExposure
-from ..model.response import N_SAMPLES, SATURATED, Response
-from ..surface.photo_samples import PhotoSamples
+from ..model.response import LUMINANCE, N_SAMPLES, SATURATED, Response
+from ..surface.photo_samples import PhotoSamples, ShownPixels
+from ..surface.traced_room import TracedRoom
 from .family import FITTED
 from .observations import Observations
 from .overlap import fit_overlap
@@ -382,3 +383,14 @@ def read_response(path: Path) -> Response:
     x = np.linspace(0, 1, N_SAMPLES)
     rows = [np.interp(x, np.linspace(0, 1, table.shape[1]), np.maximum.accumulate(row)) for row in table]
     return Response(np.stack(rows if len(rows) == 3 else rows * 3), "file")
+
+
+def shown_pixels(photometry: Photometry, room: TracedRoom) -> ShownPixels:
+    """Luminance of all pixels as photos show it."""
+    samples = room.samples
+    linear = photometry.linearise_pixels(room.photos.z, samples.view, samples.pixel)
+    return ShownPixels(
+        luminance=(np.where(linear.unclipped, linear.radiance, linear.bound) @ LUMINANCE).astype(np.float32),
+        clipped=~linear.unclipped.all(1),
+        usable=np.isinf(linear.ceiling).all(1) & (room.mixed.mask == 0),
+    )

@@ -339,6 +339,7 @@ def with_figures(
         "unseen_lamps": int(_unseen(problem.light, lights).sum()),
         "outside_directions": len(problem.light.hidden.directions),
         "sun": problem.light.hidden.sun is not None,
+        "faces_of_panes": len(result.panes),
         "light_through_holes": problem.light.hidden.kind.shown,
         "light_of_unseen": problem.light.hidden.kind.unseen,
         "regions": len(problem.light.material),

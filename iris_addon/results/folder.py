@@ -4,7 +4,8 @@
 
     report.json      schema_version and Result.report
     response.json    family, coefficients, samples, exposures and white balance per photo
-    emitters.json    id, faces, radiance, area, confidence; harmonics of light from outside; sun; shell of the backdrop
+    emitters.json    id, faces, radiance, area, confidence; harmonics of light from outside; sun; shell of the backdrop;
+                     faces of panes
     backdrop.exr     what cameras see through holes of the mesh, if it has any; backdrop_albedo.exr, if that reflects
     materials/       base_color.exr, roughness.png, metallic.png, confidence.png, emission.exr, mesh.glb
 
@@ -92,7 +93,7 @@ def _load(folder: Path, read: ReadImage) -> Result:
         )
     mesh, regions, up = read_glb(result_file(folder, MESH))
     camera = read_response(folder)
-    emitters, outside, sun, shell = read_emitters(folder, mesh)
+    emitters, outside, sun, shell, panes = read_emitters(folder, mesh)
     textures = _read_textures(folder, read)
     backdrop = None if shell is None else _painted(shell, folder, read)
     result = Result(
@@ -109,6 +110,7 @@ def _load(folder: Path, read: ReadImage) -> Result:
         local=camera.local,
         devices=camera.devices,
         backdrop=backdrop,
+        panes=panes,
     )
     with decoding(path, "'model.camera' holds no corrections of cameras", MEND):
         result.as_taken([])  # so that a damaged report is reported here
@@ -128,7 +130,7 @@ def _read_textures(folder: Path, read_image: ReadImage) -> Textures:
 
 
 def read_coverage(folder: Path, read_image: ReadImage) -> tuple[Mesh, NDArray[np.float32], tuple[float, float, float]]:
-    """Mesh, coverage (N, N) and up vector of the result in ``folder``, without its other textures.
+    """Mesh without its panes, coverage (N, N) and up vector of the result in ``folder``, without its other textures.
 
     Where it has no coverage, the confidence of single texels stands for it.
 
@@ -139,7 +141,7 @@ def read_coverage(folder: Path, read_image: ReadImage) -> tuple[Mesh, NDArray[np
     if not path.is_file():
         path = result_file(folder, MAPS["confidence"])
     mesh, _, up = read_glb(result_file(folder, MESH))
-    return mesh, _read_map(path, None, read_image), up
+    return mesh.without(read_emitters(folder, mesh).panes), _read_map(path, None, read_image), up
 
 
 def _read_map(path: Path, side: int | None, read_image: ReadImage) -> NDArray[np.float32]:

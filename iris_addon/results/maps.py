@@ -57,7 +57,7 @@ class MapRenderer:
             raise ValueError("the mesh of a result must have UVs")
         self._uv = result.mesh.uv
         self._textures = result.textures
-        self._tracer = tracer or Tracer(result.mesh)
+        self._tracer = tracer or Tracer(result.mesh, without=result.panes)
         self._emission = result.face_emission()
         self._lobe: DiffuseLobe = result.diffuse_lobe
         self._backdrop = SeenBackdrop(result.backdrop)

@@ -40,12 +40,13 @@ LOCAL_BOUNDS = {"strength": (0.0, 0.99), "scale": (1e-3, 10.0), "headroom": (1.0
 
 
 class StoredLights(NamedTuple):
-    """Lamps, light from outside, the sun, and the backdrop's shell."""
+    """Lamps, light from outside, the sun, the backdrop's shell, and the faces that light passes."""
 
     emitters: tuple[Emitter, ...]
     outside: OutsideLight | None
     sun: Sunlight | None
     shell: StoredShell | None
+    panes: NDArray[np.int64]
 
 
 class StoredShell(NamedTuple):
@@ -91,6 +92,7 @@ def emitters_json(result: Result) -> dict[str, Any]:
         "outside": None if result.outside is None else {"sh": result.outside.sh},
         "sun": None if sun is None else {"direction": sun.direction, "irradiance": sun.irradiance},
         "backdrop": None if backdrop is None else _shell_json(backdrop),
+        "panes": to_ranges(result.panes),
     }
 
 
@@ -117,6 +119,7 @@ def read_emitters(folder: Path, mesh: Mesh) -> StoredLights:
         None if outside is None else _read_outside(json_object(outside, "outside", path), path),
         None if sun is None else _read_sun(json_object(sun, "sun", path), path),
         None if backdrop is None else _read_shell(json_object(backdrop, "backdrop", path), path),
+        from_ranges(content.get("panes"), len(mesh.faces), "panes", path),  # results of earlier versions have none
     )
 
 

@@ -63,7 +63,7 @@ def write_report(
     shown = [views[name] for name in pictures if name in views] or _spread(capture.views, 3)
     shown = shown[:MAX_VIEWS]
     saver = Pictures(folder / PICTURES)
-    tracer = Tracer(result.mesh)
+    tracer = Tracer(result.mesh, without=result.panes)
     renderer = MapRenderer(result, tracer)
     lamps = write_lamp_pictures(result, capture.views, tracer, folder)
     maps = {view.name: renderer.maps(view.camera.shrunk(MAX_WIDTH)) for view in shown}

@@ -44,6 +44,7 @@ class Result:
         up: unit up vector of the capture.
         backdrop: what cameras see through holes of the mesh; None where it has hardly any.
         sun: light of the sun beside that of ``outside``; None where none shines in.
+        panes: (k,) faces of panes of glass, which light and cameras pass.
     """
 
     mesh: Mesh
@@ -59,6 +60,7 @@ class Result:
     backdrop: Backdrop | None = None
     sun: Sunlight | None = None
     devices: tuple[Device, ...] = ()
+    panes: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def __repr__(self) -> str:
         size = len(self.textures.base_color)

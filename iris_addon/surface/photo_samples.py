@@ -73,6 +73,21 @@ class PhotoSamples:
         return float(2.0 ** np.round(np.log2(np.median(lit) / UNIT_MEDIAN))) if len(lit) else 1.0
 
 
+@dataclass(frozen=True)
+class ShownPixels:
+    """What photos show at each of n pixels.
+
+    Attributes:
+        luminance: (n,) float32 of the radiance, a lower bound where ``clipped``.
+        clipped: (n,) bool.
+        usable: (n,) bool, pixels that show one surface and are not black.
+    """
+
+    luminance: NDArray[np.float32]
+    clipped: NDArray[np.bool_]
+    usable: NDArray[np.bool_]
+
+
 class _Read(NamedTuple):
     """What is kept of one photo.
 

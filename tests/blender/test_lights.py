@@ -87,6 +87,28 @@ def test_the_floor_receives_the_irradiance_of_the_light(light, irradiance):
     np.testing.assert_allclose(seen / seen[0], irradiance / irradiance[0], rtol=0.03)
 
 
+def test_light_and_cameras_pass_a_pane_as_if_it_were_not_there():
+    """Sun, camera and what it sees behind: the recovered light has lost already what glass takes."""
+    ground = floor()
+    above = replace(
+        ground,
+        vertices=np.concatenate([ground.vertices, ground.vertices + [0, 0, 0.5]]),
+        faces=np.concatenate([ground.faces, ground.faces + 4]),
+        uv=np.concatenate([ground.uv, ground.uv]),
+    )
+    view = camera(fx=400.0, fy=400.0, position=(0, 0, 1))
+
+    def seen(mesh, panes):
+        result = replace(room(albedo=ALBEDO, mesh=mesh), panes=np.array(panes, np.int64))
+        edit = relight_edit(result, {"lights": [{"type": "sun", "direction": [0.6, 0, -0.8], "irradiance": [3, 2, 1]}]})
+        (image,) = render_views(result, [view], edit=edit, settings=QUICK)
+        return image.mean(axis=(0, 1))
+
+    bare = seen(ground, [])
+    np.testing.assert_allclose(seen(above, [2, 3]), bare, rtol=0.01)
+    assert not np.allclose(seen(above, []), 0) and bare.min() > 0
+
+
 def test_a_spot_is_dark_outside_its_cone():
     light = {"type": "spot", "position": [0, 0, 2], "direction": [1, 0, -1], "intensity": 5, "angle": 30, "radius": 0}
     assert seen_from_above(light).max() == 0.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,8 +11,8 @@ from iris_addon.base.progress import Progress
 from iris_addon.lighting.search import choose_outside
 from iris_addon.lighting.sun import Sun
 from iris_addon.lighting.sun_choice import sun_is_needed, with_sun
-from iris_addon.lighting.sun_search import ShownPixels
 from iris_addon.materials.shading import Shading
+from iris_addon.surface.photo_samples import ShownPixels
 from tests.engine_room import quad
 from tests.light_room import CEILING_LAMP, LitRoom, light_room, panels
 
@@ -74,6 +76,25 @@ def test_the_sun_is_found_where_it_stands_and_as_strong_as_it_is(clip: float) ->
     assert sun is not None
     assert np.degrees(np.arccos(sun.direction @ TOWARD_SUN)) < 2.0
     assert sun.irradiance == pytest.approx(np.full(3, IRRADIANCE), rel=0.1)
+
+
+def test_sunlight_that_clips_in_all_photos_is_known_by_the_light_it_passes_on() -> None:
+    """No photo measures a sunlit place. Of patches that sunlight covers in part, photos measure the darker part."""
+    room, clip = window_room(sun=True), 1.0
+    pixels, patch = shown(room, True, clip), room.problem.surface.sample_patch
+    dark = np.where(pixels.clipped, 0.0, 1.0)
+    count = np.bincount(patch, dark)
+    level = np.bincount(patch, dark * pixels.luminance) / np.maximum(count, 1)
+    touched = np.bincount(patch, pixels.clipped) > 0
+    radiance = np.where(count > 0, np.where(touched, level, room.observed.radiance[:, 0]), clip)[:, None].repeat(3, 1)
+    known, bound = (count > 0)[:, None].repeat(3, 1), np.where(touched, clip, 0.0)[:, None].repeat(3, 1)
+    assert (touched & known[:, 0]).sum() > 10
+    observed = replace(room.observed, radiance=radiance, known=known, bound=bound)
+    problem = with_sun(room.problem, observed, pixels, Progress())
+    assert problem.hidden.sun is not None
+    problem, lights = choose_outside(problem, observed, Progress())
+    assert not lights.emitters
+    assert lights.hidden_radiance[-1] == pytest.approx(np.full(3, IRRADIANCE), rel=0.2)
 
 
 def test_what_the_sun_lights_is_no_lamp() -> None:

@@ -360,6 +360,27 @@ def test_cancelling_stops_at_the_next_update(shoot: Shoot, reference: Path, stag
     assert (reference / "report.json").read_text() == before
 
 
+def test_the_solve_goes_on_behind_a_pane_also_when_it_is_resumed(
+    shoot: Shoot, monkeypatch: pytest.MonkeyPatch, reference: Path
+) -> None:
+    """A wall that is declared to be a pane: nothing is painted on it."""
+    pane = np.flatnonzero(shoot.room.regions == 1)
+    monkeypatch.setattr("iris_addon.pipeline.find_panes", lambda *_arguments: pane)
+    capture = shoot.capture()
+    whole = solve(capture, FAST, shoot.folder / "behind")
+    assert np.array_equal(whole.panes, pane) and whole.report["model"]["faces_of_panes"] == len(pane)
+    for result, painted in ((whole, False), (load_result(reference), True)):
+        face, _ = rasterise_atlas(result.mesh.uv, len(result.textures.base_color))
+        assert bool(result.textures.confidence[np.isin(face, pane)].any()) == painted
+    progress = Progress()
+    progress._sink = Watch("materials", progress.cancel)
+    with pytest.raises(Cancelled):
+        solve(capture, FAST, shoot.folder / "resumed", progress)
+    monkeypatch.setattr("iris_addon.pipeline.find_panes", lambda *_arguments: pytest.fail("they are known"))
+    solve(capture, FAST, shoot.folder / "resumed", resume=True)
+    assert same_results(shoot.folder / "behind", shoot.folder / "resumed")
+
+
 @pytest.mark.parametrize("step", ["trace_room", "atlas_for_photos", "measure_photometry", "make_result"])
 def test_cancelling_does_not_wait_for_a_step_that_reports_nothing(
     shoot: Shoot, monkeypatch: pytest.MonkeyPatch, step: str

@@ -21,7 +21,7 @@ from iris_addon.model.local_exposure import LocalSettings
 from iris_addon.model.recovered import Backdrop
 from iris_addon.model.response import Response, gamma
 from iris_addon.results.files import WHOLE, complete_save
-from iris_addon.results.folder import load_result, save_result
+from iris_addon.results.folder import load_result, read_coverage, save_result
 from iris_addon.results.records import read_response
 from iris_addon.results.result import Result
 from tests.result_room import room
@@ -110,6 +110,28 @@ def test_a_damaged_backdrop_is_bad_input_that_names_the_file(tmp_path, name, dam
     with pytest.raises(BadInput) as caught:
         load_result(tmp_path)
     assert str(tmp_path / name) in str(caught.value)
+
+
+def test_panes_survive_and_cameras_see_through_them(tmp_path):
+    """Of results of earlier versions, which do not name panes, there are none."""
+    pose = np.eye(4)
+    pose[:3, 3] = 0.5, 0.5, 3.0
+    camera = Camera(width=5, height=5, fx=20.0, fy=20.0, cx=2.5, cy=2.5, c2w=pose)
+    whole = room()
+    front = np.flatnonzero((whole.mesh.vertices[whole.mesh.faces][..., 2] == 1).all(1))
+    glazed = replace(whole, panes=front)
+    save_result(glazed, tmp_path)
+    loaded = load_result(tmp_path)
+    assert np.array_equal(loaded.panes, front)
+    far, near = loaded.render_maps(camera), whole.render_maps(camera)
+    assert far.hit.all() and near.hit.all()
+    assert not np.allclose(far.base_color, near.base_color, atol=0.01)
+    without = replace(whole, mesh=whole.mesh.without(front), emitters=())
+    assert np.allclose(far.base_color, without.render_maps(camera).base_color, atol=0.01)
+    shown = read_coverage(tmp_path, lambda path: imaging.read_map(path) / 65535)[0]
+    assert len(shown.faces) == len(whole.mesh.faces) - len(front)
+    _edit(tmp_path / "emitters.json", lambda c: c.pop("panes"))
+    assert not len(load_result(tmp_path).panes)
 
 
 def test_channels_of_the_response_and_regions_of_the_file_survive(tmp_path):
@@ -265,6 +287,8 @@ DAMAGE = {
         lambda p: _edit(p, lambda c: c["local_exposure"].update(falloff="much")),
     ],
     "emitters.json": [
+        lambda p: _edit(p, lambda c: c.update(panes=[[0, 13]])),
+        lambda p: _edit(p, lambda c: c.update(panes="all")),
         lambda p: _edit(p, lambda c: c["emitters"][0].update(faces=[[10, 13]])),
         lambda p: _edit(p, lambda c: c["emitters"][0].update(faces=[[0, 2], [1, 3]])),
         lambda p: _edit(p, lambda c: c["emitters"][0].update(radiance=[1, -1, 1])),

@@ -20,7 +20,16 @@ from ...model.capture import Mesh
 from ...results.result import Result
 from .backdrop import add_backdrop
 from .lights import add_light, add_sun
-from .materials import LAMP_ID, RECOVERED, UV_MAP, black_material, lamp_material, sphere_material, surface_material
+from .materials import (
+    LAMP_ID,
+    RECOVERED,
+    UV_MAP,
+    black_material,
+    lamp_material,
+    pane_material,
+    sphere_material,
+    surface_material,
+)
 from .placing import Room, add_object
 from .world import make_world
 
@@ -176,7 +185,7 @@ def add_sphere(sphere: Sphere, name: str, collection: bpy.types.Collection) -> b
 def face_materials(
     result: Result, edit: SceneEdit, uv_map: str = UV_MAP
 ) -> tuple[list[bpy.types.Material], NDArray[np.int32]]:
-    """The materials of the room's slots, and (F,) the slot of each face: 0 the surface, then lamps, then black."""
+    """The materials of the room's slots, and (F,) the slot of each face: 0 the surface, then lamps, panes, black."""
     emission = result.face_emission() if edit.face_emission is None else np.asarray(edit.face_emission, float)
     slot_of_face = np.zeros(len(emission), np.int32)
     slots = [surface_material(result.textures, uv_map, result.diffuse_lobe)]
@@ -192,8 +201,11 @@ def face_materials(
         slots.append(lamp_material(name, radiance))
         slots[-1][LAMP_ID], slots[-1][RECOVERED] = int(emitter_id), [float(value) for value in radiance]
 
+    if len(result.panes):
+        slot_of_face[result.panes] = len(slots)
+        slots.append(pane_material())
     if edit.black_faces is not None:
-        black = edit.black_faces & (slot_of_face == 0)  # lamps are black already
+        black = edit.black_faces & (slot_of_face == 0)  # lamps are black already, panes invisible
         if black.any():
             slot_of_face[black] = len(slots)
             slots.append(black_material())

@@ -129,6 +129,17 @@ def black_material(name: str = "IRIS Black") -> bpy.types.Material:
     return _black(name)[0]
 
 
+def pane_material(name: str = "IRIS Pane") -> bpy.types.Material:
+    """A pane of glass as the solve saw through it: light and cameras pass, and its reflection is left out.
+
+    What light loses in the glass is already missing in the recovered sun, sky and backdrop.
+    """
+    material, shader = _black(name)
+    shader.inputs["Alpha"].default_value = 0.0
+    material.diffuse_color = (0.8, 0.9, 1.0, 0.1)
+    return material
+
+
 def sphere_material(name: str, sphere: Sphere | Material) -> bpy.types.Material:
     """The Principled material of an inserted object, with values as those of the room."""
     material, shader = _principled(name)
