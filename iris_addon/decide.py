@@ -215,6 +215,9 @@ REFINEMENTS: Mapping[str, Refinement] = {
 TOO_BRIGHT_REFLECTANCE = 2.5
 """Reflectance that a lamp would need if it were none, above which it is judged as "bright_lamp", not as "lamp"."""
 
+PANE_LEAST_LOSS = 0.3
+"""Loss of a flat part that shows the same in all photos below which it is not asked whether it is a pane."""
+
 LISTED = 40
 """Decisions of one refinement up to which report.json lists each."""
 

@@ -70,6 +70,11 @@ def order_in_groups(values: NDArray[np.floating], group: NDArray[np.integer]) ->
     return stable_order(group.astype(np.int64) << np.int64(32) | ordered)
 
 
+def rank_in_group(ordered: NDArray[np.integer]) -> NDArray[np.int64]:
+    """(n,) number of each row within its group, from 0, of groups in ascending order (n,)."""
+    return np.arange(len(ordered)) - np.searchsorted(ordered, ordered)
+
+
 def group_sums(values: NDArray[np.floating], group: NDArray[np.integer], n_groups: int) -> NDArray[np.float64]:
     """(n_groups, C) sum of ``values`` (n, C) per group."""
     sums = np.zeros((n_groups, values.shape[1]))

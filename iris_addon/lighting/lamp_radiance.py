@@ -15,6 +15,7 @@ from ..transport.form_factors import emitter_form_factors, emitter_of_face
 from .balance import ITERATIONS, MAX_ALBEDO, Evidence, ShadedPatches, fitted_patches, noticeable_radiance, solve_balance
 from .candidates import tie_fixtures
 from .problem import LightProblem, Lights
+from .sun import Sun
 
 SEARCH_SHADOW_RAYS, SHADOW_RAYS = (6, 13), (13, 64)
 """Fewest and most shadow rays from a patch to a lamp, in the search and for the lamps that were found. Noise here makes
@@ -97,8 +98,8 @@ def solve_lights(
     n = problem.transport.n_seen
     bounded = ~observed.known & (observed.bound > 0) & problem.clipped_counts
     usable = (observed.known | bounded).all(1) & ~on_lamp[:n]
-    if hidden.sun is not None:  # what photos measure beside sunlight that clips lacks the brightest pixels
-        usable &= ~(hidden.sun.border & _clips(observed)[problem.field.neighbours].any(1))
+    if hidden.sun is not None:
+        usable &= ~half_shown(problem, observed, hidden.sun)
     weight = usable * (patch_weight(problem, observed) if fit.weight is None else fit.weight)
     shaded = observed.radiance if fit.diffuse is None else fit.diffuse
     region = problem.transport.region
@@ -113,19 +114,19 @@ def solve_lights(
     albedo = before.region_albedo
     for from_solution in (True,) if warm_start else (False, True):
         unknown = mean_radiance(radiance, problem)
-        indirect = _gathered(problem, radiance, unknown, mask)
-        if hidden.holes is not None:
-            indirect = indirect + hidden.holes.irradiance(kappa)
-        factors, smooth = all_factors, smooth_factors
-        if hidden.sun is not None:
-            sunlit = _inferred(problem, observed, on_lamp) * _albedo_table(problem, albedo) * all_factors[:, -1:]
-            by_sun = sunlit * start[-1]
+        factors, smooth, cast, passed_on = all_factors, smooth_factors, radiance, None
+        if hidden.sun is not None and problem.sunlight_passed_on:
+            sunlit = _sunlit(problem, observed, on_lamp, albedo, all_factors[:, -1])
             passed_on = _gathered(problem, np.repeat(sunlit.mean(1, keepdims=True), 3, axis=1), np.zeros(3), mask)[:, 0]
-            more = _gathered(problem, by_sun - np.minimum(by_sun, radiance), np.zeros(3), mask)
-            indirect = indirect + more - passed_on[:, None] * start[-1]
             factors, smooth = all_factors.copy(), smooth_factors.copy()
             factors[:, -1] += passed_on
             smooth[:, -1] += kernel @ passed_on[:n]
+            cast = np.maximum(radiance, sunlit * start[-1])
+        indirect = _gathered(problem, cast, unknown, mask)
+        if passed_on is not None:  # the sun's column has it
+            indirect = indirect - passed_on[:, None] * start[-1]
+        if hidden.holes is not None:
+            indirect = indirect + hidden.holes.irradiance(kappa)
         patches = ShadedPatches(
             radiance=smooth_shaded,
             bounded=kernel @ bounded.astype(np.float32) > 0,
@@ -366,12 +367,31 @@ def _gathered(
 # ---- Sunlight that clips --------------------------------------------------------------------------------------------
 
 
-def _inferred(problem: LightProblem, observed: GroupRadiance, on_lamp: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(N, 3) patches whose radiance no photo measures, so that it depends on the light that is solved for."""
+def half_shown(problem: LightProblem, observed: GroupRadiance, sun: Sun) -> NDArray[np.bool_]:
+    """(P,) patches on a border of the light of ``sun`` where it clips, too dark in what photos measure of them.
+
+    Those beside a patch that clips are among them, because the balance averages neighbours.
+    """
+    return sun.border & _clips(observed)[problem.field.neighbours].any(1)
+
+
+def _sunlit(
+    problem: LightProblem,
+    observed: GroupRadiance,
+    on_lamp: NDArray[np.bool_],
+    albedo: dict[int, NDArray[np.float64]],
+    direct: NDArray[np.floating],
+) -> NDArray[np.floating]:
+    """(N, 3) radiance of patches under a sun of unit irradiance, where no photo measures it.
+
+    Args:
+        direct: (N,) irradiance / pi of each under that sun.
+    """
+    n = len(observed.known)
     inferred = np.ones((problem.transport.n_patches, 3), bool)
-    inferred[: len(observed.known)] = ~_measured(problem, observed)
+    inferred[:n] = ~_measured(problem, observed)
     inferred[on_lamp] = False
-    return inferred
+    return inferred * _albedo_table(problem, albedo) * direct[:, None]
 
 
 def _measured(problem: LightProblem, observed: GroupRadiance) -> NDArray[np.bool_]:

@@ -14,7 +14,7 @@ from ..rays.tracer import Tracer
 from ..surface.irradiance import IrradianceField
 from ..surface.patches import Surface
 from ..surface.primary_rays import PixelSamples
-from ..transport.aimed_rays import SparseRays
+from ..transport.aimed_rays import SparseRays, aim_at_bright
 from ..transport.transport import Transport
 from .balance import ROBUST_LOG
 from .brightness import Brightness, Cells
@@ -120,6 +120,8 @@ class LightProblem:
         robust_log: deviation of log albedo at which a patch starts to count as an outlier.
         clipped_counts: whether patches that clip in all photos bound the light from below. Only in a room without
             lamps: beside a lamp they are its glare, and light that differs most within a patch.
+        sunlight_passed_on: whether the sun's column holds what patches pass on that no photo measures, beside what the
+            sun lights. Not while a sun is but proposed: with all that for its own, many a direction explains a lamp.
     """
 
     tracer: Tracer
@@ -143,6 +145,12 @@ class LightProblem:
     given_emitters: list[NDArray[np.int64]] | None = None
     robust_log: float = ROBUST_LOG
     clipped_counts: bool = False
+    sunlight_passed_on: bool = True
+
+    def rays_to_bright(self, lights: Lights, rng: np.random.Generator) -> SparseRays | None:
+        """Rays aimed at patches that are bright under ``lights``; None where there are none."""
+        light = lights.patch_radiance, lights.irradiance, lights.mask
+        return aim_at_bright(self.tracer, self.transport, self.regions, *light, rng)
 
 
 class Bounce(Protocol):

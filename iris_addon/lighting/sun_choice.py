@@ -1,8 +1,8 @@
 """Whether the sun shines into a room: tried before lamps are searched for, and again beside those that were found.
 
 What the sun lights is as bright as a lamp. It has to be known before faces are taken for lamps because they are bright;
-and it has to explain what the lamps do not, because one direction out of a thousand fits the light of many a lamp a
-little.
+and it has to explain more than the lamps that are found without it, because one direction out of a thousand fits the
+light of many a lamp a little.
 """
 
 from __future__ import annotations
@@ -13,17 +13,39 @@ import numpy as np
 
 from ..base.progress import Progress
 from ..base.random_streams import stream
+from ..decide import Decisions
 from ..response.radiance import GroupRadiance
 from ..surface.photo_samples import ShownPixels
-from ..transport.aimed_rays import aim_at_bright
-from .lamp_radiance import lights_without_lamps, solve_lights
+from .lamp_radiance import PatchFit, half_shown, lights_without_lamps, patch_weight, solve_lights
 from .problem import LightProblem, Lights
+from .search import choose_outside
 from .sun import Sun, sun_from
 from .sun_search import SunGuess, find_suns, lit_pixels, refined
 
 
+def choose_sun(
+    dark: LightProblem, observed: GroupRadiance, shown: ShownPixels, progress: Progress
+) -> tuple[LightProblem, LightProblem, Lights]:
+    """The problem with a sun if the room needs one, the same with the light from outside that earns its place, and the
+    lights found for it.
+
+    Args:
+        dark: the problem without a sun.
+    """
+    sunlit = with_sun(dark, observed, shown, progress)
+    light, lights = choose_outside(sunlit, observed, progress)
+    if sunlit.hidden.sun is None:
+        return dark, light, lights
+    sky, lamps = choose_outside(dark, observed, progress)
+    rivals = _of_the_same_patches(sky, observed, lamps, sunlit.hidden.sun, progress)
+    if _accepted(dark.decisions, rivals, lights, "in place of lamps"):
+        return sunlit, light, lights
+    return dark, sky, lamps
+
+
 def with_sun(problem: LightProblem, observed: GroupRadiance, shown: ShownPixels, progress: Progress) -> LightProblem:
-    """``problem`` with the sun, if one explains the light of a room without lamps better than a sky alone."""
+    """``problem`` with the sun, if what it lights tells that there is one: the light of a room without lamps then
+    balances better than under a sky alone."""
     if not len(problem.hidden.directions) or problem.decisions.forbids("sun") or problem.given_emitters:
         return problem
     base = solve_lights(problem, observed, [], lights_without_lamps(problem, observed), progress)
@@ -37,35 +59,53 @@ def with_sun(problem: LightProblem, observed: GroupRadiance, shown: ShownPixels,
     again = refined(problem, problem.tracer, lit_pixels(problem, sky, shown), guess)
     if again is not None:
         sunlit, lights = _lit_by(problem, observed, again, progress)
-    accepted = problem.decisions.accept(
-        "sun", base.held_out, lights.held_out, base.paired_error(lights), subject="without lamps"
-    )
-    return _aimed_at_sunlight(sunlit, lights) if accepted else problem
+    assert sunlit.hidden.sun is not None
+    base = _of_the_same_patches(problem, observed, base, sunlit.hidden.sun, progress)
+    if not _accepted(problem.decisions, base, lights, "without lamps"):
+        return problem
+    return _passed_on(sunlit, observed, lights, progress)
 
 
-def sun_is_needed(problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress) -> bool:
-    """Whether the light balance of ``lights`` misses the sun of ``problem``; True without one."""
-    if problem.hidden.sun is None:
-        return True
-    dark = replace(problem, hidden=replace(problem.hidden, sun=None))
-    start = replace(lights, hidden_radiance=lights.hidden_radiance[:-1])
-    without = solve_lights(dark, observed, lights.emitters, start, progress, lights.form_factors)
-    if without is start:  # nothing is left to solve for
-        return True
-    error = without.paired_error(lights)
-    return problem.decisions.accept("sun", without.held_out, lights.held_out, error, subject="beside the lamps")
+def _accepted(decisions: Decisions, dark: Lights, lights: Lights, subject: str) -> bool:
+    """Whether the sun stands that ``lights`` have and ``dark`` have not."""
+    return decisions.accept("sun", dark.held_out, lights.held_out, dark.paired_error(lights), subject=subject)
+
+
+def _of_the_same_patches(
+    dark: LightProblem, observed: GroupRadiance, lights: Lights, sun: Sun, progress: Progress
+) -> Lights:
+    """The ``lights`` of ``dark``, which has no sun, solved for again from the patches that count under ``sun``."""
+    weight = patch_weight(dark, observed) * ~half_shown(dark, observed, sun)
+    return solve_lights(dark, observed, lights.emitters, lights, progress, lights.form_factors, PatchFit(weight))
 
 
 def _lit_by(
     problem: LightProblem, observed: GroupRadiance, guess: SunGuess, progress: Progress
 ) -> tuple[LightProblem, Lights]:
-    """The problem with the sun of ``guess``, and its light without lamps."""
+    """The problem with the sun of ``guess``, as it lights what it shines on, and its light without lamps."""
     sun = _sun(problem, guess)
-    sunlit = replace(problem, hidden=replace(problem.hidden, sun=sun))
+    sunlit = replace(problem, hidden=replace(problem.hidden, sun=sun), sunlight_passed_on=False)
     lights = solve_lights(sunlit, observed, [], lights_without_lamps(sunlit, observed), progress)
-    return replace(
-        sunlit, hidden=replace(sunlit.hidden, sun=replace(sun, irradiance=lights.hidden_radiance[-1]))
-    ), lights
+    return _as_strong(sunlit, lights), lights
+
+
+def _passed_on(sunlit: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress) -> LightProblem:
+    """``sunlit`` whose sun is as strong as the light says that its patches pass on, with rays aimed at these.
+
+    They may send most of the light of the room. The noise of gather rays, of which few meet them, would make walls too
+    white and the sun too weak.
+    """
+    sunlit = replace(sunlit, sunlight_passed_on=True)
+    lights = solve_lights(sunlit, observed, [], lights, progress)
+    rays = sunlit.rays_to_bright(lights, stream(sunlit.seed, "lighting.aimed_at_sunlight"))
+    return replace(_as_strong(sunlit, lights), aimed=rays)
+
+
+def _as_strong(sunlit: LightProblem, lights: Lights) -> LightProblem:
+    """``sunlit`` with the irradiance of its sun in ``lights``."""
+    sun = sunlit.hidden.sun
+    assert sun is not None
+    return replace(sunlit, hidden=replace(sunlit.hidden, sun=replace(sun, irradiance=lights.hidden_radiance[-1])))
 
 
 def _sun(problem: LightProblem, guess: SunGuess) -> Sun:
@@ -77,13 +117,3 @@ def _sun(problem: LightProblem, guess: SunGuess) -> Sun:
 def _direct(problem: LightProblem, lights: Lights) -> np.ndarray:
     """(N, 3) irradiance / pi by the sun."""
     return problem.hidden.sunlight(lights.hidden_radiance, problem.transport.kappa)
-
-
-def _aimed_at_sunlight(sunlit: LightProblem, lights: Lights) -> LightProblem:
-    """``sunlit`` with rays aimed at what the sun lights, which may send most of the light of the room.
-
-    The noise of gather rays, of which few meet it, would make walls too white and the sun too weak.
-    """
-    rng = stream(sunlit.seed, "lighting.aimed_at_sunlight")
-    light = lights.patch_radiance, lights.irradiance, lights.mask
-    return replace(sunlit, aimed=aim_at_bright(sunlit.tracer, sunlit.transport, sunlit.regions, *light, rng))

@@ -26,7 +26,7 @@ from ..lighting.hidden import HiddenSources, OutsideKind, through_holes
 from ..lighting.problem import LightProblem, Lights
 from ..lighting.search import choose_exponent, choose_outside
 from ..lighting.sun import Sun
-from ..lighting.sun_choice import sun_is_needed, with_sun
+from ..lighting.sun_choice import choose_sun
 from ..response.observations import Observations
 from ..response.photometry import Photometry, shown_pixels
 from ..response.radiance import group_radiance
@@ -169,12 +169,9 @@ def find_first_lights(
         problem: the problem under ``photometry``.
     """
     exponent = 1.0
-    dark, shown = problem.light, shown_pixels(photometry, room)
-    problem = replace(problem, light=with_sun(dark, problem.observed, shown, progress))
-    light, lights = choose_outside(problem.light, problem.observed, progress)
-    if not sun_is_needed(light, problem.observed, lights, progress):
-        problem = replace(problem, light=dark)
-        light, lights = choose_outside(dark, problem.observed, progress)
+    shown = shown_pixels(photometry, room)
+    with_or_without_sun, light, lights = choose_sun(problem.light, problem.observed, shown, progress)
+    problem = replace(problem, light=with_or_without_sun)
     material = problem.materials_under(lights, room.regions.scanned, room.surface.pieces)
     if (material != problem.light.material).any():
         problem = problem.with_materials(material)
@@ -182,9 +179,10 @@ def find_first_lights(
     if photometry.exponent_unconstrained and not problem.light.decisions.forbids("exponent"):
         exponent = choose_exponent(light, problem.observed, lights, photometry.exponent_error, progress)
     if exponent != 1.0:
-        sun = problem.light.hidden.sun
+        sun, aimed = problem.light.hidden.sun, problem.light.aimed
         problem = pose(photometry.raised(exponent)).with_materials(material)
-        problem = replace(problem, light=replace(problem.light, hidden=replace(problem.light.hidden, sun=sun)))
+        hidden = replace(problem.light.hidden, sun=sun)
+        problem = replace(problem, light=replace(problem.light, hidden=hidden, aimed=aimed))
         light, lights = choose_outside(problem.light, problem.observed, progress)
     return FirstLights(
         lights=lights,

@@ -26,7 +26,6 @@ from ..lighting.sun import Sun
 from ..response.observations import Observations
 from ..response.radiance import GroupRadiance, Linearised, group_radiance, raised_by_clipped
 from ..surface.regions import joined_regions
-from ..transport.aimed_rays import SparseRays, aim_at_bright
 from ..transport.glossy_bounce import GlossyBounce, trace_glossy_bounce
 from ..transport.transport import LightMoments
 from .gloss import GLOSS_LEVELS, GLOSS_RAYS, Gloss, GlossObservations, choose_observations, fit_gloss
@@ -170,7 +169,7 @@ def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progr
         diffuse = group_radiance(problem.linear, o.patch, o.count, n_patches, specular, view_factor)
         seen = problem.light.cells.brightness(o, problem.linear, specular)
         bounce = _continued_paths(problem, gloss, round_)
-        aimed = _aimed_rays(problem, lights, round_)
+        aimed = problem.light.rays_to_bright(lights, stream(problem.seed, "materials.aimed_rays", round_))
         light_problem = replace(problem.light, brightness=seen, bounce=bounce, aimed=aimed)
         weight = _balance_weight(problem, gloss, diffuse)
         cast = _cast_radiance(problem, gloss, diffuse, view_factor)
@@ -210,13 +209,6 @@ def _continued_paths(problem: MaterialProblem, gloss: Gloss, round_: int) -> Glo
     return trace_glossy_bounce(
         light.tracer, light.transport, light.field, light.regions, gloss.roughness, gloss.specular, passes, rng
     )
-
-
-def _aimed_rays(problem: MaterialProblem, lights: Lights, round_: int) -> SparseRays | None:
-    """Rays to patches that are bright under ``lights``; None if there are none."""
-    rng = stream(problem.seed, "materials.aimed_rays", round_)
-    light, cast = problem.light, lights.patch_radiance
-    return aim_at_bright(light.tracer, light.transport, light.regions, cast, lights.irradiance, lights.mask, rng)
 
 
 def _balance_weight(problem: MaterialProblem, gloss: Gloss, diffuse: GroupRadiance) -> NDArray[np.float64]:

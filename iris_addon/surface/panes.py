@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ..base.group_by import group_means
-from ..decide import Decisions, HeldOutLosses
+from ..base.group_by import group_means, rank_in_group
+from ..decide import PANE_LEAST_LOSS, Decisions, HeldOutLosses
 from ..rays.sampling import dot
 from ..rays.tracer import Tracer, points_on_faces
 from .photo_samples import ShownPixels
@@ -40,8 +40,6 @@ MIN_PIXELS, MAX_PIXELS = 60, 1500
 NEAREST, OF_OTHERS = 64, 3
 """Pixels nearest to a pixel that are looked at, and those of other photos among them that predict it."""
 TINY = 1e-6
-MIN_LOSS = 0.3
-"""Loss of a part that is as other photos show it below which it is asked no further."""
 ROBUST_LOG = 0.1
 """Error of a predicted log value at which it starts to count as an outlier."""
 PLACES = 40
@@ -87,7 +85,7 @@ def find_panes(
         pixels = samples.take(own)
         show = partial(_loss, view=pixels.view, level=level[own], clipped=clipped[own])
         on = show(pixels.position)
-        if np.isfinite(on).sum() < MIN_PIXELS or np.nanmean(on) < MIN_LOSS:
+        if np.isfinite(on).sum() < MIN_PIXELS or np.nanmean(on) < PANE_LEAST_LOSS:
             continue
         behind = _behind(tracer, pixels, part)
         beyond = np.where(
@@ -134,9 +132,8 @@ def _pixels_on(
     step = np.maximum(1, counts // MAX_PIXELS)
     rows = np.flatnonzero((parts & (counts >= MIN_PIXELS))[own] & usable)
     order = rows[np.argsort(own[rows], kind="stable")]
-    sorted_own = own[order]
-    rank = np.arange(len(order)) - np.searchsorted(sorted_own, sorted_own)
-    return np.sort(order[rank % step[sorted_own] == 0])
+    of_part = own[order]
+    return np.sort(order[rank_in_group(of_part) % step[of_part] == 0])
 
 
 def _behind(tracer: Tracer, samples: PixelSamples, part: NDArray[np.int32]) -> _Behind:

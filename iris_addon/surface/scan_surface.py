@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.compiled import kernel
-from ..base.group_by import MAD
+from ..base.group_by import MAD, rank_in_group
 from ..base.parallel import BLOCK, over_blocks
 from ..base.progress import Progress
 from ..cameras.registration import photo_disagreement
@@ -189,7 +189,7 @@ def neighbours_of(
     own, across = np.concatenate([one, other]), np.concatenate([other, one])
     order = np.argsort(own, kind="stable")
     own, across = own[order], across[order]
-    rank = np.arange(len(own)) - np.searchsorted(own, own)
+    rank = rank_in_group(own)
     near = np.full((n_faces, 3), -1, np.int32)
     kept = rank < 3  # more only where an edge has more than two faces
     near[own[kept], rank[kept]] = across[kept]

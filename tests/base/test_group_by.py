@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from iris_addon.base.group_by import group_equal, group_quantiles, order_in_groups, stable_order
+from iris_addon.base.group_by import group_equal, group_quantiles, order_in_groups, rank_in_group, stable_order
 
 
 @pytest.mark.parametrize("dtype", [np.uint64, np.int64])
@@ -50,3 +50,8 @@ def test_quantiles_of_groups_are_those_of_each_alone() -> None:
         expected = np.quantile(values[group == k], 0.75, axis=0, method="lower")
         assert found[k] == pytest.approx(expected)
     assert not found[2].any()
+
+
+def test_rows_are_numbered_within_their_group() -> None:
+    np.testing.assert_array_equal(rank_in_group(np.array([2, 2, 5, 7, 7, 7])), [0, 1, 0, 0, 1, 2])
+    assert len(rank_in_group(np.zeros(0, np.int64))) == 0

@@ -10,11 +10,11 @@ import pytest
 from iris_addon.base.progress import Progress
 from iris_addon.lighting.search import choose_outside
 from iris_addon.lighting.sun import Sun
-from iris_addon.lighting.sun_choice import sun_is_needed, with_sun
+from iris_addon.lighting.sun_choice import choose_sun, with_sun
 from iris_addon.materials.shading import Shading
 from iris_addon.surface.photo_samples import ShownPixels
 from tests.engine_room import quad
-from tests.light_room import CEILING_LAMP, LitRoom, light_room, panels
+from tests.light_room import CEILING_LAMP, WALL_PANEL, LitRoom, Panel, light_room, panels
 
 SOUTH = 2
 WINDOW = np.array([[1.2, 0.8], [2.8, 2.1]])
@@ -22,6 +22,8 @@ WINDOW = np.array([[1.2, 0.8], [2.8, 2.1]])
 TOWARD_SUN = np.array([0.35, -0.72, 0.6]) / np.linalg.norm([0.35, -0.72, 0.6])
 IRRADIANCE = 30.0
 LAMP = 6
+WEST_PANEL: Panel = ([3.95, 0.8, 0.9], [0, 1.2, 0], [0, 0, 0.9])
+NORTH_PANEL: Panel = ([1.4, 2.95, 0.9], [1.2, 0, 0], [0, 0, 0.9])
 
 
 def sunlight(position: np.ndarray, normal: np.ndarray, toward: np.ndarray = TOWARD_SUN) -> np.ndarray:
@@ -31,9 +33,9 @@ def sunlight(position: np.ndarray, normal: np.ndarray, toward: np.ndarray = TOWA
     return IRRADIANCE / np.pi * inside * np.maximum(normal @ toward, 0)
 
 
-def window_room(sun: bool, lamp: float = 0.0, clip: float = np.inf) -> LitRoom:
-    """The box room with a window in the south, a sky of radiance 1, and a lamp under the ceiling if it shines."""
-    pieces, regions, albedo = panels(CEILING_LAMP)
+def window_room(sun: bool, lamp: float = 0.0, clip: float = np.inf, panel: Panel = CEILING_LAMP) -> LitRoom:
+    """The box room with a window in the south, a sky of radiance 1, and ``panel`` for a lamp if it shines."""
+    pieces, regions, albedo = panels(panel)
     (x0, z0), (x1, z1) = WINDOW
     kept = [k for k, region in enumerate(regions) if region != SOUTH and (lamp or region != LAMP)]
     around = [
@@ -99,11 +101,19 @@ def test_sunlight_that_clips_in_all_photos_is_known_by_the_light_it_passes_on() 
 
 def test_what_the_sun_lights_is_no_lamp() -> None:
     room = window_room(sun=True)
-    problem = with_sun(room.problem, room.observed, shown(room, True), Progress())
-    problem, lights = choose_outside(problem, room.observed, Progress())
+    _, problem, lights = choose_sun(room.problem, room.observed, shown(room, True), Progress())
     assert not lights.emitters and problem.hidden.sun is not None
-    assert sun_is_needed(problem, room.observed, lights, Progress())
     assert lights.hidden_radiance[-1] == pytest.approx(np.full(3, IRRADIANCE), rel=0.1)
+
+
+@pytest.mark.parametrize("clip", [1.0, 3.0, np.inf])
+@pytest.mark.parametrize("panel", [WALL_PANEL, WEST_PANEL, NORTH_PANEL])
+def test_a_lamp_on_a_wall_is_no_sunlit_place(panel: Panel, clip: float) -> None:
+    """Also where it clips, with what it lights: many a direction through the window meets it."""
+    room = window_room(sun=False, lamp=20.0, clip=clip, panel=panel)
+    problem, _, lights = choose_sun(room.problem, room.observed, shown(room, False, clip), Progress())
+    assert problem.hidden.sun is None
+    assert room.lamps(lights) >= {LAMP}
 
 
 @pytest.mark.parametrize("lamp", [0.0, 20.0])
