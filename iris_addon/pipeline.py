@@ -25,6 +25,7 @@ from .cameras.fit import fit_cameras
 from .capture.exposures import with_unit_mean
 from .config import SolveConfig
 from .decide import Decisions
+from .lighting.candidates import read_given_emitters
 from .lighting.hidden import find_hidden, nothing_hidden
 from .materials.first_lights import FirstLights, find_first_lights, pose_problem
 from .materials.rounds import solve_materials
@@ -127,6 +128,8 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
             overlap = stream(config.seed, "response.overlap")
             found = measure_photometry(reduced, config, observations, photos, overlap, decisions)
             panes = find_panes(surface, tracer, room.samples, shown_pixels(found, room), decisions)
+            if isinstance(config.emitters, Path):  # a lamp that the user names is none
+                panes = np.setdiff1d(panes, np.concatenate(read_given_emitters(config.emitters, tracer.areas) or [[]]))
             return {**found.arrays(), "panes": panes}
 
         arrays = stage("response", lambda: cancellable(measure))

@@ -13,10 +13,9 @@ import numpy as np
 
 from ..base.progress import Progress
 from ..base.random_streams import stream
-from ..decide import Decisions
 from ..response.radiance import GroupRadiance
 from ..surface.photo_samples import ShownPixels
-from .lamp_radiance import PatchFit, half_shown, lights_without_lamps, patch_weight, solve_lights
+from .lamp_radiance import PatchFit, half_shown, lights_without_lamps, patch_weight, patches_on, solve_lights
 from .problem import LightProblem, Lights
 from .search import choose_outside
 from .sun import Sun, sun_from
@@ -37,8 +36,7 @@ def choose_sun(
     if sunlit.hidden.sun is None:
         return dark, light, lights
     sky, lamps = choose_outside(dark, observed, progress)
-    rivals = _of_the_same_patches(sky, observed, lamps, sunlit.hidden.sun, progress)
-    if _accepted(dark.decisions, rivals, lights, "in place of lamps"):
+    if _is_needed((light, lights), (sky, lamps), observed, progress, "in place of lamps"):
         return sunlit, light, lights
     return dark, sky, lamps
 
@@ -52,60 +50,63 @@ def with_sun(problem: LightProblem, observed: GroupRadiance, shown: ShownPixels,
     guesses = find_suns(problem, problem.tracer, observed, base, shown)
     if not guesses or not np.isfinite(base.held_out):
         return problem
-    sunlit, lights = _lit_by(problem, observed, guesses[0], progress)
+    alone = replace(problem, sunlight_passed_on=False)
+    guess = guesses[0]
+    sunlit, lights = _lit_by(alone, observed, guess, progress)
     # Under the light that the sun brings in, the borders of its patches tell more.
     sky = replace(lights, irradiance=lights.irradiance - _direct(sunlit, lights))
-    guess = replace(guesses[0], irradiance=lights.hidden_radiance[-1])
-    again = refined(problem, problem.tracer, lit_pixels(problem, sky, shown), guess)
-    if again is not None:
-        sunlit, lights = _lit_by(problem, observed, again, progress)
-    assert sunlit.hidden.sun is not None
-    base = _of_the_same_patches(problem, observed, base, sunlit.hidden.sun, progress)
-    if not _accepted(problem.decisions, base, lights, "without lamps"):
+    guess = replace(guess, irradiance=lights.hidden_radiance[-1])
+    closer = refined(problem, problem.tracer, lit_pixels(problem, sky, shown), guess)
+    if closer is not None:
+        guess = closer
+        sunlit, lights = _lit_by(alone, observed, guess, progress)
+    if not _is_needed((sunlit, lights), (problem, base), observed, progress, "without lamps"):
         return problem
-    return _passed_on(sunlit, observed, lights, progress)
+    sunlit, lights = _lit_by(problem, observed, guess, progress)
+    # Rays aimed at what the sun lights, which may send most of the light of the room: the noise of gather rays, of
+    # which few meet it, would make walls too white and the sun too weak.
+    return replace(sunlit, aimed=sunlit.rays_to_bright(lights, stream(sunlit.seed, "lighting.aimed_at_sunlight")))
 
 
-def _accepted(decisions: Decisions, dark: Lights, lights: Lights, subject: str) -> bool:
-    """Whether the sun stands that ``lights`` have and ``dark`` have not."""
-    return decisions.accept("sun", dark.held_out, lights.held_out, dark.paired_error(lights), subject=subject)
-
-
-def _of_the_same_patches(
-    dark: LightProblem, observed: GroupRadiance, lights: Lights, sun: Sun, progress: Progress
-) -> Lights:
-    """The ``lights`` of ``dark``, which has no sun, solved for again from the patches that count under ``sun``."""
-    weight = patch_weight(dark, observed) * ~half_shown(dark, observed, sun)
-    return solve_lights(dark, observed, lights.emitters, lights, progress, lights.form_factors, PatchFit(weight))
+def _is_needed(
+    sunlit: tuple[LightProblem, Lights],
+    dark: tuple[LightProblem, Lights],
+    observed: GroupRadiance,
+    progress: Progress,
+    subject: str,
+) -> bool:
+    """Whether the light of a problem with a sun balances better than that of the one without, both solved for again
+    from the patches that count in either."""
+    problem, sun = dark[0], sunlit[0].hidden.sun
+    assert sun is not None
+    weight = patch_weight(problem, observed) * ~half_shown(problem, observed, sun)
+    for _, lights in (dark, sunlit):
+        weight[patches_on(problem, lights.mask)[: len(weight)]] = 0.0
+    without, with_it = (
+        solve_lights(
+            replace(problem, clipped_counts=False),
+            observed,
+            lights.emitters,
+            lights,
+            progress,
+            lights.form_factors,
+            PatchFit(weight),
+        )
+        for problem, lights in (dark, sunlit)
+    )
+    error = without.paired_error(with_it)
+    return problem.decisions.accept("sun", without.held_out, with_it.held_out, error, subject=subject)
 
 
 def _lit_by(
     problem: LightProblem, observed: GroupRadiance, guess: SunGuess, progress: Progress
 ) -> tuple[LightProblem, Lights]:
-    """The problem with the sun of ``guess``, as it lights what it shines on, and its light without lamps."""
+    """The problem with the sun of ``guess``, and its light without lamps."""
     sun = _sun(problem, guess)
-    sunlit = replace(problem, hidden=replace(problem.hidden, sun=sun), sunlight_passed_on=False)
+    sunlit = replace(problem, hidden=replace(problem.hidden, sun=sun))
     lights = solve_lights(sunlit, observed, [], lights_without_lamps(sunlit, observed), progress)
-    return _as_strong(sunlit, lights), lights
-
-
-def _passed_on(sunlit: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress) -> LightProblem:
-    """``sunlit`` whose sun is as strong as the light says that its patches pass on, with rays aimed at these.
-
-    They may send most of the light of the room. The noise of gather rays, of which few meet them, would make walls too
-    white and the sun too weak.
-    """
-    sunlit = replace(sunlit, sunlight_passed_on=True)
-    lights = solve_lights(sunlit, observed, [], lights, progress)
-    rays = sunlit.rays_to_bright(lights, stream(sunlit.seed, "lighting.aimed_at_sunlight"))
-    return replace(_as_strong(sunlit, lights), aimed=rays)
-
-
-def _as_strong(sunlit: LightProblem, lights: Lights) -> LightProblem:
-    """``sunlit`` with the irradiance of its sun in ``lights``."""
-    sun = sunlit.hidden.sun
-    assert sun is not None
-    return replace(sunlit, hidden=replace(sunlit.hidden, sun=replace(sun, irradiance=lights.hidden_radiance[-1])))
+    sun = replace(sun, irradiance=lights.hidden_radiance[-1])
+    return replace(sunlit, hidden=replace(sunlit.hidden, sun=sun)), lights
 
 
 def _sun(problem: LightProblem, guess: SunGuess) -> Sun:

@@ -269,19 +269,6 @@ def test_a_size_that_only_turning_explains_names_the_orientation(nerfstudio_room
         read_capture(nerfstudio_room.root)
 
 
-# ---- two cameras ---------------------------------------------------------------------------------------------------
-
-
-def test_photos_of_two_cameras_are_said_to_have_two_curves(nerfstudio_room: RoomCapture) -> None:
-    for index, photo in enumerate(nerfstudio_room.photos):
-        exif = Image.Exif()
-        exif[0x010F], exif[0x0110] = ("A", "Phone") if index % 2 else ("B", "Camera")
-        with Image.open(photo) as image:
-            image.copy().save(photo, exif=exif)
-    warnings = read_capture(nerfstudio_room.root).warnings
-    assert any("2 cameras" in warning and "A Phone (3)" in warning for warning in warnings)
-
-
 def test_negative_radiance_is_zero(tmp_path: Path) -> None:
     write_exr(tmp_path / "a.exr", np.full((4, 4, 3), -1.0))
     assert (read_photo(tmp_path / "a.exr").values == 0).all()

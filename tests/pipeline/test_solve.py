@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 from iris_addon.base.errors import BadInput, Cancelled
+from iris_addon.base.files import to_ranges
 from iris_addon.base.images import read_image, write_exr, write_png
 from iris_addon.base.progress import Progress, ProgressEvent
 from iris_addon.capture.mesh_files import without_doubles
@@ -379,6 +380,16 @@ def test_the_solve_goes_on_behind_a_pane_also_when_it_is_resumed(
     monkeypatch.setattr("iris_addon.pipeline.find_panes", lambda *_arguments: pytest.fail("they are known"))
     solve(capture, FAST, shoot.folder / "resumed", resume=True)
     assert same_results(shoot.folder / "behind", shoot.folder / "resumed")
+
+
+def test_a_lamp_that_the_user_names_is_no_pane(shoot: Shoot, monkeypatch: pytest.MonkeyPatch) -> None:
+    lamp, wall = (np.flatnonzero(shoot.room.regions == region) for region in (LAMP_REGIONS[0], 1))
+    monkeypatch.setattr("iris_addon.pipeline.find_panes", lambda *_arguments: np.union1d(lamp, wall))
+    named = shoot.folder / "named.json"
+    named.write_text(json.dumps({"emitters": [{"faces": np.asarray(to_ranges(lamp)).tolist()}]}))
+    result = solve(shoot.capture(), replace(FAST, emitters=named), shoot.folder / "named")
+    assert np.array_equal(result.panes, wall)
+    assert [emitter.faces.tolist() for emitter in result.emitters] == [lamp.tolist()]
 
 
 @pytest.mark.parametrize("step", ["trace_room", "atlas_for_photos", "measure_photometry", "make_result"])
