@@ -48,11 +48,9 @@ SHARED_TEXTURE_ERROR = 0.25
 """Error of the median of a textured region, in spreads of its texels."""
 SHARED_MIN_TEXELS = 5
 """Texels that a region must have to share a paint."""
-RESIDUAL_MIN_ERROR, RESIDUAL_MAX_ERROR = 0.03, 0.15
-"""Standard deviation of the log irradiance of patches, least and greatest."""
-RESIDUAL_QUANTILE, RESIDUAL_PER_SPREAD = 0.1, 1.6
-"""The error is this multiple of the slow spread within a region at this quantile over patches: their ratio where lamps
-are known."""
+RESIDUAL_ERROR = 0.03
+"""Standard deviation of the log irradiance of patches, as far as it changes slowly over a region. Paints that differ by
+more in one region, as ceiling and walls of one piece do, are kept apart."""
 RESIDUAL_WIDTH = 3.0
 """Standard deviation, in patch sizes, of the kernel that keeps slow changes."""
 RESIDUAL_STAIN = 10 / 3
@@ -279,8 +277,7 @@ def residual_light(
 
     Traced irradiance is accurate to a few percent, with errors that change slowly over a surface. A paint is even over
     a region or has detail, so that a slow change of a few percent is taken for an error of the light, unless the region
-    shows larger ones (after the retinex of Land and McCann, JOSA 1971). Where lamps stand outside the mesh the light is
-    less accurate; the most even regions tell by how much.
+    shows larger ones (after the retinex of Land and McCann, JOSA 1971).
 
     Args:
         region: (P,) region of each patch.
@@ -299,12 +296,5 @@ def residual_light(
     # The kernel is applied twice: once, detail as fine as a patch would remain in the mean over ten of them.
     slow = (around @ (around @ (known * off))) / np.maximum(around @ (around @ known), 1e-12)
     spread = MAD * group_medians(np.abs(slow[seen]), region[seen], n_regions).mean(1)
-    error = _residual_error(spread[region[seen & even[region]]])
-    share = even / np.maximum(spread / error, 1.0) ** 2
-    return np.exp(share[region][:, None] * slow / (1 + (slow / (RESIDUAL_STAIN * error)) ** 4))
-
-
-def _residual_error(spread: NDArray[np.floating]) -> float:
-    """Standard deviation of the log irradiance of patches, from the slow ``spread`` (n,) within the region of each."""
-    evenest = float(np.quantile(spread, RESIDUAL_QUANTILE)) if len(spread) else 0.0
-    return float(np.clip(RESIDUAL_PER_SPREAD * evenest, RESIDUAL_MIN_ERROR, RESIDUAL_MAX_ERROR))
+    share = even / np.maximum(spread / RESIDUAL_ERROR, 1.0) ** 2
+    return np.exp(share[region][:, None] * slow / (1 + (slow / (RESIDUAL_STAIN * RESIDUAL_ERROR)) ** 4))
