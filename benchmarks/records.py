@@ -67,7 +67,7 @@ def machine_of(records: Iterable[Record]) -> str:
 def flat(record: Record) -> dict[str, Any]:
     """A record as one row of a table."""
     row = {**record["run"], "capture": Path(record["run"]["capture"]).name}
-    costs = ("seconds_total", "seconds_run", "peak_memory_bytes", "rays_traced", "n_patches", "holdout_psnr")
+    costs = ("seconds_total", "seconds_run", "peak_memory_bytes", "rays_traced", "n_patches", "holdout_psnr", "lamps")
     row |= {name: record.get(name) for name in costs}
     row |= {f"seconds_{stage}": value for stage, value in record.get("seconds", {}).items()}
     row |= {name: value for name, value in record.get("metrics", {}).items() if isinstance(value, int | float)}

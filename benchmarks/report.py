@@ -23,6 +23,7 @@ from . import (
     scans_section,
     speed_section,
     stability_section,
+    sunlit_section,
 )
 from .machine import ROOT
 from .records import COMMITTED, IMAGES, Record, pack, unpack
@@ -39,6 +40,7 @@ SECTIONS: Mapping[str, Section] = {
     "profile": profile_section.describe,
     "farm": farm_section.describe,
     "scans": scans_section.describe,
+    "sunlit": sunlit_section.describe,
 }
 NOT_MEASURED = "Not measured yet."
 

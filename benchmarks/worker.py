@@ -49,6 +49,7 @@ def measure(run: Run, cache: Path) -> dict[str, Any]:
         "seconds_run": time.monotonic() - begin,
         **{name: report.get(name) for name in ("seconds", "peak_memory_bytes", "rays_traced", "n_patches", "n_views")},
         "n_faces": len(result.mesh.faces),
+        "lamps": len(result.emitters),
         "model": report.get("model"),
         "holdout_psnr": report.get("holdout_psnr"),
         "metrics": scores,

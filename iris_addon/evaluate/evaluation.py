@@ -10,10 +10,11 @@ import numpy as np
 from ..base.errors import BadInput
 from ..base.progress import Progress
 from ..capture.reader import read_capture
+from ..model.recovered import Sunlight
 from ..results.maps import MapRenderer
 from ..results.result import Result
 from . import metrics
-from .ground_truth import GroundTruth, read_ground_truth
+from .ground_truth import GroundTruth, read_ground_truth, read_sun
 from .map_scores import score_maps
 from .pictures import (
     RenderViews,
@@ -30,7 +31,9 @@ MAPPED = (
     "kd_psnr", "kd_psnr_8x8", "kd_psnr_all", "kd_psnr_all_8x8", "a_psnr", "a_psnr_8x8", "a_lobe_psnr",
     "a_lobe_psnr_8x8", "roughness_psnr", "metallic_l2", "emission_iou", "emission_log_l2",
 )  # fmt: skip
+TINY = 1e-9
 LIGHT_AND_CAMERA = ("crf_l2", "exposure_log2_rmse")
+SUN = ("sun_degrees", "sun_irradiance")
 
 
 def evaluate(
@@ -76,7 +79,8 @@ def _against_truth(
     """Per-view values, numbers that have no views, and what is missing and why."""
     with progress.stage("maps"):
         per_view = score_maps(MapRenderer(result), truth, progress)
-    numbers = _camera_scores(result, truth)
+    sun = read_sun(truth)
+    numbers = _camera_scores(result, truth) | ({} if sun is None else _sun_scores(result.sun, sun))
     if render is not None:
         pictures = []
         for name, views in (("novel views", novel_views), ("relighting", relit_views), ("insertion", inserted_views)):
@@ -86,6 +90,8 @@ def _against_truth(
     found = per_view.keys() | numbers.keys()
     missing = "the capture has no reference for it"
     left_out = {name: missing for name in (*MAPPED, *LIGHT_AND_CAMERA) if name not in found}
+    if sun is not None:
+        left_out |= {name: "no sun was found" for name in SUN if name not in found}
     left_out |= {
         name: missing if render is not None else "nothing was rendered" for name in RENDERED if name not in found
     }
@@ -105,6 +111,16 @@ def _camera_scores(result: Result, truth: GroundTruth) -> dict[str, float]:
         ours, true = np.array(pairs).T
         scores["exposure_log2_rmse"] = metrics.exposure_log2_rmse(ours, true)
     return scores
+
+
+def _sun_scores(sun: Sunlight | None, truth: Sunlight) -> dict[str, float]:
+    """How far off the direction of the sun is, degrees, and its irradiance over the true one, in the geometric mean of
+    the channels; nothing where none was found."""
+    if sun is None:
+        return {}
+    cosine = float(np.clip(sun.direction @ truth.direction, -1.0, 1.0))
+    ratio = np.log(np.maximum(sun.irradiance, TINY) / np.maximum(truth.irradiance, TINY))
+    return {"sun_degrees": float(np.degrees(np.arccos(cosine))), "sun_irradiance": float(np.exp(ratio.mean()))}
 
 
 def _held_out(

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from ..base.errors import BadInput
 from ..base.images import read_exr, read_image, read_map
-from ..base.untrusted import finite, read_json, read_npy
+from ..base.untrusted import finite, json_object, numbers, read_json, read_npy
 from ..capture.exposures import with_device
 from ..capture.fipt import fipt_root, read_fipt_views
 from ..model.capture import Split, View
+from ..model.recovered import Sunlight
 from ..model.response import N_SAMPLES, Response
 
 MAX_RESPONSE_BYTES = 16 << 20
@@ -110,6 +111,24 @@ def read_objects(truth: GroundTruth) -> dict | None:
     """The insertion job of the capture, or None."""
     path = truth.root / "insert" / "objects.json"
     return read_json(path) if path.is_file() else None
+
+
+def read_sun(truth: GroundTruth) -> Sunlight | None:
+    """The strongest sun of the capture, or None.
+
+    Raises:
+        BadInput: damaged.
+    """
+    path = truth.folder / "meta_gt.json"
+    listed = read_json(path).get("suns") if path.is_file() else None
+    if not isinstance(listed, list):
+        return None
+    suns = []
+    for k, entry in enumerate(listed):
+        sun = json_object(entry, f"suns[{k}]", path)
+        pair = (numbers(sun.get(name), (3,), f"suns[{k}].{name}", path) for name in ("direction", "irradiance"))
+        suns.append(Sunlight(*pair))
+    return max(suns, key=lambda sun: float(sun.irradiance.sum()), default=None)
 
 
 def _response(folder: Path) -> Response | None:

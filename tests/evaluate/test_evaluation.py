@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from iris_addon.evaluate.evaluation import evaluate
 from iris_addon.evaluate.pictures import fit_gains, score_held_out
 from iris_addon.model.capture import Camera, Photo, View
 from iris_addon.model.device import Device
-from iris_addon.model.recovered import Backdrop, Textures
+from iris_addon.model.recovered import Backdrop, Sunlight, Textures
 from iris_addon.model.response import Response, gamma
 from iris_addon.results.maps import MapRenderer, bilinear
 from tests.box_room import HEIGHT, WIDTH
@@ -87,6 +88,26 @@ def test_a_false_lamp_lowers_iou(tmp_path):
     more = replace(result.emitters[0], faces=np.array([10, 11]))
     assert evaluate(replace(result, emitters=(more,)), root)["emission_iou"] < 0.9
     assert evaluate(replace(result, emitters=()), root)["emission_iou"] == 0
+
+
+def test_the_sun_is_compared_with_the_strongest_true_one(tmp_path):
+    root = write_truth_room(tmp_path / "room")
+    suns = [
+        {"direction": [1.0, 0.0, 0.0], "irradiance": [1.0, 1.0, 1.0]},
+        {"direction": [0.0, 0.6, 0.8], "irradiance": [20.0, 18.0, 15.0]},
+    ]
+    facts = root / "gt" / "meta_gt.json"
+    facts.write_text(json.dumps({"suns": suns}))
+    turn = np.radians(3.0)
+    toward = np.array([0.0, 0.6 * np.cos(turn) - 0.8 * np.sin(turn), 0.6 * np.sin(turn) + 0.8 * np.cos(turn)])
+    found = Sunlight(toward, np.array([22.0, 19.8, 16.5]))
+    scores = evaluate(replace(true_result(), sun=found), root)
+    assert scores["sun_degrees"] == pytest.approx(3.0, abs=1e-6)
+    assert scores["sun_irradiance"] == pytest.approx(1.1)
+    assert evaluate(true_result(), root)["left_out"]["sun_degrees"] == "no sun was found"
+    facts.write_text('{"suns": [{"direction": [0, 0, 1]}]}')
+    with pytest.raises(BadInput, match=r"suns\[0\].irradiance"):
+        evaluate(true_result(), root)
 
 
 def test_views_without_a_true_emitter_do_not_count_for_emission(tmp_path):

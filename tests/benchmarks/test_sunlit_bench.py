@@ -1,0 +1,44 @@
+"""The table of sunlit rooms, and captures that are rendered once."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from benchmarks import sunlit, sunlit_section
+
+
+def record(room: str, metrics: dict[str, float]) -> dict:
+    return {
+        "run": {"capture": f"x/{room}", "configuration": "ours", "preset": "draft", "seed": 0, "axis": "", "level": 0},
+        "seconds_total": 61.4,
+        "lamps": 2,
+        "metrics": metrics,
+        "machine": {"processor": "test", "cores": 2, "commit": "0"},
+    }
+
+
+def test_rooms_stand_above_what_is_asked_of_them(tmp_path: Path) -> None:
+    found = record("blind", {"sun_degrees": 0.144, "sun_irradiance": 1.07, "nvs_psnr": 27.6})
+    text = sunlit_section.describe([record("pane", {"kd_psnr_8x8": 15.9}), found], tmp_path)
+    rows = [line.split(" | ") for line in text.splitlines() if line.startswith("| ")]
+    assert [row[0] for row in rows] == ["| room", "| ---", "| blind", "| pane", "| **mark**"]
+    assert rows[2][2:5] == ["2", "0.14", "1.07"] and rows[2][8] == "27.60"
+    assert rows[3][3:6] == ["–", "–", "15.90"], "no sun was found"
+    assert len({len(row) for row in rows}) == 1
+
+
+def test_a_room_is_rendered_where_it_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+
+    def run(command: list[str], **_settings: object) -> None:
+        made.append(command[3])
+        capture = Path(command[command.index("--out") + 1])
+        capture.mkdir(parents=True)
+        (capture / "meta.json").write_text("{}")
+
+    monkeypatch.setattr(subprocess, "run", run)
+    assert sunlit.rendered("pane", tmp_path) == sunlit.rendered("pane", tmp_path) == tmp_path / "pane"
+    assert made == ["pane"]
