@@ -21,7 +21,7 @@ help:
 	@echo "make ablation   what each refinement earns, capture by capture, 2 hours"
 	@echo "make curves     measured responses, exposures known and withheld, half an hour"
 	@echo "make bench-scans scans beside the exact meshes of the same rooms, ten minutes"
-	@echo "make bench-sunlit three rooms lit by sun and sky, rendered first, three quarters of an hour"
+	@echo "make bench-sunlit three rooms lit by sun and sky, rendered first, 20 minutes"
 	@echo "make bench-farm jobs per hour of a batch, one after the other and two at a time, a quarter of an hour"
 	@echo "make figures    charts and tables out of what was measured; nothing is measured"
 	@echo "make fuzz       damaged files for every reader, SECONDS=600;  make lock  hashes of what the solver installs"
