@@ -147,7 +147,8 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         transport = cached_transport(room, config, stream(config.seed, "transport.gather_rays"), progress)
         hidden = nothing_hidden(transport)
         if not decisions.forbids("hidden_light"):
-            hidden = find_hidden(transport, room.regions.of_face, room.smooth_components, room.surveyed)
+            faces = room.regions.of_face, room.smooth_components, room.surveyed
+            hidden = find_hidden(room.tracer, transport, *faces, stream(config.seed, "transport.openings"))
     with progress.stage("lights"):
         pose = partial(pose_problem, room, transport, hidden, observations, config, decisions)
         problem = cancellable(lambda: pose(photometry))

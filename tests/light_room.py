@@ -128,7 +128,7 @@ def light_room(
     t, n = p.transport, p.transport.n_seen
     adjacency, seen_faces = edge_adjacency(room.mesh), p.samples.seen_faces(len(room.regions))
     smooth = smooth_components(p.tracer.normals, adjacency, room.regions)
-    hidden = find_hidden(t, room.regions, smooth, seen_faces)
+    hidden = find_hidden(p.tracer, t, room.regions, smooth, seen_faces, np.random.default_rng(2))
     radiance = _radiosity(room, p, hidden, np.asarray(sky), direct)
     photographed = radiance[:n] * np.exp(noise * np.random.default_rng(1).standard_normal((n, 1)))
     for region, value in (shown or {}).items():

@@ -32,6 +32,7 @@ STREAMS: Mapping[str, int] = {
     "lighting.sun_pixels": 61,
     "capture.points_to_mesh": 67,
     "lighting.aimed_at_sunlight": 71,
+    "transport.openings": 73,
 }
 """The number of each use, "room.use". A new use takes a new number; numbers stay, so that results do."""
 

@@ -15,13 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
-from ..base.group_by import counts
-from ..base.parallel import BLOCK, over_blocks
+from ..base.group_by import counts, group_sums
+from ..base.parallel import BLOCK, over_blocks, over_random_blocks
 from ..brdf.diffuse import under_lobe
 from ..model.sphere import dodecahedron, sh_basis
 from ..rays.sampling import Origins
+from ..rays.tracer import Tracer
 from ..transport.form_factors import with_schlick
 from ..transport.gather import ESCAPED, GatherRays
+from ..transport.openings import AIMED_RAYS, Openings
 from ..transport.transport import Transport
 from .backdrop import SeenBackdrop
 from .sun import Sun
@@ -31,6 +33,9 @@ OUTSIDE_MIN_SHARE = 2e-3
 SURFACE_MIN_SHARE, SURFACE_MAX_COUNT = 2e-5, 64
 """Share of the gather rays that must meet an unseen surface for it to be tried as a lamp, low because a shade hides a
 lamp from most of the room; and the number of such surfaces at most."""
+OUTSIDE_AIMED_MAX_SHARE = 0.8
+"""Share of escaping rays up to which rays are aimed at the openings; where nearly all rays escape, these know the light
+without noise."""
 OUTSIDE_DIRECTIONAL_SHARE = 0.02
 """Share of escaping rays above which light from outside may depend on direction."""
 LOBE_BANDS = np.repeat([np.pi / 3, np.pi / 6, np.pi / 30], [1, 3, 5])
@@ -200,7 +205,12 @@ def nothing_hidden(transport: Transport) -> HiddenSources:
 
 
 def find_hidden(
-    transport: Transport, regions: NDArray[np.int32], components: NDArray[np.int32], seen: NDArray[np.bool_]
+    tracer: Tracer,
+    transport: Transport,
+    regions: NDArray[np.int32],
+    components: NDArray[np.int32],
+    seen: NDArray[np.bool_],
+    rng: np.random.Generator,
 ) -> HiddenSources:
     """Unseen surfaces, and lobes of outside light, that light the seen surfaces.
 
@@ -208,21 +218,25 @@ def find_hidden(
         regions: (F,) region of each face.
         components: (F,) component of its region between sharp edges.
         seen: (F,) faces that a photo shows.
+        rng: of rays to the openings.
     """
     escaped = float((transport.target == ESCAPED).mean())
     directions = np.zeros((0, 3))
     if escaped > OUTSIDE_MIN_SHARE:
         directions = dodecahedron() if escaped > OUTSIDE_DIRECTIONAL_SHARE else np.array([[0.0, 0.0, 1.0]])
+    surfaces = _unseen_surfaces(transport.rays, regions, components, seen)
+    openings = Openings.of(tracer, transport) if len(directions) else None
+    if openings is None:
+        return HiddenSources(surfaces, directions[:0], np.zeros((transport.n_patches, 0, 2), np.float32))
+    aimed = AIMED_RAYS / transport.target.shape[1] if escaped <= OUTSIDE_AIMED_MAX_SHARE else 0.0
     blocks = [
-        _form_factors(target, origins, rays, directions)
+        _form_factors(openings, target, origins, rays, directions, round(aimed * target.shape[1]), rng)
         for target, origins, rays in (
             (transport.target, transport.origins, transport.rays),
             (transport.unseen_target, transport.unseen_origins, transport.unseen_rays),
         )
     ]
-    return HiddenSources(
-        _unseen_surfaces(transport.rays, regions, components, seen), directions, np.concatenate(blocks)
-    )
+    return HiddenSources(surfaces, directions, np.concatenate(blocks))
 
 
 def through_holes(transport: Transport, backdrop: SeenBackdrop) -> ThroughHoles | None:
@@ -269,20 +283,31 @@ def _unseen_surfaces(
 
 
 def _form_factors(
-    target: NDArray[np.int32], origins: Origins, rays: GatherRays, directions: NDArray[np.float64]
+    openings: Openings,
+    target: NDArray[np.int32],
+    origins: Origins,
+    rays: GatherRays,
+    directions: NDArray[np.float64],
+    aimed: int,
+    rng: np.random.Generator,
 ) -> NDArray[np.float32]:
-    """(rows, D, 2) irradiance / pi of each row by the lobes through escaping rays, equation (21); plain and times S."""
+    """(rows, D, 2) irradiance / pi of each row by the lobes through escaping rays, equation (21); plain and times S.
+
+    Args:
+        aimed: rays from each row to the openings, beside the gather rays.
+    """
     n_rows, n_rays = target.shape
     result = np.zeros((n_rows, len(directions), 2), np.float32)
-    if len(directions) == 0:
-        return result
-    normal = np.arange(n_rays) % origins.normal.shape[1]
 
-    def some(rows: slice) -> None:
-        direction = rays.direction[rows].astype(np.float32)
-        cosine = np.einsum("prk,prk->pr", origins.normal[rows][:, normal], direction)
-        escapes = with_schlick(cosine) * (target[rows] == ESCAPED)[..., None]
-        result[rows] = np.moveaxis(lobes(direction, directions), 1, 2) @ escapes / n_rays
+    def some(rows: slice, rng: np.random.Generator) -> None:
+        found = [openings.gathered(target, rays.direction, origins, rows, aimed)]
+        if aimed:
+            found.append(openings.aimed(origins, rows, n_rays, aimed, rng))
+        for escaping in found:
+            light = lobes(escaping.direction, directions)[..., None] * with_schlick(escaping.cosine)[:, None]
+            light = (light * escaping.weight[:, None, None]).reshape(len(light), 2 * len(directions))
+            sums = group_sums(light, escaping.row - rows.start, rows.stop - rows.start)
+            result[rows] += sums.reshape(-1, len(directions), 2)
 
-    over_blocks(n_rows, BLOCK // n_rays, some)
+    over_random_blocks(n_rows, BLOCK // n_rays, some, rng)
     return result

@@ -225,13 +225,14 @@ def test_radiosity_loses_no_energy() -> None:
 def test_surfaces_that_no_photo_sees_come_in_the_order_of_the_rays_that_meet_them(one_region: bool) -> None:
     """Ceiling and a box that nobody sees, as regions of their own and as components of a single region."""
     room = furnished_room(np.inf)
-    _, transport = transport_of(room)
+    tracer, transport = transport_of(room)
     ceiling, furniture = WALLS.index("ceiling"), 7
     components = room.regions.astype(np.int32)
     seen = ~np.isin(components, [ceiling, furniture])
-    hidden = find_hidden(transport, np.zeros_like(components) if one_region else components, components, seen)
+    rng, regions = np.random.default_rng(0), np.zeros_like(components) if one_region else components
+    hidden = find_hidden(tracer, transport, regions, components, seen, rng)
     assert [np.unique(room.regions[faces]).tolist() for faces in hidden.surfaces] == [[ceiling], [furniture]]
-    assert find_hidden(transport, components, components, np.ones_like(seen)).surfaces == ()
+    assert find_hidden(tracer, transport, components, components, np.ones_like(seen), rng).surfaces == ()
 
 
 def test_a_convex_body_in_uniform_light_sees_nothing_but_it() -> None:
@@ -239,7 +240,8 @@ def test_a_convex_body_in_uniform_light_sees_nothing_but_it() -> None:
     tracer, transport = transport_of(Room(mesh, np.zeros((1, 3)), np.zeros((1, 3))))
     assert transport.escaped().min() == 1
     n_faces = len(mesh.faces)
-    hidden = find_hidden(transport, np.zeros(n_faces, np.int32), np.zeros(n_faces, np.int32), np.ones(n_faces, bool))
+    one = np.zeros(n_faces, np.int32)
+    hidden = find_hidden(tracer, transport, one, one, np.ones(n_faces, bool), np.random.default_rng(0))
     assert len(hidden.directions) == 12
     light = np.tile([0.7, 0.8, 0.9], (12, 1))
     irradiance = hidden.form_factors[..., 0] @ light
