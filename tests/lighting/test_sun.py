@@ -117,7 +117,9 @@ def test_a_lamp_that_clips_with_what_it_lights_is_no_sunlit_wall(panel: Panel, l
 
 @pytest.mark.parametrize("lamp", [0.0, 20.0])
 def test_no_sun_is_found_in_a_room_without_one(lamp: float) -> None:
-    assert found(window_room(sun=False, lamp=lamp), False) is None
+    room = window_room(sun=False, lamp=lamp)
+    problem, _, _ = choose_sun(room.problem, room.observed, shown(room, False), Progress())
+    assert problem.hidden.sun is None
 
 
 def test_irradiance_of_pixels_has_the_sharp_borders_of_sunlight() -> None:

@@ -65,7 +65,7 @@ def test_light_through_a_window_is_that_of_quadrature_with_less_noise_than_by_ga
     expected = through_window(point) if not garden else by_gather_rays.mean()
     assert by_gather_rays.mean() == pytest.approx(through_window(point), rel=0.05)
     assert sums.mean() == pytest.approx(expected, rel=0.03 if not garden else 0.06)
-    assert sums.std() < (0.4 if not garden else 1.0) * by_gather_rays.std()
+    assert sums.std() < (0.5 if not garden else 1.0) * by_gather_rays.std()
 
 
 def test_a_closed_room_has_no_openings() -> None:
