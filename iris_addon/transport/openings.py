@@ -69,7 +69,8 @@ class Openings:
         if not len(row):
             return None
         cells = int(np.clip(np.sqrt(len(row) / RAYS_PER_CELL), 1, MAX_CELLS))
-        box = Openings(tracer, low - margin, high + margin, cells, np.ones(6 * cells**2))
+        chance = np.ones(6 * cells**2)
+        box = Openings(tracer=tracer, low=low - margin, high=high + margin, cells=cells, chance=chance)
         o = transport.origins
         start, along = o.position[row, ray % o.position.shape[1]], transport.rays.direction[row, ray]
         cell = box._exits(start, along.astype(np.float32))[0]
