@@ -71,8 +71,11 @@ def order_in_groups(values: NDArray[np.floating], group: NDArray[np.integer]) ->
 
 
 def rank_in_group(ordered: NDArray[np.integer]) -> NDArray[np.int64]:
-    """(n,) number of each row within its group, from 0, of groups in ascending order (n,)."""
-    return np.arange(len(ordered)) - np.searchsorted(ordered, ordered)
+    """(n,) number of each row within its group, from 0; the rows of a group stand together in ``ordered`` (n,)."""
+    first = np.ones(len(ordered), bool)
+    np.not_equal(ordered[1:], ordered[:-1], out=first[1:])
+    start = np.flatnonzero(first)
+    return np.arange(len(ordered)) - np.repeat(start, np.diff(start, append=len(ordered)))
 
 
 def group_sums(values: NDArray[np.floating], group: NDArray[np.integer], n_groups: int) -> NDArray[np.float64]:

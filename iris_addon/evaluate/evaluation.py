@@ -31,9 +31,10 @@ MAPPED = (
     "kd_psnr", "kd_psnr_8x8", "kd_psnr_all", "kd_psnr_all_8x8", "a_psnr", "a_psnr_8x8", "a_lobe_psnr",
     "a_lobe_psnr_8x8", "roughness_psnr", "metallic_l2", "emission_iou", "emission_log_l2",
 )  # fmt: skip
-TINY = 1e-9
 LIGHT_AND_CAMERA = ("crf_l2", "exposure_log2_rmse")
 SUN = ("sun_degrees", "sun_irradiance")
+TINY = 1e-9
+"""Irradiance that stands for none."""
 
 
 def evaluate(

@@ -1,7 +1,7 @@
 """Light whose source no photo shows: hidden emitters inside the mesh, and light from outside it.
 
 Hidden emitters are lamps like others, on which photos give no evidence. Light from outside enters the light balance by
-the gather rays that escape the mesh, in one of two ways: as further emitters, soft lobes around twelve directions,
+the rays that escape the mesh, in one of two ways: as further emitters, soft lobes around twelve directions,
 equation (21); or as the radiance that photos show through the holes, where these are gaps in a scan of walls. Parts of
 the backdrop that no photo shows are then further emitters where the light balance asks for them.
 """

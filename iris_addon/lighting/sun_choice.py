@@ -1,4 +1,4 @@
-"""Whether the sun shines into a room: tried before lamps are searched for, and again beside those that were found.
+"""Whether the sun shines into a room: proposed before lamps are searched for, then judged against lamps without it.
 
 What the sun lights is as bright as a lamp. It has to be known before faces are taken for lamps because they are bright;
 and it has to explain more than the lamps that are found without it, because one direction out of a thousand fits the
@@ -76,7 +76,7 @@ def _is_needed(
     subject: str,
 ) -> bool:
     """Whether the light of a problem with a sun balances better than that of the one without, both solved for again
-    from the patches that count in either."""
+    from the patches that are measured and no lamp in both."""
     problem, sun = dark[0], sunlit[0].hidden.sun
     assert sun is not None
     weight = patch_weight(problem, observed) * ~half_shown(problem, observed, sun)

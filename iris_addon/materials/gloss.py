@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.compiled import kernel
-from ..base.group_by import MAD, group_medians
+from ..base.group_by import MAD, group_medians, rank_in_group
 from ..base.parallel import over_each
 from ..brdf.ggx import DIELECTRIC_F0
 from ..decide import Decisions
@@ -280,7 +280,7 @@ def choose_observations(
     shuffle = rng.permutation(int(patch.max()) + 1)
     usable = np.flatnonzero(weight > 0)
     order = usable[np.lexsort((shuffle[patch[usable]], region[usable]))]
-    rank = np.arange(len(order)) - np.searchsorted(region[order], region[order])
+    rank = rank_in_group(region[order])
     most = min(GLOSS_MAX_OBSERVATIONS, _even_share(np.bincount(region[usable]), GLOSS_ALL_OBSERVATIONS))
     return np.sort(order[rank < most])
 

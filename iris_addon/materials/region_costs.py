@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ..base.group_by import rank_in_group
+
 POOL_MAX_OBSERVATIONS = 2000
 """Observations that all other regions together contribute to the pooled cost of a region, at most."""
 POOL_DISTANCE = 1.0
@@ -88,7 +90,7 @@ class RegionCosts:
         n = len(self.ids)
         near = cKDTree(self.centre).query(self.centre, k=min(POOL_NEIGHBOURS, n))[1].reshape(n, -1)
         best = np.lexsort((-self.count, self.in_file))
-        rank = np.arange(n) - np.searchsorted(self.in_file[best], self.in_file[best])
+        rank = rank_in_group(self.in_file[best])
         most = min(POOL_NEIGHBOURS, int(rank.max()) + 1)  # one where the file names no objects
         listed = rank < most
         of_object = np.full((int(self.in_file.max()) + 1, most), -1)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit
 
-from ..base.group_by import MAD, group_medians, group_sums, stable_order
+from ..base.group_by import MAD, group_medians, group_sums, rank_in_group, stable_order
 from ..base.parallel import filled
 from ..surface.irradiance import IrradianceField
 from .bake import DIM_ALBEDO
@@ -173,7 +173,7 @@ def find_paint(
 def _some_of_each(region: NDArray[np.integer], count: NDArray[np.integer]) -> NDArray[np.int64]:
     """Indices of up to PAINT_MAX_TEXELS texels of each region, spread evenly over its ``count`` (n_regions,)."""
     order = stable_order(region.astype(np.int64))
-    rank = np.arange(len(region)) - (np.cumsum(count) - count)[region[order]]
+    rank = rank_in_group(region[order])
     step = -(-count // PAINT_MAX_TEXELS)
     return order[rank % step[region[order]] == 0]
 

@@ -22,6 +22,8 @@ from .transport import Transport
 MAX_CELLS, RAYS_PER_CELL = 48, 32
 """Cells along a side of the box around the mesh, at most; and gather rays that leave by each where all leave by one
 side. With few rays to a cell their number says more of chance than of an opening."""
+MAX_RAYS = 4 * RAYS_PER_CELL * MAX_CELLS**2
+"""Escaping rays that are looked at, about at most: of more, those of an even selection of patches."""
 AIMED_RAYS = 32
 """Shadow rays from each patch to all openings together."""
 
@@ -65,9 +67,12 @@ class Openings:
         corners = tracer.corners.reshape(-1, 3)
         low, high = corners.min(0).astype(np.float64), corners.max(0).astype(np.float64)
         margin = 1e-3 * float(np.linalg.norm(high - low))
-        row, ray = np.nonzero(transport.target == ESCAPED)
-        if not len(row):
+        escaped = int(np.count_nonzero(transport.target == ESCAPED))
+        if not escaped:
             return None
+        step = -(-escaped // MAX_RAYS)
+        row, ray = np.nonzero(transport.target[::step] == ESCAPED)
+        row *= step
         cells = int(np.clip(np.sqrt(len(row) / RAYS_PER_CELL), 1, MAX_CELLS))
         chance = np.ones(6 * cells**2)
         box = Openings(tracer=tracer, low=low - margin, high=high + margin, cells=cells, chance=chance)
