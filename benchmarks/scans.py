@@ -14,39 +14,23 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from iris_addon.base.progress import Progress, console
-from iris_addon.config import PRESETS
-
 from .perturb_photos import copy_capture
-from .records import OUT
-from .runs import SCAN, SHARED_CAPTURES, Run, capture_folder, captures, has_truth, relative, run_all
+from .rooms import measure_rooms, parser_of
+from .runs import SCAN, SHARED_CAPTURES, capture_folder, captures, has_truth
 
 SHARED_SCANS = SHARED_CAPTURES.parent / "scans"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of("scans", __doc__)
     parser.add_argument("pairs", type=_pair, nargs="*", metavar="CAPTURE=MESH.ply", help="shared ones if left out")
-    parser.add_argument("--preset", choices=list(PRESETS), default="draft")
-    parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=OUT / "scans")
-    parser.add_argument("--no-report", action="store_true", help="leave docs alone")
     args = parser.parse_args(arguments)
     pairs = dict(args.pairs) or shared_scans()
     rooms: list[Path] = []
     for capture, mesh in pairs.items():
         rooms += [capture, scanned(capture, mesh, args.out / "captures")]
-    runs = [
-        Run(relative(room), preset=args.preset, seed=seed, scored="maps")
-        for seed in range(args.seeds)
-        for room in rooms
-    ]
-    records = run_all(runs, args.out / "records", Progress(console()))
-    if not args.no_report:
-        from .report import publish
-
-        publish("scans", records)
+    measure_rooms("scans", rooms, args, scored="maps")
     return 0
 
 

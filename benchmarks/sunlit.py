@@ -8,18 +8,13 @@ that has one is not repeated.
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from iris_addon.base.progress import Progress, console
-from iris_addon.config import PRESETS
-
 from .machine import ROOT
-from .records import OUT
-from .runs import Run, relative, run_all
+from .rooms import measure_rooms, parser_of
 
 ROOMS = ("blind", "pane", "scan")
 TRUTH_SAMPLES, SAMPLES = 48, 16
@@ -28,24 +23,11 @@ TRUTH_SAMPLES, SAMPLES = 48, 16
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of("sunlit", __doc__)
     parser.add_argument("rooms", nargs="*", choices=[*ROOMS, []], default=[], metavar="ROOM", help="by default all")
-    parser.add_argument("--preset", choices=list(PRESETS), default="draft")
-    parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=OUT / "sunlit")
-    parser.add_argument("--no-report", action="store_true", help="leave docs alone")
     args = parser.parse_args(arguments)
     rooms = [rendered(name, args.out / "captures") for name in args.rooms or ROOMS]
-    runs = [
-        Run(relative(room), preset=args.preset, seed=seed, samples=SAMPLES)
-        for seed in range(args.seeds)
-        for room in rooms
-    ]
-    records = run_all(runs, args.out / "records", Progress(console()))
-    if not args.no_report:
-        from .report import publish
-
-        publish("sunlit", records)
+    measure_rooms("sunlit", rooms, args, samples=SAMPLES)
     return 0
 
 
