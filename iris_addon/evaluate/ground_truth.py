@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from ..base.errors import BadInput
 from ..base.images import read_exr, read_image, read_map
-from ..base.untrusted import finite, json_object, numbers, read_json, read_npy
+from ..base.untrusted import finite, read_json, read_npy
 from ..capture.exposures import with_device
 from ..capture.fipt import fipt_root, read_fipt_views
 from ..model.capture import Split, View
 from ..model.recovered import Sunlight
 from ..model.response import N_SAMPLES, Response
+from ..results.records import read_sunlight
 
 MAX_RESPONSE_BYTES = 16 << 20
 
@@ -123,11 +124,7 @@ def read_sun(truth: GroundTruth) -> Sunlight | None:
     listed = read_json(path).get("suns") if path.is_file() else None
     if not isinstance(listed, list):
         return None
-    suns = []
-    for k, entry in enumerate(listed):
-        sun = json_object(entry, f"suns[{k}]", path)
-        pair = (numbers(sun.get(name), (3,), f"suns[{k}].{name}", path) for name in ("direction", "irradiance"))
-        suns.append(Sunlight(*pair))
+    suns = [read_sunlight(entry, f"suns[{k}]", path) for k, entry in enumerate(listed)]
     return max(suns, key=lambda sun: float(sun.irradiance.sum()), default=None)
 
 

@@ -117,7 +117,7 @@ def read_emitters(folder: Path, mesh: Mesh) -> StoredLights:
     return StoredLights(
         emitters,
         None if outside is None else _read_outside(json_object(outside, "outside", path), path),
-        None if sun is None else _read_sun(json_object(sun, "sun", path), path),
+        None if sun is None else read_sunlight(sun, "sun", path),
         None if backdrop is None else _read_shell(json_object(backdrop, "backdrop", path), path),
         from_ranges(content.get("panes"), len(mesh.faces), "panes", path),  # results of earlier versions have none
     )
@@ -144,11 +144,17 @@ def _read_outside(content: dict[str, Any], path: Path) -> OutsideLight:
     return OutsideLight(sh)
 
 
-def _read_sun(content: dict[str, Any], path: Path) -> Sunlight:
-    direction = numbers(content.get("direction"), (3,), "sun.direction", path)
-    irradiance = numbers(content.get("irradiance"), (3,), "sun.irradiance", path)
+def read_sunlight(value: object, where: str, path: Path) -> Sunlight:
+    """The sun that ``path`` describes in its part ``where``: ``{"direction": [...], "irradiance": [...]}``.
+
+    Raises:
+        BadInput: no finite numbers, no unit direction, or a negative irradiance.
+    """
+    content = json_object(value, where, path)
+    direction = numbers(content.get("direction"), (3,), f"{where}.direction", path)
+    irradiance = numbers(content.get("irradiance"), (3,), f"{where}.irradiance", path)
     if not abs(np.linalg.norm(direction) - 1) < 1e-3 or irradiance.min() < 0:
-        raise BadInput("'sun' has no unit direction, or a negative irradiance", MEND, path)
+        raise BadInput(f"'{where}' has no unit direction, or a negative irradiance", MEND, path)
     return Sunlight(direction, irradiance)
 
 

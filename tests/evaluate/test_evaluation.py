@@ -108,6 +108,9 @@ def test_the_sun_is_compared_with_the_strongest_true_one(tmp_path):
     facts.write_text('{"suns": [{"direction": [0, 0, 1]}]}')
     with pytest.raises(BadInput, match=r"suns\[0\].irradiance"):
         evaluate(true_result(), root)
+    facts.write_text('{"suns": [{"direction": [0, 0, 0], "irradiance": [1, 1, 1]}]}')
+    with pytest.raises(BadInput, match=r"suns\[0\]' has no unit direction"):
+        evaluate(true_result(), root)
 
 
 def test_views_without_a_true_emitter_do_not_count_for_emission(tmp_path):
