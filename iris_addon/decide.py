@@ -187,13 +187,14 @@ REFINEMENTS: Mapping[str, Refinement] = {
         errors=1.5,
         experiment="0037-how-certain-must-a-gain-of-gloss-be",
     ),
-    # A white frame is polished on a white wall, and the wall is matte beside it.
+    # A white frame is polished on a white wall, and the wall is matte beside it. Errors of the light beside a window
+    # make a matte wall gain 2 %, whatever its photos scatter.
     "gloss_alone": Refinement(
         "a roughness below 1 that a region shows and its like do not",
         "robust residual of view dependence, of the region alone",
-        gain=0.0,
+        gain=0.03,
         errors=2.0,
-        experiment="0041-when-may-neighbours-outvote-a-region",
+        experiment="0124-are-rounded-edges-borders",
     ),
     "matte_alone": Refinement(
         "a rough region among its glossy like",

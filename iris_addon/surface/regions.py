@@ -4,8 +4,8 @@
 regions of the mesh file where it names any; a file's region may be one material or a whole room joined into an object,
 so that it is only a hint that surfaces have one gloss (:mod:`iris_addon.materials.gloss`). Then
 
-- large components of a modelled surface between sharp edges become regions: the shell of a room is often one
-  component, though its floor and its walls are of different materials (:func:`split_creases`);
+- large components of a modelled surface between edges, sharp or rounded off, become regions: the shell of a room is
+  often one component, though its floor and its walls are of different materials (:func:`split_creases`);
 - scans are split between the planes and smooth pieces of their surface, and along edges of colour
   (:func:`split_scan`).
 
@@ -24,10 +24,10 @@ from ..base.group_by import group_equal, group_means, group_medians, group_sums
 from ..model.capture import Mesh
 from .primary_rays import PixelSamples
 from .scan_surface import ScanSurface
-from .topology import component_labels, smooth_components
+from .topology import component_labels, rounded_edges, smooth_edges
 
 REGION_MIN_SHARE = 0.01
-"""Share of all pixels from which on a component between sharp edges is a region of its own."""
+"""Share of all pixels from which on a component between edges is a region of its own."""
 COLOUR_FLOOR = 0.03
 """Display value added before the logarithm of a colour is taken."""
 SCAN_GRANULARITY = 0.6
@@ -90,7 +90,7 @@ def split_regions(
         a, b = adjacency
         within = mesh.regions[a] == mesh.regions[b]
         regions = component_labels(len(mesh.faces), a[within], b[within])
-    regions = split_creases(regions, adjacency, normals, samples, scanned)
+    regions = split_creases(regions, mesh, adjacency, normals, samples, scanned)
     if scanned.any():
         log_colour = np.log(group_means(z, samples.face, len(mesh.faces)) + COLOUR_FLOOR)
         regions = split_scan(regions, surface, samples, log_colour)
@@ -103,19 +103,22 @@ def split_regions(
 
 def split_creases(
     regions: NDArray[np.int32],
+    mesh: Mesh,
     adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
     normals: NDArray[np.floating],
     samples: PixelSamples,
     scanned: NDArray[np.bool_],
 ) -> NDArray[np.int32]:
-    """(F,) regions in which each large component between sharp edges is one; the rest of a region stays together.
+    """(F,) regions in which each large component between edges is one; the rest of a region stays together.
 
     Args:
         regions: (F,) region of each face.
         normals: (F, 3) unit.
         scanned: (F,) faces of scans, which are not split here.
     """
-    component = smooth_components(normals, adjacency, regions)
+    a, b = adjacency
+    joined = smooth_edges(normals, adjacency) & ~rounded_edges(mesh, normals, adjacency) & (regions[a] == regions[b])
+    component = component_labels(len(regions), a[joined], b[joined])
     pixels = np.bincount(component[samples.face], minlength=int(component.max()) + 1)
     large = pixels >= REGION_MIN_SHARE * len(samples.face)
     label = np.where(large[component] & ~scanned, len(regions) + component, regions)

@@ -101,6 +101,29 @@ def test_regions_of_the_file_are_split_into_components():
     assert len(np.unique(split.of_face[sheets == 2])) == 2
 
 
+@pytest.mark.parametrize(("radius", "apart"), [(0.01, True), (0.4, False)])
+def test_the_walls_of_a_room_with_rounded_edges_are_regions_and_a_round_tower_is_one(radius: float, apart: bool):
+    """Four walls joined by quarter circles of ``radius`` in steps of six degrees, none of which is a sharp edge."""
+    turn = np.radians(np.arange(0, 91, 6))
+    arc = radius * np.stack([np.cos(turn) - 1, np.sin(turn) - 1], 1)
+    corners = [np.array([1.0, 1.0]) + arc]
+    for _ in range(3):
+        corners.append(np.stack([-corners[-1][:, 1], corners[-1][:, 0]], 1))
+    outline = np.concatenate(corners)
+    n = len(outline)
+    vertices = np.concatenate([np.c_[outline, np.full(n, height)] for height in (0.0, 2.5)])
+    low = np.arange(n)
+    after = (low + 1) % n
+    mesh = Mesh(vertices, np.concatenate([np.c_[low, after, after + n], np.c_[low, after + n, low + n]]))
+    samples, z = _seen(mesh)
+    tracer = Tracer(mesh)
+    pixels = np.repeat(np.arange(len(samples.face)), np.maximum(1, 2000 * tracer.areas[samples.face]).astype(int))
+    regions = split_regions(mesh, surface_behind(mesh), samples.take(pixels), z[pixels]).of_face
+    walls = np.argsort(-tracer.areas)[:8].reshape(4, 2) if apart else np.arange(len(regions))[None]
+    assert len(np.unique(regions[walls])) == (4 if apart else 1)
+    assert (regions[walls] == regions[walls][:, :1]).all() or apart
+
+
 def _purity(regions: NDArray[np.integer], side: NDArray[np.bool_]) -> float:
     """Share of the faces that lie on the side on which most of their region does."""
     return float(np.maximum(np.bincount(regions, side), np.bincount(regions, ~side)).sum() / len(regions))
