@@ -16,7 +16,7 @@ import numpy as np
 
 from iris_addon.base.errors import BadInput
 
-from . import perturb_cameras, perturb_geometry, perturb_masks, perturb_photos, perturb_scene
+from . import perturb_cameras, perturb_geometry, perturb_masks, perturb_photos, perturb_scan, perturb_scene
 
 Apply = Callable[[Path, Path, float, np.random.Generator], str]
 """(capture to change, truth to score against, level, generator) -> a note on what was done."""
@@ -147,6 +147,14 @@ AXES: Mapping[str, Axis] = {
             truth_moves=True,
         ),
         Axis(
+            name="scan",
+            title="mesh fused from noisy depth, voxels of",
+            unit="cm",
+            levels=(0, 1, 2, 3, 4),
+            apply=perturb_scan.scan_mesh,
+            truth_moves=True,
+        ),
+        Axis(
             name="density",
             title="longest edge of the mesh",
             unit="cm",
@@ -257,7 +265,7 @@ def axis_applies(axis: str, source: Path) -> str | None:
             perturb_photos.measured_curves()
         if axis in perturb_scene.CHANGES:
             perturb_scene.check_is_bundled(source)
-        if axis in ("holes", "decimation", "hidden_lamps") or AXES[axis].masks_only:
+        if axis in ("holes", "decimation", "scan", "hidden_lamps") or AXES[axis].masks_only:
             perturb_masks.true_lamp_faces(source)
     except BadInput as error:
         return str(error)

@@ -40,7 +40,7 @@ def shake_mesh(root: Path, _truth: Path, millimetres: float, rng: np.random.Gene
     mesh = _mesh(root)
     place = weld(mesh)
     move = rng.standard_normal((int(place.max()) + 1, 3)) * millimetres / 1000
-    _replace(root, Mesh(mesh.vertices + move[place], mesh.faces, None, mesh.regions), np.arange(len(mesh.faces)))
+    replace_mesh(root, Mesh(mesh.vertices + move[place], mesh.faces, None, mesh.regions), np.arange(len(mesh.faces)))
     return f"{millimetres:g} mm"
 
 
@@ -71,7 +71,7 @@ def cut_holes(root: Path, _truth: Path, share: float, rng: np.random.Generator) 
         escaped = float((Tracer(select(mesh, field <= threshold)[0]).hit_faces(start, direction) < 0).mean())
         low, high = (low, threshold) if escaped < share else (threshold, high)
     cut, old_of_cut = select(mesh, field <= threshold)
-    _replace(root, cut, old[old_of_cut])
+    replace_mesh(root, cut, old[old_of_cut])
     _hide_behind_holes(root, Tracer(cut))
     return f"{escaped:.1%} of the gather rays escape, {len(cut.faces) / len(mesh.faces):.0%} of the mesh is left"
 
@@ -122,14 +122,14 @@ def cluster_vertices(root: Path, _truth: Path, centimetres: float, _rng: np.rand
     """A coarse scan: vertices merged within cells of ``centimetres``; lamps keep their triangles."""
     mesh = _mesh(root)
     coarse, old = cluster(mesh, centimetres / 100, _lamp_mask(root, len(mesh.faces)))
-    _replace(root, coarse, old)
+    replace_mesh(root, coarse, old)
     return f"{len(coarse.faces)} of {len(mesh.faces)} triangles"
 
 
 def subdivide(root: Path, _truth: Path, centimetres: float, _rng: np.random.Generator) -> str:
     """An over-dense mesh of the same shape: no edge longer than ``centimetres``."""
     mesh, old = subdivide_edges(_mesh(root), centimetres / 100)
-    _replace(root, mesh, old)
+    replace_mesh(root, mesh, old)
     return f"{len(mesh.faces)} triangles"
 
 
@@ -143,7 +143,7 @@ def merge_regions(root: Path, _truth: Path, share: float, rng: np.random.Generat
     if len(np.unique(regions)) == 1:
         # A file with one region counts as a file without; a single face elsewhere makes it one with regions.
         regions[0] = regions.max() + 1
-    _replace(root, Mesh(mesh.vertices, mesh.faces, None, regions), np.arange(len(mesh.faces)))
+    replace_mesh(root, Mesh(mesh.vertices, mesh.faces, None, regions), np.arange(len(mesh.faces)))
     return f"{len(merged)} of {len(ids)} regions are one"
 
 
@@ -160,7 +160,7 @@ def _lamp_mask(root: Path, n_faces: int) -> NDArray[np.bool_]:
     return mask
 
 
-def _replace(root: Path, mesh: Mesh, old: FaceMap) -> None:
+def replace_mesh(root: Path, mesh: Mesh, old: FaceMap) -> None:
     """Put ``mesh`` in the place of the capture's, and let what names faces name those that come from them."""
     read_fipt(root).mesh_file.unlink()
     write_obj(root / "scene.obj", mesh)

@@ -136,6 +136,21 @@ def test_what_a_photo_clips_is_taken_from_a_darker_one(room, tmp_path):
     assert np.isnan(found["2"]).any(), "no darker photo shows all that it shows"
 
 
+def test_a_scan_lies_on_the_walls_within_its_noise_and_keeps_the_lamps(room, tmp_path):
+    old = mesh_of(room)
+    off = []
+    for level in (1, 4):
+        made = perturb(room, "scan", level, 0, tmp_path / str(level))
+        scan = mesh_of(made.capture)
+        assert len(scan.faces) > 20 * len(old.faces) and (scan.regions is None or len(np.unique(scan.regions)) == 1)
+        inside = np.minimum(scan.vertices - ROOM_MIN, ROOM_MAX - scan.vertices)
+        off.append(np.median(np.abs(inside).min(1)))
+        (lamp,) = true_lamp_faces(made.capture)
+        centre = scan.vertices[scan.faces[lamp]].mean((0, 1))
+        assert centre == pytest.approx(old.vertices[old.faces[true_lamp_faces(room)[0]]].mean((0, 1)), abs=0.15)
+    assert off[0] < 0.01 and 1.5 * off[0] < off[1] < 0.04
+
+
 def test_odd_responses_rise_and_lie_as_far_from_the_prior_as_asked(room, tmp_path):
     distance = []
     for level in (1, 4):
