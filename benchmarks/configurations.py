@@ -99,7 +99,9 @@ def _given_mask(capture: Path, scratch: Path) -> Path:
     if (capture / MASK).is_file():
         return capture / MASK
     path = scratch / MASK
-    write_json(path, {"emitters": [{"faces": [faces]} for faces in true_emitters(capture)]})
+    write_json(
+        path, {"emitters": [{"faces": [[first, last]]} for first, last in true_emitters(capture) if last > first]}
+    )
     return path
 
 

@@ -187,8 +187,8 @@ REFINEMENTS: Mapping[str, Refinement] = {
         errors=1.5,
         experiment="0037-how-certain-must-a-gain-of-gloss-be",
     ),
-    # A white frame is polished on a white wall, and the wall is matte beside it. Errors of the light beside a window
-    # make a matte wall gain 2 %, whatever its photos scatter.
+    # A white frame is polished on a white wall, and the wall is matte beside it (two errors: experiment 0041). Errors
+    # of the light beside a window make a matte wall gain 2.4 %, however little its photos scatter.
     "gloss_alone": Refinement(
         "a roughness below 1 that a region shows and its like do not",
         "robust residual of view dependence, of the region alone",

@@ -24,7 +24,7 @@ from ..base.group_by import group_equal, group_means, group_medians, group_sums
 from ..model.capture import Mesh
 from .primary_rays import PixelSamples
 from .scan_surface import ScanSurface
-from .topology import component_labels, rounded_edges, smooth_edges
+from .topology import ROUNDED_RADIUS, component_labels, rounded_edges, smooth_components, smooth_edges
 
 REGION_MIN_SHARE = 0.01
 """Share of all pixels from which on a component between edges is a region of its own."""
@@ -109,20 +109,36 @@ def split_creases(
     samples: PixelSamples,
     scanned: NDArray[np.bool_],
 ) -> NDArray[np.int32]:
-    """(F,) regions in which each large component between edges is one; the rest of a region stays together.
+    """(F,) regions in which each large piece between edges is one; the rest of a region stays together.
+
+    A piece between rounded edges has to be wider than those are: the sides of a slender pipe are no regions.
 
     Args:
         regions: (F,) region of each face.
         normals: (F, 3) unit.
         scanned: (F,) faces of scans, which are not split here.
     """
+    n_faces = len(regions)
+    smooth = smooth_components(normals, adjacency, regions)
     a, b = adjacency
-    joined = smooth_edges(normals, adjacency) & ~rounded_edges(mesh, normals, adjacency) & (regions[a] == regions[b])
-    component = component_labels(len(regions), a[joined], b[joined])
-    pixels = np.bincount(component[samples.face], minlength=int(component.max()) + 1)
-    large = pixels >= REGION_MIN_SHARE * len(samples.face)
-    label = np.where(large[component] & ~scanned, len(regions) + component, regions)
+    joined = (smooth[a] == smooth[b]) & smooth_edges(normals, adjacency) & ~rounded_edges(mesh, normals, adjacency)
+    flat = component_labels(n_faces, a[joined], b[joined])
+    least = REGION_MIN_SHARE * len(samples.face)
+    large = np.bincount(smooth[samples.face], minlength=int(smooth.max()) + 1) >= least
+    label = np.where(large[smooth] & ~scanned, n_faces + smooth, regions)
+    pixels = np.bincount(flat[samples.face], minlength=int(flat.max()) + 1)
+    for piece in np.flatnonzero(pixels >= least):
+        own = (flat == piece) & ~scanned
+        if own.any() and _width(mesh, mesh.faces[own]) > 2 * ROUNDED_RADIUS:
+            label[own] = 2 * n_faces + piece
     return np.unique(label, return_inverse=True)[1].astype(np.int32)
+
+
+def _width(mesh: Mesh, faces: NDArray[np.integer]) -> float:
+    """Metres: area of ``faces`` (n, 3) over their extent."""
+    corners = mesh.vertices[faces]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+    return float(area / max(np.linalg.norm(np.ptp(corners.reshape(-1, 3), axis=0)), 1e-12))
 
 
 def split_scan(

@@ -11,8 +11,9 @@ from ..model.capture import Mesh
 
 CREASE_COSINE = 0.8
 """Cosine between the normals of neighbours below which their edge is sharp."""
-ROUNDED_RADIUS, ROUNDED_MIN_TURN = 0.02, np.radians(5)
-"""Radius in metres up to which an edge counts as rounded off, and the turn of one step of it at least."""
+ROUNDED_RADIUS, ROUNDED_MIN_TURN = 0.03, np.radians(5)
+"""Radius in metres up to which an edge counts as rounded off, and the turn in radians from one face to the next that is
+a step of it at least (docs/experiments/0124)."""
 WELD_STEPS = 1_000_000
 """Resolution at which vertices are welded, steps per size of the mesh; three such numbers fit into 64 bits."""
 
@@ -56,20 +57,23 @@ def smooth_edges(
 def rounded_edges(
     mesh: Mesh, normals: NDArray[np.floating], adjacency: tuple[NDArray[np.int64], NDArray[np.int64]]
 ) -> NDArray[np.bool_]:
-    """(n,) whether the surface turns between each pair of neighbours as if its edge were rounded off.
+    """(n,) whether the surface turns between each pair of neighbours as if an edge were rounded off there.
 
-    Modellers bevel the edges of walls and furniture by millimetres, in steps that are not sharp themselves.
+    Modellers bevel the edges of walls and furniture by millimetres, in steps that are not sharp themselves. Which way
+    faces are wound does not matter.
 
     Args:
         normals: (F, 3) unit.
     """
     a, b = adjacency
-    centre = mesh.vertices[mesh.faces].mean(1)
-    turn = np.arccos(np.clip((normals[a] * normals[b]).sum(1), -1.0, 1.0))
-    across = normals[b] - normals[a]
+    cosine = (normals[a] * normals[b]).sum(1)
+    turn = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
+    across = np.where(cosine[:, None] < 0, -1.0, 1.0) * normals[b] - normals[a]
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
-    apart = np.abs(((centre[b] - centre[a]) * across).sum(1))
-    return (turn > ROUNDED_MIN_TURN) & (turn > apart / ROUNDED_RADIUS)
+    centre = mesh.vertices[mesh.faces].mean(1)
+    # The middle of a step lies halfway across it, the centre of a triangle of it a third of the way.
+    step = 1.5 * np.abs(((centre[b] - centre[a]) * across).sum(1))
+    return (turn > ROUNDED_MIN_TURN) & (turn > step / ROUNDED_RADIUS)
 
 
 def smooth_components(

@@ -101,27 +101,51 @@ def test_regions_of_the_file_are_split_into_components():
     assert len(np.unique(split.of_face[sheets == 2])) == 2
 
 
-@pytest.mark.parametrize(("radius", "apart"), [(0.01, True), (0.4, False)])
-def test_the_walls_of_a_room_with_rounded_edges_are_regions_and_a_round_tower_is_one(radius: float, apart: bool):
-    """Four walls joined by quarter circles of ``radius`` in steps of six degrees, none of which is a sharp edge."""
-    turn = np.radians(np.arange(0, 91, 6))
-    arc = radius * np.stack([np.cos(turn) - 1, np.sin(turn) - 1], 1)
-    corners = [np.array([1.0, 1.0]) + arc]
+ROUND = np.arange(0, 91, 6)
+
+
+def _tower(half: float, radius: float) -> Mesh:
+    """Four walls of 2.5 m around a square of ``half`` its side, joined by quarter circles of ``radius`` in steps of six
+    degrees, none of which is a sharp edge."""
+    arc = radius * np.stack([np.cos(np.radians(ROUND)) - 1, np.sin(np.radians(ROUND)) - 1], 1)
+    corners = [half + arc]
     for _ in range(3):
         corners.append(np.stack([-corners[-1][:, 1], corners[-1][:, 0]], 1))
     outline = np.concatenate(corners)
     n = len(outline)
+    low, after = np.arange(n), (np.arange(n) + 1) % n
     vertices = np.concatenate([np.c_[outline, np.full(n, height)] for height in (0.0, 2.5)])
-    low = np.arange(n)
-    after = (low + 1) % n
-    mesh = Mesh(vertices, np.concatenate([np.c_[low, after, after + n], np.c_[low, after + n, low + n]]))
+    return Mesh(vertices, np.concatenate([np.c_[low, after, after + n], np.c_[low, after + n, low + n]]))
+
+
+def _split(mesh: Mesh) -> NDArray[np.int32]:
+    """Regions of a mesh that photos show with as many pixels as each face has of its area."""
     samples, z = _seen(mesh)
-    tracer = Tracer(mesh)
-    pixels = np.repeat(np.arange(len(samples.face)), np.maximum(1, 2000 * tracer.areas[samples.face]).astype(int))
-    regions = split_regions(mesh, surface_behind(mesh), samples.take(pixels), z[pixels]).of_face
-    walls = np.argsort(-tracer.areas)[:8].reshape(4, 2) if apart else np.arange(len(regions))[None]
-    assert len(np.unique(regions[walls])) == (4 if apart else 1)
-    assert (regions[walls] == regions[walls][:, :1]).all() or apart
+    area = Tracer(mesh).areas[samples.face]
+    pixels = np.repeat(np.arange(len(samples.face)), np.maximum(1, 20_000 * area / area.sum()).astype(int))
+    return split_regions(mesh, surface_behind(mesh), samples.take(pixels), z[pixels]).of_face
+
+
+@pytest.mark.parametrize(
+    ("half", "radius", "walls"), [(1.0, 0.025, 4), (1.0, 0.035, 1), (0.4, 0.4, 1), (0.025, 0.025, 1)]
+)
+def test_walls_between_rounded_edges_are_regions_and_neither_a_round_tower_nor_a_pipe_is_split(
+    half: float, radius: float, walls: int
+):
+    regions = _split(_tower(half, radius))
+    n, side = len(regions) // 2, len(ROUND)
+    flat = np.arange(1, 5) * side - 1
+    assert len(np.unique(regions[flat])) == walls
+    assert np.array_equal(regions[flat], regions[flat + n]), "both triangles of a wall"
+    assert walls > 1 or len(np.unique(regions)) == 1
+
+
+def test_how_faces_are_wound_splits_no_wall():
+    for mesh in (_tower(1.0, 0.01), _sheet(0.0)):
+        flipped = mesh.faces.copy()
+        flipped[::3] = flipped[::3, ::-1]
+        split = _split(mesh)
+        assert len(np.unique(split)) > 1 and np.array_equal(_split(Mesh(mesh.vertices, flipped)), split)
 
 
 def _purity(regions: NDArray[np.integer], side: NDArray[np.bool_]) -> float:
