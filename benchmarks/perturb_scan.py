@@ -8,6 +8,7 @@ welded, noisy surface without parts; what no depth map sees is a hole, which the
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -78,7 +79,7 @@ def _scanner(root: Path, tracer: Tracer, rng: np.random.Generator) -> Sequence[C
             length = float(np.linalg.norm(step))
             free = float(tracer.closest(own.position[None], step[None] / length).distance[0])
             c2w[:3, 3] += step * min(1.0, 0.5 * free / length)  # not through a wall
-            cameras.append(Camera(width, height, own.fx, own.fy, own.cx, own.cy, c2w))
+            cameras.append(replace(own, c2w=c2w))
     return cameras
 
 

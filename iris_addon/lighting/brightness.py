@@ -1,7 +1,8 @@
 """How bright the surface is: what photos show of it at the least, in nearly every view.
 
 It is collected on cells. A cell is a patch, except on scans. The triangles of a scan are smaller than a patch and the
-edge of a lamp crosses patches, so there each bright face is a cell of its own, with its own pixels.
+edge of a lamp crosses patches, so there each bright face is a cell of its own, with its own pixels; or each spot of a
+pixel's width where faces are smaller yet.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from ..surface.photo_samples import PhotoSamples
 
 VIEW_QUANTILE = 0.25
 """Quantile over views at which a patch's radiance is tested: emission is seen in all views, a highlight in few."""
+SPOTS_ALONG_PATCH = 1024
+"""Pixels along a patch, more than any has."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +99,23 @@ def reflectance_needed(seen: Brightness, irradiance: NDArray[np.floating]) -> ND
     return (seen.floor / np.maximum(irradiance, 1e-6)).max(1)
 
 
+def pixel_sized_spots(
+    position: NDArray[np.floating], footprint: NDArray[np.floating], patch: NDArray[np.integer]
+) -> NDArray[np.int64]:
+    """(n,) label of the spot of each pixel: as wide as pixels are in the median, and within one patch.
+
+    Args:
+        position: (n, 3) metres.
+        footprint: (n,) metres.
+        patch: (n,) patch of each pixel, no wider than SPOTS_ALONG_PATCH spots.
+    """
+    width = max(float(np.median(footprint)), 1e-6)
+    key = patch.astype(np.int64)
+    for place in np.floor(position / width).astype(np.int64).T:
+        key = key * SPOTS_ALONG_PATCH + place % SPOTS_ALONG_PATCH
+    return np.unique(key, return_inverse=True)[1]
+
+
 @dataclass(frozen=True)
 class Cells:
     """The C cells on which brightness is collected: the P patches, and the bright faces of scans.
@@ -151,6 +171,7 @@ class Cells:
         """Patches, and each face of a scan of which a pixel is brighter than half of all pixels.
 
         The other faces of a scan share one cell of no brightness: what is dimmer than most of the room is no lamp.
+        Where faces are smaller than pixels, spots as wide as a pixel take their place, which several views show.
 
         Args:
             sample_patch: (n,) patch of each pixel.
@@ -163,15 +184,17 @@ class Cells:
             return Cells.of_patches(sample_patch, n_patches)
         linear = photometry.linearise_pixels(photos.z[rows], samples.view[rows], samples.pixel[rows])
         least = least_radiance(linear, None).astype(np.float32)
-        level, face = least.max(1), samples.face[rows]
-        bright = np.zeros(len(scanned), bool)
-        bright[face[level > np.median(level)]] = True
+        level, spot = least.max(1), samples.face[rows]
+        if scanned.sum() > len(rows):
+            spot = pixel_sized_spots(samples.position[rows], samples.footprint[rows], sample_patch[rows])
+        bright = np.zeros(int(spot.max()) + 1, bool)
+        bright[spot[level > np.median(level)]] = True
         number = np.cumsum(bright) - 1
         dim = n_patches + int(bright.sum())
         of_pixel = sample_patch.copy()
-        of_pixel[rows] = np.where(bright[face], n_patches + number[face], dim)
+        of_pixel[rows] = np.where(bright[spot], n_patches + number[spot], dim)
         patch = np.concatenate([np.arange(n_patches), np.zeros(dim + 1 - n_patches)]).astype(np.int32)
-        on = bright[face]
+        on = bright[spot]
         patch[of_pixel[rows[on]]] = sample_patch[rows[on]]
         return Cells(
             of_pixel=of_pixel,

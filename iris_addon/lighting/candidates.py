@@ -9,6 +9,7 @@ is the reflectance that a face would need, its observed radiance (or the bound t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -33,7 +34,10 @@ SCAN_MIN_DENSITY = 1 / 3
 """Pixels per area of a lamp of a scan over those of the whole scan, at least: what few views show may be a highlight in
 all of them."""
 SCAN_VOTES = 2
-"""Rounds in which a face of a scan takes the side of most pixels on it and its neighbours. A face has three pixels."""
+"""Rounds in which a face of a scan takes the side of most pixels on it and its neighbours. A face has three pixels;
+where it has less than one, votes take as many rounds more as rings lie between one pixel and the next."""
+SCAN_MAX_RINGS = 8
+"""Rings of faces between pixels of a scan that are bridged, at most: 64 faces to a pixel."""
 PIECE_MAX_GAP = 0.25
 """Distance between two pieces of one lamp of a scan, over the side of a square of the smaller one's area, at most."""
 PIECE_MAX_STEP = 0.2
@@ -114,7 +118,7 @@ def voted(
     inside = scanned[a] & scanned[b]
     a, b = a[inside], b[inside]
     result, pixels, n = emitting.copy(), count.astype(np.float64), len(emitting)
-    for _ in range(SCAN_VOTES):
+    for _ in range(SCAN_VOTES + _rings_between_pixels(count, scanned)):
         bright = pixels * result
         votes = bright + np.bincount(a, bright[b], n) + np.bincount(b, bright[a], n)
         of = pixels + np.bincount(a, pixels[b], n) + np.bincount(b, pixels[a], n)
@@ -122,6 +126,26 @@ def voted(
         # What no photo shows votes from now on as its neighbours made it.
         pixels = np.where(scanned & (pixels == 0) & (of > 0), 1.0, pixels)
     return result
+
+
+def _rings_between_pixels(count: NDArray[np.int64], scanned: NDArray[np.bool_]) -> int:
+    """Rings of faces from one pixel on a scan to the next, about; 0 where its faces are no smaller than pixels."""
+    faces, pixels = int(scanned.sum()), int(count[scanned].sum())
+    return min(math.ceil((faces / max(pixels, 1)) ** 0.5), SCAN_MAX_RINGS) if faces > pixels else 0
+
+
+def _covered(
+    count: NDArray[np.int64], adjacency: tuple[NDArray[np.int64], NDArray[np.int64]], scanned: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """(F,) faces of scans that photos show: those with pixels, and those between them that are smaller than pixels."""
+    a, b = adjacency
+    covered = count > 0
+    for _ in range(_rings_between_pixels(count, scanned)):
+        grown = covered.copy()
+        grown[a[covered[b]]] = True
+        grown[b[covered[a]]] = True
+        covered = grown
+    return covered & scanned
 
 
 def with_specks_filled(
@@ -215,7 +239,7 @@ def group_emitters(
     lamps = np.split(faces[order], first[1:]) if len(faces) else []
     least = np.zeros(len(areas))
     if scanned is not None and scanned.any():
-        usual = count[scanned].sum() / max(areas[scanned & (count > 0)].sum(), 1e-12)
+        usual = count[scanned].sum() / max(areas[_covered(count, adjacency, scanned)].sum(), 1e-12)
         least[scanned] = SCAN_MIN_DENSITY * usual * areas[scanned]
     return [lamp.astype(np.int64) for lamp in lamps if count[lamp].sum() >= max(LAMP_MIN_PIXELS, least[lamp].sum())]
 

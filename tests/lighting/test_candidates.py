@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from iris_addon.lighting.brightness import Brightness, brightness, reflectance_needed
+from iris_addon.lighting.brightness import Brightness, brightness, pixel_sized_spots, reflectance_needed
 from iris_addon.lighting.candidates import (
     continued,
     emitting_faces,
@@ -260,3 +260,37 @@ def test_of_too_many_lamps_equal_neighbours_become_one_and_none_is_lost() -> Non
     assert joined([5.0, 5.0, 5.0, 5.0], 3) == [[0, 1], [2], [3]]
     assert joined([5.0, 9.0, 5.0, 5.0], 3) == [[0, 2], [1], [3]]
     assert joined([5.0, 9.0, 1.0, 2.0], 1) == [[0], [1], [2], [3]]
+
+
+def test_a_lamp_on_faces_smaller_than_pixels_is_whole():
+    """A fifth of the faces of a fine scan has a pixel; a lamp that is seen half as often is found between them."""
+    side = 120
+    faces = np.arange(2 * side * side)
+    square, half = np.divmod(faces, 2)
+    row, column = np.divmod(square, side)
+    first = 2 * (row * side + column)
+    across, down = half == 0, (half == 1) & (row < side - 1)
+    right = (half == 1) & (column < side - 1)
+    adjacency = (
+        np.concatenate([first[across], first[right] + 1, first[down] + 1]),
+        np.concatenate([first[across] + 1, first[right] + 2, first[down] + 2 * side]),
+    )
+    lamp = np.hypot(row - 60, column - 50) < 25
+    rng = np.random.default_rng(0)
+    count = (rng.random(len(faces)) < np.where(lamp, 0.1, 0.2)).astype(np.int64)
+    scanned, areas = np.ones(len(faces), bool), np.full(len(faces), 1e-4)
+    emitting = voted(lamp & (count > 0), count, adjacency, scanned)
+    assert emitting[lamp].mean() > 0.93 and emitting[~lamp].mean() < 0.02
+    lamps = group_emitters(emitting, count, areas, np.zeros(len(faces), np.int32), adjacency, scanned=scanned)
+    assert len(lamps) == 1 and np.isin(np.flatnonzero(lamp), lamps[0]).mean() > 0.93
+
+
+def test_a_spot_is_a_pixel_wide_and_within_its_patch():
+    rng = np.random.default_rng(0)
+    position = rng.uniform(-1, 1, (4000, 3)) * [1, 1, 0]
+    patch = (position[:, 0] > 0).astype(np.int32)
+    spot = pixel_sized_spots(position, np.full(4000, 0.1), patch)
+    for label in np.unique(spot):
+        own = spot == label
+        assert np.ptp(position[own], axis=0).max() <= 0.1 and len(np.unique(patch[own])) == 1
+    assert 400 <= len(np.unique(spot)) <= 480, "21 by 21 cells of a tenth, as the rest of one is cut off"
