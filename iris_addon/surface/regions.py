@@ -121,8 +121,10 @@ def split_creases(
     n_faces = len(regions)
     smooth = smooth_components(normals, adjacency, regions)
     a, b = adjacency
-    joined = (smooth[a] == smooth[b]) & smooth_edges(normals, adjacency) & ~rounded_edges(mesh, normals, adjacency)
-    flat = component_labels(n_faces, a[joined], b[joined])
+    inside = smooth_edges(normals, adjacency) & (smooth[a] == smooth[b]) & ~scanned[a] & ~scanned[b]
+    a, b = a[inside], b[inside]
+    flat_edges = ~rounded_edges(mesh, normals, (a, b))
+    flat = component_labels(n_faces, a[flat_edges], b[flat_edges])
     least = REGION_MIN_SHARE * len(samples.face)
     large = np.bincount(smooth[samples.face], minlength=int(smooth.max()) + 1) >= least
     label = np.where(large[smooth] & ~scanned, n_faces + smooth, regions)
