@@ -12,7 +12,7 @@ import ctypes
 import numpy as np
 import xatlas
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, QhullError
 
 from .texel_density import EXACT_MIN_SIDE, EXACT_SIDE_STEP, exact_side
 
@@ -135,11 +135,17 @@ def _hulls(corners: FloatArray, chart: IntArray) -> list[FloatArray]:
     first = 3 * np.searchsorted(chart[order], np.arange(int(chart.max()) + 1))
     end = np.append(first[1:], len(points))
     extent = np.maximum.reduceat(points, first)
-    thin = extent.min(1) <= 1e-6 * extent.max(1)
-    return [
-        extent[k] * RECTANGLE if thin[k] else points[a:b][ConvexHull(points[a:b]).vertices]
-        for k, (a, b) in enumerate(zip(first, end, strict=True))
-    ]
+    return [_hull(points[a:b], extent[k]) for k, (a, b) in enumerate(zip(first, end, strict=True))]
+
+
+def _hull(points: FloatArray, extent: FloatArray) -> FloatArray:
+    """Convex hull (m, 2) of ``points`` (n, 2); of some on a line, whichever way it runs, the rectangle of ``extent``."""
+    if extent.min() <= 1e-6 * extent.max():
+        return extent * RECTANGLE
+    try:
+        return points[ConvexHull(points).vertices]
+    except QhullError:  # on a slanting line
+        return extent * RECTANGLE
 
 
 def _layout(

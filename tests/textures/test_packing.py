@@ -65,6 +65,15 @@ def test_a_chart_longer_than_the_square_is_shrunk_and_leaves_the_others_their_si
     assert np.ptp(placed[1:, :, 1], axis=1).min() > 0.6 * SIZE / 10
 
 
+def test_a_chart_without_width_has_a_place_whichever_way_its_line_runs() -> None:
+    corners = right_triangles(np.ones((4, 2)))
+    corners[1] = [[0, 0], [0.5, 1], [0.25, 0.5]]
+    corners[2] = [[0, 0], [0, 1], [0, 0.5]]
+    placed = pack(corners, np.arange(4), SIZE)
+    factor = np.sqrt(plane_areas(placed[:1]) / plane_areas(corners[:1]))
+    assert np.allclose(placed - placed[:, :1], factor[0] * (corners - corners[:, :1]), atol=1e-6)
+
+
 def test_packing_twice_gives_the_same() -> None:
     corners = right_triangles(np.random.default_rng(3).uniform(0.05, 1, (500, 2)))
     first, second = (pack(corners, np.arange(500), SIZE) for _ in range(2))
