@@ -139,7 +139,7 @@ def _hulls(corners: FloatArray, chart: IntArray) -> list[FloatArray]:
 
 
 def _hull(points: FloatArray, extent: FloatArray) -> FloatArray:
-    """Convex hull (m, 2) of ``points`` (n, 2); of some on a line, whichever way it runs, the rectangle of ``extent``."""
+    """Convex hull (m, 2) of ``points`` (n, 2); of points on a line, whichever way it runs, the rectangle ``extent``."""
     if extent.min() <= 1e-6 * extent.max():
         return extent * RECTANGLE
     try:
