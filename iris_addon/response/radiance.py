@@ -62,6 +62,14 @@ class Linearised:
         precision = np.where(self.ceiling < expected, MAX_PRECISION, self.precision)
         return replace(self, radiance=radiance, precision=precision)
 
+    def precision_at(self, level: NDArray[np.floating]) -> NDArray[np.float64]:
+        """(M, 3) inverse variance relative to the radiance ``level`` (M, 3) that is expected, not to that observed.
+
+        Dark bytes are coarse relative to themselves. That a bright surface is seen dark they tell as well as others.
+        """
+        noise = np.maximum(1 / self.precision - MODEL_NOISE**2, 0.0)
+        return 1 / (MODEL_NOISE**2 + noise * (self.radiance / np.maximum(level, 1e-9)) ** 2)
+
 
 @dataclass(frozen=True)
 class GroupRadiance:

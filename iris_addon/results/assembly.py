@@ -31,7 +31,7 @@ from ..response.photometry import Photometry
 from ..surface.primary_rays import PixelSamples, as_picture
 from ..surface.traced_room import TracedRoom
 from ..textures.atlas import Atlas, interpolate_uv
-from ..textures.bake import PixelAlbedo, UsualPixel, pixel_albedo, pixel_weight
+from ..textures.bake import DIM_ALBEDO, PixelAlbedo, UsualPixel, pixel_albedo, pixel_weight
 from ..textures.paint import residual_light
 from ..textures.painting import Painter, PixelLight, paint_texels
 from ..textures.principled import make_textures
@@ -210,7 +210,8 @@ def _pixel_albedo(
         specular = subtract_specular(ls0[rows], ls1[rows], metallic[rows])
         albedo[rows] = pixel_albedo(linear.radiance, specular, ls0[rows], light.diffuse[rows], metallic[rows])
         sharp = pixel_weight(samples.take(rows), irradiance[rows], specular, mixed[rows], scanned[rows], usual)
-        weight[rows] = sharp * linear.unclipped * linear.precision
+        level = expected[rows] + DIM_ALBEDO * light.diffuse[rows]
+        weight[rows] = sharp * linear.unclipped * linear.precision_at(level)
 
     over_blocks(len(metallic), BLOCK, work)
     usual = replace(usual, weight=float(np.median(weight[weight > 0])))

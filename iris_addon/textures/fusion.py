@@ -33,6 +33,8 @@ SHARPER = 2.0
 """Power of a photo's sharpness by which it counts more in the mean that outliers are told by."""
 STEP_LENGTH = 1.6
 """Of the descent, relative to that which is safe for any photos twice over."""
+CONTRADICTED = 4.0
+"""Weight of bounds above what a channel shows, over that of what it shows, from which on it is unknown."""
 REACH = 3
 """Rows and columns of texels over which a pixel reaches, at most."""
 
@@ -41,14 +43,15 @@ TEXEL_SAMPLE = np.dtype(
     [
         ("row", np.int32),
         ("value", np.float16, 3),
+        ("at_least", np.bool_, 3),
         ("weight", np.float16, 3),
         ("blur", np.float16),
         ("light_error", np.float16),
     ]
 )
-"""What a photo shows of one texel: its index among all texels; base colour, linear Rec.709, and the statistical weight
-of each channel, 0 where clipped; side of what was averaged, in texels; standard deviation of the log irradiance that
-the value was divided by."""
+"""What a photo shows of one texel: its index among all texels; base colour, linear Rec.709, whether each channel clips
+and its value is a lower bound, and the statistical weight of each; side of what was averaged, in texels; standard
+deviation of the log irradiance that the value was divided by."""
 
 
 def fuse_samples(photos: Sequence[NDArray], points: TexelPoints, size: int) -> TexelAlbedo:
@@ -65,12 +68,17 @@ def fuse_samples(photos: Sequence[NDArray], points: TexelPoints, size: int) -> T
     edges = np.sqrt(np.multiply(BLURS[1:], BLURS[:-1])).astype(np.float32)
 
     def add_up(rows: slice) -> None:
-        reference = np.zeros((rows.stop - rows.start, 6), np.float32)
+        reference, above = np.zeros((rows.stop - rows.start, 6), np.float32), np.zeros_like(total[rows])
+        sums = shown[:, rows], weight[:, rows], total[rows]
         for photo in photos:
             _add_reference(*_of_rows(photo, rows), rows.start, reference)
         for photo in photos:
-            sums = shown[:, rows], weight[:, rows], total[rows]
             _add_by_blur(*_of_rows(photo, rows), rows.start, reference, edges, *sums)
+        for photo in photos:
+            _add_above(*_of_rows(photo, rows), rows.start, *sums, above)
+        told = above <= CONTRADICTED * total[rows]
+        weight[:, rows] *= told
+        total[rows] *= told
 
     over_shares(n, add_up)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -84,17 +92,18 @@ def fuse_samples(photos: Sequence[NDArray], points: TexelPoints, size: int) -> T
     return TexelAlbedo(points.texel[seen], sharpened[seen], norm[seen])
 
 
-def _of_rows(photo: NDArray, rows: slice) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """Row, value, weight and blur of the samples of the texels ``rows``."""
+def _of_rows(photo: NDArray, rows: slice) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray]:
+    """Row, value, whether it is a bound, weight and blur of the samples of the texels ``rows``."""
     some = photo[slice(*np.searchsorted(photo["row"], [rows.start, rows.stop]))]
     value, weight, blur = (some[name].astype(np.float32) for name in ("value", "weight", "blur"))
-    return some["row"].copy(), value, weight, blur
+    return some["row"].copy(), value, some["at_least"].copy(), weight, blur
 
 
 @kernel
 def _add_reference(
     row: NDArray[np.int32],
     value: NDArray[np.float32],
+    at_least: NDArray[np.bool_],
     weight: NDArray[np.float32],
     blur: NDArray[np.float32],
     begin: Integer,
@@ -104,7 +113,7 @@ def _add_reference(
     for i in range(len(row)):
         sharper = 1 / max(blur[i], np.float32(0.5)) ** np.float32(SHARPER)
         for c in range(3):
-            if weight[i, c] > 0:
+            if weight[i, c] > 0 and not at_least[i, c]:
                 sums[row[i] - begin, c] += sharper * weight[i, c] * value[i, c]
                 sums[row[i] - begin, 3 + c] += sharper * weight[i, c]
 
@@ -113,6 +122,7 @@ def _add_reference(
 def _add_by_blur(
     row: NDArray[np.int32],
     value: NDArray[np.float32],
+    at_least: NDArray[np.bool_],
     weight: NDArray[np.float32],
     blur: NDArray[np.float32],
     begin: Integer,
@@ -129,7 +139,7 @@ def _add_by_blur(
             level += 1
         off, bright, known = 0.0, 0.0, 0
         for c in range(3):
-            if weight[i, c] > 0:
+            if weight[i, c] > 0 and not at_least[i, c]:
                 mean = reference[t, c] / reference[t, 3 + c]
                 off += abs(value[i, c] - mean)
                 bright += mean
@@ -138,10 +148,37 @@ def _add_by_blur(
             continue
         w = 1 / (1 + (off / ((bright + known * DIM_ALBEDO) * OUTLIER_DISTANCE)) ** 2)
         for c in range(3):
-            if weight[i, c] > 0:
+            if weight[i, c] > 0 and not at_least[i, c]:
                 shown[level, t, c] += w * weight[i, c] * value[i, c]
                 weights[level, t, c] += w * weight[i, c]
                 total[t, c] += weight[i, c]
+
+
+@kernel
+def _add_above(
+    row: NDArray[np.int32],
+    value: NDArray[np.float32],
+    at_least: NDArray[np.bool_],
+    weight: NDArray[np.float32],
+    blur: NDArray[np.float32],
+    begin: Integer,
+    shown: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    total: NDArray[np.float32],
+    above: NDArray[np.float32],
+) -> None:
+    """Add to ``above`` (T, 3) the weight of bounds that lie above what the other photos show."""
+    for i in range(len(row)):
+        t = row[i] - begin
+        for c in range(3):
+            if weight[i, c] > 0 and at_least[i, c] and total[t, c] > 0:
+                norm = mean = np.float32(0)
+                for level in range(len(shown)):
+                    mean += shown[level, t, c]
+                    norm += weights[level, t, c]
+                mean /= norm
+                if value[i, c] - mean > OUTLIER_DISTANCE * (mean + DIM_ALBEDO):
+                    above[t, c] += weight[i, c]
 
 
 # ---- sharpening ----------------------------------------------------------------------------------------------------

@@ -23,13 +23,14 @@ from ..materials.gloss import Gloss
 from ..materials.shading import Shading
 from ..materials.specular import SPECULAR_ROUGH, rough_lobes, subtract_specular
 from ..model.capture import View
+from ..model.response import SATURATED
 from ..response.photometry import Photometry
 from ..surface.primary_rays import PixelSamples
 from ..surface.traced_room import TracedRoom
-from .bake import UsualPixel, pixel_albedo, pixel_weight
+from .bake import DIM_ALBEDO, UsualPixel, pixel_albedo, pixel_weight
 from .fusion import TEXEL_SAMPLE, fuse_samples
 from .paint import light_error
-from .photo_texels import SeenTexels, on_edges, read_texels, seen_texels
+from .photo_texels import SeenTexels, on_edges, own_pixel, read_texels, seen_texels
 from .principled import PaintedTexels
 from .texel_points import TexelPoints
 
@@ -118,6 +119,7 @@ class Painter:
         photo = read_pixels(view)
         exposures = self.photometry.exposures_of(photo.values, index)
         exposures[~photo.valid] = np.nan
+        clipped = own_pixel((photo.values >= SATURATED) & photo.valid[..., None], seen.file_place)
         near_edge = picture.near_edge[texels.pixel]
         exposure, averaged = read_texels(exposures, seen, size, near_edge)
         nearest = picture.nearest[texels.pixel]
@@ -126,8 +128,10 @@ class Painter:
         light = self._light(texels, here, seen, picture)
         linear = self.photometry.linearise_exposures(exposure, texels.view, texels.pixel)
         linear = linear.agreeing_with(self.expected[patch])
+        at_least = clipped & ~linear.unclipped
         specular = subtract_specular(light.ls0, light.ls1, metallic)
-        albedo = pixel_albedo(np.nan_to_num(linear.radiance), specular, light.ls0, light.diffuse, metallic)
+        radiance = np.where(at_least, linear.bound, np.nan_to_num(linear.radiance))
+        albedo = pixel_albedo(radiance, specular, light.ls0, light.diffuse, metallic)
         scanned = self.room.regions.scanned[texels.face]
         if picture.reduction == 1:  # all of its pixels have been looked at already
             edge = picture.on_edge[texels.pixel] | (self._pixel_regions[nearest] != region)
@@ -137,7 +141,8 @@ class Painter:
         edge |= scanned & self.room.mixed.mask[nearest]
         usual = self.usual.at(picture.reduction)
         weight = pixel_weight(texels, light.irradiance, specular, edge, scanned, usual)
-        weight = weight * linear.unclipped * linear.precision / usual.weight
+        precision = linear.precision_at(self.expected[patch] + DIM_ALBEDO * light.diffuse)
+        weight = weight * (linear.unclipped | at_least) * precision / usual.weight
         weight[self.held_out[nearest]] = 0
         kept = np.flatnonzero((weight > 0).any(1))
         error = light_error(self.light_spread[patch], light.irradiance.mean(1) / self.usual.irradiance)
@@ -145,6 +150,7 @@ class Painter:
         table = np.empty(len(kept), TEXEL_SAMPLE)
         table["row"] = seen.row[kept]
         table["value"] = np.where(weight > 0, albedo, np.nan)[kept]
+        table["at_least"] = at_least[kept]
         table["weight"] = np.minimum(weight[kept], HALF_MAX)
         table["blur"] = np.minimum(blur[kept], HALF_MAX)
         table["light_error"] = error[kept]

@@ -8,6 +8,7 @@ pixel of the photo is resampled on the way.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from ..rays.tracer import Tracer, points_on_faces
 from ..surface.mixed_pixels import CREASE_COSINE
 from .texel_points import TexelPoints
 
+Scalar = TypeVar("Scalar", bound=np.generic)
 LEAST_COSINE = 0.03
 """Cosine between normal and direction to the camera below which a texel is not read."""
 EDGE_DISTANCE = 1.5
@@ -193,7 +195,7 @@ def read_texels(
     return value, (2.0**level).astype(np.float32)
 
 
-def own_pixel(photo: NDArray[np.float32], place: NDArray[np.float32]) -> NDArray[np.float32]:
+def own_pixel(photo: NDArray[Scalar], place: NDArray[np.float32]) -> NDArray[Scalar]:
     """(k, 3) the pixel of a photo (H, W, 3) that covers each place (k, 2)."""
     column = np.clip(place[:, 0].astype(np.int64), 0, photo.shape[1] - 1)
     return photo[np.clip(place[:, 1].astype(np.int64), 0, photo.shape[0] - 1), column]

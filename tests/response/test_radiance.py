@@ -9,7 +9,15 @@ from iris_addon.model import response as curve
 from iris_addon.model.response import N_SAMPLES, Response
 from iris_addon.response.curve_table import CurveTable
 from iris_addon.response.overlap_problem import OverlapProblem
-from iris_addon.response.radiance import Linearised, group_radiance, linearise, raised_by_clipped, relative_exposure
+from iris_addon.response.radiance import (
+    MODEL_NOISE,
+    Linearised,
+    group_radiance,
+    linearise,
+    linearise_bytes,
+    raised_by_clipped,
+    relative_exposure,
+)
 from tests.engine_room import observe_off_edges
 from tests.response.photographed_patches import EXPOSURES, observations_of
 
@@ -138,6 +146,19 @@ def test_black_pixels_agree_with_expected_radiance_up_to_their_ceiling() -> None
     # Below 0.25, below 0.125, and seen.
     assert agreeing.radiance[:, 0] == pytest.approx([0.2, TOE / 2, 0.1], rel=0.02)
     assert (np.diff(agreeing.precision[:, 0]) < 0)[1] and agreeing.precision[0, 0] < 0.01 * agreeing.precision[1, 0]
+
+
+def test_a_dark_byte_is_coarse_for_dark_surfaces_and_not_for_bright_ones() -> None:
+    """Bytes of 1 and 200 under a straight curve, of patches that are expected as dark as the first, and bright."""
+    straight = Response(np.repeat(np.linspace(0, 1, N_SAMPLES)[None], 3, 0), "power")
+    z = np.repeat(np.array([[1.0], [200.0], [1.0], [200.0]]) / 255, 3, 1)
+    linear = linearise_bytes(straight, z, np.ones_like(z), np.zeros_like(z), np.zeros_like(z))
+    level = np.array([[1.5], [1.5], [200.5], [200.5]]) / 255 * np.ones(3)
+    own = np.array([1.5, 200.5, 1.5, 200.5]) / 255
+    noise = 1 / 255 / np.sqrt(12)
+    expected = 1 / (MODEL_NOISE**2 + (noise / level[:, 0]) ** 2)
+    assert linear.precision_at(level)[:, 0] == pytest.approx(expected, rel=1e-3)
+    assert linear.precision_at(own[:, None] * np.ones(3)) == pytest.approx(linear.precision, rel=1e-6)
 
 
 def test_the_overlap_of_photos_reads_radiance_where_it_is_not_black() -> None:

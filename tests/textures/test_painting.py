@@ -72,6 +72,19 @@ def test_a_channel_that_is_black_in_every_photo_is_unknown() -> None:
     assert np.isnan(fused.value).tolist() == [[False, False, True], [False] * 3]
 
 
+def test_what_clips_in_most_photos_is_not_taken_from_the_few_that_show_it_darker() -> None:
+    """Three texels: the edge of a dark thing leaks onto one that clips; a dark one whose bounds agree; a highlight."""
+    points, row = replace(plane(2, pitch=1.0), size=np.full(4, 0.01, np.float32)), np.arange(3)
+    dark = photo_of(row, np.array([[0.1] * 3, [0.1] * 3, [0.3] * 3]), np.array([[0.05] * 3, [0.05] * 3, [1.0] * 3]))
+    clipped = photo_of(row, np.array([[0.6] * 3, [0.08] * 3, [0.8] * 3]), 1.0)
+    clipped["at_least"] = True
+    clipped["weight"][2, 2] = 0  # tells nothing of blue
+    fused = fuse_samples([dark] * 3 + [clipped] * 2, points, 2)
+    assert fused.texel.tolist() == [1, 2]
+    assert fused.value[0] == pytest.approx([0.1] * 3, abs=1e-3) and fused.weight[0] == pytest.approx(0.15, rel=1e-2)
+    assert fused.value[1] == pytest.approx([0.3] * 3, abs=1e-3)
+
+
 def pattern(side: int) -> np.ndarray:
     """(side², 3) a soft checkerboard of a period of five texels."""
     wave = np.sin(2 * np.pi * np.arange(side) / 5)
