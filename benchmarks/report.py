@@ -18,6 +18,7 @@ from . import (
     ablation_section,
     curves_section,
     farm_section,
+    mirrors_section,
     profile_section,
     scaling_section,
     scans_section,
@@ -41,6 +42,7 @@ SECTIONS: Mapping[str, Section] = {
     "farm": farm_section.describe,
     "scans": scans_section.describe,
     "sunlit": sunlit_section.describe,
+    "mirrors": mirrors_section.describe,
 }
 NOT_MEASURED = "Not measured yet."
 

@@ -1,16 +1,25 @@
-"""Rooms solved at one preset and some seeds, scored and published as a section: what such benchmarks have in common."""
+"""Rooms solved at one preset and some seeds, scored and published as a section: what such benchmarks have in common.
+
+Some rooms are of our own making; a module of their name renders them.
+"""
 
 from __future__ import annotations
 
 import argparse
+import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from iris_addon.base.progress import Progress, console
 from iris_addon.config import PRESETS
 
+from .machine import ROOT
 from .records import OUT
 from .runs import Run, Scored, relative, run_all
+
+TRUTH_SAMPLES, SAMPLES = 48, 16
+"""Per pixel of photos that we render, which are denoised, and of what results are scored by there."""
 
 
 def parser_of(section: str, description: str | None) -> argparse.ArgumentParser:
@@ -37,3 +46,13 @@ def measure_rooms(
         from .report import publish
 
         publish(section, records)
+
+
+def rendered(maker: str, name: str, folder: Path) -> Path:
+    """The capture of the room ``name`` in ``folder``, rendered by the module ``maker`` unless it is there; Blender has
+    a process of its own."""
+    capture = (folder / name).resolve()
+    if not (capture / "meta.json").is_file():
+        made = [sys.executable, "-m", f"benchmarks.{maker}", name, "--out", str(capture)]
+        subprocess.run([*made, "--samples", str(TRUTH_SAMPLES)], cwd=ROOT, check=True)
+    return capture

@@ -9,29 +9,20 @@ and a low sun that reaches the wall opposite. gt/meta_gt.json names the true dir
 
 from __future__ import annotations
 
-import argparse
 import math
-import tempfile
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 
 import bpy
 from mathutils import Vector
 
-from iris_addon.base.progress import Progress, console
-from iris_addon.blender.synth.run import STAGE_WEIGHTS, TRUTH_RENDER, SynthConfig, synth
 from iris_addon.blender.version import node_tree
 
-WIDTH, DEPTH, HEIGHT = 4.2, 3.6, 2.6
-"""Inside of the room along x, y and z, metres."""
-WALL = 0.2
-"""Thickness of walls, floor and ceiling, metres."""
+from .furnished_room import DEPTH, HEIGHT, WALL, WIDTH, box, paint, render_room
+
 WINDOW = (1.1, 2.8, 0.85, 2.25)
 """The opening in the wall y = 0: from x to x and from z to z, metres."""
 SKY, GROUND = ((0.25, 0.45, 0.95), (0.85, 0.92, 1.0)), (0.16, 0.14, 0.11)
 """Radiance at the zenith and at the horizon, and of the ground."""
-FIELD_OF_VIEW = math.radians(72)
 Triple = tuple[float, float, float]
 
 
@@ -86,39 +77,12 @@ ROOMS = {
     ),
 }
 
-# Position and point looked at, metres.
-TRAIN = (
-    ((3.9, 0.35, 1.5), (0.9, 3.0, 0.7)), ((3.8, 1.9, 1.4), (0.3, 1.4, 0.9)), ((3.8, 3.3, 1.6), (1.0, 0.9, 0.9)),
-    ((2.1, 3.3, 1.5), (2.0, 0.0, 1.2)), ((0.4, 3.3, 1.6), (3.3, 0.5, 1.0)), ((0.4, 1.8, 1.4), (4.0, 2.0, 0.9)),
-    ((0.35, 0.4, 1.6), (3.5, 2.9, 0.6)), ((2.0, 0.5, 1.5), (2.2, 3.5, 1.0)), ((2.0, 1.9, 1.7), (1.4, 3.2, 0.0)),
-    ((2.4, 2.6, 1.6), (2.6, 0.9, 0.0)), ((1.2, 2.4, 1.0), (3.3, 1.6, 2.6)), ((3.2, 1.2, 1.0), (1.2, 2.4, 2.6)),
-    ((3.5, 2.8, 1.2), (3.0, 0.2, 1.4)), ((0.9, 1.0, 1.2), (0.4, 3.2, 0.8)), ((3.0, 0.6, 1.3), (4.0, 3.0, 0.6)),
-    ((1.5, 3.0, 1.3), (0.2, 1.0, 0.4)),
-)  # fmt: skip
-VALIDATION = (
-    ((3.7, 0.9, 1.5), (0.8, 2.4, 0.8)), ((0.6, 2.6, 1.5), (3.4, 0.8, 0.8)), ((2.3, 3.2, 1.4), (1.6, 0.4, 0.8)),
-    ((1.4, 0.7, 1.4), (2.9, 3.3, 0.7)),
-)  # fmt: skip
 
-
-def build(room: SunlitRoom, blend: Path) -> None:
-    """Model the room in an empty file and save it as ``blend``."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.context.scene.unit_settings.system = "METRIC"
+def _walls_and_light(name: str) -> None:
+    room = ROOMS[name]
     _shell(room)
-    _furniture()
     _window(room)
     _sun_and_sky(room)
-    for prefix, views in (("photo", TRAIN), ("val", VALIDATION)):
-        for k, (position, target) in enumerate(views):
-            data = bpy.data.cameras.new(f"{prefix} {k:02d}")
-            data.sensor_fit, data.angle, data.clip_start = "HORIZONTAL", FIELD_OF_VIEW, 0.01
-            camera = bpy.data.objects.new(data.name, data)
-            bpy.context.scene.collection.objects.link(camera)
-            camera.location = position
-            camera.rotation_euler = (Vector(target) - Vector(position)).to_track_quat("-Z", "Y").to_euler()
-    bpy.context.scene.camera = bpy.data.objects["photo 00"]
-    bpy.ops.wm.save_as_mainfile(filepath=str(blend.absolute()), compress=True)
 
 
 def direction_to_sun(room: SunlitRoom) -> Triple:
@@ -132,13 +96,13 @@ def direction_to_sun(room: SunlitRoom) -> Triple:
 
 
 def _shell(room: SunlitRoom) -> None:
-    wall = _paint("wall", room.wall)
-    trim = _paint("white", (0.8, 0.8, 0.78))
-    _box("floor", (-WALL, -WALL, -WALL), (WIDTH + WALL, DEPTH + WALL, 0), _paint("floor", room.floor))
-    _box("ceiling", (-WALL, -WALL, HEIGHT), (WIDTH + WALL, DEPTH + WALL, HEIGHT + WALL), trim)
-    _box("wall west", (-WALL, -WALL, 0), (0, DEPTH + WALL, HEIGHT), wall)
-    _box("wall east", (WIDTH, -WALL, 0), (WIDTH + WALL, DEPTH + WALL, HEIGHT), wall)
-    _box("wall north", (0, DEPTH, 0), (WIDTH, DEPTH + WALL, HEIGHT), _paint("feature wall", (0.25, 0.4, 0.42)))
+    wall = paint("wall", room.wall)
+    trim = paint("white", (0.8, 0.8, 0.78))
+    box("floor", (-WALL, -WALL, -WALL), (WIDTH + WALL, DEPTH + WALL, 0), paint("floor", room.floor))
+    box("ceiling", (-WALL, -WALL, HEIGHT), (WIDTH + WALL, DEPTH + WALL, HEIGHT + WALL), trim)
+    box("wall west", (-WALL, -WALL, 0), (0, DEPTH + WALL, HEIGHT), wall)
+    box("wall east", (WIDTH, -WALL, 0), (WIDTH + WALL, DEPTH + WALL, HEIGHT), wall)
+    box("wall north", (0, DEPTH, 0), (WIDTH, DEPTH + WALL, HEIGHT), paint("feature wall", (0.25, 0.4, 0.42)))
     left, right, low, high = WINDOW
     around = (
         ((0, 0), (left, HEIGHT)),
@@ -147,42 +111,18 @@ def _shell(room: SunlitRoom) -> None:
         ((left, high), (right, HEIGHT)),
     )
     for k, ((x0, z0), (x1, z1)) in enumerate(around):
-        _box(f"wall south {k}", (x0, -WALL, z0), (x1, 0, z1), wall)
-    _box("sill", (left - 0.05, -0.05, low - 0.04), (right + 0.05, 0.12, low), trim)
+        box(f"wall south {k}", (x0, -WALL, z0), (x1, 0, z1), wall)
+    box("sill", (left - 0.05, -0.05, low - 0.04), (right + 0.05, 0.12, low), trim)
     for name, low_corner, high_corner in (
         ("skirting west", (0, 0.02, 0), (0.015, DEPTH, 0.09)),
         ("skirting east", (WIDTH - 0.015, 0.02, 0), (WIDTH, DEPTH, 0.09)),
     ):
-        _box(name, low_corner, high_corner, trim)
-
-
-def _furniture() -> None:
-    oak, white = _paint("oak", (0.45, 0.3, 0.17), 0.35), _paint("chair", (0.78, 0.78, 0.76))
-    red, blue, black = (
-        _paint("rug", (0.42, 0.1, 0.08)),
-        _paint("cloth", (0.14, 0.2, 0.42)),
-        _paint("frame", (0.04,) * 3),
-    )
-    _box("table top", (1.5, 1.9, 0.70), (2.8, 2.7, 0.74), oak)
-    for k, (x, y) in enumerate(((1.55, 1.95), (2.75, 1.95), (1.55, 2.65), (2.75, 2.65))):
-        _box(f"table leg {k}", (x - 0.03, y - 0.03, 0), (x + 0.03, y + 0.03, 0.70), oak)
-    for k, (x, y) in enumerate(((1.0, 2.1), (3.05, 2.3))):
-        _box(f"seat {k}", (x - 0.2, y - 0.2, 0.42), (x + 0.2, y + 0.2, 0.46), white)
-        _box(f"back {k}", (x - 0.2, y + 0.17, 0.46), (x + 0.2, y + 0.2, 0.95), white)
-        for n, (dx, dy) in enumerate(((-0.18, -0.18), (0.18, -0.18), (-0.18, 0.18), (0.18, 0.18))):
-            _box(f"chair leg {k} {n}", (x + dx - 0.02, y + dy - 0.02, 0), (x + dx + 0.02, y + dy + 0.02, 0.42), white)
-    _box("rug", (1.2, 0.7, 0), (3.0, 1.6, 0.012), red)
-    _box("cupboard", (0.05, 2.5, 0), (0.45, 3.5, 1.1), _paint("cupboard", (0.35, 0.42, 0.3), 0.5))
-    _box("sofa seat", (3.3, 0.9, 0), (4.15, 2.0, 0.42), blue)
-    _box("sofa back", (3.98, 0.9, 0.42), (4.15, 2.0, 0.85), blue)
-    _box("picture", (1.6, DEPTH - 0.03, 1.3), (2.5, DEPTH, 1.9), black)
-    _box("print", (1.66, DEPTH - 0.035, 1.36), (2.44, DEPTH - 0.03, 1.84), _paint("print", (0.6, 0.45, 0.2)))
-    _box("vase", (2.0, 2.2, 0.74), (2.12, 2.32, 1.02), _paint("vase", (0.15, 0.35, 0.2), 0.3))
+        box(name, low_corner, high_corner, trim)
 
 
 def _window(room: SunlitRoom) -> None:
     left, right, low, high = WINDOW
-    white = _paint("window frame", (0.75, 0.75, 0.73))
+    white = paint("window frame", (0.75, 0.75, 0.73))
     y0, y1, bar = -0.13, -0.07, 0.05
     for k, (x0, z0, x1, z1) in enumerate(
         (
@@ -192,23 +132,21 @@ def _window(room: SunlitRoom) -> None:
             (left, high - bar, right, high),
         )
     ):
-        _box(f"frame {k}", (x0, y0, z0), (x1, y1, z1), white)
+        box(f"frame {k}", (x0, y0, z0), (x1, y1, z1), white)
     if room.glass:
-        _box("pane", (left + bar, -0.102, low + bar), (right - bar, -0.098, high - bar), _glass())
+        box("pane", (left + bar, -0.102, low + bar), (right - bar, -0.098, high - bar), _glass())
     if room.shade == "blind":
-        slat, count = _paint("slat", (0.7, 0.66, 0.58)), 10
+        slat, count = paint("slat", (0.7, 0.66, 0.58)), 10
         for k in range(count):
             z = high - 0.06 - 0.065 * k
-            blade = _box(f"slat {k}", (left + 0.03, -0.025, -0.001), (right - 0.03, 0.025, 0.001), slat)
+            blade = box(f"slat {k}", (left + 0.03, -0.025, -0.001), (right - 0.03, 0.025, 0.001), slat)
             blade.location, blade.rotation_euler = (0, -0.02, z), (math.radians(18), 0, 0)
     elif room.shade == "curtain":
-        _box(
-            "curtain", (right - 0.35, 0.05, 0.05), (right + 0.3, 0.08, HEIGHT - 0.1), _paint("curtain", (0.5, 0.2, 0.2))
-        )
+        box("curtain", (right - 0.35, 0.05, 0.05), (right + 0.3, 0.08, HEIGHT - 0.1), paint("curtain", (0.5, 0.2, 0.2)))
     else:
         middle = 0.5 * (left + right)
-        _box("muntin", (middle - 0.025, y0, low), (middle + 0.025, y1, high), white)
-        _box("transom", (left, y0, 1.7), (right, y1, 1.74), white)
+        box("muntin", (middle - 0.025, y0, low), (middle + 0.025, y1, high), white)
+        box("transom", (left, y0, 1.7), (right, y1, 1.74), white)
 
 
 def _sun_and_sky(room: SunlitRoom) -> None:
@@ -237,31 +175,6 @@ def _sun_and_sky(room: SunlitRoom) -> None:
     tree.links.new(background.outputs[0], output.inputs["Surface"])
 
 
-# ---- shapes and materials ------------------------------------------------------------------------------------------
-
-
-def _box(name: str, low: Sequence[float], high: Sequence[float], material: bpy.types.Material) -> bpy.types.Object:
-    corners = [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
-    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    data = bpy.data.meshes.new(name)
-    data.from_pydata(corners, [], sides)
-    data.materials.append(material)
-    thing = bpy.data.objects.new(name, data)
-    bpy.context.scene.collection.objects.link(thing)
-    return thing
-
-
-def _paint(name: str, color: Sequence[float], roughness: float = 1.0) -> bpy.types.Material:
-    material = bpy.data.materials.new(name)
-    tree = node_tree(material)
-    shader, output = tree.nodes.new("ShaderNodeBsdfPrincipled"), tree.nodes.new("ShaderNodeOutputMaterial")
-    tree.links.new(shader.outputs[0], output.inputs["Surface"])
-    shader.distribution = "GGX"
-    shader.inputs["Base Color"].default_value = (*color, 1)
-    shader.inputs["Roughness"].default_value = roughness
-    return material
-
-
 def _glass() -> bpy.types.Material:
     """A pane that lets 94 % of the light through each of its two sides."""
     material = bpy.data.materials.new("glass")
@@ -275,20 +188,7 @@ def _glass() -> bpy.types.Material:
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("room", choices=ROOMS)
-    parser.add_argument("--out", type=Path, required=True, help="folder of the capture")
-    parser.add_argument("--resolution", default="240x180", help="of the photos")
-    parser.add_argument("--samples", type=int, default=64, help="samples per pixel before denoising")
-    parser.add_argument("--blend", type=Path, help="keep the scene there")
-    args = parser.parse_args()
-    width, height = map(int, args.resolution.split("x"))
-    with tempfile.TemporaryDirectory() as folder:
-        blend = args.blend or Path(folder) / f"{args.room}.blend"
-        build(ROOMS[args.room], blend)
-        render = replace(TRUTH_RENDER, samples=args.samples)
-        config = SynthConfig(resolution=(width, height), compact=True, render=render)
-        synth(blend, args.out, config, Progress(console(), STAGE_WEIGHTS))
+    render_room(ROOMS, _walls_and_light, __doc__)
 
 
 if __name__ == "__main__":

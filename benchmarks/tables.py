@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .records import Record, flat
+from .records import Record, flat, machine_of
 
+Column = tuple[str, int, str]
+"""Heading of a metric, digits after the point, and its mark."""
 FAILURE_DB = 3.0
 """A method has failed at the first level where it is this far below the capture as it is."""
 
@@ -75,3 +77,16 @@ def failure_level(by_level: NDArray[np.floating], drop: float = FAILURE_DB) -> i
 def loglog_slope(x: Sequence[float], y: Sequence[float]) -> float:
     """Exponent k of the least-squares fit y ~ x^k."""
     return float(np.polyfit(np.log(x), np.log(y), 1)[0])
+
+
+def room_table(records: Sequence[Record], columns: Mapping[str, Column]) -> str:
+    """A row per room, and one of the marks if there are any, as Markdown; ``columns`` by metric."""
+    groups = group(records, lambda row: (row["capture"], row["preset"]))
+    body = [
+        [name, preset, *(cell(rows, metric, digits) for metric, (_, digits, _) in columns.items())]
+        for (name, preset), rows in sorted(groups.items())
+    ]
+    if any(mark for _, _, mark in columns.values()):
+        body.append(["**mark**", "", *(mark for _, _, mark in columns.values())])
+    header = ["room", "preset", *(heading for heading, _, _ in columns.values())]
+    return f"{machine_of(records)}\n\n{markdown(header, body)}\n"

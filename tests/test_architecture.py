@@ -161,6 +161,8 @@ def test_only_the_rooms_of_blender_import_it() -> None:
         "iris_addon/blender/",
         "operators/",
         "benchmarks/perturb",
+        "benchmarks/furnished_room",
+        "benchmarks/mirror_room",
         "benchmarks/sunlit_room",
         "benchmarks/moving_plate",
     )

@@ -33,6 +33,7 @@ STREAMS: Mapping[str, int] = {
     "capture.points_to_mesh": 67,
     "lighting.aimed_at_sunlight": 71,
     "transport.openings": 73,
+    "materials.mirrors": 79,
 }
 """The number of each use, "room.use". A new use takes a new number; numbers stay, so that results do."""
 

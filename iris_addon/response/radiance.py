@@ -56,19 +56,24 @@ class Linearised:
         """The same with black observations at their ``expected`` radiance (M, 3), or at their ceiling if that is lower.
 
         A ceiling below the expected radiance contradicts it, and the observation counts with full precision; any other
-        ceiling agrees with it, and the observation keeps its own.
+        ceiling agrees with it, and the observation keeps the noise of its byte.
         """
         radiance = np.where(np.isfinite(self.ceiling), np.minimum(self.ceiling, expected), self.radiance)
-        precision = np.where(self.ceiling < expected, MAX_PRECISION, self.precision)
-        return replace(self, radiance=radiance, precision=precision)
+        noise = self._noise * self.radiance / np.maximum(radiance, 1e-9)
+        agreeing = 1 / (MODEL_NOISE**2 + noise**2)
+        return replace(self, radiance=radiance, precision=np.where(self.ceiling < expected, MAX_PRECISION, agreeing))
 
     def precision_at(self, level: NDArray[np.floating]) -> NDArray[np.float64]:
         """(M, 3) inverse variance relative to the radiance ``level`` (M, 3) that is expected, not to that observed.
 
         Dark bytes are coarse relative to themselves. That a bright surface is seen dark they tell as well as others.
         """
-        noise = np.maximum(1 / self.precision - MODEL_NOISE**2, 0.0)
-        return 1 / (MODEL_NOISE**2 + noise * (self.radiance / np.maximum(level, 1e-9)) ** 2)
+        return 1 / (MODEL_NOISE**2 + (self._noise * self.radiance / np.maximum(level, 1e-9)) ** 2)
+
+    @property
+    def _noise(self) -> NDArray[np.float64]:
+        """(M, 3) relative standard deviation that the photo's bytes explain."""
+        return np.sqrt(np.maximum(1 / self.precision - MODEL_NOISE**2, 0.0))
 
 
 @dataclass(frozen=True)

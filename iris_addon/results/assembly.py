@@ -19,6 +19,7 @@ from ..config import SolveConfig
 from ..lighting.balance import MAX_ALBEDO
 from ..lighting.problem import LightProblem, Lights
 from ..lighting.shell_surface import as_surface
+from ..materials.mirrors import smooth_metals, with_mirrors
 from ..materials.rounds import MaterialProblem
 from ..materials.shading import Shading, sunlight_at
 from ..materials.solution import Solution
@@ -27,7 +28,7 @@ from ..model.capture import Capture, View
 from ..model.device import Device
 from ..model.local_exposure import UNIFORM
 from ..model.recovered import Emitter, OutsideLight, Sunlight
-from ..response.photometry import Photometry
+from ..response.photometry import Photometry, shown_pixels
 from ..surface.primary_rays import PixelSamples, as_picture
 from ..surface.traced_room import TracedRoom
 from ..textures.atlas import Atlas, interpolate_uv
@@ -115,7 +116,12 @@ def make_result(
     )
     texels = paint_texels(painter, views, atlas.size, checkpoints.table, progress)
     pixels = PixelAlbedo(albedo, weight * ~held_out.hidden[:, None])
-    textures, paint = make_textures(atlas, light.regions, lights.mask, gloss, samples, pixels, texels, painted)
+    shown_gloss = gloss
+    if len(smooth_metals(gloss)):
+        rng = stream(config.seed, "materials.mirrors")
+        shown = shown_pixels(photometry, room)
+        shown_gloss = with_mirrors(gloss, room.tracer, samples, shown, region, rng, light.decisions)
+    textures, paint = make_textures(atlas, light.regions, lights.mask, shown_gloss, samples, pixels, texels, painted)
     emission = lights.face_emission(len(light.regions))[samples.face]
 
     def explained(rows: Rows, base_color: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -136,7 +142,11 @@ def make_result(
     paints = {"paints": paint.paints, "parts_of_one_colour": paint.plain_regions}
     report = {
         "holdout_psnr": float(psnr),
-        "model": {"residual_light": round(float(residual), 4), **paints},
+        "model": {
+            "residual_light": round(float(residual), 4),
+            "mirrors": int((shown_gloss.roughness == 0).sum()),
+            **paints,
+        },
         "warnings": _misfit_warnings(capture, of_photos, np.inf if photos.hdr else float(psnr)),
     }
     mesh = capture.mesh.with_uv(atlas.uv)

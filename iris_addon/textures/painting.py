@@ -119,7 +119,8 @@ class Painter:
         photo = read_pixels(view)
         exposures = self.photometry.exposures_of(photo.values, index)
         exposures[~photo.valid] = np.nan
-        clipped = own_pixel((photo.values >= SATURATED) & photo.valid[..., None], seen.file_place)
+        clipped = own_pixel(photo.values, seen.file_place) >= (np.inf if self.photometry.hdr else SATURATED)
+        clipped &= own_pixel(photo.valid[..., None], seen.file_place)
         near_edge = picture.near_edge[texels.pixel]
         exposure, averaged = read_texels(exposures, seen, size, near_edge)
         nearest = picture.nearest[texels.pixel]
@@ -367,5 +368,6 @@ def paint_texels(
     )
     error = np.zeros(len(painter.points.texel), np.float32)
     for photo in photos:
-        error[photo["row"]] = photo["light_error"]
+        told = ((photo["weight"] > 0) & ~photo["at_least"]).any(1)
+        error[photo["row"][told]] = photo["light_error"][told]
     return PaintedTexels(painter.points, fuse_samples(photos, painter.points, size), error)

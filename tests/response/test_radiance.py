@@ -179,3 +179,13 @@ def test_black_observations_are_not_well_exposed() -> None:
     radiance = np.repeat(rng.uniform(0.1, 0.2, (200, 1)), 8, 1)
     linear, _, _ = photographed(radiance, np.tile([0.25, 4.0], 4))
     assert linear.well_exposed.reshape(200, 8)[:, 1::2].all() and not linear.well_exposed.reshape(200, 8)[:, ::2].any()
+
+
+def test_black_pixels_that_agree_keep_the_noise_of_their_byte() -> None:
+    """Black under a ceiling twice as high as expected: its error is that of the byte, not of what is expected."""
+    linear, _, _ = photographed(np.array([[0.1, 0.1, 0.1]]), np.array([1.0, 2.0, 4.0]))
+    level = np.full((3, 3), 0.125)
+    agreeing = linear.agreeing_with(level)
+    assert agreeing.radiance[0] == pytest.approx(level[0]), "below its ceiling of 0.25"
+    assert agreeing.precision_at(level)[0] == pytest.approx(linear.precision_at(level)[0])
+    assert agreeing.precision_at(2 * level)[0, 0] > 3 * agreeing.precision_at(level)[0, 0]

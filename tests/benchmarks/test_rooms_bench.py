@@ -1,4 +1,4 @@
-"""The table of sunlit rooms, and captures that are rendered once."""
+"""Tables of rooms that we render ourselves, and captures that are rendered once."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import sunlit, sunlit_section
+from benchmarks import mirrors_section, rooms, sunlit_section
 
 
 def record(room: str, metrics: dict[str, float]) -> dict:
@@ -30,6 +30,12 @@ def test_rooms_stand_above_what_is_asked_of_them(tmp_path: Path) -> None:
     assert len({len(row) for row in rows}) == 1
 
 
+def test_rooms_without_marks_have_no_row_of_them(tmp_path: Path) -> None:
+    text = mirrors_section.describe([record("steel", {"nvs_psnr": 31.234})], tmp_path)
+    rows = [line for line in text.splitlines() if line.startswith("| ")]
+    assert len(rows) == 3 and "steel" in rows[2] and "31.23" in rows[2]
+
+
 def test_a_room_is_rendered_where_it_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = []
 
@@ -40,5 +46,6 @@ def test_a_room_is_rendered_where_it_is_missing(tmp_path: Path, monkeypatch: pyt
         (capture / "meta.json").write_text("{}")
 
     monkeypatch.setattr(subprocess, "run", run)
-    assert sunlit.rendered("pane", tmp_path) == sunlit.rendered("pane", tmp_path) == tmp_path / "pane"
+    for _ in range(2):
+        assert rooms.rendered("sunlit_room", "pane", tmp_path) == tmp_path / "pane"
     assert made == ["pane"]

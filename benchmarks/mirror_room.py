@@ -1,0 +1,55 @@
+"""A room with a planar mirror on its wall: a small capture with full ground truth, rendered by Cycles.
+
+    python -m benchmarks.mirror_room wardrobe --out FOLDER [--resolution 240x180] [--samples 64] [--blend FILE]
+
+``wardrobe``: the whole door of a wardrobe is a mirror, opposite a picture on the wall. ``cabinet``: a smaller mirror
+hangs on the wall and shows the lamp to some of the photos. ``steel``: the door is polished steel, which is no mirror.
+"""
+
+from __future__ import annotations
+
+import bpy
+
+from iris_addon.blender.version import node_tree
+
+from .furnished_room import DEPTH, HEIGHT, WALL, WIDTH, box, paint, render_room
+
+SILVER = (0.9, 0.92, 0.9)
+"""Reflectance of the mirrors and of steel."""
+DOOR, CABINET = ((0.9, 0.0, 0.05), (2.3, 0.01, 2.15)), ((WIDTH - 0.02, 2.2, 1.0), (WIDTH, 3.2, 1.9))
+"""Corners, metres."""
+ROOMS = {"wardrobe": (DOOR, 0.0), "cabinet": (CABINET, 0.0), "steel": (DOOR, 0.1)}
+"""Where the metal of each room is, and its roughness."""
+
+
+def _walls_and_light(name: str) -> None:
+    wall, trim = paint("wall", (0.72, 0.68, 0.6)), paint("white", (0.8, 0.8, 0.78))
+    box("floor", (-WALL, -WALL, -WALL), (WIDTH + WALL, DEPTH + WALL, 0), paint("floor", (0.42, 0.27, 0.16)))
+    box("ceiling", (-WALL, -WALL, HEIGHT), (WIDTH + WALL, DEPTH + WALL, HEIGHT + WALL), trim)
+    box("wall west", (-WALL, -WALL, 0), (0, DEPTH + WALL, HEIGHT), wall)
+    box("wall east", (WIDTH, -WALL, 0), (WIDTH + WALL, DEPTH + WALL, HEIGHT), wall)
+    box("wall north", (0, DEPTH, 0), (WIDTH, DEPTH + WALL, HEIGHT), paint("feature wall", (0.25, 0.4, 0.42)))
+    box("wall south", (0, -WALL, 0), (WIDTH, 0, HEIGHT), wall)
+    corners, roughness = ROOMS[name]
+    box("mirror", *corners, paint("silver", SILVER, roughness, metallic=1.0))
+    box("ceiling lamp", (1.9, 1.4, HEIGHT - 0.05), (2.5, 2.0, HEIGHT), _glow("lamp", (1.0, 0.86, 0.7), 9.0))
+    box("wall lamp", (0.0, 1.2, 1.6), (0.08, 1.36, 1.9), _glow("bulb", (1.0, 0.7, 0.42), 14.0))
+
+
+def _glow(name: str, color: tuple[float, float, float], strength: float) -> bpy.types.Material:
+    material = bpy.data.materials.new(name)
+    tree = node_tree(material)
+    light, output = tree.nodes.new("ShaderNodeEmission"), tree.nodes.new("ShaderNodeOutputMaterial")
+    light.inputs["Color"].default_value = (*color, 1)
+    light.inputs["Strength"].default_value = strength
+    tree.links.new(light.outputs[0], output.inputs["Surface"])
+    return material
+
+
+def main() -> None:
+    """Command line."""
+    render_room(ROOMS, _walls_and_light, __doc__)
+
+
+if __name__ == "__main__":
+    main()
