@@ -78,6 +78,17 @@ def rank_in_group(ordered: NDArray[np.integer]) -> NDArray[np.int64]:
     return np.arange(len(ordered)) - np.repeat(start, np.diff(start, append=len(ordered)))
 
 
+def thinned(rows: NDArray[np.int64], group: NDArray[np.integer], step: NDArray[np.integer]) -> NDArray[np.int64]:
+    """Every nth of the ``rows`` of each group, ascending.
+
+    Args:
+        rows: (k,) ascending indexes into ``group`` (n,).
+        step: (n_groups,) n of each group.
+    """
+    order = rows[np.argsort(group[rows], kind="stable")]
+    return np.sort(order[rank_in_group(group[order]) % step[group[order]] == 0])
+
+
 def group_sums(values: NDArray[np.floating], group: NDArray[np.integer], n_groups: int) -> NDArray[np.float64]:
     """(n_groups, C) sum of ``values`` (n, C) per group."""
     sums = np.zeros((n_groups, values.shape[1]))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ..base.group_by import rank_in_group
+from ..base.group_by import thinned
 from ..decide import Decisions, HeldOutLosses
 from ..rays.sampling import dot, r2_sequence
 from ..rays.tracer import Tracer, points_on_faces
@@ -96,9 +96,8 @@ def smooth_metals(gloss: Gloss) -> NDArray[np.int64]:
 def _pixels_of(regions: NDArray[np.int64], region: NDArray[np.integer], usable: NDArray[np.bool_]) -> NDArray[np.int64]:
     """``usable`` pixels of the ``regions``, an even selection of each."""
     rows = np.flatnonzero(usable & np.isin(region, regions))
-    order = rows[np.argsort(region[rows], kind="stable")]
     step = 1 + np.bincount(region[rows], minlength=int(regions.max()) + 1) // MAX_PIXELS
-    return np.sort(order[rank_in_group(region[order]) % step[region[order]] == 0])
+    return thinned(rows, region, step)
 
 
 def _reflected(pixels: PixelSamples, alpha: float, n_rays: int, rng: np.random.Generator) -> NDArray[np.float64]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ..base.group_by import group_means, rank_in_group
+from ..base.group_by import group_means, thinned
 from ..decide import PANE_LEAST_LOSS, Decisions, HeldOutLosses
 from ..rays.sampling import dot
 from ..rays.tracer import Tracer, points_on_faces
@@ -131,9 +131,7 @@ def _pixels_on(
     counts = np.bincount(own[usable], minlength=len(parts))
     step = np.maximum(1, counts // MAX_PIXELS)
     rows = np.flatnonzero((parts & (counts >= MIN_PIXELS))[own] & usable)
-    order = rows[np.argsort(own[rows], kind="stable")]
-    of_part = own[order]
-    return np.sort(order[rank_in_group(of_part) % step[of_part] == 0])
+    return thinned(rows, own, step)
 
 
 def _behind(tracer: Tracer, samples: PixelSamples, part: NDArray[np.int32]) -> _Behind:

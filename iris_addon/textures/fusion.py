@@ -74,8 +74,10 @@ def fuse_samples(photos: Sequence[NDArray], points: TexelPoints, size: int) -> T
             _add_reference(*_of_rows(photo, rows), rows.start, reference)
         for photo in photos:
             _add_by_blur(*_of_rows(photo, rows), rows.start, reference, edges, *sums)
+        with np.errstate(invalid="ignore"):
+            found = shown[:, rows].sum(0) / weight[:, rows].sum(0)
         for photo in photos:
-            _add_above(*_of_rows(photo, rows), rows.start, *sums, above)
+            _add_above(*_of_rows(photo, rows), rows.start, found, above)
         told = above <= CONTRADICTED * total[rows]
         weight[:, rows] *= told
         total[rows] *= told
@@ -162,23 +164,17 @@ def _add_above(
     weight: NDArray[np.float32],
     blur: NDArray[np.float32],
     begin: Integer,
-    shown: NDArray[np.float32],
-    weights: NDArray[np.float32],
-    total: NDArray[np.float32],
+    found: NDArray[np.float32],
     above: NDArray[np.float32],
 ) -> None:
-    """Add to ``above`` (T, 3) the weight of bounds that lie above what the other photos show."""
+    """Add to ``above`` (T, 3) the weight of bounds that lie above what the other photos show, ``found`` (T, 3), NaN
+    where they show nothing."""
     for i in range(len(row)):
         t = row[i] - begin
         for c in range(3):
-            if weight[i, c] > 0 and at_least[i, c] and total[t, c] > 0:
-                norm = mean = np.float32(0)
-                for level in range(len(shown)):
-                    mean += shown[level, t, c]
-                    norm += weights[level, t, c]
-                mean /= norm
-                if value[i, c] - mean > OUTLIER_DISTANCE * (mean + DIM_ALBEDO):
-                    above[t, c] += weight[i, c]
+            limit = found[t, c] + OUTLIER_DISTANCE * (found[t, c] + DIM_ALBEDO)
+            if weight[i, c] > 0 and at_least[i, c] and value[i, c] > limit:
+                above[t, c] += weight[i, c]
 
 
 # ---- sharpening ----------------------------------------------------------------------------------------------------
