@@ -91,6 +91,17 @@ def paint(name: str, color: Sequence[float], roughness: float = 1.0, metallic: f
     return material
 
 
+def glow(name: str, color: Sequence[float], strength: float) -> bpy.types.Material:
+    """A lamp of radiance ``color`` times ``strength``."""
+    material = bpy.data.materials.new(name)
+    tree = node_tree(material)
+    light, output = tree.nodes.new("ShaderNodeEmission"), tree.nodes.new("ShaderNodeOutputMaterial")
+    light.inputs["Color"].default_value = (*color, 1)
+    light.inputs["Strength"].default_value = strength
+    tree.links.new(light.outputs[0], output.inputs["Surface"])
+    return material
+
+
 def build(walls_and_light: Callable[[], None], blend: Path) -> None:
     """Model a furnished room in an empty file, with its cameras, and save it as ``blend``."""
     bpy.ops.wm.read_factory_settings(use_empty=True)

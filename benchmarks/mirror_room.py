@@ -8,11 +8,7 @@ hangs on the wall and shows the lamp to some of the photos. ``steel``: the door 
 
 from __future__ import annotations
 
-import bpy
-
-from iris_addon.blender.version import node_tree
-
-from .furnished_room import DEPTH, HEIGHT, WALL, WIDTH, box, paint, render_room
+from .furnished_room import DEPTH, HEIGHT, WALL, WIDTH, box, glow, paint, render_room
 
 SILVER = (0.9, 0.92, 0.9)
 """Reflectance of the mirrors and of steel."""
@@ -32,18 +28,8 @@ def _walls_and_light(name: str) -> None:
     box("wall south", (0, -WALL, 0), (WIDTH, 0, HEIGHT), wall)
     corners, roughness = ROOMS[name]
     box("mirror", *corners, paint("silver", SILVER, roughness, metallic=1.0))
-    box("ceiling lamp", (1.9, 1.4, HEIGHT - 0.05), (2.5, 2.0, HEIGHT), _glow("lamp", (1.0, 0.86, 0.7), 9.0))
-    box("wall lamp", (0.0, 1.2, 1.6), (0.08, 1.36, 1.9), _glow("bulb", (1.0, 0.7, 0.42), 14.0))
-
-
-def _glow(name: str, color: tuple[float, float, float], strength: float) -> bpy.types.Material:
-    material = bpy.data.materials.new(name)
-    tree = node_tree(material)
-    light, output = tree.nodes.new("ShaderNodeEmission"), tree.nodes.new("ShaderNodeOutputMaterial")
-    light.inputs["Color"].default_value = (*color, 1)
-    light.inputs["Strength"].default_value = strength
-    tree.links.new(light.outputs[0], output.inputs["Surface"])
-    return material
+    box("ceiling lamp", (1.9, 1.4, HEIGHT - 0.05), (2.5, 2.0, HEIGHT), glow("lamp", (1.0, 0.86, 0.7), 9.0))
+    box("wall lamp", (0.0, 1.2, 1.6), (0.08, 1.36, 1.9), glow("bulb", (1.0, 0.7, 0.42), 14.0))
 
 
 def main() -> None:

@@ -173,6 +173,13 @@ REFINEMENTS: Mapping[str, Refinement] = {
         gain=-0.005,
         experiment="0068-can-a-changing-picture-tell-a-screen",
     ),
+    "lamp_pattern": Refinement(
+        "a pattern on a lamp in place of one radiance",
+        "robust deviation of log luminance that half of the photos show on it from what the other half shows there",
+        gain=0.2,
+        errors=2.0,
+        experiment="0133-has-a-lamp-a-pattern",
+    ),
     # ---- materials
     "burley": Refinement(
         "Burley's diffuse lobe in place of Lambert's",

@@ -88,9 +88,12 @@ def image_from_array(
     return image
 
 
-def srgb_image(linear: bpy.types.Image) -> bpy.types.Image:
-    """An 8-bit sRGB copy of a linear float image, for formats whose base colour is sRGB."""
+def srgb_image(linear: bpy.types.Image) -> tuple[bpy.types.Image, float]:
+    """An 8-bit sRGB copy of a linear float image, for formats whose colours are sRGB; and its brightest value, by which
+    the copy is divided, where that exceeds 1."""
     width, height = linear.size
     pixels = np.empty((height, width, 4), np.float32)
     linear.pixels.foreach_get(pixels.ravel())
-    return image_from_array(linear.name, srgb(pixels[::-1, :, :3]), colorspace="sRGB")
+    shown = pixels[::-1, :, :3]
+    peak = max(1.0, float(shown.max(initial=0.0)))
+    return image_from_array(linear.name, srgb(shown / peak), colorspace="sRGB"), peak

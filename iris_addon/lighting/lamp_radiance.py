@@ -13,7 +13,9 @@ from ..brdf.diffuse import under_lobe
 from ..response.radiance import GroupRadiance
 from ..transport.form_factors import emitter_form_factors, emitter_of_face
 from .balance import ITERATIONS, MAX_ALBEDO, Evidence, ShadedPatches, fitted_patches, noticeable_radiance, solve_balance
+from .brightness import Brightness
 from .candidates import tie_fixtures
+from .pattern import LampPattern
 from .problem import LightProblem, Lights
 from .sun import Sun
 
@@ -30,6 +32,8 @@ FIRST_ITERATIONS = 20
 """Iterations of the first light balance, after which the light that unseen surfaces pass on is found anew."""
 CLIPPED_LAMP_FACTOR = 2.0
 """Expected radiance of a clipped lamp over its bound; a speck whose light reaches no patch stays about there."""
+PATTERN_CLIPS = 0.05
+"""Share of the area of a lamp with a pattern that may clip where its mean radiance counts as measured."""
 LAMP_QUANTILE = 0.8
 """Quantile over a lamp's unclipped pixels at which its radiance is measured; its edge or a blind is darker."""
 
@@ -225,20 +229,24 @@ def form_factors_of(
         limits: fewest and most shadow rays from a patch to a lamp; between them lamps share the budget evenly.
         known: lights from which the form factors of lamps among ``emitters`` are reused.
     """
+    patterns = [problem.pattern_of(faces) for faces in emitters]
     columns = _columns(emitters, known.emitters) if known else np.full(len(emitters), -1)
-    fresh = [faces for faces, k in zip(emitters, columns, strict=True) if k < 0]
+    columns[[pattern is not None for pattern in patterns]] = -1
+    fresh = np.flatnonzero(columns < 0)
+    lamps = [emitters[k] for k in fresh]
+    shares = {n: pattern.at for n, k in enumerate(fresh) if (pattern := patterns[k]) is not None}
     rng = stream(problem.seed, "lighting.shadow_rays")
     t = problem.transport
     samples = int(np.clip(problem.shadow_rays // max(1, len(emitters)), *limits))
-    seen = emitter_form_factors(problem.tracer, t.origins, t.rays, fresh, samples, rng, progress)
+    seen = emitter_form_factors(problem.tracer, t.origins, t.rays, lamps, samples, rng, progress, shares)
     unseen = emitter_form_factors(
-        problem.tracer, t.unseen_origins, t.unseen_rays, fresh, max(4, samples // 4), rng, progress
+        problem.tracer, t.unseen_origins, t.unseen_rays, lamps, max(4, samples // 4), rng, progress, shares
     )
     traced = np.concatenate([seen, unseen])
     if known is None:
         return traced
     factors = np.empty((t.n_patches, len(emitters), 2), np.float32)
-    factors[:, columns < 0] = traced
+    factors[:, fresh] = traced
     factors[:, columns >= 0] = known.form_factors[:, columns[columns >= 0]]
     return factors
 
@@ -261,6 +269,10 @@ def _lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> 
     for index, own in enumerate(per_lamp[: len(emitters)]):
         if len(own) == 0:
             continue  # no photo shows it
+        pattern = problem.pattern_of(emitters[index])
+        if pattern is not None:
+            bound[index], measured[index] = _mean_over(seen, pattern)
+            continue
         bound[index] = np.median(seen.bound[own], axis=0)
         for channel in range(3):
             # An unclipped pixel below the bound of clipped ones shows the lamp's edge.
@@ -270,6 +282,17 @@ def _lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> 
                 measured[index, channel] = np.quantile(values[unclipped], LAMP_QUANTILE)
     expected = np.where((bound > 0) & np.isnan(measured), CLIPPED_LAMP_FACTOR * bound, np.nan)
     return Evidence(bound, measured, tie_fixtures(emitters, problem.tracer.areas), expected)
+
+
+def _mean_over(seen: Brightness, pattern: LampPattern) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(3,) least mean radiance over the patches of a lamp, and the mean (3,) where hardly any clips.
+
+    A pattern has no brighter part that stands for all of it.
+    """
+    measured, bound = seen.measured[pattern.patch], seen.bound[pattern.patch]  # the first cells are the patches
+    clips = np.isnan(measured)
+    mean = pattern.area @ np.where(clips, bound, measured)
+    return mean, np.where(pattern.area @ clips <= PATTERN_CLIPS, mean, np.nan)
 
 
 def patches_on(problem: LightProblem, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -283,13 +306,28 @@ def patches_on(problem: LightProblem, mask: NDArray[np.bool_]) -> NDArray[np.boo
 
 def lamp_of_cell(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> NDArray[np.int64]:
     """(C,) index of the emitter that covers most of each cell, -1 for none."""
-    cell = problem.cells.of_pixel
+    return _lamp_of(problem, emitters, problem.cells.of_pixel, problem.cells.count)
+
+
+def lamp_of_patch(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """(P,) the same of each seen patch."""
+    return _lamp_of(problem, emitters, problem.surface.sample_patch, problem.surface.count)
+
+
+def _lamp_of(
+    problem: LightProblem,
+    emitters: list[NDArray[np.int64]],
+    group: NDArray[np.integer],
+    count: NDArray[np.integer] | NDArray[np.floating],
+) -> NDArray[np.int64]:
+    """(n,) index of the emitter that most pixels of each group show, -1 for none; pixels are of a ``group`` (k,) with
+    ``count`` (n,) pixels."""
     label = emitter_of_face(emitters, len(problem.regions))[problem.samples.face]
     on = np.flatnonzero(label >= 0)
-    pair, pixels = np.unique(cell[on].astype(np.int64) * len(emitters) + label[on], return_counts=True)
+    pair, pixels = np.unique(group[on].astype(np.int64) * len(emitters) + label[on], return_counts=True)
     of, lamp = np.divmod(pair, max(1, len(emitters)))
-    most = pixels > 0.5 * problem.cells.count[of]
-    result = np.full(problem.cells.n_cells, -1, np.int64)
+    most = pixels > 0.5 * count[of]
+    result = np.full(len(count), -1, np.int64)
     result[of[most]] = lamp[most]
     return result
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -19,6 +19,7 @@ from ..transport.transport import Transport
 from .balance import ROBUST_LOG
 from .brightness import Brightness, Cells
 from .hidden import HiddenSources
+from .pattern import LampPattern
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,7 @@ class Lights:
         region_albedo: (3,) albedo per region id, from the balance.
         held_out: robust loss of the balance on patches it was not fitted to.
         losses: of each of these patches; not part of a checkpoint, because no later stage compares with it.
+        patterned: (k,) numbers of the emitters that have a pattern, of which ``radiance`` is the mean.
     """
 
     emitters: list[NDArray[np.int64]]
@@ -51,6 +53,7 @@ class Lights:
     region_albedo: dict[int, NDArray[np.float64]] = field(default_factory=dict)
     held_out: float = np.inf
     losses: HeldOutLosses = field(default_factory=HeldOutLosses.none)
+    patterned: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -61,7 +64,8 @@ class Lights:
 
     def arrays(self) -> dict[str, NDArray]:
         """Plain arrays for a checkpoint."""
-        names = ("radiance", "hidden_radiance", "log_std", "form_factors", "mask", "irradiance", "patch_radiance")
+        of_lamps = ("radiance", "hidden_radiance", "log_std", "form_factors", "mask", "patterned")
+        names = *of_lamps, "irradiance", "patch_radiance"
         ids = np.array(list(self.region_albedo), np.int64)
         return {
             "lights.held_out": np.array(self.held_out),
@@ -84,6 +88,12 @@ class Lights:
     def paired_error(self, larger: Lights) -> float:
         """Standard error of the difference in held-out loss to the light under a larger model."""
         return self.losses.paired_error(larger.losses)
+
+    def with_radiance(self, numbers: NDArray[np.integer], radiance: Sequence[NDArray[np.float64]]) -> Lights:
+        """The same lamps, those of ``numbers`` with another ``radiance`` (3,) each."""
+        changed = self.radiance.copy()
+        changed[numbers] = radiance
+        return replace(self, radiance=changed)
 
     def face_emission(self, n_faces: int) -> NDArray[np.float64]:
         """(F, 3) radiance each face emits."""
@@ -122,6 +132,7 @@ class LightProblem:
             lamps: beside a lamp they are its glare, and light that differs most within a patch.
         sunlight_passed_on: whether the sun's column holds what patches pass on that no photo measures, beside what the
             sun lights. Not while a sun is but proposed: with all that for its own, many a direction explains a lamp.
+        patterns: of the lamps that have one, once it is known.
     """
 
     tracer: Tracer
@@ -146,6 +157,11 @@ class LightProblem:
     robust_log: float = ROBUST_LOG
     clipped_counts: bool = False
     sunlight_passed_on: bool = True
+    patterns: tuple[LampPattern, ...] = ()
+
+    def pattern_of(self, faces: NDArray[np.int64]) -> LampPattern | None:
+        """The pattern of the lamp of ``faces``, None where it has none."""
+        return next((pattern for pattern in self.patterns if np.array_equal(pattern.faces, faces)), None)
 
     def rays_to_bright(self, lights: Lights, rng: np.random.Generator) -> SparseRays | None:
         """Rays aimed at patches that are bright under ``lights``; None where there are none."""

@@ -18,7 +18,8 @@ from ..brdf.diffuse import grazing_gain
 from ..brdf.ggx import layered_factor
 from ..lighting.backdrop import SeenBackdrop
 from ..lighting.hidden import OutsideKind
-from ..lighting.lamp_radiance import mean_radiance, patch_weight
+from ..lighting.lamp_patterns import with_patterns
+from ..lighting.lamp_radiance import PatchFit, mean_radiance, patch_weight
 from ..lighting.problem import LightProblem, Lights
 from ..lighting.screens import Shown, with_screens
 from ..lighting.search import reconsider_lamps
@@ -177,6 +178,8 @@ def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progr
         if round_ == rounds - 1:
             shown = Shown(o, problem.linear, specular)
             lights = with_screens(light_problem, cast, lights, shown, weight, diffuse.radiance, progress)
+            of_patches = PatchFit(weight, diffuse.radiance)
+            lights = with_patterns(light_problem, cast, lights, shown, of_patches, progress)
         shading = problem.shading(lights)
         gloss = fit.gloss(problem, lights, shading)
         progress.update((round_ + 1) / rounds)

@@ -21,6 +21,7 @@ class Emitter:
         radiance: (3,) float64, scene-linear Rec.709, both sides emit.
         area: square metres.
         confidence: 0 (guess) ... 1 (its light explains the shading of much of what photos show).
+        patterned: whether :attr:`Textures.lamp_pattern` says how its places differ; ``radiance`` is then their mean.
     """
 
     id: int
@@ -28,6 +29,7 @@ class Emitter:
     radiance: NDArray[np.float64]
     area: float
     confidence: float
+    patterned: bool = False
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,7 @@ class Textures:
         metallic: (N, N) float32.
         confidence: (N, N) float32, 0 where filled in, 1 where many photos agree.
         coverage: (N, N) float32, confidence averaged over the surface; None in results that do not have it.
+        lamp_pattern: (N, N, 3) float32 radiance of lamps over the mean of each, 1 elsewhere; None without a pattern.
     """
 
     base_color: NDArray[np.float32]
@@ -100,3 +103,4 @@ class Textures:
     metallic: NDArray[np.float32]
     confidence: NDArray[np.float32]
     coverage: NDArray[np.float32] | None = None
+    lamp_pattern: NDArray[np.float32] | None = None

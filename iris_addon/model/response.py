@@ -85,6 +85,12 @@ def srgb(linear: NDArray[np.floating]) -> NDArray[np.floating]:
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
 
+def linear_of_srgb(display: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Inverse of :func:`srgb`."""
+    z = np.clip(display, 0.0, 1.0)
+    return np.where(z <= 0.04045, z / 12.92, ((z + 0.055) / 1.055) ** 2.4)
+
+
 def identity() -> Response:
     """The response of HDR input."""
     return Response(np.tile(np.linspace(0.0, 1.0, N_SAMPLES), (3, 1)), "identity")

@@ -33,6 +33,7 @@ from ..surface.primary_rays import PixelSamples, as_picture
 from ..surface.traced_room import TracedRoom
 from ..textures.atlas import Atlas, interpolate_uv
 from ..textures.bake import DIM_ALBEDO, PixelAlbedo, UsualPixel, pixel_albedo, pixel_weight
+from ..textures.lamp_pattern import PatternedLamp, lamp_pattern
 from ..textures.paint import residual_light
 from ..textures.painting import Painter, PixelLight, paint_texels
 from ..textures.principled import make_textures
@@ -99,6 +100,10 @@ def make_result(
     # The base colour of a metal is no quotient of irradiance.
     painted = gloss.metallic < 0.5
     held_out = hold_out(room, stream(config.seed, "results.held_out_pixels"))
+    patterned = _patterned(room, photometry, lights)
+    lamp_level = np.zeros(len(light.regions), np.float32)
+    for lamp in patterned:
+        lamp_level[lamp.faces] = lamp.level
     painter = Painter(
         room=room,
         points=TexelPoints.of(room.tracer, atlas.uv, atlas.size),
@@ -113,6 +118,7 @@ def make_result(
         light_spread=light.field.spread(shading.irradiance),
         usual=usual,
         held_out=held_out.hidden,
+        lamp_level=lamp_level,
     )
     texels = paint_texels(painter, views, atlas.size, checkpoints.table, progress)
     pixels = PixelAlbedo(albedo, weight * ~held_out.hidden[:, None])
@@ -122,7 +128,15 @@ def make_result(
         shown = shown_pixels(photometry, room)
         shown_gloss = with_mirrors(gloss, room.tracer, samples, shown, region, rng, light.decisions)
     textures, paint = make_textures(atlas, light.regions, lights.mask, shown_gloss, samples, pixels, texels, painted)
+    if patterned:
+        pattern, radiance = lamp_pattern(atlas, texels, patterned)
+        textures = replace(textures, lamp_pattern=pattern)
+        lights = lights.with_radiance(lights.patterned, radiance)
     emission = lights.face_emission(len(light.regions))[samples.face]
+    if textures.lamp_pattern is not None:
+        shine = np.flatnonzero(lamp_level[samples.face] > 0)
+        uv = interpolate_uv(atlas.uv, samples.face[shine], samples.barycentric[shine])
+        emission[shine] *= bilinear(textures.lamp_pattern, uv)
 
     def explained(rows: Rows, base_color: NDArray[np.floating]) -> NDArray[np.float64]:
         """(k, 3) display values of some pixels under the solved model; radiance for HDR input."""
@@ -279,9 +293,28 @@ def _emitters(problem: LightProblem, lights: Lights) -> list[Emitter]:
     areas = problem.tracer.areas
     confidence = np.where(_unseen(problem, lights), UNSEEN_LAMP_CONFIDENCE, 1.0 / (1.0 + lights.log_std))
     return [
-        Emitter(id=k, faces=faces, radiance=radiance, area=float(areas[faces].sum()), confidence=float(confidence[k]))
+        Emitter(
+            id=k,
+            faces=faces,
+            radiance=radiance,
+            area=float(areas[faces].sum()),
+            confidence=float(confidence[k]),
+            patterned=k in lights.patterned,
+        )
         for k, (faces, radiance) in enumerate(zip(lights.emitters, lights.radiance, strict=True))
     ]
+
+
+def _patterned(room: TracedRoom, photometry: Photometry, lights: Lights) -> list[PatternedLamp]:
+    """The lamps that have a pattern, with the brightest radiance that a pixel of each shows."""
+    lamps = []
+    for k in lights.patterned:
+        faces, samples = lights.emitters[k], room.samples
+        rows = np.flatnonzero(np.isin(samples.face, faces))
+        linear = photometry.linearise_pixels(room.photos.z[rows], samples.view[rows], samples.pixel[rows])
+        brightest = float(np.where(linear.unclipped, linear.radiance, linear.bound).max())
+        lamps.append(PatternedLamp(faces, lights.radiance[k], brightest / MAX_ALBEDO, brightest))
+    return lamps
 
 
 def _unseen(problem: LightProblem, lights: Lights) -> NDArray[np.bool_]:

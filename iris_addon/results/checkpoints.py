@@ -25,7 +25,7 @@ from ..config import SolveConfig
 from ..model.capture import Capture
 from .files import PREVIEWS, preview_path
 
-FORMAT = 8
+FORMAT = 9
 """Version of the format of checkpoints."""
 LOCK = ".lock"
 """Name of the lock file in a result folder."""

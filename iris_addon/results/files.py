@@ -21,10 +21,11 @@ BACKDROP, BACKDROP_ALBEDO = "backdrop.exr", "backdrop_albedo.exr"
 BASE_COLOR, EMISSION, MESH = (f"{MATERIALS}/{name}" for name in ("base_color.exr", "emission.exr", "mesh.glb"))
 MAPS = {name: f"{MATERIALS}/{name}.png" for name in ("roughness", "metallic", "confidence")}
 COVERAGE = f"{MATERIALS}/coverage.png"
+LAMP_PATTERN = f"{MATERIALS}/lamp_pattern.exr"
 MATERIAL_FILES = (BASE_COLOR, EMISSION, MESH, *MAPS.values())
 REPORT_PAGE, PICTURES = "report.html", "report"
 """The page that people look at, and the folder of its pictures."""
-FILES = (EMITTERS, RESPONSE, BACKDROP, BACKDROP_ALBEDO, *MATERIAL_FILES, COVERAGE, REPORT)
+FILES = (EMITTERS, RESPONSE, BACKDROP, BACKDROP_ALBEDO, *MATERIAL_FILES, COVERAGE, LAMP_PATTERN, REPORT)
 """All files of a result, in the order in which they are moved."""
 PREVIEWS = ("albedo", "light", "error")
 """Kinds of previews of a solve in progress."""
@@ -58,7 +59,7 @@ def complete_save(folder: Path) -> None:
         return
     (folder / MATERIALS).mkdir(exist_ok=True)
     waiting = [name for name in FILES if _waits(folder, name)]
-    for name in (BACKDROP, BACKDROP_ALBEDO, COVERAGE):
+    for name in (BACKDROP, BACKDROP_ALBEDO, COVERAGE, LAMP_PATTERN):
         if EMITTERS in waiting and name not in waiting:
             (folder / name).unlink(missing_ok=True)  # of the previous result
     for name in waiting:

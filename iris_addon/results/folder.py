@@ -4,10 +4,11 @@
 
     report.json      schema_version and Result.report
     response.json    family, coefficients, samples, exposures and white balance per photo
-    emitters.json    id, faces, radiance, area, confidence; harmonics of light from outside; sun; shell of the backdrop;
-                     faces of panes
+    emitters.json    id, faces, radiance, area, confidence, patterned; harmonics of light from outside; sun; shell of
+                     the backdrop; faces of panes
     backdrop.exr     what cameras see through holes of the mesh, if it has any; backdrop_albedo.exr, if that reflects
-    materials/       base_color.exr, roughness.png, metallic.png, confidence.png, emission.exr, mesh.glb
+    materials/       base_color.exr, roughness.png, metallic.png, confidence.png, coverage.png, emission.exr, mesh.glb;
+                     lamp_pattern.exr, if a lamp has one
 
 A saving process may be killed at any point and another may read meanwhile: the folder then holds the old result or the
 new one, never a mixture (:mod:`.files`). Loading writes nothing and checks all it reads. Given a reader of images it
@@ -17,6 +18,7 @@ needs numpy alone, since Blender's Python has no more.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +30,7 @@ from ..base.untrusted import MAX_NUMBER, MEND, decoding
 from ..model.capture import Mesh
 from ..model.recovered import Backdrop, Textures
 from ..model.texture_size import LARGEST_SIDE
-from .files import BACKDROP, BACKDROP_ALBEDO, BASE_COLOR, COVERAGE, FILES, MAPS, MESH, REPORT, result_file
+from .files import BACKDROP, BACKDROP_ALBEDO, BASE_COLOR, COVERAGE, FILES, LAMP_PATTERN, MAPS, MESH, REPORT, result_file
 from .glb import read_glb
 from .records import StoredShell, read_emitters, read_report, read_response
 from .result import Result
@@ -95,6 +97,8 @@ def _load(folder: Path, read: ReadImage) -> Result:
     camera = read_response(folder)
     emitters, outside, sun, shell, panes = read_emitters(folder, mesh)
     textures = _read_textures(folder, read)
+    if any(emitter.patterned for emitter in emitters):
+        textures = replace(textures, lamp_pattern=_read_pattern(folder, len(textures.base_color), read))
     backdrop = None if shell is None else _painted(shell, folder, read)
     result = Result(
         mesh=mesh,
@@ -127,6 +131,14 @@ def _read_textures(folder: Path, read_image: ReadImage) -> Textures:
     if coverage.is_file():  # results of earlier versions have none
         maps["coverage"] = _read_map(coverage, len(base_color), read_image)
     return Textures(np.ascontiguousarray(base_color[..., :3]), **maps)
+
+
+def _read_pattern(folder: Path, size: int, read_image: ReadImage) -> NDArray[np.float32]:
+    path = result_file(folder, LAMP_PATTERN)
+    pattern = _read_texture(path, read_image)
+    if pattern.shape[:2] != (size, size) or pattern.ndim != 3 or pattern.shape[2] < 3 or pattern.min() < 0:
+        raise BadInput(f"is no RGB picture of {size}×{size} texels without negative ones", MEND, path)
+    return np.ascontiguousarray(pattern[..., :3])
 
 
 def read_coverage(folder: Path, read_image: ReadImage) -> tuple[Mesh, NDArray[np.float32], tuple[float, float, float]]:

@@ -59,6 +59,8 @@ class MapRenderer:
         self._textures = result.textures
         self._tracer = tracer or Tracer(result.mesh, without=result.panes)
         self._emission = result.face_emission()
+        patterned = [emitter.faces for emitter in result.emitters if emitter.patterned]
+        self._patterned = np.isin(np.arange(len(self._emission)), np.concatenate([*patterned, np.zeros(0, np.int64)]))
         self._lobe: DiffuseLobe = result.diffuse_lobe
         self._backdrop = SeenBackdrop(result.backdrop)
 
@@ -76,6 +78,9 @@ class MapRenderer:
         base_color, rough, metal, confidence = (bilinear(texture, uv) for texture in stacked)
         cosine = np.abs(np.einsum("nk,nk->n", self._tracer.normals[face], directions[seen]))
 
+        emission, shine = self._emission[face], np.flatnonzero(self._patterned[face])
+        if textures.lamp_pattern is not None:
+            emission[shine] *= bilinear(textures.lamp_pattern, uv[shine])
         kd = base_color * (1 - metal)
         lambertian = directional_albedo(base_color, rough[:, 0], metal[:, 0], cosine)
         lobed = lambertian + kd * (albedo_gain(self._lobe, rough[:, 0], cosine) - 1)[:, None]
@@ -97,7 +102,7 @@ class MapRenderer:
             roughness=image(rough[:, 0], 1.0),
             metallic=image(metal[:, 0]),
             confidence=image(confidence[:, 0]),
-            emission=image(self._emission[face]),
+            emission=image(emission),
         )
 
     def _backdrop_at(self, origins: FloatArray, directions: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:

@@ -86,6 +86,7 @@ def emitters_json(result: Result) -> dict[str, Any]:
                 "radiance": emitter.radiance,
                 "area": emitter.area,
                 "confidence": emitter.confidence,
+                **({"patterned": True} if emitter.patterned else {}),
             }
             for emitter in result.emitters
         ],
@@ -134,6 +135,7 @@ def _read_emitter(entry: object, where: str, mesh: Mesh, path: Path) -> Emitter:
         radiance=radiance,
         area=float(numbers(content.get("area"), (), f"{where}.area", path)),
         confidence=float(numbers(content.get("confidence"), (), f"{where}.confidence", path)),
+        patterned=content.get("patterned") is True,
     )
 
 

@@ -22,6 +22,7 @@ from .files import (
     COVERAGE,
     EMISSION,
     EMITTERS,
+    LAMP_PATTERN,
     MAPS,
     MATERIALS,
     MESH,
@@ -92,6 +93,8 @@ def _write_all(result: Result, folder: Path) -> None:
         if result.textures.coverage is not None:  # a picture for people: 8 bits
             levels = np.round(np.clip(result.textures.coverage, 0.0, 1.0) * 255.0).astype(np.uint8)
             jobs.append(threads.submit(write_png, folder / COVERAGE, levels))
+        if result.textures.lamp_pattern is not None:
+            jobs.append(threads.submit(write_exr, folder / LAMP_PATTERN, result.textures.lamp_pattern, half=True))
     for job in jobs:
         job.result()
     (folder / MESH).write_bytes(encode_glb(result.mesh, result.regions, result.up))
@@ -118,5 +121,9 @@ def emission_texture(result: Result) -> NDArray[np.float32]:
         for corners in uv[emitter.faces]:
             # Pixel centres stand at whole numbers for ImageDraw.
             draw.polygon([(u * side - 0.5, (1 - v) * side - 0.5) for u, v in corners.tolist()], fill=1, outline=1)
-        emission[np.asarray(mask)] = emitter.radiance
+        on = np.asarray(mask)
+        emission[on] = emitter.radiance
+        if emitter.patterned and result.textures.lamp_pattern is not None:
+            step = len(result.textures.lamp_pattern) // side
+            emission[on] *= result.textures.lamp_pattern[step // 2 :: step, step // 2 :: step][on]
     return emission

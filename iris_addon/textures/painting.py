@@ -31,7 +31,7 @@ from .bake import DIM_ALBEDO, UsualPixel, pixel_albedo, pixel_weight
 from .fusion import TEXEL_SAMPLE, fuse_samples
 from .paint import light_error
 from .photo_texels import SeenTexels, on_edges, own_pixel, read_texels, seen_texels
-from .principled import PaintedTexels
+from .principled import EXPECTED_WEIGHT, PaintedTexels
 from .texel_points import TexelPoints
 
 HALF_MAX = 6e4
@@ -52,6 +52,15 @@ class PixelLight:
     diffuse: NDArray[np.floating]
     ls0: NDArray[np.floating]
     ls1: NDArray[np.floating]
+
+    def on_lamps(self, level: NDArray[np.floating]) -> PixelLight:
+        """The same with pixels on lamps under light of a ``level`` (n,), 0 for other pixels: their base colour is then
+        their radiance in that unit."""
+        if not level.any():
+            return self
+        lit, level = level[:, None] > 0, level[:, None]
+        irradiance, diffuse = (np.where(lit, level, light) for light in (self.irradiance, self.diffuse))
+        return PixelLight(irradiance, diffuse, np.where(lit, 0, self.ls0), np.where(lit, 0, self.ls1))
 
 
 @dataclass(frozen=True)
@@ -85,6 +94,7 @@ class Painter:
         light_spread: (P,) spread of the irradiance over the neighbours of each patch.
         usual: of the pixels.
         held_out: (n,) bool, pixels that the textures may not see.
+        lamp_level: (F,) unit in which the pattern of a lamp is painted, its brightest radiance; 0 for other faces.
     """
 
     room: TracedRoom
@@ -100,6 +110,7 @@ class Painter:
     light_spread: NDArray[np.floating]
     usual: UsualPixel
     held_out: NDArray[np.bool_]
+    lamp_level: NDArray[np.floating]
 
     def light_of_sides(self) -> tuple[SideLight, SideLight]:
         """Light on the side of the faces' normals, and on the other."""
@@ -125,8 +136,9 @@ class Painter:
         exposure, averaged = read_texels(exposures, seen, size, near_edge)
         nearest = picture.nearest[texels.pixel]
         here = self._light_here(texels, seen.row, self.room.patches.sample_patch[nearest], sides)
-        patch, metallic = here.patch, self.gloss.metallic[region]
-        light = self._light(texels, here, seen, picture)
+        lamp_level = self.lamp_level[texels.face]
+        patch, metallic = here.patch, np.where(lamp_level > 0, 0, self.gloss.metallic[region])
+        light = self._light(texels, here, seen, picture).on_lamps(lamp_level)
         linear = self.photometry.linearise_exposures(exposure, texels.view, texels.pixel)
         linear = linear.agreeing_with(self.expected[patch])
         at_least = clipped & ~linear.unclipped
@@ -366,8 +378,10 @@ def paint_texels(
         progress.update,
         photos_at_once(views),
     )
-    error = np.zeros(len(painter.points.texel), np.float32)
+    error, bounded = np.zeros(len(painter.points.texel), np.float32), np.zeros(len(painter.points.texel), bool)
     for photo in photos:
         told = ((photo["weight"] > 0) & ~photo["at_least"]).any(1)
         error[photo["row"][told]] = photo["light_error"][told]
-    return PaintedTexels(painter.points, fuse_samples(photos, painter.points, size), error)
+        sure = photo["at_least"] & (photo["weight"] > EXPECTED_WEIGHT)
+        bounded[photo["row"][sure.any(1)]] = True
+    return PaintedTexels(painter.points, fuse_samples(photos, painter.points, size), error, bounded)

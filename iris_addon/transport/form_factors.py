@@ -7,8 +7,9 @@ alone is noisy beside a large window, cosine sampling alone misses small lamps.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,8 @@ from ..rays.sampling import Origins, Vector, grazing, r2_sequence, vector
 from ..rays.tracer import Tracer
 from .gather import GatherRays
 
+Pattern = Callable[[NDArray[np.floating]], NDArray[np.float32]]
+"""How bright an emitter is at points (n, 3) on it, over its mean, (n,)."""
 POINT_SETS = 1024
 """Sets of points on an emitter, of which each patch takes one at random. To draw points anew for each patch would cost
 as much as its rays; of the neighbouring patches that noise is averaged over, hardly two share a set."""
@@ -46,6 +49,7 @@ def emitter_form_factors(
     n_samples: int,
     rng: np.random.Generator,
     progress: Progress,
+    patterns: Mapping[int, Pattern] = MappingProxyType({}),
 ) -> NDArray[np.float32]:
     """``B`` (P, E, 2): the visible share of a patch's cosine-weighted hemisphere that each emitter fills, and the same
     weighted by Schlick's S, for diffuse lobes (:func:`iris_addon.brdf.diffuse.under_lobe`).
@@ -54,6 +58,7 @@ def emitter_form_factors(
         origins, rays: of the P patches.
         emitters: face indices of each emitter.
         n_samples: points sampled on each emitter per patch, before patches that cannot see it are left out.
+        patterns: of emitters that are not equally bright everywhere, by their number; B is then weighted by it.
     """
     n, n_rays = rays.face.shape
     result = np.zeros((n, len(emitters), 2), np.float32)
@@ -61,11 +66,12 @@ def emitter_form_factors(
         return result
     area = np.array([tracer.areas[faces].sum() for faces in emitters], np.float32)
     label = emitter_of_face(emitters, len(tracer.areas))
-    _add_gathered(result, tracer, origins, rays, label, area, n_samples)
+    _add_gathered(result, tracer, origins, rays, label, area, n_samples, patterns)
     # One job per lamp and block of patches, so that all cores are busy where either are few.
     generators = rng.spawn(2 * len(emitters))
     points = over_each(
-        range(len(emitters)), lambda k: _EmitterPoints.draw(tracer, emitters[k], n_samples, generators[2 * k])
+        range(len(emitters)),
+        lambda k: _EmitterPoints.draw(tracer, emitters[k], n_samples, generators[2 * k]).under(patterns.get(k)),
     )
     jobs = [
         (k, rows, generator)
@@ -89,6 +95,7 @@ def _add_gathered(
     label: NDArray[np.int64],
     area: NDArray[np.float32],
     n_samples: int,
+    patterns: Mapping[int, Pattern],
 ) -> None:
     """Add to ``result`` (P, E, 2) the gather rays that hit an emitter, weighted against its area samples.
 
@@ -102,9 +109,14 @@ def _add_gathered(
     k = label[face]
     direction = rays.direction[row, column].astype(np.float32)
     cos_light = np.abs((tracer.normals[face] * direction).sum(1))
-    cos_surface = np.abs((origins.normal[row, column % origins.normal.shape[1]] * direction).sum(1))
+    start = row, column % origins.normal.shape[1]
+    cos_surface = np.abs((origins.normal[start] * direction).sum(1))
     per_area = cos_surface * cos_light / np.maximum(np.pi * rays.distance[row, column] ** 2, 1e-9)
     weight = n_rays * per_area / (n_rays * per_area + n_samples / area[k])
+    for number, pattern in patterns.items():
+        met = np.flatnonzero(k == number)
+        ends = origins.position[start][met] + direction[met] * rays.distance[row, column][met, None]
+        weight[met] *= pattern(ends)
     for kind, factor in enumerate(with_schlick(cos_surface).T):
         total = np.bincount(row * len(area) + k, weight / n_rays * factor, minlength=result[..., 0].size)
         result[..., kind] += total.reshape(len(result), len(area))
@@ -123,12 +135,14 @@ class _EmitterPoints:
         position, normal: (POINT_SETS · n_samples, 3) float32 metres, and unit.
         n_samples: points of each set.
         area: of the emitter, square metres.
+        share: (POINT_SETS · n_samples,) float32 how bright the emitter is there, over its mean.
     """
 
     position: NDArray[np.float32]
     normal: NDArray[np.float32]
     n_samples: int
     area: float
+    share: NDArray[np.float32]
 
     @staticmethod
     def draw(tracer: Tracer, faces: NDArray[np.integer], n_samples: int, rng: np.random.Generator) -> _EmitterPoints:
@@ -143,8 +157,17 @@ class _EmitterPoints:
         u = np.where(u.sum(-1, keepdims=True) > 1, 1 - u, u)
         corner, second, third = np.moveaxis(tracer.corners[pick].astype(np.float32), 2, 0)
         position = corner + u[..., :1] * (second - corner) + u[..., 1:] * (third - corner)
-        area = float(np.float32(tracer.areas[faces].sum()))
-        return _EmitterPoints(position.reshape(-1, 3), tracer.normals[pick.ravel()], n_samples, area)
+        return _EmitterPoints(
+            position=position.reshape(-1, 3),
+            normal=tracer.normals[pick.ravel()],
+            n_samples=n_samples,
+            area=float(np.float32(tracer.areas[faces].sum())),
+            share=np.ones(pick.size, np.float32),
+        )
+
+    def under(self, pattern: Pattern | None) -> _EmitterPoints:
+        """The points of an emitter with that pattern."""
+        return self if pattern is None else replace(self, share=pattern(self.position))
 
 
 def _add_sampled(
@@ -167,7 +190,7 @@ def _add_sampled(
     count = _toward_points(*origins.flat(rows), tracer.epsilon, *ends, shadow)
     shadow = rows_of(shadow, slice(count))
     clear = tracer.unoccluded(shadow.start, shadow.along, shadow.length)
-    _add_visible(shadow, clear, points.area, n_rays, points.n_samples, column)
+    _add_visible(shadow, clear, points.share, points.area, n_rays, points.n_samples, column)
 
 
 class ShadowRays(NamedTuple):
@@ -242,7 +265,7 @@ def _toward_points(
             start, end = p * per_patch + s % per_patch, chosen[p] * n_samples + s
             origin, n = vector(position, start), vector(normal, start)
             if aim_at_point(shadow, count, origin, n, epsilon, vector(points, end), vector(normals, end)):
-                shadow.row[count] = p
+                shadow.row[count], shadow.pick[count] = p, end
                 count += 1
     return count
 
@@ -251,16 +274,21 @@ def _toward_points(
 def _add_visible(
     shadow: ShadowRays,
     clear: NDArray[np.bool_],
+    share: NDArray[np.float32],
     area: float,
     n_rays: int,
     n_samples: int,
     column: NDArray[np.float32],
 ) -> None:
-    """Add the rays that are ``clear`` to ``column`` (n, 2), by the balance heuristic against the gather rays."""
+    """Add the rays that are ``clear`` to ``column`` (n, 2), by the balance heuristic against the gather rays.
+
+    Args:
+        share: how bright the emitter is at each of its points.
+    """
     for i in range(len(clear)):
         if clear[i]:
             cosine = shadow.cos_surface[i]
             per_area = cosine * abs(shadow.cos_light[i]) / (math.pi * shadow.length[i] ** 2)
-            value = per_area / (n_samples / area + n_rays * per_area)
+            value = per_area / (n_samples / area + n_rays * per_area) * share[shadow.pick[i]]
             column[shadow.row[i], 0] += value
             column[shadow.row[i], 1] += value * grazing(cosine)

@@ -76,6 +76,48 @@ def with_backdrop() -> Result:
     return replace(room(), backdrop=Backdrop(corners, faces, picture, albedo))
 
 
+def patterned() -> Result:
+    """The room, whose second lamp is bright in the left part of the atlas."""
+    result = room()
+    pattern = np.ones((*result.textures.base_color.shape[:2], 3), np.float32)
+    pattern[:, :10], pattern[:, 10:] = 1.75, 0.25
+    first, second = result.emitters
+    lamps = first, replace(second, patterned=True)
+    return replace(result, emitters=lamps, textures=replace(result.textures, lamp_pattern=pattern))
+
+
+def test_the_pattern_of_a_lamp_survives_is_seen_and_goes_with_its_result(tmp_path):
+    result = patterned()
+    save_result(result, tmp_path)
+    loaded = load_result(tmp_path)
+    assert [emitter.patterned for emitter in loaded.emitters] == [False, True]
+    np.testing.assert_array_equal(loaded.textures.lamp_pattern, result.textures.lamp_pattern)
+    eye = np.array([[0, 0, 1, 2.0], [0, 1, 0, 0.5], [-1, 0, 0, 0.5], [0, 0, 0, 1]])  # looks along -x
+    camera = Camera(width=40, height=40, fx=40, fy=40, cx=20, cy=20, c2w=eye)
+    seen, plain = (r.render_maps(camera).emission for r in (loaded, replace(result, emitters=room().emitters)))
+    lit = plain.max(-1) > 0
+    factor = (seen[lit] / plain[lit]).ravel()
+    assert lit.any() and factor.min() >= 0.249 and factor.max() <= 1.751 and np.ptp(factor) > 0.5
+    shown = imaging.read_exr(tmp_path / "materials" / "emission.exr")
+    assert {round(float(v), 2) for v in np.unique(shown[..., 0])} >= {0.0, 1.0, 7.0}
+
+    save_result(room(), tmp_path)
+    assert load_result(tmp_path).textures.lamp_pattern is None
+    assert not (tmp_path / "materials" / "lamp_pattern.exr").exists()
+
+
+@pytest.mark.parametrize("damage", ["missing", "size", "negative", "grey"])
+def test_a_damaged_pattern_is_bad_input_that_names_the_file(tmp_path, damage):
+    save_result(patterned(), tmp_path)
+    path = tmp_path / "materials" / "lamp_pattern.exr"
+    shape = (8, 8, 3) if damage == "size" else (16, 16) if damage == "grey" else (16, 16, 3)
+    path.unlink()
+    if damage != "missing":
+        imaging.write_exr(path, np.full(shape, -1.0 if damage == "negative" else 1.0, np.float32))
+    with pytest.raises(BadInput, match=r"lamp_pattern\.exr"):
+        load_result(tmp_path)
+
+
 def test_a_backdrop_survives_and_goes_with_its_result(tmp_path):
     result = with_backdrop()
     save_result(result, tmp_path)

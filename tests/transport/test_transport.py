@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 import numpy as np
 import pytest
 
@@ -13,7 +16,7 @@ from iris_addon.model.capture import Mesh
 from iris_addon.model.sphere import sh_basis
 from iris_addon.rays.sampling import Origins, cosine_direction, ggx_direction, r2_sequence, tangent_frame
 from iris_addon.rays.tracer import Tracer
-from iris_addon.transport.form_factors import emitter_form_factors
+from iris_addon.transport.form_factors import Pattern, emitter_form_factors
 from iris_addon.transport.gather import gather
 from iris_addon.transport.transport import Transport
 from tests.engine_room import SIZE, WALLS, Room, assemble, box, cameras, furnished_room, patched, quad
@@ -32,10 +35,18 @@ def patch_at(point, n: int) -> Origins:
     return Origins(position, np.tile(UP.astype(np.float32), (n, 1, 1)))
 
 
-def form_factors(mesh: Mesh, emitters: list[np.ndarray], origins: Origins, n_rays: int, n_samples: int, seed: int = 3):
+def form_factors(
+    mesh: Mesh,
+    emitters: list[np.ndarray],
+    origins: Origins,
+    n_rays: int,
+    n_samples: int,
+    seed: int = 3,
+    patterns: Mapping[int, Pattern] = MappingProxyType({}),
+):
     tracer, rng = Tracer(mesh), np.random.default_rng(seed)
     rays, _ = gather(tracer, origins, n_rays, rng, Progress())
-    return emitter_form_factors(tracer, origins, rays, emitters, n_samples, rng, Progress())[..., 0]
+    return emitter_form_factors(tracer, origins, rays, emitters, n_samples, rng, Progress(), patterns)[..., 0]
 
 
 def corner_to_rectangle(a: float, b: float, h: float) -> float:
@@ -131,6 +142,18 @@ def test_patch_under_the_corner_of_a_rectangle(a: float, b: float, h: float, n_r
     error = factors.std() / np.sqrt(len(factors))
     assert abs(factors.mean() - corner_to_rectangle(a, b, h)) < 4 * error + 0.005 * corner_to_rectangle(a, b, h)
     assert error < 0.02 * corner_to_rectangle(a, b, h)
+
+
+@pytest.mark.parametrize(("n_rays", "n_samples"), [(256, 1), (1, 128), (48, 48)])
+def test_a_lamp_shines_with_its_pattern_however_it_is_found(n_rays: int, n_samples: int) -> None:
+    """A window that is dark at one half and twice as bright at the other, by gather rays, by shadow rays, and both."""
+    a, b, h = 1.2, 0.8, 0.6
+    mesh = assemble([quad([0, 0, h], [a, 0, 0], [0, b, 0])], [0])
+    patch, lamp = patch_at([0, 0, 0], 3000), [np.arange(2)]
+    bright = {0: lambda points: np.where(points[:, 0] > a / 2, 2.0, 0.0).astype(np.float32)}
+    found = form_factors(mesh, lamp, patch, n_rays, n_samples, patterns=bright)
+    expected = 2 * (corner_to_rectangle(a, b, h) - corner_to_rectangle(a / 2, b, h))
+    assert found.mean() == pytest.approx(expected, rel=0.02)
 
 
 def test_patch_under_the_centre_of_a_disc() -> None:

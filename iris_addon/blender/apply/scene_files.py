@@ -32,7 +32,7 @@ from ..images import srgb_image
 from ..render.cycles import set_cycles
 from ..scene_out.backdrop import add_backdrop, is_backdrop
 from ..scene_out.build import add_room, datablocks
-from ..scene_out.lights import add_sun
+from ..scene_out.lights import add_sun, set_strength, strength
 from ..scene_out.materials import remove_burley
 from ..scene_out.scene_state import show_like_the_photos
 from ..scene_out.world import make_world
@@ -74,7 +74,7 @@ def apply(
                 write_whole(blend, lambda path: bpy.data.libraries.write(str(path), {scene}, compress=True))
             if glb is not None or usd is not None:
                 bpy.data.batch_remove([thing for thing in scene.objects if is_backdrop(thing)])
-                _use_srgb_base_color(scene)
+                _use_srgb_colors(scene)
                 _leave_out_burley(scene)
             if usd is not None:
                 with lamps_as_lights():
@@ -151,12 +151,15 @@ def export_textures(result: Path, folder: Path) -> None:
         raise IrisError(what, "free disk space or choose another place", folder) from error
 
 
-def _use_srgb_base_color(scene: bpy.types.Scene) -> None:
+def _use_srgb_colors(scene: bpy.types.Scene) -> None:
     # Exporters write the pixels of a linear float image as if they were sRGB codes.
     materials = {slot.material for thing in scene.objects for slot in thing.material_slots}
-    for node in (node for material in materials for node in material.node_tree.nodes):
-        if node.bl_idname == "ShaderNodeTexImage" and node.image.is_float:
-            node.image = srgb_image(node.image)
+    for material in materials:
+        for node in material.node_tree.nodes:
+            if node.bl_idname == "ShaderNodeTexImage" and node.image.is_float:
+                node.image, peak = srgb_image(node.image)
+                if peak > 1:  # the pattern of a lamp
+                    set_strength(material, peak * strength(material))
 
 
 def _leave_out_burley(scene: bpy.types.Scene) -> None:

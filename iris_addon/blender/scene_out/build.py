@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 from ...edits.scene_edit import SceneEdit, Sphere, lamp_name
 from ...model.capture import Mesh
 from ...results.result import Result
+from ..images import LINEAR, image_from_array
 from .backdrop import add_backdrop
 from .lights import add_light, add_sun
 from .materials import (
     LAMP_ID,
+    PATTERN,
     RECOVERED,
     UV_MAP,
     black_material,
@@ -196,9 +198,12 @@ def face_materials(
         emitter_of_face[emitter.faces] = emitter.id
     lamps, lamp_of_face = np.unique(np.c_[emitter_of_face[lit], emission[lit]], axis=0, return_inverse=True)
     slot_of_face[lit] = len(slots) + lamp_of_face.ravel()
+    patterned, image = {emitter.id for emitter in result.emitters if emitter.patterned}, None
+    if patterned.intersection(lamps[:, 0]) and result.textures.lamp_pattern is not None:
+        image = image_from_array(PATTERN, result.textures.lamp_pattern, colorspace=LINEAR, float_buffer=True)
     for emitter_id, *radiance in lamps:
         name = lamp_name(int(emitter_id)) if emitter_id >= 0 else "IRIS Lamp"
-        slots.append(lamp_material(name, radiance))
+        slots.append(lamp_material(name, radiance, image if emitter_id in patterned else None, uv_map))
         slots[-1][LAMP_ID], slots[-1][RECOVERED] = int(emitter_id), [float(value) for value in radiance]
 
     if len(result.panes):

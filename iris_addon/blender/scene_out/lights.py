@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ...edits.scene_edit import SUN, Light, Quad, SpotLight, SunLight
 from ...model.recovered import Sunlight
-from .materials import LAMP_ID, RECOVERED, black_material, one_sided_lamp_material
+from .materials import LAMP_ID, RECOVERED, black_material, emission_color, one_sided_lamp_material
 
 ENERGY_PER_INTENSITY = 4 * np.pi
 RECOVERED_TURN = "iris_recovered_turn"
@@ -193,7 +193,7 @@ def color(material: bpy.types.Material | None) -> tuple[float, float, float]:
     if lights := stand_ins(material):
         red, green, blue = lights[0].data.color
         return (red, green, blue)
-    red, green, blue, _ = shader.inputs["Emission Color"].default_value
+    red, green, blue, _ = emission_color(shader).default_value
     return (red, green, blue)
 
 
@@ -203,7 +203,7 @@ def set_color(material: bpy.types.Material | None, value: Sequence[float]) -> No
     if material is None or shader is None:
         return
     _take_from_stand_ins(material)
-    shader.inputs["Emission Color"].default_value = (*value, 1.0)
+    emission_color(shader).default_value = (*value, 1.0)
     _let_stand_ins_follow(material)
 
 
@@ -219,7 +219,7 @@ def reset(material: bpy.types.Material) -> None:
 def _emit_recovered(shader: bpy.types.Node, material: bpy.types.Material) -> None:
     radiance = [float(value) for value in material[RECOVERED]]
     shader.inputs["Emission Strength"].default_value = max(radiance)
-    shader.inputs["Emission Color"].default_value = (*(value / max(radiance) for value in radiance), 1.0)
+    emission_color(shader).default_value = (*(value / max(radiance) for value in radiance), 1.0)
 
 
 @contextmanager
@@ -241,7 +241,7 @@ def as_recovered(materials: Iterable[bpy.types.Material], objects: Iterable[bpy.
         shader = _shader(material)
         if shader is None or RECOVERED not in material:
             continue
-        tint, level = shader.inputs["Emission Color"], shader.inputs["Emission Strength"]
+        tint, level = emission_color(shader), shader.inputs["Emission Strength"]
         before.append((tint, tuple(tint.default_value), level, level.default_value))
         _emit_recovered(shader, material)
     for material, _ in replaced:
@@ -282,7 +282,7 @@ def _let_stand_ins_follow(material: bpy.types.Material) -> None:
     shader = _shader(material)
     assert shader is not None  # callers have looked
     for thing in stand_ins(material):
-        thing.data.color = tuple(shader.inputs["Emission Color"].default_value)[:3]
+        thing.data.color = tuple(emission_color(shader).default_value)[:3]
         thing.data.energy = shader.inputs["Emission Strength"].default_value * thing[ENERGY_PER_RADIANCE]
 
 
@@ -291,7 +291,7 @@ def _take_from_stand_ins(material: bpy.types.Material) -> None:
     shader, level, tint = _shader(material), strength(material), color(material)
     assert shader is not None  # callers have looked
     if stand_ins(material):
-        shader.inputs["Emission Color"].default_value = (*tint, 1.0)
+        emission_color(shader).default_value = (*tint, 1.0)
         if OFF_STRENGTH not in material:
             shader.inputs["Emission Strength"].default_value = level
 

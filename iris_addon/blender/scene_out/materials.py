@@ -17,7 +17,7 @@ for the layer, which attenuates more at grazing angles than the mean that :func:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import bpy
 import numpy as np
@@ -36,6 +36,9 @@ UV_MAP = "IRIS"
 CONFIDENCE = "IRIS Confidence"
 LAMP_ID = "iris_lamp"
 """Custom property of a lamp's material: the id of its emitter in the result."""
+
+PATTERN, TINT = "IRIS Lamp Pattern", "IRIS Lamp Tint"
+"""Names of the image of the pattern of lamps, and of the node in a lamp's material that multiplies it by a color."""
 
 RECOVERED = "iris_recovered"
 """Custom property of a lamp's material: the radiance (3,) it was made with."""
@@ -99,12 +102,50 @@ def add_confidence(material: bpy.types.Material, textures: Textures) -> None:
     material.node_tree.links.new(uv.outputs["UV"], node.inputs["Vector"])
 
 
-def lamp_material(name: str, radiance: Sequence[float] | np.ndarray) -> bpy.types.Material:
-    """A black surface that emits ``radiance`` (3,) from both sides, as colour of maximum 1 times strength."""
+def lamp_material(
+    name: str, radiance: Sequence[float] | np.ndarray, pattern: bpy.types.Image | None = None, uv_map: str = UV_MAP
+) -> bpy.types.Material:
+    """A black surface that emits ``radiance`` (3,) from both sides, as colour of maximum 1 times strength.
+
+    Args:
+        pattern: image on ``uv_map`` that multiplies it.
+    """
     material, shader = _black(name)
+    if pattern is not None:
+        _lay_pattern(material.node_tree, shader, pattern, uv_map)
     _emit(shader, radiance)
     material.cycles.emission_sampling = "FRONT_BACK"
     return material
+
+
+def _lay_pattern(
+    tree: bpy.types.NodeTree, shader: bpy.types.ShaderNodeBsdfPrincipled, pattern: bpy.types.Image, uv_map: str
+) -> None:
+    uv, image, tint = (tree.nodes.new(f"ShaderNode{kind}") for kind in ("UVMap", "TexImage", "Mix"))
+    uv.location, image.location, tint.location = (-900, 0), (-650, 0), (-300, 0)
+    uv.uv_map, image.image, image.extension = uv_map, pattern, "EXTEND"
+    tint.name = tint.label = TINT
+    tint.data_type, tint.blend_type = "RGBA", "MULTIPLY"
+    factor, shown, _ = (_socket(tint.inputs, identifier) for identifier in MIX_INPUTS)
+    factor.default_value = 1.0
+    tree.links.new(uv.outputs["UV"], image.inputs["Vector"])
+    tree.links.new(image.outputs["Color"], shown)
+    tree.links.new(_socket(tint.outputs, "Result_Color"), shader.inputs["Emission Color"])
+
+
+def emission_color(shader: bpy.types.Node) -> bpy.types.NodeSocket:
+    """The socket that holds the colour of a lamp: that of its ``shader``, or what multiplies its pattern."""
+    socket = shader.inputs["Emission Color"]
+    source = socket.links[0].from_node if socket.is_linked else None
+    return socket if source is None or source.name != TINT else _socket(source.inputs, MIX_INPUTS[2])
+
+
+MIX_INPUTS = ("Factor_Float", "A_Color", "B_Color")
+"""Sockets of a Mix node of colours; others of the same names are for other types."""
+
+
+def _socket(sockets: Iterable[bpy.types.NodeSocket], identifier: str) -> bpy.types.NodeSocket:
+    return next(socket for socket in sockets if socket.identifier == identifier)
 
 
 def one_sided_lamp_material(name: str, radiance: Sequence[float] | np.ndarray) -> bpy.types.Material:
@@ -179,7 +220,7 @@ def _black(name: str) -> tuple[bpy.types.Material, bpy.types.ShaderNodeBsdfPrinc
 def _emit(shader: bpy.types.ShaderNodeBsdfPrincipled, radiance: Sequence[float] | np.ndarray) -> None:
     radiance = np.asarray(radiance, float)
     strength = float(radiance.max())
-    shader.inputs["Emission Color"].default_value = (*(radiance / strength), 1.0)
+    emission_color(shader).default_value = (*(radiance / strength), 1.0)
     shader.inputs["Emission Strength"].default_value = strength
 
 

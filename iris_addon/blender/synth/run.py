@@ -6,9 +6,9 @@
                  ─► gt/                radiance, Principled maps, emitters, response: for scoring only
 
 Limits: perspective cameras of one focal length without lens shift; surfaces that are Principled, Diffuse, Glossy or
-mixes of these, and clear panes (Transparent), through which the maps look; lamps that are meshes of constant emission.
-Light objects and the world contribute to the photos, but they are not in the ground truth of emitters, and the
-relighting references switch them off; gt/meta_gt.json names the suns.
+mixes of these, and clear panes (Transparent), through which the maps look; lamps that are meshes whose emission is
+constant or a picture on their UV map. Light objects and the world contribute to the photos, but they are not in the
+ground truth of emitters, and the relighting references switch them off; gt/meta_gt.json names the suns.
 """
 
 from __future__ import annotations

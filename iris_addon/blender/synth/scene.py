@@ -12,11 +12,18 @@ from numpy.typing import NDArray
 from ...base.errors import BadInput
 from ...base.files import atomic_write
 from ...model.capture import Mesh
+from ...model.response import linear_of_srgb
+
+PATTERN_STEPS = 64
+"""Points along the side of a triangle at which the picture on a lamp is averaged."""
 
 
 @dataclass(frozen=True)
 class SceneEmitter:
-    """One lamp: the faces of one object that have one emissive material. Faces [first, last) of the mesh."""
+    """One lamp: the faces of one object that have one emissive material. Faces [first, last) of the mesh.
+
+    Its ``radiance`` (3,) is the mean over its area.
+    """
 
     name: str
     material: bpy.types.Material
@@ -82,7 +89,7 @@ def read_geometry(scene: bpy.types.Scene) -> SceneGeometry:
     """Triangulate what ``scene`` renders, in an order that depends only on names.
 
     Raises:
-        BadInput: there is nothing to render, or an emission is not constant.
+        BadInput: there is nothing to render, or an emission is neither constant nor a picture.
     """
     regions = sorted(_regions(scene), key=lambda region: bool(region.radiance.any()))  # stable: lamps go last
     if not regions:
@@ -147,17 +154,19 @@ def _split_by_material(thing: bpy.types.Object, mesh: bpy.types.Mesh, to_world: 
     mesh.vertices.foreach_get("co", points)
     world = points.reshape(-1, 3) @ to_world[:3, :3].T + to_world[:3, 3]
     slots = np.minimum(slots, len(thing.material_slots) - 1)
+    uv = _corners_on_pictures(mesh)
     regions = []
     for slot in np.unique(slots):
         used, renumbered = np.unique(faces.reshape(-1, 3)[slots == slot], return_inverse=True)
         material = thing.material_slots[slot].material.original
+        corners, own = world[used], renumbered.reshape(-1, 3)
         regions.append(
             _Region(
                 name=thing.name,
                 material=material,
-                radiance=emitted_radiance(material),
-                corners=world[used],
-                faces=renumbered.reshape(-1, 3),
+                radiance=emitted_radiance(material, corners[own], None if uv is None else uv[slots == slot]),
+                corners=corners,
+                faces=own,
             )
         )
     return regions
@@ -171,11 +180,16 @@ def surface_shader(material: bpy.types.Material) -> bpy.types.Node | None:
     return output.inputs["Surface"].links[0].from_node
 
 
-def emitted_radiance(material: bpy.types.Material) -> NDArray[np.float64]:
-    """(3,) radiance of a material, zero if it does not emit.
+def emitted_radiance(
+    material: bpy.types.Material, triangles: NDArray[np.floating], uv: NDArray[np.floating] | None
+) -> NDArray[np.float64]:
+    """(3,) mean radiance of a material over ``triangles`` (n, 3, 3) in world space, zero if it does not emit.
+
+    Args:
+        uv: (n, 3, 2) where the corners lie on pictures; None without texture coordinates.
 
     Raises:
-        BadInput: a node other than a plain value drives the emission, so there is no one radiance to write down.
+        BadInput: nodes other than a picture drive the emission, so that there is no radiance to write down.
     """
     pending, radiance = [surface_shader(material)], np.zeros(3)
     while pending:
@@ -193,14 +207,55 @@ def emitted_radiance(material: bpy.types.Material) -> NDArray[np.float64]:
         color, strength = (node.inputs[name] for name in names[node.bl_idname])
         if not strength.is_linked and strength.default_value == 0:
             continue
-        if color.is_linked or strength.is_linked or node != surface_shader(material):
+        image = _picture_of(color)
+        driven = color.is_linked and (image is None or uv is None)
+        if driven or strength.is_linked or node != surface_shader(material):
             raise BadInput(
                 f"the emission of material '{material.name}' is mixed or driven by nodes",
-                "give it a plain Emission or Principled surface with a constant color and strength",
+                "give it a plain Emission or Principled surface with a constant strength, and for color a constant or "
+                "an Image Texture on the UV map of the object",
                 bpy.data.filepath or None,
             )
-        radiance = radiance + np.array(color.default_value[:3]) * strength.default_value
+        mean = np.array(color.default_value[:3]) if image is None or uv is None else _mean_of(image, triangles, uv)
+        radiance = radiance + mean * strength.default_value
     return radiance
+
+
+def _corners_on_pictures(mesh: bpy.types.Mesh) -> NDArray[np.float32] | None:
+    """(n, 3, 2) texture coordinates of the corners of all triangles, of the map that renders use."""
+    layer = next((layer for layer in mesh.uv_layers if layer.active_render), None)
+    if layer is None:
+        return None
+    loops, uv = np.empty(3 * len(mesh.loop_triangles), np.int32), np.empty(2 * len(mesh.loops), np.float32)
+    mesh.loop_triangles.foreach_get("loops", loops)
+    layer.uv.foreach_get("vector", uv)
+    return uv.reshape(-1, 2)[loops].reshape(-1, 3, 2)
+
+
+def _picture_of(socket: bpy.types.NodeSocket) -> bpy.types.Image | None:
+    """The picture of an Image Texture behind ``socket`` that lies on the default UV map."""
+    node = socket.links[0].from_node if socket.is_linked else None
+    if node is None or node.bl_idname != "ShaderNodeTexImage" or node.inputs["Vector"].is_linked:
+        return None
+    return node.image
+
+
+def _mean_of(image: bpy.types.Image, triangles: NDArray[np.floating], uv: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(3,) scene-linear mean of ``image`` over ``triangles`` (n, 3, 3) whose corners lie at ``uv`` (n, 3, 2) on it."""
+    width, height = image.size
+    pixels = np.empty(width * height * image.channels, np.float32)
+    image.pixels.foreach_get(pixels)
+    color = pixels.reshape(height, width, image.channels)[..., :3].astype(np.float64)
+    if not image.is_float and image.colorspace_settings.name == "sRGB":
+        color = linear_of_srgb(color)
+    a, b = (np.indices((PATTERN_STEPS, PATTERN_STEPS)).reshape(2, -1) + 1 / 3) / PATTERN_STEPS
+    inside = a + b < 1
+    shares = np.stack([1 - a - b, a, b], -1)[inside]
+    at = np.einsum("pc,nck->npk", shares, uv) % 1.0
+    column, row = (np.clip((at[..., k] * side).astype(int), 0, side - 1) for k, side in ((0, width), (1, height)))
+    edges = triangles[:, 1:] - triangles[:, :1]
+    areas = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    return np.average(color[row, column].mean(1), axis=0, weights=np.maximum(areas, 1e-12))
 
 
 def write_ply(path: Path, mesh: Mesh) -> None:

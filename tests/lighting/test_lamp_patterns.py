@@ -1,0 +1,123 @@
+"""A lamp has a pattern where photos agree on one; noise, changing pictures and what merely clips are none."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from iris_addon.decide import Decisions
+from iris_addon.lighting.brightness import Brightness
+from iris_addon.lighting.lamp_patterns import MIN_PATCHES, patterned_lamps
+from iris_addon.lighting.lamp_radiance import _mean_over
+from iris_addon.lighting.pattern import LampPattern
+from iris_addon.lighting.problem import LightProblem, Lights
+from iris_addon.lighting.screens import Shown
+from iris_addon.response.radiance import Linearised
+
+VIEWS, PATCHES = 8, 60
+WALL = 20
+"""Patches that lie on no lamp, beside those that do."""
+N = PATCHES + WALL
+LEVEL = 2.0
+
+
+def problem(**refinements: bool) -> LightProblem:
+    """A lamp and a wall; every face is a patch with one pixel."""
+    return SimpleNamespace(  # type: ignore[return-value]
+        surface=SimpleNamespace(sample_patch=np.arange(N), count=np.ones(N)),
+        samples=SimpleNamespace(face=np.arange(N)),
+        regions=np.repeat([0, 1], [PATCHES, WALL]),
+        decisions=Decisions(refinements),
+    )
+
+
+def lit(patches: int = PATCHES) -> Lights:
+    """One lamp on the first faces."""
+    ones = np.ones((N, 3))
+    return Lights(
+        emitters=[np.arange(patches)],
+        radiance=np.full((1, 3), LEVEL),
+        hidden_radiance=np.zeros((0, 3)),
+        log_std=np.zeros(1),
+        form_factors=np.zeros((N, 1, 2), np.float32),
+        mask=np.arange(N) < patches,
+        irradiance=ones,
+        patch_radiance=ones,
+    )
+
+
+def shown(radiance: np.ndarray, noise: float = 0.03, clip: float = np.inf) -> Shown:
+    """What photos show of patches of ``radiance`` (N, VIEWS), up to ``clip``."""
+    seen = radiance * np.random.default_rng(0).normal(1, noise, radiance.shape)
+    flat = np.repeat(seen.reshape(-1, 1), 3, axis=1)
+    unclipped = flat < clip
+    patch, view = (index.ravel() for index in np.indices(radiance.shape))
+    observations = SimpleNamespace(patch=patch, view=view, count=np.full(patch.shape, 9.0))
+    bound = np.where(unclipped, 0, clip)
+    linear = Linearised(flat, unclipped, bound, np.full(flat.shape, np.inf), np.ones(flat.shape))
+    return Shown(observations, linear, np.zeros(flat.shape))  # type: ignore[arg-type]
+
+
+def even() -> np.ndarray:
+    """(N, VIEWS) a lamp that is bright everywhere, before a wall."""
+    return np.repeat(np.where(np.arange(N) < PATCHES, LEVEL, 0.3)[:, None], VIEWS, axis=1)
+
+
+def striped(dark: float = 0.5) -> np.ndarray:
+    """(N, VIEWS) a lamp of which every third patch is darker."""
+    radiance = even()
+    radiance[:PATCHES:3] *= dark
+    return radiance
+
+
+def test_a_lamp_that_photos_agree_to_be_uneven_has_a_pattern() -> None:
+    assert patterned_lamps(problem(), lit(), shown(striped())).tolist() == [0]
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.03, 0.2])
+def test_noise_is_no_pattern(noise: float) -> None:
+    assert not len(patterned_lamps(problem(), lit(), shown(even(), noise)))
+
+
+def test_a_picture_that_changes_from_photo_to_photo_is_no_pattern() -> None:
+    radiance = even()
+    radiance[:PATCHES] *= np.exp(np.random.default_rng(1).normal(0, 0.7, (PATCHES, VIEWS)))
+    assert not len(patterned_lamps(problem(), lit(), shown(radiance)))
+
+
+def test_dark_trees_before_a_sky_that_clips_are_a_pattern_and_a_sky_alone_is_none() -> None:
+    sky = even()
+    assert not len(patterned_lamps(problem(), lit(), shown(sky, clip=1.0)))
+    assert len(patterned_lamps(problem(), lit(), shown(striped(0.1), clip=1.0)))
+
+
+def test_a_lamp_of_few_patches_is_not_asked_and_one_may_forbid_the_question() -> None:
+    few = problem()
+    assert not len(patterned_lamps(few, lit(MIN_PATCHES - 1), shown(striped())))
+    assert few.decisions.report() == []
+    assert not len(patterned_lamps(problem(lamp_pattern=False), lit(), shown(striped())))
+
+
+def of_all(n: int, area: np.ndarray | None = None) -> LampPattern:
+    area = np.full(n, 1 / n) if area is None else area
+    return LampPattern(np.arange(n), np.arange(n), np.zeros((n, 3)), area, np.ones(n))
+
+
+def test_the_radiance_of_a_pattern_is_its_mean_and_a_bound_where_much_of_it_clips() -> None:
+    measured = np.repeat(np.r_[np.full(90, 1.0), np.full(10, 3.0)][:, None], 3, axis=1)
+    seen = Brightness(measured, measured, np.zeros((100, 3)))
+    least, mean = _mean_over(seen, of_all(100))
+    np.testing.assert_allclose([least, mean], 1.2)
+    by_area = np.r_[np.full(90, 0.5 / 90), np.full(10, 0.05)]
+    np.testing.assert_allclose(_mean_over(seen, of_all(100, by_area))[1], 2.0)
+    measured[-10:] = np.nan
+    least, mean = _mean_over(Brightness(measured, measured, np.full((100, 3), 2.0)), of_all(100))
+    np.testing.assert_allclose(least, 1.1)
+    assert np.isnan(mean).all()
+
+
+def test_a_pattern_is_that_of_the_nearest_place() -> None:
+    pattern = LampPattern(np.arange(2), np.arange(2), np.eye(3)[:2], np.full(2, 0.5), np.array([0.5, 1.5]))
+    assert pattern.at(np.array([[0.9, 0.1, 5.0], [0.1, 0.9, -5.0]])).tolist() == [0.5, 1.5]

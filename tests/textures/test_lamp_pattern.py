@@ -1,0 +1,76 @@
+"""The texture of a lamp's pattern: its mean, and what clips in all photos."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from iris_addon.rays.tracer import Tracer
+from iris_addon.textures.atlas import Atlas
+from iris_addon.textures.bake import TexelAlbedo
+from iris_addon.textures.lamp_pattern import PatternedLamp, lamp_pattern, with_clipped
+from iris_addon.textures.principled import PaintedTexels
+from iris_addon.textures.texel_points import TexelPoints
+from tests.result_room import box
+
+SIZE, LEVEL = 64, 4.0
+MESH = box()
+assert MESH.uv is not None
+ATLAS = Atlas.of(MESH.uv, SIZE, np.zeros(0, np.int32), np.zeros((0, 2), np.float32))
+POINTS = TexelPoints.of(Tracer(MESH), MESH.uv, SIZE)
+LAMP = np.isin(POINTS.face, [4, 5])
+BRIGHT = POINTS.position[:, 0] > 0.5
+
+
+def lamp(radiance: float = 1.0, brightest: float = 1.0) -> PatternedLamp:
+    return PatternedLamp(np.array([4, 5]), np.full(3, radiance), LEVEL, brightest)
+
+
+def painted(radiance: np.ndarray, weight: np.ndarray | float = 1.0, bounded: np.ndarray | None = None) -> PaintedTexels:
+    """Texels (T,) of a grey ``radiance``; NaN ones are not shown."""
+    seen = np.flatnonzero(np.isfinite(radiance))
+    value = np.repeat(radiance[seen, None] / LEVEL, 3, axis=1).astype(np.float32)
+    weights = np.broadcast_to(np.asarray(weight, np.float32), radiance.shape)[seen]
+    fused = TexelAlbedo(POINTS.texel[seen], value, weights)
+    n = len(radiance)
+    return PaintedTexels(POINTS, fused, np.zeros(n), np.zeros(n, bool) if bounded is None else bounded)
+
+
+def on_lamp(pattern: np.ndarray, where: np.ndarray) -> np.ndarray:
+    return pattern.reshape(-1, 3)[POINTS.texel[LAMP & where]]
+
+
+def test_the_pattern_is_what_photos_show_over_its_mean_and_one_elsewhere():
+    pattern, (mean,) = lamp_pattern(ATLAS, painted(np.where(BRIGHT, 3.0, 0.5)), [lamp()])
+    share = np.average(BRIGHT[LAMP], weights=POINTS.size[LAMP] ** 2)
+    np.testing.assert_allclose(mean, 3 * share + 0.5 * (1 - share), rtol=1e-5)
+    np.testing.assert_allclose(on_lamp(pattern, BRIGHT) * mean, 3.0, rtol=1e-5)
+    np.testing.assert_allclose(on_lamp(pattern, ~BRIGHT) * mean, 0.5, rtol=1e-5)
+    assert (pattern[(ATLAS.face >= 0) & ~np.isin(ATLAS.face, [4, 5])] == 1).all()
+
+
+def test_what_clips_everywhere_gets_what_the_light_of_the_room_leaves_for_it():
+    dark = np.where(BRIGHT, np.nan, 0.5)
+    pattern, (mean,) = lamp_pattern(ATLAS, painted(dark, bounded=BRIGHT), [lamp(radiance=2.0)])
+    np.testing.assert_allclose(mean, 2.0, rtol=1e-5)
+    np.testing.assert_allclose(on_lamp(pattern, ~BRIGHT) * mean, 0.5, rtol=1e-5)
+    bright = on_lamp(pattern, BRIGHT) * mean
+    assert np.ptp(bright) < 1e-5 and bright.min() > 2.0
+
+
+def test_what_clips_is_no_darker_than_the_photos_can_show():
+    radiance, area = np.array([[0.2] * 3, [np.nan] * 3]), np.ones(2)
+    clips = np.array([[False] * 3, [True] * 3])
+    assert with_clipped(radiance, clips, area, lamp(0.3, 1.0)).tolist() == [[0.2] * 3, [1.0] * 3]
+    np.testing.assert_allclose(with_clipped(radiance, clips, area, lamp(3.0, 1.0))[1], 5.8)
+    assert np.isnan(radiance[1]).all(), "the argument stays as it is"
+
+
+@pytest.mark.parametrize("bounded", [True, False])
+def test_doubtful_texels_at_the_rim_continue_those_beside_them(bounded: bool):
+    """Pixels across the border of a lamp show its surroundings too; they are neither its pattern nor clipped."""
+    rim = np.abs(POINTS.position[:, 2] - 0.5) > 0.4
+    values, weight = np.where(rim, 0.01, 1.0), np.where(rim, 1e-4, 1.0)
+    pattern, (mean,) = lamp_pattern(ATLAS, painted(values, weight, rim & bounded), [lamp(radiance=5.0)])
+    np.testing.assert_allclose(mean, 1.0, rtol=1e-5)
+    np.testing.assert_allclose(on_lamp(pattern, rim | True), 1.0, atol=1e-3)
