@@ -1,6 +1,6 @@
 # Everything runs from the repository root through .venv; nothing is installed into the system.
 
-.PHONY: help setup demo gallery test test-all fuzz lock lint format docs clean bench stability curves scaling ablation profile figures bench-farm bench-scans bench-sunlit bench-mirrors
+.PHONY: help setup demo gallery test test-all fuzz lock lint format docs clean bench stability curves scaling ablation profile figures bench-farm bench-scans bench-sunlit bench-mirrors bench-patterns
 .DEFAULT_GOAL := help
 
 VENV := .venv
@@ -23,6 +23,7 @@ help:
 	@echo "make bench-scans scans beside the exact meshes of the same rooms, ten minutes"
 	@echo "make bench-sunlit three rooms lit by sun and sky, rendered first, 20 minutes"
 	@echo "make bench-mirrors two rooms with a mirror and one with steel, rendered first"
+	@echo "make bench-patterns a room with a screen, one with a window over trees and one with an even window, rendered first"
 	@echo "make bench-farm jobs per hour of a batch, one after the other and two at a time, a quarter of an hour"
 	@echo "make figures    charts and tables out of what was measured; nothing is measured"
 	@echo "make fuzz       damaged files for every reader, SECONDS=600;  make lock  hashes of what the solver installs"
@@ -103,10 +104,13 @@ bench-scans: $(VENV)/.bench
 	@$(VENV)/bin/python -m benchmarks.scans
 
 bench-sunlit: $(VENV)/.bench
-	@$(VENV)/bin/python -m benchmarks.sunlit
+	@$(VENV)/bin/python -m benchmarks.made_rooms sunlit
 
 bench-mirrors: $(VENV)/.bench
-	@$(VENV)/bin/python -m benchmarks.mirrors
+	@$(VENV)/bin/python -m benchmarks.made_rooms mirrors
+
+bench-patterns: $(VENV)/.bench
+	@$(VENV)/bin/python -m benchmarks.made_rooms patterns
 
 bench-farm: $(VENV)/.bench
 	@$(VENV)/bin/python -m benchmarks.farm

@@ -1,7 +1,7 @@
 """The furnished room that small captures with a question of their own are rendered from, out of boxes, by Cycles.
 
-A room of :mod:`benchmarks.sunlit_room` or :mod:`benchmarks.mirror_room` is the furniture and the cameras of this module
-with walls, light and a peculiarity of its own.
+A room of :mod:`benchmarks.sunlit_room`, :mod:`benchmarks.mirror_room` or :mod:`benchmarks.pattern_room` is the
+furniture and the cameras of this module with walls, light and a peculiarity of its own.
 """
 
 from __future__ import annotations

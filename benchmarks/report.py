@@ -18,13 +18,12 @@ from . import (
     ablation_section,
     curves_section,
     farm_section,
-    mirrors_section,
+    made_rooms_section,
     profile_section,
     scaling_section,
     scans_section,
     speed_section,
     stability_section,
-    sunlit_section,
 )
 from .machine import ROOT
 from .records import COMMITTED, IMAGES, Record, pack, unpack
@@ -41,8 +40,9 @@ SECTIONS: Mapping[str, Section] = {
     "profile": profile_section.describe,
     "farm": farm_section.describe,
     "scans": scans_section.describe,
-    "sunlit": sunlit_section.describe,
-    "mirrors": mirrors_section.describe,
+    "sunlit": made_rooms_section.describe_sunlit,
+    "mirrors": made_rooms_section.describe_mirrors,
+    "patterns": made_rooms_section.describe_patterns,
 }
 NOT_MEASURED = "Not measured yet."
 

@@ -294,9 +294,7 @@ def _add_rendering(add: Add) -> None:
     insert = add("insert", "objects lit by the recovered light")
     insert.add_argument("--objects", type=Path, required=True, metavar="FILE", help="JSON of the objects")
     insert.add_argument("--onto-photos", action="store_true", help="differential rendering onto the views' photos")
-    insert.add_argument(
-        "--layers", action="store_true", help="with --onto-photos: an EXR of layers beside each, for Nuke"
-    )
+    insert.add_argument("--layers", action="store_true", help="with --onto-photos: layers for Nuke beside each")
     render.add_argument("--light-shares", action="store_true", help="one EXR per view with the share of every light")
     relight.add_argument("--shares", type=Path, metavar="DIR", help="mix what render --light-shares wrote; no render")
     for command, exposure in ((render, "photo"), (relight, "auto"), (insert, "photo")):
@@ -332,6 +330,7 @@ def _add_rendering(add: Add) -> None:
     plate.add_argument("--out", type=Path, required=True, help="folder of the frames")
     plate.add_argument("--frames", type=_plate_frames, metavar="1001-1024", help="these alone; finished ones are kept")
     plate.add_argument("--linear", action="store_true", help="write EXR of radiance instead of PNG")
+    plate.add_argument("--layers", action="store_true", help="an EXR of layers for each frame beside, for Nuke")
     _add_acescg(plate)
     plate.add_argument("--fps", type=_positive, default=24, help="of film.mp4, made where there is ffmpeg")
     _add_sampling(plate)
@@ -356,6 +355,7 @@ def _add_rendering(add: Add) -> None:
     probe.add_argument("--out", type=Path, required=True, metavar="FILE.exr", help="the panorama to write")
     probe.add_argument("--width", type=_panorama_width, default=1024, help="pixels; half as many high (default: 1024)")
     probe.add_argument("--lights", type=Path, metavar="FILE", help="JSON of changed lights, as for relight")
+    probe.add_argument("--acescg", action="store_true", help="in ACEScg, not Rec.709; Blender reads the latter")
     _add_sampling(probe)
     probe.add_argument("--gpu", action="store_true", help="render on a GPU where Cycles finds one")
 

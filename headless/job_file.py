@@ -53,7 +53,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 NEEDED = ("lights", "objects", "plate", "camera")
 NOT_FOR_PLATES = ("views", "exposure", "onto_photos")
 FRAME_PATHS = ("views", "out", *NEEDED)
-FRAME_SWITCHES = ("linear", "acescg", "gpu", "onto_photos")
+ONLY_FOR_PLATES = ("layers",)
+FRAME_SWITCHES = ("linear", "acescg", "gpu", "onto_photos", *ONLY_FOR_PLATES)
 FRAME_NUMBERS = ("samples", "seed", "fps")
 FRAME_KEYS = ("name", "command", "frames", "chunk", "exposure", *FRAME_PATHS, *FRAME_SWITCHES, *FRAME_NUMBERS)
 CHUNK = 10
@@ -196,7 +197,7 @@ def _frames(entry: Any, where: str, path: Path, located: Located, job: tuple[str
     if command not in COMMANDS:
         raise BadInput(f"{where}: command is {command!r}", f"commands are {', '.join(COMMANDS)}", path)
     needed, on_plate = COMMANDS[command], command == "onto-plate"
-    not_for = [key for key in NEEDED if key not in needed] + list(NOT_FOR_PLATES if on_plate else ())
+    not_for = [key for key in NEEDED if key not in needed] + list(NOT_FOR_PLATES if on_plate else ONLY_FOR_PLATES)
     wrong = next((key for key in (*needed, *not_for) if (key in entry) != (key in needed)), None)
     if wrong is not None:
         raise BadInput(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,9 +15,13 @@ from iris_addon.capture.photos import load_photo
 from iris_addon.edits.scene_edit import SceneEdit
 from iris_addon.model.capture import Photo, View
 from iris_addon.model.render_settings import RenderSettings
+from iris_addon.model.response import Response
 from iris_addon.results.result import Result
 
 from .pictures import FloatArray, known_exposure, write_picture
+
+if TYPE_CHECKING:
+    from iris_addon.blender.insert.differential import Differential
 
 
 @dataclass(frozen=True)
@@ -36,6 +41,29 @@ class ChangedPhoto:
     shows_added: bool
     plate: FloatArray | None = None
     covered: FloatArray | None = None
+
+    @staticmethod
+    def of(values: FloatArray, changed: Differential, exposure: FloatArray, response: Response | None) -> ChangedPhoto:
+        """A photo with the change that was rendered for it.
+
+        Args:
+            values: (H, W, 3) of the photo.
+            exposure: under which the render looks like it, broadcastable to it.
+            response: that it was taken with; None where it holds radiance.
+        """
+        from iris_addon.blender.insert.differential import change_light, change_photo
+
+        shows_added = bool(changed.covered.any())
+        if response is None:
+            light = change_light(values, changed, exposure)
+            return ChangedPhoto(None, light, shows_added, plate=values, covered=changed.covered)
+        unchanged = replace(changed, change=0 * changed.change, covered=0 * changed.covered)
+        return ChangedPhoto(
+            *change_photo(values, changed, response, exposure),
+            shows_added,
+            plate=change_photo(values, unchanged, response, exposure)[1],
+            covered=changed.covered,
+        )
 
     def write(self, folder: Path, name: str, *, linear: bool, acescg: bool) -> Path:
         """Write ``name``.png, or ``name``.exr of radiance where ``linear`` or the photo holds radiance, that in
@@ -88,7 +116,7 @@ class PhotoInsertion:
 
     def picture(self, edit: SceneEdit) -> ChangedPhoto:
         """The photo as it would have been with ``edit`` in the room; the photo itself if that changes nothing."""
-        from iris_addon.blender.insert.differential import change_light, change_photo, render_change, render_pair
+        from iris_addon.blender.insert.differential import render_change, render_pair
 
         values, response = self.photo.values.astype(np.float64), self._device.response
         known = known_exposure(self.result, self.view)
@@ -100,18 +128,10 @@ class PhotoInsertion:
         if self._without is None:
             self._without = render_pair(self.result, self.view.camera, None, self.settings)
         changed = render_change(self.result, self.view.camera, edit, self._without, self.settings)
-        shows_added = bool(changed.covered.any())
         if self.photo.hdr:
-            light = change_light(values, changed, 1.0 if known is None else known)
-            return ChangedPhoto(None, light, shows_added, plate=values, covered=changed.covered)
+            return ChangedPhoto.of(values, changed, np.ones(1) if known is None else known, None)
         exposure = self._fitted_exposure(changed.without) if known is None else known
-        unchanged = replace(changed, change=0 * changed.change, covered=0 * changed.covered)
-        return ChangedPhoto(
-            *change_photo(values, changed, response, exposure),
-            shows_added,
-            plate=change_photo(values, unchanged, response, exposure)[1],
-            covered=changed.covered,
-        )
+        return ChangedPhoto.of(values, changed, exposure, response)
 
     def _fitted_exposure(self, without: FloatArray) -> FloatArray:
         """The exposure that makes the render look like the photo, (H, W, 3) or broadcastable to it."""

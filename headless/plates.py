@@ -34,12 +34,15 @@ if TYPE_CHECKING:
 
 EXPOSURES = "exposures"
 """Folder beside the frames with the exposure that was found for each."""
+LAYERS = "layers"
+"""Folder beside the frames with the layers of each, where they are asked for."""
 MAX_NAMED = 20
 """Failed frames that one message lists."""
 
 
 def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
     """A plate with the objects of a job in it."""
+    from iris_addon.base.image_headers import announced_size
     from iris_addon.base.images import HDR_SUFFIXES, check_image, read_exr
     from iris_addon.base.untrusted import read_json
     from iris_addon.capture.exposures import with_device
@@ -99,12 +102,16 @@ def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
         picture, exposure = room.picture(view, frames.time(number))
         if exposure is not None:
             _write_exposure(frames, number, exposure, pictures[number])
+        if args.layers:
+            picture.write_layers(_layers_of(frames, number), acescg=args.acescg)
         picture.write(frames.folder, view.name, linear=hdr, acescg=args.acescg)
         return picture.shows_added
 
     def whole_file(number: int) -> bool:
-        path = frames.path(number)
+        path, layers = frames.path(number), _layers_of(frames, number)
         with suppress(BadInput):  # half of a file, as a copy that was stopped leaves
+            if args.layers and not (layers.is_file() and announced_size(layers)[0] > 0):
+                return False
             return frames.finished(number) and (read_exr(path).size if hdr else min(check_image(path))) > 0
         return False
 
@@ -155,7 +162,6 @@ class PlateRoom:
         Raises:
             BadInput: the frame cannot be read, is of another size than its camera, or shows too little.
         """
-        from iris_addon.blender.insert.differential import change_light, change_photo
         from iris_addon.capture.photos import load_photo
         from iris_addon.response.matching import match_exposure
 
@@ -171,10 +177,9 @@ class PlateRoom:
         changed = self._change(view, edit)
         gain = np.ones(1) if photo.hdr else device.gain(photo.values)
         exposure = match_exposure(changed.without, photo, response, gain)
-        shows_added = bool(changed.covered.any())
         if photo.hdr:
-            return ChangedPhoto(None, change_light(values, changed, exposure), shows_added), exposure
-        return ChangedPhoto(*change_photo(values, changed, response, gain * exposure), shows_added), exposure
+            return ChangedPhoto.of(values, changed, exposure, None), exposure
+        return ChangedPhoto.of(values, changed, gain * exposure, response), exposure
 
     def _change(self, view: View, edit: SceneEdit) -> Differential:
         from iris_addon.blender.insert.differential import change_of, pair_of, render_change, room_built
@@ -273,6 +278,10 @@ def make_frames(
         "warnings": ["no frame shows what was added: check where it is placed"] if shown and not any(shown) else None,
     }
     return Outcome.of("Put onto the plate", {key: value for key, value in figures.items() if value is not None})
+
+
+def _layers_of(frames: Frames, number: int) -> Path:
+    return frames.folder / LAYERS / f"{frames.path(number).stem}.exr"
 
 
 def _write_exposure(frames: Frames, number: int, exposure: FloatArray, picture: Path) -> None:

@@ -35,4 +35,8 @@ def probe(args: argparse.Namespace, progress: Progress) -> Outcome:
             raise BadInput("is neither the folder of a result nor a .blend", "correct the path", args.source)
         else:
             probe_file(args.source, args.at, args.out, width=args.width, settings=settings)
+        if args.acescg:
+            from .pictures import write_picture  # needs more than Blender's Python has
+
+            write_picture(args.out, read_image(args.out), acescg=True)
     return Outcome.of("Wrote the light at that point", {"files": [args.out]})

@@ -50,7 +50,10 @@ def with_patterns(
     problem = replace(problem, patterns=tuple(_pattern_of(problem, lights, k) for k in patterned))
     factors = form_factors_of(problem, lights.emitters, progress, known=lights)
     solved = solve_lights(problem, observed, lights.emitters, lights, progress, factors, fit, warm_start=True)
-    return replace(solved, patterned=patterned)
+    share = np.ones(problem.transport.n_patches, np.float32)
+    for pattern in problem.patterns:
+        share[pattern.patch] = pattern.share
+    return replace(solved, patterned=patterned, lamp_share=share)
 
 
 def _pattern_of(problem: LightProblem, lights: Lights, number: int) -> LampPattern:
@@ -67,7 +70,7 @@ def _pattern_of(problem: LightProblem, lights: Lights, number: int) -> LampPatte
     if clips.any():
         left = lights.radiance[number] @ LUMINANCE - area[~clips] @ level[~clips]
         level[clips] = np.maximum(left / max(area[clips].sum(), TINY), bound[clips])
-    return LampPattern(faces, patch=patch, position=position, area=area, share=level / (area @ level))
+    return LampPattern(faces=faces, patch=patch, position=position, area=area, share=level / (area @ level))
 
 
 def patterned_lamps(problem: LightProblem, lights: Lights, shown: Shown) -> NDArray[np.int64]:

@@ -40,6 +40,7 @@ class Lights:
         held_out: robust loss of the balance on patches it was not fitted to.
         losses: of each of these patches; not part of a checkpoint, because no later stage compares with it.
         patterned: (k,) numbers of the emitters that have a pattern, of which ``radiance`` is the mean.
+        lamp_share: (N,) luminance of each patch on one of these over the mean, 1 elsewhere; None without any.
     """
 
     emitters: list[NDArray[np.int64]]
@@ -54,6 +55,7 @@ class Lights:
     held_out: float = np.inf
     losses: HeldOutLosses = field(default_factory=HeldOutLosses.none)
     patterned: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    lamp_share: NDArray[np.float32] | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -70,6 +72,7 @@ class Lights:
         return {
             "lights.held_out": np.array(self.held_out),
             **{f"lights.{name}": getattr(self, name) for name in names},
+            **({} if self.lamp_share is None else {"lights.lamp_share": self.lamp_share}),
             "lights.sizes": np.array([len(faces) for faces in self.emitters], np.int64),
             "lights.faces": np.concatenate([*self.emitters, np.zeros(0, np.int64)]),
             "lights.region_ids": ids,

@@ -49,6 +49,7 @@ class Scene:
         unknown: (3,) radiance of surfaces without a patch.
         backdrop: what escaping rays meet.
         aim: how rays are aimed at lamps.
+        lamp_share: (N,) what each patch on a lamp emits over ``face_emission``, 1 elsewhere; None where all are even.
     """
 
     tracer: Tracer
@@ -60,10 +61,11 @@ class Scene:
     unknown: NDArray[np.floating]
     backdrop: SeenBackdrop
     aim: LampAim
+    lamp_share: NDArray[np.floating] | None = None
 
     def lobes(self, rays: LobeRays) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """``Ls0`` and ``Ls1`` (n, 3) of equation (3) at the points of the reflected ``rays``."""
-        return rays.radiance(*self._met, self.face_emission, self.unknown)
+        return rays.radiance(*self._met, self.face_emission, self.unknown, self.lamp_share)
 
     @cached_property
     def _met(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
@@ -339,6 +341,7 @@ class LobeRays(NamedTuple):
         kappa: NDArray[np.floating],
         face_emission: NDArray[np.floating],
         unknown: NDArray[np.floating],
+        lamp_share: NDArray[np.floating] | None = None,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """``Ls0`` and ``Ls1``, (n, 3) each.
 
@@ -347,15 +350,17 @@ class LobeRays(NamedTuple):
             kappa: (N + T,) grazing gain of their diffuse lobes.
             face_emission: (F, 3) emitted radiance.
             unknown: (3,) radiance of hits without a patch.
+            lamp_share: (N,) of :class:`Scene`.
         """
         n, samples = self.target.shape
         lobes = np.empty((2, n, 3), np.float32)
         table = radiance_table(met, unknown)
         own = np.append(kappa, [0.0, 0.0])  # the last two for ESCAPED and UNKNOWN
-        emitted, emits = face_emission.astype(np.float32), face_emission.any(1)
-        over_blocks(
-            n, BLOCK // samples, lambda rows: _sum_up(rows_of(self, rows), table, own, emitted, emits, lobes[:, rows])
-        )
+        emitted, emits, share = face_emission.astype(np.float32), face_emission.any(1), np.ones(len(own), np.float32)
+        if lamp_share is not None:
+            share[: len(lamp_share)] = lamp_share
+        of_hits = table, own, emitted, emits, share
+        over_blocks(n, BLOCK // samples, lambda rows: _sum_up(rows_of(self, rows), *of_hits, lobes[:, rows]))
         return lobes[0], lobes[1]
 
 
@@ -366,6 +371,7 @@ def _sum_up(
     kappa: NDArray[np.float64],
     emitted: NDArray[np.float32],
     emits: NDArray[np.bool_],
+    share: NDArray[np.float32],
     lobes: NDArray[np.float32],
 ) -> None:
     """Fill both ``lobes`` (2, n, 3): weighted sums of the emission of lamps and the radiance of patches."""
@@ -377,7 +383,9 @@ def _sum_up(
             if w0 + w1 > 0:
                 face, target, spread = rays.face[i, j], rays.target[i, j], 1.0
                 on_lamp = face >= 0 and emits[face]
-                if not on_lamp:
+                if on_lamp:
+                    spread = share[target]
+                else:
                     spread += kappa[target] * rays.schlick[i, j]
                 for c in range(3):
                     light = spread * (emitted[face, c] if on_lamp else table[target, c])

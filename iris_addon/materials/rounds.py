@@ -143,6 +143,7 @@ class MaterialProblem:
             unknown=mean_radiance(lights.patch_radiance, light),
             backdrop=light.hidden.completed(self.backdrop, lights.hidden_radiance),
             aim=LampAim.at(light.tracer, lights.emitters, lights.radiance, lights.form_factors[:seen, :, 0]),
+            lamp_share=lights.lamp_share,
         )
 
     def with_outside(self, outside: OutsideKind, sun: Sun | None) -> MaterialProblem:

@@ -12,11 +12,13 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 
 from headless import cli, environment, make_environment
 from headless.cancellation import restore_handlers
 from headless.job_file import read_jobs
+from iris_addon.base.color_spaces import ACESCG, REC709
 from iris_addon.base.errors import BadInput
 from iris_addon.base.images import read_exr, read_image
 from iris_addon.results.folder import SCHEMA_VERSION, load_result, save_result
@@ -476,6 +478,10 @@ def test_a_probe_is_written_of_a_result_and_of_a_blend(solved, capsys):
     one, other = read_exr(solved / "a.exr"), read_exr(solved / "b.exr")
     assert one.shape == (16, 32, 3) and one.max() > 1
     assert np.allclose(one.mean((0, 1)), other.mean((0, 1)), rtol=0.1)
+    assert cli.main(["probe", result, *few, str(solved / "aces.exr"), "--acescg"]) == 0
+    with OpenEXR.File(str(solved / "aces.exr")) as file:
+        assert np.allclose(file.header()["chromaticities"], ACESCG.chromaticities, atol=1e-6)
+    assert np.allclose(read_exr(solved / "aces.exr"), one @ REC709.matrix_to(ACESCG).T, rtol=1e-3, atol=1e-4)
 
     (solved / "off.json").write_text('{"recovered": {"all": {"off": true}}, "outside": 0}')
     assert cli.main(["probe", result, *few, str(solved / "c.exr"), "--lights", str(solved / "off.json")]) == 0

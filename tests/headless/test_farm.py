@@ -158,6 +158,19 @@ def test_a_plate_has_its_own_keys(rooms, line, told):
 CAMERA = 'camera = "sh010.json"\n'
 
 
+def test_layers_are_of_plates_alone(rooms):
+    (rooms / "jobs.toml").write_text(PLATE + "layers = true\n")
+    frames = read_jobs(rooms / "jobs.toml")[0].frames[0]
+    cli.make_parser().parse_args([frames.command, "result", *frames.options, "--out", "out"])
+    assert "--layers" in frames.options
+    insert = (
+        PLATE.replace("onto-plate", "insert").replace('plate = "sh010"\n', "").replace('camera = "sh010.json"\n', "")
+    )
+    (rooms / "jobs.toml").write_text(insert + "layers = true\n")
+    with pytest.raises(BadInput, match="layers is not for insert"):
+        read_jobs(rooms / "jobs.toml")
+
+
 def test_only_names_a_job_of_the_file(rooms, capsys):
     assert cli.main(["batch", str(rooms / "jobs.toml"), "--only", "three"]) == 3
     assert "its jobs are one, one/still" in capsys.readouterr().err

@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import OpenEXR
 import pytest
 
 from headless import cli
@@ -87,6 +88,26 @@ def test_finished_frames_are_kept_and_half_of_a_file_is_made_again(plate):
     assert np.abs(read_image(out / "frame_1002.png") - before).mean() < 1  # noise: Cycles sorts its lamps anew
     assert (out / "frame_1003.png").is_file()
     assert not list(out.glob(".frame*"))
+
+
+def test_layers_of_a_frame_add_up_to_it_and_missing_ones_are_made(plate):
+    out = run(plate, "--frames", "1001", "--linear")
+    assert not (out / "layers").exists()
+    run(plate, "--frames", "1001-1002", "--linear", "--layers")
+    for number in (1001, 1002):
+        with OpenEXR.File(str(out / "layers" / f"frame_{number}.exr"), separate_channels=True) as file:
+            held = {name: channel.pixels.copy() for name, channel in file.channels().items()}
+        picture, plate_layer, catcher, thing = (
+            np.stack([held[f"{name}{channel}"] for channel in "RGB"], -1)
+            for name in ("", "plate.", "catcher.", "object.")
+        )
+        alpha = held["object.A"][..., None]
+        assert alpha.max() == 1 and (catcher < 0).any()
+        np.testing.assert_allclose(plate_layer * (1 - alpha) + catcher + thing, picture, rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(picture, read_exr(out / f"frame_{number}.exr"), rtol=1e-5, atol=1e-6)
+    (out / "layers" / "frame_1002.exr").write_bytes(b"half")
+    run(plate, "--frames", "1001-1002", "--linear", "--layers")
+    assert (out / "layers" / "frame_1002.exr").stat().st_size > 1000
 
 
 def test_a_frame_that_fails_is_named_and_the_others_go_on(plate, capsys):

@@ -56,7 +56,8 @@ def shown(radiance: np.ndarray, noise: float = 0.03, clip: float = np.inf) -> Sh
     patch, view = (index.ravel() for index in np.indices(radiance.shape))
     observations = SimpleNamespace(patch=patch, view=view, count=np.full(patch.shape, 9.0))
     bound = np.where(unclipped, 0, clip)
-    linear = Linearised(flat, unclipped, bound, np.full(flat.shape, np.inf), np.ones(flat.shape))
+    ceiling, precision = np.full(flat.shape, np.inf), np.ones(flat.shape)
+    linear = Linearised(radiance=flat, unclipped=unclipped, bound=bound, ceiling=ceiling, precision=precision)
     return Shown(observations, linear, np.zeros(flat.shape))  # type: ignore[arg-type]
 
 
@@ -102,7 +103,8 @@ def test_a_lamp_of_few_patches_is_not_asked_and_one_may_forbid_the_question() ->
 
 def of_all(n: int, area: np.ndarray | None = None) -> LampPattern:
     area = np.full(n, 1 / n) if area is None else area
-    return LampPattern(np.arange(n), np.arange(n), np.zeros((n, 3)), area, np.ones(n))
+    faces = np.arange(n)
+    return LampPattern(faces=faces, patch=faces, position=np.zeros((n, 3)), area=area, share=np.ones(n))
 
 
 def test_the_radiance_of_a_pattern_is_its_mean_and_a_bound_where_much_of_it_clips() -> None:
@@ -119,5 +121,6 @@ def test_the_radiance_of_a_pattern_is_its_mean_and_a_bound_where_much_of_it_clip
 
 
 def test_a_pattern_is_that_of_the_nearest_place() -> None:
-    pattern = LampPattern(np.arange(2), np.arange(2), np.eye(3)[:2], np.full(2, 0.5), np.array([0.5, 1.5]))
+    two, half = np.arange(2), np.full(2, 0.5)
+    pattern = LampPattern(faces=two, patch=two, position=np.eye(3)[:2], area=half, share=np.array([0.5, 1.5]))
     assert pattern.at(np.array([[0.9, 0.1, 5.0], [0.1, 0.9, -5.0]])).tolist() == [0.5, 1.5]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from iris_addon.lighting.problem import Lights
 
@@ -26,9 +29,12 @@ def test_a_room_without_light_is_reported() -> None:
     assert lights(0, outside=1.0).warnings == () and lights(1).warnings == ()
 
 
-def test_lights_survive_a_checkpoint() -> None:
-    before = lights(3, outside=2.0)
+@pytest.mark.parametrize("share", [None, np.array([0.5, 1.5, 1.0, 1.0], np.float32)])
+def test_lights_survive_a_checkpoint(share: np.ndarray | None) -> None:
+    pattern = np.array([] if share is None else [1], np.int64)
+    before = replace(lights(3, outside=2.0), patterned=pattern, lamp_share=share)
     after = Lights.from_arrays(before.arrays())
+    assert (after.lamp_share is None) == (share is None) and after.arrays().keys() == before.arrays().keys()
     assert [faces.tolist() for faces in after.emitters] == [[0], [1], [2]]
     for name, value in before.arrays().items():
         np.testing.assert_array_equal(after.arrays()[name], value)
