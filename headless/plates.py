@@ -42,7 +42,6 @@ MAX_NAMED = 20
 
 def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
     """A plate with the objects of a job in it."""
-    from iris_addon.base.image_headers import announced_size
     from iris_addon.base.images import HDR_SUFFIXES, check_image, read_exr
     from iris_addon.base.untrusted import read_json
     from iris_addon.capture.exposures import with_device
@@ -110,7 +109,7 @@ def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
     def whole_file(number: int) -> bool:
         path, layers = frames.path(number), _layers_of(frames, number)
         with suppress(BadInput):  # half of a file, as a copy that was stopped leaves
-            if args.layers and not (layers.is_file() and announced_size(layers)[0] > 0):
+            if args.layers and not (layers.is_file() and read_exr(layers).size > 0):
                 return False
             return frames.finished(number) and (read_exr(path).size if hdr else min(check_image(path))) > 0
         return False

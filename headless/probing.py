@@ -21,6 +21,8 @@ def probe(args: argparse.Namespace, progress: Progress) -> Outcome:
 
     if args.out.suffix.lower() != ".exr":
         raise BadInput("is no .exr", "name the panorama with that suffix: other formats hold no radiance", args.out)
+    if args.acescg:
+        from .pictures import write_picture  # needs more than Blender's Python has, and says so before anything is done
     settings = RenderSettings(samples=args.samples, seed=args.seed, gpu=args.gpu)
     with progress.stage("probe"):
         if args.source.is_dir():
@@ -36,7 +38,5 @@ def probe(args: argparse.Namespace, progress: Progress) -> Outcome:
         else:
             probe_file(args.source, args.at, args.out, width=args.width, settings=settings)
         if args.acescg:
-            from .pictures import write_picture  # needs more than Blender's Python has
-
             write_picture(args.out, read_image(args.out), acescg=True)
     return Outcome.of("Wrote the light at that point", {"files": [args.out]})

@@ -174,7 +174,8 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     result = replace(result, panes=panes)
     result = with_figures(result, room, config, cameras, problem, solution, progress)
     result.report["decisions"] = decisions.report()
-    result.report["atlas"] = reached = describe_atlas(result.mesh, texels, room.samples)
+    patterned = result.textures.lamp_pattern is not None
+    result.report["atlas"] = reached = describe_atlas(result.mesh, texels, room.samples, patterned)
     result.report["warnings"] += density_warnings(reached, size)
     if capture.poses_to_mesh is not None:
         result.report["poses_to_mesh"] = capture.poses_to_mesh.tolist()

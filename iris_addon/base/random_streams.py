@@ -34,6 +34,7 @@ STREAMS: Mapping[str, int] = {
     "lighting.aimed_at_sunlight": 71,
     "transport.openings": 73,
     "materials.mirrors": 79,
+    "lighting.patterns": 83,
 }
 """The number of each use, "room.use". A new use takes a new number; numbers stay, so that results do."""
 

@@ -16,11 +16,12 @@ from scipy.spatial import cKDTree
 
 from ..base.group_by import group_medians
 from ..base.progress import Progress
+from ..base.random_streams import stream
 from ..decide import HeldOutLosses
 from ..model.response import LUMINANCE
 from ..model.surface_points import even_points, interpolated
 from ..response.radiance import MAX_COUNTED_PIXELS, GroupRadiance
-from .lamp_radiance import PatchFit, form_factors_of, lamp_of_patch, solve_lights
+from .lamp_radiance import PATTERN_CLIPS, PatchFit, form_factors_of, lamp_of_patch, solve_lights
 from .pattern import LampPattern
 from .problem import LightProblem, Lights
 from .screens import Shown
@@ -65,11 +66,12 @@ def _pattern_of(problem: LightProblem, lights: Lights, number: int) -> LampPatte
     nearest = cKDTree(position).query(interpolated(tracer.corners[faces[chosen]], weights))[1]
     area = np.bincount(nearest, minlength=len(patch)) / len(nearest)
     seen = problem.brightness  # the first cells are the patches
-    level, bound = seen.measured[patch] @ LUMINANCE, seen.bound[patch] @ LUMINANCE
-    clips = np.isnan(level)
-    if clips.any():
+    unknown = np.isnan(seen.measured[patch])
+    level, clips = np.where(unknown, seen.bound[patch], seen.measured[patch]) @ LUMINANCE, unknown.any(1)
+    # Where little clips, what photos show is the mean, and the radiance found before is that of bright patches.
+    if area @ clips > PATTERN_CLIPS:
         left = lights.radiance[number] @ LUMINANCE - area[~clips] @ level[~clips]
-        level[clips] = np.maximum(left / max(area[clips].sum(), TINY), bound[clips])
+        level[clips] = np.maximum(left / area[clips].sum(), level[clips])
     return LampPattern(faces=faces, patch=patch, position=position, area=area, share=level / (area @ level))
 
 
@@ -82,7 +84,10 @@ def patterned_lamps(problem: LightProblem, lights: Lights, shown: Shown) -> NDAr
     lamp = lamp_of_patch(problem, lights.emitters)
     value = np.where(linear.unclipped, linear.radiance, linear.bound) @ LUMINANCE
     rows = np.flatnonzero((lamp[o.patch] >= 0) & (value > 0))
-    patch, half = o.patch[rows], o.view[rows] % 2
+    # Halves by chance: photos that take turns at two exposures would make one half clip.
+    n_views = int(o.view.max()) + 1
+    halves = np.argsort(stream(problem.seed, "lighting.patterns").permutation(n_views)) % 2
+    patch, half = o.patch[rows], halves[o.view[rows]]
     clipped, weight = ~linear.unclipped[rows].all(1), np.minimum(o.count[rows], MAX_COUNTED_PIXELS)
     log, solved = np.log(value[rows]), np.log(np.maximum(lights.radiance @ LUMINANCE, TINY))
     level = _levels(log, clipped, weight, 2 * patch + half, 2 * len(lamp), np.repeat(solved[lamp], 2))

@@ -281,7 +281,15 @@ def _lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> 
             if unclipped.mean() > 0.3:
                 measured[index, channel] = np.quantile(values[unclipped], LAMP_QUANTILE)
     expected = np.where((bound > 0) & np.isnan(measured), CLIPPED_LAMP_FACTOR * bound, np.nan)
-    return Evidence(bound, measured, tie_fixtures(emitters, problem.tracer.areas), expected)
+    return Evidence(bound, measured, _tied(problem, emitters), expected)
+
+
+def _tied(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """(E,) label of lamps that share one radiance; one with a pattern has its own."""
+    tie = tie_fixtures(emitters, problem.tracer.areas)
+    own = [k for k, faces in enumerate(emitters) if problem.pattern_of(faces) is not None]
+    tie[own] = len(emitters) + np.arange(len(own))
+    return np.unique(tie, return_inverse=True)[1]
 
 
 def _mean_over(seen: Brightness, pattern: LampPattern) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

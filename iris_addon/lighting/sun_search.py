@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..base.group_by import group_medians
+from ..base.parallel import over_each
 from ..base.random_streams import stream
 from ..model.response import LUMINANCE
 from ..model.sphere import even_directions
@@ -117,16 +118,18 @@ def _screened(problem: LightProblem, tracer: Tracer, observed: GroupRadiance, li
     start = (origins.position[rows, 0] + tracer.epsilon * origins.normal[rows, 0]).astype(np.float32)
     normal = origins.normal[rows, 0]
     unit = float(np.median(np.exp(points.level[rows])))
-    found = []
-    for direction in _escaping_directions(problem):
+
+    def tried(direction: NDArray[np.float64]) -> tuple[float, NDArray[np.float64], float]:
+        """What a sun there explains at its best strength, and that."""
         cosine = normal @ direction.astype(np.float32)
         facing = np.flatnonzero(cosine > MIN_COSINE)
         along = np.broadcast_to(direction.astype(np.float32), (len(facing), 3))
         lit = facing[tracer.unoccluded(start[facing], along, np.full(len(facing), np.inf))]
-        if len(lit):
-            gains = [points.gain(rows[lit], unit * s * cosine[lit]) for s in STRENGTHS]
-            found.append((max(gains), direction, np.pi * unit * STRENGTHS[int(np.argmax(gains))]))
+        gains = [points.gain(rows[lit], unit * s * cosine[lit]) for s in STRENGTHS]
+        return max(gains), direction, np.pi * unit * STRENGTHS[int(np.argmax(gains))]
+
     kept: list[SunGuess] = []
+    found = over_each(list(_escaping_directions(problem)), tried)
     for gain, direction, strength in sorted(found, key=lambda each: -each[0]):
         if gain > 0 and all(direction @ other.direction < np.cos(SCREENED_APART) for other in kept):
             kept.append(SunGuess(direction, np.full(3, strength), gain))
@@ -205,16 +208,19 @@ def refined(problem: LightProblem, tracer: Tracer, points: LitPoints, guess: Sun
         steps = np.radians(np.linspace(-half, half, side))
         tried = direction + (np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2) @ across)
         tried /= np.linalg.norm(tried, axis=1, keepdims=True)
-        best = (-np.inf, direction, strength)
-        for one in tried:
-            sees = pixel_visibility(tracer, samples, one, telling)
-            lit = telling[sees > 0]
+        strengths = strength * 2.0 ** np.arange(-1.0, 1.5, 0.5)
+
+        def explained(one: NDArray[np.float64], by: NDArray = strengths, of: NDArray = telling) -> list[float]:
+            """What a sun there explains at each strength."""
+            lit = of[pixel_visibility(tracer, samples, one, of) > 0]
             cosine = samples.normal[lit] @ one.astype(np.float32)
-            for s in strength * 2.0 ** np.arange(-1.0, 1.5, 0.5):
-                best = max(best, (points.gain(lit, s / np.pi * cosine), one, s), key=lambda each: each[0])
-        if best[1] @ direction > np.cos(np.radians(0.8 * half)):
+            return [points.gain(lit, s / np.pi * cosine) for s in by]
+
+        gains = np.array(over_each(list(tried), explained))
+        at, level = np.unravel_index(int(np.argmax(gains)), gains.shape)
+        if tried[at] @ direction > np.cos(np.radians(0.8 * half)):
             done = half
-        gain, direction, strength = best
+        gain, direction, strength = float(gains[at, level]), tried[at], float(strengths[level])
     if not np.isfinite(gain):
         return None
     return SunGuess(direction, guess.irradiance * (strength / float(guess.irradiance @ LUMINANCE)), gain)

@@ -15,8 +15,8 @@ LOWEST_DENSITY, HIGHEST_DENSITY = 0.1, 1e5
 """Texels per metre that may be asked for."""
 BLENDER_FLOAT_MAPS, BLENDER_BYTE_MAPS = 1, 3
 """Images of a result in Blender: base colour has floats; metallic, roughness and confidence have bytes."""
-BLENDER_BYTES_PER_TEXEL = 4 * (4 * BLENDER_FLOAT_MAPS + BLENDER_BYTE_MAPS)
-"""Blender keeps four channels of every image."""
+CHANNELS, FLOAT_BYTES = 4, 4
+"""Blender keeps four channels of every image, of a byte or a float each."""
 
 
 @dataclass(frozen=True)
@@ -67,9 +67,13 @@ def _number(value: Any) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def blender_bytes(side: int) -> int:
-    """Bytes that the images of a result take in Blender's memory; packed files and the graphics card not counted."""
-    return BLENDER_BYTES_PER_TEXEL * side * side
+def blender_bytes(side: int, patterned: bool = False) -> int:
+    """Bytes that the images of a result take in Blender's memory; packed files and the graphics card not counted.
+
+    Args:
+        patterned: whether there is one of the pattern of lamps, too.
+    """
+    return CHANNELS * (FLOAT_BYTES * (BLENDER_FLOAT_MAPS + patterned) + BLENDER_BYTE_MAPS) * side * side
 
 
 def in_blender(side: int) -> str:

@@ -97,13 +97,14 @@ def make_result(
     # Of metals base colour is no quotient of irradiance; interpolation would bring in the factor of neighbours.
     brighter = np.where(metallic[:, None] > 0.5, np.float32(1), light.field.at_samples(samples, patch, of_patch))
     albedo, diffuse_light = np.minimum(albedo / brighter, MAX_ALBEDO), pixel_light.diffuse * brighter
-    # The base colour of a metal is no quotient of irradiance.
+    # The base colour of a metal is no quotient of irradiance, that of a lamp with a pattern no base colour.
     painted = gloss.metallic < 0.5
     held_out = hold_out(room, stream(config.seed, "results.held_out_pixels"))
     patterned = _patterned(room, photometry, lights)
     lamp_level = np.zeros(len(light.regions), np.float32)
     for lamp in patterned:
         lamp_level[lamp.faces] = lamp.level
+        painted[light.regions[lamp.faces]] = False
     painter = Painter(
         room=room,
         points=TexelPoints.of(room.tracer, atlas.uv, atlas.size),
@@ -129,7 +130,7 @@ def make_result(
         shown_gloss = with_mirrors(gloss, room.tracer, samples, shown, region, rng, light.decisions)
     textures, paint = make_textures(atlas, light.regions, lights.mask, shown_gloss, samples, pixels, texels, painted)
     if patterned:
-        pattern, radiance = lamp_pattern(atlas, texels, patterned)
+        pattern, radiance = lamp_pattern(atlas, texels, light.tracer.areas, patterned)
         textures = replace(textures, lamp_pattern=pattern)
         lights = lights.with_radiance(lights.patterned, radiance)
     emission = lights.face_emission(len(light.regions))[samples.face]

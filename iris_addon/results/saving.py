@@ -124,6 +124,6 @@ def emission_texture(result: Result) -> NDArray[np.float32]:
         on = np.asarray(mask)
         emission[on] = emitter.radiance
         if emitter.patterned and result.textures.lamp_pattern is not None:
-            step = len(result.textures.lamp_pattern) // side
-            emission[on] *= result.textures.lamp_pattern[step // 2 :: step, step // 2 :: step][on]
+            texel = ((np.arange(side) + 0.5) * len(result.textures.lamp_pattern) / side).astype(int)
+            emission[on] *= result.textures.lamp_pattern[np.ix_(texel, texel)][on]
     return emission

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..lighting.lamp_radiance import PATTERN_CLIPS
 from .atlas import Atlas
 from .fill import fill_texels
 from .principled import EXPECTED_WEIGHT, PaintedTexels
@@ -37,29 +38,38 @@ class PatternedLamp:
 
 
 def lamp_pattern(
-    atlas: Atlas, texels: PaintedTexels, lamps: Sequence[PatternedLamp]
+    atlas: Atlas, texels: PaintedTexels, areas: NDArray[np.floating], lamps: Sequence[PatternedLamp]
 ) -> tuple[NDArray[np.float32], list[NDArray[np.float64]]]:
     """The pattern of ``lamps``, at least one, and the mean radiance (3,) of each as photos show it.
+
+    Args:
+        areas: (F,) of the mesh's faces, square metres.
 
     Returns:
         (N, N, 3) radiance of texels over the mean of their lamp, 1 on other faces; and the means.
     """
-    points, fused = texels.points, texels.fused
-    painted, sure = np.full((len(points.texel), 3), np.nan), np.zeros(len(points.texel), bool)
-    rows = np.searchsorted(points.texel, fused.texel)
-    painted[rows], sure[rows] = fused.value, fused.weight > EXPECTED_WEIGHT
+    points = texels.points
+    area = areas[points.face] / np.bincount(points.face, minlength=len(areas))[points.face]
+    radiance, sure = np.full((len(points.texel), 3), np.nan), np.zeros(len(points.texel), bool)
+    rows = np.searchsorted(points.texel, texels.fused.texel)
+    radiance[rows], sure[rows] = texels.fused.value, texels.fused.weight > EXPECTED_WEIGHT
     pattern, known = np.ones((atlas.size * atlas.size, 3), np.float32), np.zeros(atlas.size * atlas.size, bool)
     means = []
     for lamp in lamps:
         own = np.flatnonzero(np.isin(points.face, lamp.faces))
-        radiance, area = painted[own], points.size[own] ** 2
-        clips = texels.bounded[own, None] & np.isnan(radiance)
-        radiance[~sure[own]] = np.nan
-        radiance = with_clipped(radiance * lamp.level, clips, area, lamp)
-        shown = np.isfinite(radiance).all(1)
-        means.append(np.average(radiance[shown], 0, area[shown]) if shown.any() else lamp.radiance)
-        pattern[points.texel[own[shown]]] = radiance[shown] / np.maximum(means[-1], TINY)
-        known[points.texel[own[shown]]] = True
+        clips = np.isnan(radiance[own]) & texels.bounded[own, None]
+        # A channel that photos show neither clipped nor otherwise is black in all of them.
+        seen = np.where(np.isnan(radiance[own]) & ~clips, 0.0, radiance[own] * lamp.level)
+        seen[~sure[own] & ~clips.any(1)] = np.nan
+        complete = with_clipped(seen, clips, area[own], lamp)
+        shown = np.isfinite(complete).all(1)
+        mean, shares = lamp.radiance, np.ones((len(own), 3))
+        if shown.any():
+            mean = np.average(complete[shown], 0, area[own[shown]])
+            shares = complete / np.maximum(mean, TINY)
+        means.append(mean)
+        told = shown | ~shown.any()
+        pattern[points.texel[own[told]]], known[points.texel[own[told]]] = shares[told], True
     filled = fill_texels(pattern.reshape(atlas.size, atlas.size, 3), known.reshape(atlas.size, atlas.size))
     others = (atlas.face >= 0) & ~np.isin(atlas.face, np.concatenate([lamp.faces for lamp in lamps]))
     filled[others] = 1.0
@@ -82,5 +92,6 @@ def with_clipped(
         known = np.isfinite(values)
         if clipped.any():
             left = of_lamp * area[known | clipped].sum() - area[known] @ values[known]
-            values[clipped] = max(left / area[clipped].sum(), lamp.brightest)
+            little = area[clipped].sum() <= PATTERN_CLIPS * area.sum()  # the mean was measured without its excess
+            values[clipped] = lamp.brightest if little else max(left / area[clipped].sum(), lamp.brightest)
     return completed

@@ -86,13 +86,14 @@ def exact_side(side: float) -> int:
     return max(EXACT_MIN_SIDE, EXACT_SIDE_STEP * round(min(side, 1e9) / EXACT_SIDE_STEP))
 
 
-def describe_atlas(mesh: Mesh, atlas: Atlas, samples: PixelSamples) -> dict[str, Any]:
-    """What report.json says of an atlas: its side, the mean density of what photos see, and its bytes in Blender."""
+def describe_atlas(mesh: Mesh, atlas: Atlas, samples: PixelSamples, patterned: bool = False) -> dict[str, Any]:
+    """What report.json says of an atlas: its side, the mean density of what photos see, and its bytes in Blender, with
+    those of a pattern of lamps where the result is ``patterned``."""
     density = mean_density(mesh, samples.seen_faces(len(mesh.faces)), atlas.size)
     return {
         "side": atlas.size,
         "texels_per_metre": round(density, 2),
-        "bytes_in_blender": blender_bytes(atlas.size),
+        "bytes_in_blender": blender_bytes(atlas.size, patterned),
     }
 
 

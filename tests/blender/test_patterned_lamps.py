@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from iris_addon.base.errors import BadInput
-from iris_addon.blender.apply.scene_files import apply
+from iris_addon.blender.apply.scene_files import apply, export_textures
 from iris_addon.blender.render.cycles import render_views
 from iris_addon.blender.scene_out.build import build_scene
 from iris_addon.blender.scene_out.lights import as_recovered, color, lamp_materials, set_color, set_strength, switch
@@ -15,6 +15,7 @@ from iris_addon.blender.scene_out.materials import lamp_material
 from iris_addon.blender.synth.scene import read_geometry
 from iris_addon.edits.jobs import relight_edit
 from iris_addon.model.render_settings import RenderSettings
+from iris_addon.results.folder import save_result
 from tests.blender_room import camera, room
 
 pytestmark = pytest.mark.bpy
@@ -108,6 +109,25 @@ def test_the_glb_carries_the_pattern_though_it_exceeds_what_a_picture_holds(tmp_
     np.testing.assert_allclose(shown, [RADIANCE * LEFT, RADIANCE * RIGHT], rtol=0.02)
 
 
+def test_usd_gets_the_mean_because_its_exporter_drops_what_multiplies_a_picture(tmp_path):
+    if not bpy.app.build_options.usd:
+        pytest.skip("this Blender was built without USD")
+    apply(solved(), None, usd=tmp_path / "scene.usdc", glb=tmp_path / "scene.glb")
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.usd_import(filepath=str(tmp_path / "scene.usdc"))
+    lamp = next(material for material in bpy.data.materials if "Lamp_00" in material.name.replace(" ", "_"))
+    shader = next(n for n in lamp.node_tree.nodes if n.bl_idname == "ShaderNodeBsdfPrincipled")
+    color, strength = (shader.inputs[f"Emission {name}"] for name in ("Color", "Strength"))
+    assert not color.is_linked
+    np.testing.assert_allclose(np.array(color.default_value[:3]) * strength.default_value, RADIANCE, rtol=1e-3)
+
+
+def test_the_texture_set_has_the_pattern(tmp_path):
+    save_result(solved(), tmp_path / "result")
+    export_textures(tmp_path / "result", tmp_path / "textures")
+    assert (tmp_path / "textures" / "lamp_pattern.exr").is_file()
+
+
 def screen(*, half: bool = False) -> bpy.types.Material:
     """An upright rectangle that emits a picture, of which it shows the left half or all."""
     data = bpy.data.meshes.new("screen")
@@ -135,10 +155,19 @@ def test_the_true_radiance_of_a_picture_is_its_mean_over_the_lamp(half: bool, me
     np.testing.assert_allclose(emitter.radiance, 2 * mean * np.array([1, 2, 3]), rtol=0.02)
 
 
-def test_an_emission_that_other_nodes_drive_has_no_radiance_to_write_down():
+@pytest.mark.parametrize("driven", ["coordinates", "alpha", "no picture", "lost picture"])
+def test_an_emission_that_other_nodes_drive_has_no_radiance_to_write_down(driven: str, tmp_path):
     tree = screen().node_tree
-    coordinates = tree.nodes.new("ShaderNodeTexCoord")
-    image = next(n for n in tree.nodes if n.bl_idname == "ShaderNodeTexImage")
-    tree.links.new(coordinates.outputs["Generated"], image.inputs["Vector"])
+    node = next(n for n in tree.nodes if n.bl_idname == "ShaderNodeTexImage")
+    shader = next(n for n in tree.nodes if n.bl_idname == "ShaderNodeBsdfPrincipled")
+    if driven == "coordinates":
+        tree.links.new(tree.nodes.new("ShaderNodeTexCoord").outputs["Generated"], node.inputs["Vector"])
+    elif driven == "alpha":
+        tree.links.new(node.outputs["Alpha"], shader.inputs["Emission Color"])
+    else:
+        node.image = None
+    if driven == "lost picture":
+        node.image = bpy.data.images.new("lost", 4, 4)
+        node.image.source, node.image.filepath = "FILE", str(tmp_path / "lost.png")
     with pytest.raises(BadInput, match="driven by nodes"):
         read_geometry(bpy.context.scene)

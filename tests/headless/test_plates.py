@@ -105,9 +105,10 @@ def test_layers_of_a_frame_add_up_to_it_and_missing_ones_are_made(plate):
         assert alpha.max() == 1 and (catcher < 0).any()
         np.testing.assert_allclose(plate_layer * (1 - alpha) + catcher + thing, picture, rtol=1e-4, atol=1e-5)
         np.testing.assert_allclose(picture, read_exr(out / f"frame_{number}.exr"), rtol=1e-5, atol=1e-6)
-    (out / "layers" / "frame_1002.exr").write_bytes(b"half")
+    whole = (out / "layers" / "frame_1002.exr").read_bytes()
+    (out / "layers" / "frame_1002.exr").write_bytes(whole[: len(whole) // 3])
     run(plate, "--frames", "1001-1002", "--linear", "--layers")
-    assert (out / "layers" / "frame_1002.exr").stat().st_size > 1000
+    assert read_exr(out / "layers" / "frame_1002.exr").shape[:2] == (HEIGHT, WIDTH)
 
 
 def test_a_frame_that_fails_is_named_and_the_others_go_on(plate, capsys):

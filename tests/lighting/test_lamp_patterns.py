@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,12 +10,14 @@ import pytest
 
 from iris_addon.decide import Decisions
 from iris_addon.lighting.brightness import Brightness
-from iris_addon.lighting.lamp_patterns import MIN_PATCHES, patterned_lamps
-from iris_addon.lighting.lamp_radiance import _mean_over
+from iris_addon.lighting.lamp_patterns import MIN_PATCHES, _pattern_of, patterned_lamps
+from iris_addon.lighting.lamp_radiance import _mean_over, _tied
 from iris_addon.lighting.pattern import LampPattern
 from iris_addon.lighting.problem import LightProblem, Lights
 from iris_addon.lighting.screens import Shown
+from iris_addon.rays.tracer import Tracer
 from iris_addon.response.radiance import Linearised
+from tests.engine_room import assemble, quad
 
 VIEWS, PATCHES = 8, 60
 WALL = 20
@@ -30,6 +33,7 @@ def problem(**refinements: bool) -> LightProblem:
         samples=SimpleNamespace(face=np.arange(N)),
         regions=np.repeat([0, 1], [PATCHES, WALL]),
         decisions=Decisions(refinements),
+        seed=0,
     )
 
 
@@ -92,6 +96,61 @@ def test_dark_trees_before_a_sky_that_clips_are_a_pattern_and_a_sky_alone_is_non
     sky = even()
     assert not len(patterned_lamps(problem(), lit(), shown(sky, clip=1.0)))
     assert len(patterned_lamps(problem(), lit(), shown(striped(0.1), clip=1.0)))
+
+
+def test_photos_that_take_turns_at_two_exposures_tell_as_much_as_in_any_other_order() -> None:
+    """All long exposures clip. With these in one half nothing could be predicted."""
+    seen = striped(0.1)
+    for order in (np.arange(VIEWS), np.argsort(np.arange(VIEWS) % 2, kind="stable")):
+        long = order % 2 == 1
+        clips = np.where(long, 0.05, np.inf)
+        photos = shown(seen)
+        view = photos.observations.view
+        unclipped = photos.linear.radiance < clips[view][:, None]
+        bound = np.where(unclipped, 0, clips[view][:, None])
+        photos = replace(photos, linear=replace(photos.linear, unclipped=unclipped, bound=bound))
+        assert len(patterned_lamps(problem(), lit(), photos)), order
+
+
+def in_place(measured: np.ndarray, bound: np.ndarray) -> LightProblem:
+    """The lamp as a square of patches side by side, of which photos show ``measured`` and ``bound`` (PATCHES, 3)."""
+    mesh = assemble([quad([0, 0, 0], [1, 0, 0], [0, 0.6, 0], 0.1)], [0])
+    tracer = Tracer(mesh)
+    n = len(tracer.areas)
+    assert n >= PATCHES
+    numbers = np.minimum(np.arange(n) * PATCHES // n, PATCHES - 1)
+    position = np.array([tracer.corners[numbers == k].mean((0, 1)) for k in range(PATCHES)])
+    return SimpleNamespace(  # type: ignore[return-value]
+        surface=SimpleNamespace(sample_patch=numbers, count=np.bincount(numbers), position=position),
+        samples=SimpleNamespace(face=np.arange(n)),
+        regions=np.zeros(n, np.int32),
+        tracer=tracer,
+        brightness=Brightness(measured, measured, bound),
+    )
+
+
+@pytest.mark.parametrize("channels", [slice(None), slice(2, 3)])
+def test_what_clips_is_no_hot_spot_and_no_dark_one(channels: slice) -> None:
+    """A patch that clips while the radiance found is that of bright patches, and a half of which only blue clips."""
+    measured, bound = np.ones((PATCHES, 3)), np.zeros((PATCHES, 3))
+    measured[:20] = 0.3
+    measured[-1, channels], bound[-1, channels] = np.nan, 1.5
+    lights = replace(lit(), emitters=[np.arange(len(in_place(measured, bound).regions))], radiance=np.full((1, 3), 1.0))
+    share = _pattern_of(in_place(measured, bound), lights, 0).share
+    assert 1 < share[-1] / share[-2] <= 1.5 and share.min() > 0.3
+    measured[30:, channels], bound[30:, channels] = np.nan, 1.0
+    dim = replace(lights, radiance=np.full((1, 3), 0.35))
+    share = _pattern_of(in_place(measured, bound), dim, 0).share
+    assert share[40] >= share[25] > share[5]
+
+
+def test_a_lamp_with_a_pattern_has_a_radiance_of_its_own_beside_its_twins() -> None:
+    lamps = [np.arange(4) + 4 * k for k in range(3)]
+    twins = SimpleNamespace(tracer=SimpleNamespace(areas=np.ones(12)), pattern_of=lambda faces: None)
+    assert _tied(twins, lamps).tolist() == [0, 0, 0]  # type: ignore[arg-type]
+    twins.pattern_of = lambda faces: "pattern" if faces[0] == 4 else None
+    label = _tied(twins, lamps)  # type: ignore[arg-type]
+    assert label[0] == label[2] != label[1] and set(label) == {0, 1}
 
 
 def test_a_lamp_of_few_patches_is_not_asked_and_one_may_forbid_the_question() -> None:

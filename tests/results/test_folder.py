@@ -24,6 +24,7 @@ from iris_addon.results.files import WHOLE, complete_save
 from iris_addon.results.folder import load_result, read_coverage, save_result
 from iris_addon.results.records import read_response
 from iris_addon.results.result import Result
+from iris_addon.results.saving import emission_texture
 from tests.result_room import room
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -104,6 +105,19 @@ def test_the_pattern_of_a_lamp_survives_is_seen_and_goes_with_its_result(tmp_pat
     save_result(room(), tmp_path)
     assert load_result(tmp_path).textures.lamp_pattern is None
     assert not (tmp_path / "materials" / "lamp_pattern.exr").exists()
+
+
+@pytest.mark.parametrize("side", [48, 1024, 1280, 1536, 2048])
+def test_the_emission_picture_has_the_pattern_at_any_size_of_the_atlas(side):
+    """The left half of the atlas is bright, of which the second lamp has some."""
+    result = patterned()
+    pattern = np.full((side, side, 3), 0.25, np.float32)
+    pattern[:, : side // 2] = 1.75
+    small = np.zeros((side, side, 3), np.float32)
+    result = replace(result, textures=replace(result.textures, base_color=small, lamp_pattern=pattern))
+    shown = emission_texture(result)[..., 0]
+    left, right = np.array_split(shown, 2, axis=1)
+    assert {0.0, 7.0} <= set(np.unique(left)) and {0.0, 1.0} <= set(np.unique(right)) and not (right == 7).any()
 
 
 @pytest.mark.parametrize("damage", ["missing", "size", "negative", "grey"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from iris_addon.model.capture import Mesh
 from iris_addon.rays.tracer import Tracer
 from iris_addon.textures.atlas import Atlas
 from iris_addon.textures.bake import TexelAlbedo
@@ -17,9 +18,14 @@ SIZE, LEVEL = 64, 4.0
 MESH = box()
 assert MESH.uv is not None
 ATLAS = Atlas.of(MESH.uv, SIZE, np.zeros(0, np.int32), np.zeros((0, 2), np.float32))
-POINTS = TexelPoints.of(Tracer(MESH), MESH.uv, SIZE)
+TRACER = Tracer(MESH)
+POINTS = TexelPoints.of(TRACER, MESH.uv, SIZE)
 LAMP = np.isin(POINTS.face, [4, 5])
 BRIGHT = POINTS.position[:, 0] > 0.5
+
+
+def made(texels: PaintedTexels, lamps: list[PatternedLamp]) -> tuple[np.ndarray, list[np.ndarray]]:
+    return lamp_pattern(ATLAS, texels, TRACER.areas, lamps)
 
 
 def lamp(radiance: float = 1.0, brightest: float = 1.0) -> PatternedLamp:
@@ -41,8 +47,8 @@ def on_lamp(pattern: np.ndarray, where: np.ndarray) -> np.ndarray:
 
 
 def test_the_pattern_is_what_photos_show_over_its_mean_and_one_elsewhere():
-    pattern, (mean,) = lamp_pattern(ATLAS, painted(np.where(BRIGHT, 3.0, 0.5)), [lamp()])
-    share = np.average(BRIGHT[LAMP], weights=POINTS.size[LAMP] ** 2)
+    pattern, (mean,) = made(painted(np.where(BRIGHT, 3.0, 0.5)), [lamp()])
+    share = np.mean([BRIGHT[POINTS.face == face].mean() for face in (4, 5)])  # two halves of one side
     np.testing.assert_allclose(mean, 3 * share + 0.5 * (1 - share), rtol=1e-5)
     np.testing.assert_allclose(on_lamp(pattern, BRIGHT) * mean, 3.0, rtol=1e-5)
     np.testing.assert_allclose(on_lamp(pattern, ~BRIGHT) * mean, 0.5, rtol=1e-5)
@@ -51,7 +57,7 @@ def test_the_pattern_is_what_photos_show_over_its_mean_and_one_elsewhere():
 
 def test_what_clips_everywhere_gets_what_the_light_of_the_room_leaves_for_it():
     dark = np.where(BRIGHT, np.nan, 0.5)
-    pattern, (mean,) = lamp_pattern(ATLAS, painted(dark, bounded=BRIGHT), [lamp(radiance=2.0)])
+    pattern, (mean,) = made(painted(dark, bounded=BRIGHT), [lamp(radiance=2.0)])
     np.testing.assert_allclose(mean, 2.0, rtol=1e-5)
     np.testing.assert_allclose(on_lamp(pattern, ~BRIGHT) * mean, 0.5, rtol=1e-5)
     bright = on_lamp(pattern, BRIGHT) * mean
@@ -61,6 +67,8 @@ def test_what_clips_everywhere_gets_what_the_light_of_the_room_leaves_for_it():
 def test_what_clips_is_no_darker_than_the_photos_can_show():
     radiance, area = np.array([[0.2] * 3, [np.nan] * 3]), np.ones(2)
     clips = np.array([[False] * 3, [True] * 3])
+    small = np.array([99.0, 1.0])
+    np.testing.assert_allclose(with_clipped(radiance, clips, small, lamp(3.0, 1.0))[1], 1.0, err_msg="a speck")
     assert with_clipped(radiance, clips, area, lamp(0.3, 1.0)).tolist() == [[0.2] * 3, [1.0] * 3]
     np.testing.assert_allclose(with_clipped(radiance, clips, area, lamp(3.0, 1.0))[1], 5.8)
     assert np.isnan(radiance[1]).all(), "the argument stays as it is"
@@ -71,6 +79,38 @@ def test_doubtful_texels_at_the_rim_continue_those_beside_them(bounded: bool):
     """Pixels across the border of a lamp show its surroundings too; they are neither its pattern nor clipped."""
     rim = np.abs(POINTS.position[:, 2] - 0.5) > 0.4
     values, weight = np.where(rim, 0.01, 1.0), np.where(rim, 1e-4, 1.0)
-    pattern, (mean,) = lamp_pattern(ATLAS, painted(values, weight, rim & bounded), [lamp(radiance=5.0)])
+    pattern, (mean,) = made(painted(values, weight, rim & bounded), [lamp(radiance=5.0)])
     np.testing.assert_allclose(mean, 1.0, rtol=1e-5)
     np.testing.assert_allclose(on_lamp(pattern, rim | True), 1.0, atol=1e-3)
+
+
+def test_a_lamp_that_no_sure_texel_shows_stays_even_beside_one_that_is_shown():
+    """Thin ones have mixed pixels alone. Nothing to fill from is no reason to be black."""
+    other = PatternedLamp(np.array([8, 9]), np.full(3, 2.0), LEVEL, 1.0)
+    unsure = np.isin(POINTS.face, [8, 9])
+    texels = painted(np.where(BRIGHT, 3.0, 0.5), np.where(unsure, 1e-4, 1.0))
+    for lamps in ([other], [lamp(), other]):
+        pattern, means = made(texels, lamps)
+        np.testing.assert_allclose(means[-1], 2.0)
+        np.testing.assert_allclose(pattern.reshape(-1, 3)[POINTS.texel[unsure]], 1.0)
+
+
+def test_a_channel_that_is_black_in_all_photos_is_dark_and_the_others_count():
+    texels = painted(np.where(BRIGHT, 3.0, 0.5))
+    texels.fused.value[:, 2] = np.nan
+    pattern, (mean,) = made(texels, [lamp()])
+    np.testing.assert_allclose(on_lamp(pattern, BRIGHT)[:, :2] * mean[:2], 3.0, rtol=1e-5)
+    assert mean[2] == 0 and (on_lamp(pattern, BRIGHT)[:, 2] == 0).all()
+
+
+def test_a_face_without_area_on_the_atlas_does_not_decide_the_mean():
+    """A sliver whose texture coordinates coincide has one texel, of its own small area."""
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0.5, 1e-3, 0], [0.51, 2e-3, 0], [0.5, 2e-3, 0]], float)
+    uv = np.array([[[0.1, 0.1], [0.8, 0.1], [0.8, 0.8]], [[0.05, 0.9]] * 3], np.float32)
+    tracer = Tracer(Mesh(corners, np.array([[0, 1, 2], [3, 4, 5]]), uv))
+    points, atlas = TexelPoints.of(tracer, uv, SIZE), Atlas.of(uv, SIZE, np.zeros(0, np.int32), np.zeros((0, 2)))
+    value = np.where(points.face[:, None] == 0, 0.5, 0.01) * np.ones(3)
+    fused = TexelAlbedo(points.texel, value.astype(np.float32), np.ones(len(points.face), np.float32))
+    texels = PaintedTexels(points, fused, np.zeros(len(points.face)), np.zeros(len(points.face), bool))
+    _, (mean,) = lamp_pattern(atlas, texels, tracer.areas, [PatternedLamp(np.arange(2), np.ones(3), 1.0, 1.0)])
+    np.testing.assert_allclose(mean, 0.5, rtol=1e-3)

@@ -24,7 +24,7 @@ from ...base.files import replace_when_free
 from ...edits.scene_edit import SceneEdit
 from ...model.capture import View
 from ...model.render_settings import RenderSettings
-from ...results.files import MATERIAL_FILES, result_file
+from ...results.files import LAMP_PATTERN, MATERIAL_FILES, result_file
 from ...results.records import median_exposure
 from ...results.result import Result
 from ..camera import add_camera, look_through
@@ -32,7 +32,7 @@ from ..images import srgb_image
 from ..render.cycles import set_cycles
 from ..scene_out.backdrop import add_backdrop, is_backdrop
 from ..scene_out.build import add_room, datablocks
-from ..scene_out.lights import add_sun, set_strength, strength
+from ..scene_out.lights import add_sun, lamp_materials, reset, set_strength, strength
 from ..scene_out.materials import remove_burley
 from ..scene_out.scene_state import show_like_the_photos
 from ..scene_out.world import make_world
@@ -77,7 +77,7 @@ def apply(
                 _use_srgb_colors(scene)
                 _leave_out_burley(scene)
             if usd is not None:
-                with lamps_as_lights():
+                with lamps_as_lights(), _without_patterns(scene):
                     write_whole(usd, lambda path: bpy.ops.wm.usd_export(filepath=str(path)))
             if glb is not None:
                 form = "AUTO"
@@ -143,7 +143,8 @@ def export_textures(result: Path, folder: Path) -> None:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name in MATERIAL_FILES:
+        pattern = [LAMP_PATTERN] if result_file(result, LAMP_PATTERN).is_file() else []
+        for name in (*MATERIAL_FILES, *pattern):
             source = result_file(result, name)
             shutil.copy2(source, folder / source.name)
     except (OSError, shutil.Error) as error:
@@ -154,12 +155,34 @@ def export_textures(result: Path, folder: Path) -> None:
 def _use_srgb_colors(scene: bpy.types.Scene) -> None:
     # Exporters write the pixels of a linear float image as if they were sRGB codes.
     materials = {slot.material for thing in scene.objects for slot in thing.material_slots}
+    copies: dict[bpy.types.Image, tuple[bpy.types.Image, float]] = {}
     for material in materials:
         for node in material.node_tree.nodes:
             if node.bl_idname == "ShaderNodeTexImage" and node.image.is_float:
-                node.image, peak = srgb_image(node.image)
+                if node.image not in copies:
+                    copies[node.image] = srgb_image(node.image)
+                node.image, peak = copies[node.image]
                 if peak > 1:  # the pattern of a lamp
                     set_strength(material, peak * strength(material))
+
+
+@contextmanager
+def _without_patterns(scene: bpy.types.Scene) -> Iterator[None]:
+    """Inside, lamps are evenly bright: the exporter of USD would keep the picture on a lamp, and drop the color and the
+    strength that multiply it."""
+    left_out = []
+    for material in lamp_materials(scene.objects):
+        shader = next(node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
+        for link in list(shader.inputs["Emission Color"].links):
+            left_out.append((material, link.from_socket, shader.inputs["Emission Color"], strength(material)))
+            material.node_tree.links.remove(link)
+            reset(material)
+    try:
+        yield
+    finally:
+        for material, pattern, socket, level in left_out:
+            material.node_tree.links.new(pattern, socket)
+            set_strength(material, level)
 
 
 def _leave_out_burley(scene: bpy.types.Scene) -> None:

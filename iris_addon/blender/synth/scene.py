@@ -213,7 +213,7 @@ def emitted_radiance(
             raise BadInput(
                 f"the emission of material '{material.name}' is mixed or driven by nodes",
                 "give it a plain Emission or Principled surface with a constant strength, and for color a constant or "
-                "an Image Texture on the UV map of the object",
+                "the Color of an Image Texture that has its picture, on the UV map of the object",
                 bpy.data.filepath or None,
             )
         mean = np.array(color.default_value[:3]) if image is None or uv is None else _mean_of(image, triangles, uv)
@@ -234,10 +234,13 @@ def _corners_on_pictures(mesh: bpy.types.Mesh) -> NDArray[np.float32] | None:
 
 def _picture_of(socket: bpy.types.NodeSocket) -> bpy.types.Image | None:
     """The picture of an Image Texture behind ``socket`` that lies on the default UV map."""
-    node = socket.links[0].from_node if socket.is_linked else None
-    if node is None or node.bl_idname != "ShaderNodeTexImage" or node.inputs["Vector"].is_linked:
+    link = socket.links[0] if socket.is_linked else None
+    if link is None or link.from_node.bl_idname != "ShaderNodeTexImage" or link.from_socket.name != "Color":
         return None
-    return node.image
+    image = link.from_node.image
+    if image is None or link.from_node.inputs["Vector"].is_linked:
+        return None
+    return image if min(image.size) > 0 and len(image.pixels) > 0 else None
 
 
 def _mean_of(image: bpy.types.Image, triangles: NDArray[np.floating], uv: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -251,11 +254,14 @@ def _mean_of(image: bpy.types.Image, triangles: NDArray[np.floating], uv: NDArra
     a, b = (np.indices((PATTERN_STEPS, PATTERN_STEPS)).reshape(2, -1) + 1 / 3) / PATTERN_STEPS
     inside = a + b < 1
     shares = np.stack([1 - a - b, a, b], -1)[inside]
-    at = np.einsum("pc,nck->npk", shares, uv) % 1.0
-    column, row = (np.clip((at[..., k] * side).astype(int), 0, side - 1) for k, side in ((0, width), (1, height)))
+    means = np.empty((len(uv), 3))
+    for k, corners in enumerate(uv):
+        at = (shares @ corners) % 1.0
+        column, row = (np.clip((at[:, j] * side).astype(int), 0, side - 1) for j, side in ((0, width), (1, height)))
+        means[k] = color[row, column].mean(0)
     edges = triangles[:, 1:] - triangles[:, :1]
     areas = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    return np.average(color[row, column].mean(1), axis=0, weights=np.maximum(areas, 1e-12))
+    return np.average(means, axis=0, weights=np.maximum(areas, 1e-12))
 
 
 def write_ply(path: Path, mesh: Mesh) -> None:
