@@ -75,6 +75,10 @@ class LitPoints:
     clipped: NDArray[np.bool_]
     weight: NDArray[np.float64]
 
+    def loss(self, rows: NDArray[np.integer]) -> float:
+        """Robust loss at ``rows`` (m,) without a sun."""
+        return float(self.weight[rows] @ self._loss(rows, self.level[rows]))
+
     def gain(self, rows: NDArray[np.integer], sunlight: NDArray[np.floating]) -> float:
         """Fall of the robust loss by ``sunlight`` (m,), irradiance / pi, at ``rows`` (m,)."""
         level = self.level[rows]
@@ -103,7 +107,7 @@ def find_suns(
 
 
 def _screened(problem: LightProblem, tracer: Tracer, observed: GroupRadiance, lights: Lights) -> list[SunGuess]:
-    """The best directions on a coarse grid, by patches."""
+    """The best directions on a coarse grid, by patches; none where none explains enough to be looked at closer."""
     n, origins = problem.transport.n_seen, problem.transport.origins
     clipped = ~observed.known.all(1)
     radiance = np.where(observed.known, observed.radiance, observed.bound)
@@ -129,8 +133,11 @@ def _screened(problem: LightProblem, tracer: Tracer, observed: GroupRadiance, li
         return max(gains), direction, np.pi * unit * STRENGTHS[int(np.argmax(gains))]
 
     kept: list[SunGuess] = []
-    found = over_each(list(_escaping_directions(problem)), tried)
-    for gain, direction, strength in sorted(found, key=lambda each: -each[0]):
+    found = sorted(over_each(list(_escaping_directions(problem)), tried), key=lambda each: -each[0])
+    without = points.loss(rows)
+    if not found or not problem.decisions.accept("sun_candidate", without, without - found[0][0]):
+        return []
+    for gain, direction, strength in found:
         if gain > 0 and all(direction @ other.direction < np.cos(SCREENED_APART) for other in kept):
             kept.append(SunGuess(direction, np.full(3, strength), gain))
         if len(kept) == SCREENED_KEPT:
