@@ -117,7 +117,7 @@ REFINEMENTS: Mapping[str, Refinement] = {
     # A sun explains 13 to 35 %, other light 0.7 to 2.8 %: it saves the search half of its time.
     "sun_candidate": Refinement(
         "a direction of some thousand that is looked at closer as one of the sun",
-        "robust deviation of log luminance from what light and albedo without a sun explain, over a selection of patches",
+        "robust deviation of log luminance from what light and albedo without a sun explain, over some patches",
         gain=0.03,
         experiment="0120-where-does-the-sun-stand",
     ),

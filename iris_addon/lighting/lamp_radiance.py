@@ -15,7 +15,7 @@ from ..transport.form_factors import emitter_form_factors, emitter_of_face
 from .balance import ITERATIONS, MAX_ALBEDO, Evidence, ShadedPatches, fitted_patches, noticeable_radiance, solve_balance
 from .brightness import Brightness
 from .candidates import tie_fixtures
-from .pattern import LampPattern
+from .lamp_pattern import LampPattern
 from .problem import LightProblem, Lights
 from .sun import Sun
 

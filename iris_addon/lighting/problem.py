@@ -19,7 +19,7 @@ from ..transport.transport import Transport
 from .balance import ROBUST_LOG
 from .brightness import Brightness, Cells
 from .hidden import HiddenSources
-from .pattern import LampPattern
+from .lamp_pattern import LampPattern
 
 
 @dataclass(frozen=True)

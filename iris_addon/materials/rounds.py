@@ -18,8 +18,8 @@ from ..brdf.diffuse import grazing_gain
 from ..brdf.ggx import layered_factor
 from ..lighting.backdrop import SeenBackdrop
 from ..lighting.hidden import OutsideKind
-from ..lighting.lamp_patterns import with_patterns
 from ..lighting.lamp_radiance import PatchFit, mean_radiance, patch_weight
+from ..lighting.patterned_lamps import with_patterns
 from ..lighting.problem import LightProblem, Lights
 from ..lighting.screens import Shown, with_screens
 from ..lighting.search import reconsider_lamps

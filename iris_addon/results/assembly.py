@@ -33,7 +33,7 @@ from ..surface.primary_rays import PixelSamples, as_picture
 from ..surface.traced_room import TracedRoom
 from ..textures.atlas import Atlas, interpolate_uv
 from ..textures.bake import DIM_ALBEDO, PixelAlbedo, UsualPixel, pixel_albedo, pixel_weight
-from ..textures.lamp_pattern import PatternedLamp, lamp_pattern
+from ..textures.lamp_texels import PatternedLamp, lamp_pattern
 from ..textures.paint import residual_light
 from ..textures.painting import Painter, PixelLight, paint_texels
 from ..textures.principled import make_textures

@@ -10,7 +10,7 @@ from typing import Any
 import bpy
 
 from ...iris_addon.blender.scene_out import lights as lamps
-from ...iris_addon.model.texture_size import BLENDER_BYTES_PER_TEXEL, HIGHEST_DENSITY, in_blender
+from ...iris_addon.model.texture_size import HIGHEST_DENSITY, blender_bytes, in_blender
 from ..editors import look_at_photo, show_cameras
 from ..place import PLACEABLE
 from . import steps
@@ -183,7 +183,7 @@ class IrisSettings(bpy.types.PropertyGroup):
     texels_per_metre: bpy.props.IntProperty(
         name="Texels per Meter",
         description="Density of the textures, as far as the atlas holds it; 0: that of the photos. "
-        f"Twice as many take four times the memory, {BLENDER_BYTES_PER_TEXEL} bytes of Blender's per texel",
+        f"Twice as many take four times the memory, {blender_bytes(1)} bytes of Blender's per texel",
         min=0,
         max=int(HIGHEST_DENSITY),
     )

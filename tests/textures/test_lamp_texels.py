@@ -9,7 +9,7 @@ from iris_addon.model.capture import Mesh
 from iris_addon.rays.tracer import Tracer
 from iris_addon.textures.atlas import Atlas
 from iris_addon.textures.bake import TexelAlbedo
-from iris_addon.textures.lamp_pattern import PatternedLamp, lamp_pattern, with_clipped
+from iris_addon.textures.lamp_texels import PatternedLamp, lamp_pattern, with_clipped
 from iris_addon.textures.principled import PaintedTexels
 from iris_addon.textures.texel_points import TexelPoints
 from tests.result_room import box
