@@ -21,6 +21,8 @@ from ..surface.photo_samples import PhotoSamples
 
 VIEW_QUANTILE = 0.25
 """Quantile over views at which a patch's radiance is tested: emission is seen in all views, a highlight in few."""
+USUAL_QUANTILE = 0.9
+"""Quantile over the measured cells of a lamp that what clips is at least as bright as."""
 SPOTS_ALONG_PATCH = 1024
 """Pixels along a patch, more than any has."""
 
@@ -39,6 +41,16 @@ class Brightness:
     floor: NDArray[np.float64]
     measured: NDArray[np.float64]
     bound: NDArray[np.float64]
+
+    def at_least(self, cells: NDArray[np.integer]) -> NDArray[np.float64]:
+        """(k, 3) radiance of some ``cells`` of one lamp: measured, or else no less than their bound, and than most that
+        are measured. A cell of which every photo clips a part has neither a measurement nor a bound."""
+        measured = self.measured[cells]
+        usual = np.zeros(3)
+        for channel, values in enumerate(measured.T):
+            if np.isfinite(values).any():
+                usual[channel] = np.nanquantile(values, USUAL_QUANTILE)
+        return np.where(np.isnan(measured), np.maximum(self.bound[cells], usual), measured)
 
     @property
     def clips(self) -> NDArray[np.bool_]:

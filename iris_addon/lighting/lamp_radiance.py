@@ -297,9 +297,8 @@ def _mean_over(seen: Brightness, pattern: LampPattern) -> tuple[NDArray[np.float
 
     A pattern has no brighter part that stands for all of it.
     """
-    measured, bound = seen.measured[pattern.patch], seen.bound[pattern.patch]  # the first cells are the patches
-    clips = np.isnan(measured)
-    mean = pattern.area @ np.where(clips, bound, measured)
+    clips = np.isnan(seen.measured[pattern.patch])  # the first cells are the patches
+    mean = pattern.area @ seen.at_least(pattern.patch)
     return mean, np.where(pattern.area @ clips <= PATTERN_CLIPS, mean, np.nan)
 
 

@@ -66,8 +66,7 @@ def _pattern_of(problem: LightProblem, lights: Lights, number: int) -> LampPatte
     nearest = cKDTree(position).query(interpolated(tracer.corners[faces[chosen]], weights))[1]
     area = np.bincount(nearest, minlength=len(patch)) / len(nearest)
     seen = problem.brightness  # the first cells are the patches
-    unknown = np.isnan(seen.measured[patch])
-    level, clips = np.where(unknown, seen.bound[patch], seen.measured[patch]) @ LUMINANCE, unknown.any(1)
+    level, clips = seen.at_least(patch) @ LUMINANCE, np.isnan(seen.measured[patch]).any(1)
     # Where little clips, what photos show is the mean, and the radiance found before is that of bright patches.
     if area @ clips > PATTERN_CLIPS:
         left = lights.radiance[number] @ LUMINANCE - area[~clips] @ level[~clips]
@@ -84,10 +83,7 @@ def patterned_lamps(problem: LightProblem, lights: Lights, shown: Shown) -> NDAr
     lamp = lamp_of_patch(problem, lights.emitters)
     value = np.where(linear.unclipped, linear.radiance, linear.bound) @ LUMINANCE
     rows = np.flatnonzero((lamp[o.patch] >= 0) & (value > 0))
-    # Halves by chance: photos that take turns at two exposures would make one half clip.
-    n_views = int(o.view.max()) + 1
-    halves = np.argsort(stream(problem.seed, "lighting.patterns").permutation(n_views)) % 2
-    patch, half = o.patch[rows], halves[o.view[rows]]
+    patch, half = o.patch[rows], _halves(lamp[o.patch[rows]], o.view[rows], problem.seed)
     clipped, weight = ~linear.unclipped[rows].all(1), np.minimum(o.count[rows], MAX_COUNTED_PIXELS)
     log, solved = np.log(value[rows]), np.log(np.maximum(lights.radiance @ LUMINANCE, TINY))
     level = _levels(log, clipped, weight, 2 * patch + half, 2 * len(lamp), np.repeat(solved[lamp], 2))
@@ -107,6 +103,18 @@ def patterned_lamps(problem: LightProblem, lights: Lights, shown: Shown) -> NDAr
         if decisions.accept("lamp_pattern", smaller, larger, even.paired_error(pattern), subject=f"lamp {k}"):
             found.append(k)
     return np.array(found, np.int64)
+
+
+def _halves(lamp: NDArray[np.integer], view: NDArray[np.integer], seed: int) -> NDArray[np.int64]:
+    """(m,) 0 or 1 for each observation of a ``lamp`` (m,): by chance one of two halves of the views that show it.
+
+    Photos that take turns at two exposures would make one half clip.
+    """
+    n_views = int(view.max(initial=0)) + 1
+    turn = stream(seed, "lighting.patterns").permutation(n_views)
+    pair, of_pair = np.unique(lamp * n_views + turn[view], return_inverse=True)
+    first = np.searchsorted(pair // n_views, pair // n_views)
+    return ((np.arange(len(pair)) - first) % 2)[of_pair]
 
 
 def _levels(

@@ -104,7 +104,8 @@ def make_result(
     lamp_level = np.zeros(len(light.regions), np.float32)
     for lamp in patterned:
         lamp_level[lamp.faces] = lamp.level
-        painted[light.regions[lamp.faces]] = False
+    shines = lamp_level > 0
+    painted[np.setdiff1d(light.regions[shines], light.regions[~shines])] = False
     painter = Painter(
         room=room,
         points=TexelPoints.of(room.tracer, atlas.uv, atlas.size),

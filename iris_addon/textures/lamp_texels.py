@@ -57,9 +57,11 @@ def lamp_pattern(
     means = []
     for lamp in lamps:
         own = np.flatnonzero(np.isin(points.face, lamp.faces))
-        clips = np.isnan(radiance[own]) & texels.bounded[own, None]
-        # A channel that photos show neither clipped nor otherwise is black in all of them.
-        seen = np.where(np.isnan(radiance[own]) & ~clips, 0.0, radiance[own] * lamp.level)
+        unknown = np.isnan(radiance[own])
+        clips = unknown & texels.bounded[own]
+        # What photos show unclipped and hardly count for is black in all of them.
+        black = unknown & ~clips & texels.measured[own]
+        seen = np.where(black, 0.0, radiance[own] * lamp.level)
         seen[~sure[own] & ~clips.any(1)] = np.nan
         complete = with_clipped(seen, clips, area[own], lamp)
         shown = np.isfinite(complete).all(1)
@@ -92,6 +94,7 @@ def with_clipped(
         known = np.isfinite(values)
         if clipped.any():
             left = of_lamp * area[known | clipped].sum() - area[known] @ values[known]
-            little = area[clipped].sum() <= PATTERN_CLIPS * area.sum()  # the mean was measured without its excess
+            # Of little that clips, the mean was measured without the excess.
+            little = area[clipped].sum() <= PATTERN_CLIPS * area[known | clipped].sum()
             values[clipped] = lamp.brightest if little else max(left / area[clipped].sum(), lamp.brightest)
     return completed

@@ -378,10 +378,17 @@ def paint_texels(
         progress.update,
         photos_at_once(views),
     )
-    error, bounded = np.zeros(len(painter.points.texel), np.float32), np.zeros(len(painter.points.texel), bool)
+    n = len(painter.points.texel)
+    error, bounded, measured = np.zeros(n, np.float32), np.zeros((n, 3), bool), np.zeros((n, 3), bool)
     for photo in photos:
-        told = ((photo["weight"] > 0) & ~photo["at_least"]).any(1)
-        error[photo["row"][told]] = photo["light_error"][told]
-        sure = photo["at_least"] & (photo["weight"] > EXPECTED_WEIGHT)
-        bounded[photo["row"][sure.any(1)]] = True
-    return PaintedTexels(painter.points, fuse_samples(photos, painter.points, size), error, bounded)
+        row, at_least, told = photo["row"], photo["at_least"], (photo["weight"] > 0) & ~photo["at_least"]
+        error[row[told.any(1)]] = photo["light_error"][told.any(1)]
+        measured[row] |= told
+        bounded[row] |= at_least & (photo["weight"] > EXPECTED_WEIGHT)
+    return PaintedTexels(
+        points=painter.points,
+        fused=fuse_samples(photos, painter.points, size),
+        light_error=error,
+        bounded=bounded,
+        measured=measured,
+    )

@@ -37,13 +37,15 @@ class PaintedTexels:
         points: T texels.
         fused: base colour of those among them that a photo shows.
         light_error: (T,) standard deviation of the log irradiance that it was divided by.
-        bounded: (T,) bool, points of which a channel clips in a photo that is no doubtful one.
+        bounded: (T, 3) bool, channels that clip in a photo that is no doubtful one.
+        measured: (T, 3) bool, channels that some photo shows unclipped.
     """
 
     points: TexelPoints
     fused: TexelAlbedo
     light_error: NDArray[np.floating]
     bounded: NDArray[np.bool_]
+    measured: NDArray[np.bool_]
 
 
 def make_textures(

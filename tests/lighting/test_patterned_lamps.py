@@ -12,7 +12,7 @@ from iris_addon.decide import Decisions
 from iris_addon.lighting.brightness import Brightness
 from iris_addon.lighting.lamp_pattern import LampPattern
 from iris_addon.lighting.lamp_radiance import _mean_over, _tied
-from iris_addon.lighting.patterned_lamps import MIN_PATCHES, _pattern_of, patterned_lamps
+from iris_addon.lighting.patterned_lamps import MIN_PATCHES, _halves, _pattern_of, patterned_lamps
 from iris_addon.lighting.problem import LightProblem, Lights
 from iris_addon.lighting.screens import Shown
 from iris_addon.rays.tracer import Tracer
@@ -142,6 +142,25 @@ def test_what_clips_is_no_hot_spot_and_no_dark_one(channels: slice) -> None:
     dim = replace(lights, radiance=np.full((1, 3), 0.35))
     share = _pattern_of(in_place(measured, bound), dim, 0).share
     assert share[40] >= share[25] > share[5]
+
+
+def test_a_patch_of_which_every_photo_clips_a_part_is_no_dark_one() -> None:
+    """It has neither a measurement nor a bound."""
+    measured, bound = np.ones((PATCHES, 3)), np.zeros((PATCHES, 3))
+    measured[:20], measured[-1] = 0.3, np.nan
+    problem = in_place(measured, bound)
+    lights = replace(lit(), emitters=[np.arange(len(problem.regions))], radiance=np.full((1, 3), 1.0))
+    pattern = _pattern_of(problem, lights, 0)
+    assert pattern.share[-1] == pytest.approx(pattern.share[-2])
+    assert _mean_over(problem.brightness, pattern)[0].min() > 0.7
+
+
+def test_three_photos_of_sixty_that_show_a_lamp_are_never_in_one_half() -> None:
+    for seed in range(20):
+        half = _halves(np.zeros(3, np.int64), np.array([7, 30, 52]), seed)
+        assert 0 < half.sum() < 3
+    lamps, views = np.repeat([0, 1], 4), np.tile([1, 2, 3, 4], 2)
+    assert [int(half.sum()) for half in np.split(_halves(lamps, views, 0), 2)] == [2, 2]
 
 
 def test_a_lamp_with_a_pattern_has_a_radiance_of_its_own_beside_its_twins() -> None:

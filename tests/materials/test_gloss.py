@@ -497,7 +497,10 @@ def test_unseen_faces_take_their_regions_mean_and_lamps_are_black() -> None:
     value = np.where((surface.face[seen] < 2)[:, None], [0.5, 0.25, 0.125], 0.9).astype(np.float32)
     fused = TexelAlbedo(surface.texel[seen], value, np.full(len(seen), 4, np.float32))
     n_points = len(surface.texel)
-    texels = PaintedTexels(surface, fused, np.full(n_points, 0.02), np.zeros(n_points, bool))
+    none = np.zeros((n_points, 3), bool)
+    texels = PaintedTexels(
+        points=surface, fused=fused, light_error=np.full(n_points, 0.02), bounded=none, measured=~none
+    )
     pixels = PixelAlbedo(color, np.ones((n, 3)))
     textures, paint = make_textures(atlas, mesh.regions, lamps, gloss, samples, pixels, texels, gloss.metallic < 0.5)
     shown, _ = rasterise_atlas(uv, size)

@@ -39,7 +39,15 @@ def painted(radiance: np.ndarray, weight: np.ndarray | float = 1.0, bounded: np.
     weights = np.broadcast_to(np.asarray(weight, np.float32), radiance.shape)[seen]
     fused = TexelAlbedo(POINTS.texel[seen], value, weights)
     n = len(radiance)
-    return PaintedTexels(POINTS, fused, np.zeros(n), np.zeros(n, bool) if bounded is None else bounded)
+    clips = np.zeros(n, bool) if bounded is None else bounded
+    measured = np.repeat(np.isfinite(radiance)[:, None], 3, axis=1)
+    return PaintedTexels(
+        points=POINTS,
+        fused=fused,
+        light_error=np.zeros(n),
+        bounded=np.repeat(clips[:, None], 3, axis=1),
+        measured=measured,
+    )
 
 
 def on_lamp(pattern: np.ndarray, where: np.ndarray) -> np.ndarray:
@@ -111,6 +119,36 @@ def test_a_face_without_area_on_the_atlas_does_not_decide_the_mean():
     points, atlas = TexelPoints.of(tracer, uv, SIZE), Atlas.of(uv, SIZE, np.zeros(0, np.int32), np.zeros((0, 2)))
     value = np.where(points.face[:, None] == 0, 0.5, 0.01) * np.ones(3)
     fused = TexelAlbedo(points.texel, value.astype(np.float32), np.ones(len(points.face), np.float32))
-    texels = PaintedTexels(points, fused, np.zeros(len(points.face)), np.zeros(len(points.face), bool))
+    none = np.zeros((len(points.face), 3), bool)
+    error = np.zeros(len(points.face))
+    texels = PaintedTexels(points=points, fused=fused, light_error=error, bounded=none, measured=~none)
     _, (mean,) = lamp_pattern(atlas, texels, tracer.areas, [PatternedLamp(np.arange(2), np.ones(3), 1.0, 1.0)])
     np.testing.assert_allclose(mean, 0.5, rtol=1e-3)
+
+
+def test_a_channel_that_no_photo_measures_continues_the_texels_beside_it_and_is_not_black():
+    """Beside what clips, a coarse texel has no sample of the channel that clips."""
+    texels = painted(np.full(len(POINTS.texel), 1.0))
+    beside = np.abs(POINTS.position[:, 0] - 0.5) < 0.1
+    texels.fused.value[beside, 0] = np.nan
+    texels.measured[beside, 0] = False
+    pattern, (mean,) = made(texels, [lamp()])
+    np.testing.assert_allclose(mean, 1.0, rtol=1e-5)
+    np.testing.assert_allclose(on_lamp(pattern, beside), 1.0, atol=1e-3)
+
+
+def test_red_that_clips_says_nothing_of_blue_that_is_black():
+    texels = painted(np.full(len(POINTS.texel), 0.5))
+    texels.fused.value[BRIGHT] = [np.nan, 0.1, np.nan]
+    texels.bounded[BRIGHT, 0] = True
+    pattern, (mean,) = made(texels, [lamp(radiance=1.0)])
+    bright = on_lamp(pattern, BRIGHT) * mean
+    assert (bright[:, 0] >= 1).all() and (bright[:, 2] == 0).all()
+
+
+def test_what_no_photo_shows_of_a_lamp_does_not_make_little_of_what_clips():
+    """A shade that is seen from one side: nearly half of what is seen clips."""
+    radiance, clips, area = np.full((100, 3), np.nan), np.zeros((100, 3), bool), np.ones(100)
+    radiance[:6], clips[6:10] = 1.0, True
+    complete = with_clipped(radiance, clips, area, lamp(20.0, 1.2))
+    np.testing.assert_allclose(np.nanmean(complete, axis=0), 20.0)
