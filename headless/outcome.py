@@ -43,6 +43,7 @@ def summarise(result: Result) -> dict[str, Any]:
     """The figures of a solve that fit on a few lines."""
     report = result.report
     seconds, atlas = report.get("seconds"), report.get("atlas")
+    size = atlas and in_blender(atlas["side"], atlas["bytes_in_blender"])
     return {
         "preset": report.get("preset"),
         "lights": len(result.emitters),
@@ -50,6 +51,6 @@ def summarise(result: Result) -> dict[str, Any]:
         "seconds": float(sum(seconds.values())) if isinstance(seconds, dict) else None,
         "rays_traced": report.get("rays_traced"),
         "n_patches": report.get("n_patches"),
-        "atlas": atlas and f"{in_blender(atlas['side'])} in Blender, {atlas['texels_per_metre']:.0f} texels per metre",
+        "atlas": atlas and f"{size} in Blender, {atlas['texels_per_metre']:.0f} texels per metre",
         "warnings": report.get("warnings") or None,
     }

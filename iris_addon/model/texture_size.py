@@ -76,7 +76,11 @@ def blender_bytes(side: int, patterned: bool = False) -> int:
     return CHANNELS * (FLOAT_BYTES * (BLENDER_FLOAT_MAPS + patterned) + BLENDER_BYTE_MAPS) * side * side
 
 
-def in_blender(side: int) -> str:
-    """The size of textures and of their memory: "4096 x 4096, 0.5 GB"."""
-    gigabytes = blender_bytes(side) / 1e9
+def in_blender(side: int, taken: int | None = None) -> str:
+    """The size of textures and of their memory: "4096 x 4096, 0.5 GB".
+
+    Args:
+        taken: bytes of the memory, where they are known.
+    """
+    gigabytes = (taken or blender_bytes(side)) / 1e9
     return f"{side} x {side}, {gigabytes:.1f} GB" if gigabytes >= 0.1 else f"{side} x {side}, {1000 * gigabytes:.0f} MB"

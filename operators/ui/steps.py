@@ -214,7 +214,7 @@ def atlas_line(folder: Path) -> str:
     """The textures of the result in ``folder``, "1024 x 1024, 29 MB, 92 texels/m"; empty where that is not known."""
     try:
         atlas = _report(folder)["atlas"]
-        return f"{in_blender(atlas['side'])}, {atlas['texels_per_metre']:.0f} texels/m"
+        return f"{in_blender(atlas['side'], atlas.get('bytes_in_blender'))}, {atlas['texels_per_metre']:.0f} texels/m"
     except (KeyError, TypeError, ValueError):  # none, or of an older version
         return ""
 
