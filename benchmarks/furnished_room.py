@@ -41,6 +41,17 @@ VALIDATION = (
 )  # fmt: skip
 
 
+def wall_in() -> None:
+    """Floor, ceiling and four walls without an opening."""
+    wall, trim = paint("wall", (0.72, 0.68, 0.6)), paint("white", (0.8, 0.8, 0.78))
+    box("floor", (-WALL, -WALL, -WALL), (WIDTH + WALL, DEPTH + WALL, 0), paint("floor", (0.42, 0.27, 0.16)))
+    box("ceiling", (-WALL, -WALL, HEIGHT), (WIDTH + WALL, DEPTH + WALL, HEIGHT + WALL), trim)
+    box("wall west", (-WALL, -WALL, 0), (0, DEPTH + WALL, HEIGHT), wall)
+    box("wall east", (WIDTH, -WALL, 0), (WIDTH + WALL, DEPTH + WALL, HEIGHT), wall)
+    box("wall north", (0, DEPTH, 0), (WIDTH, DEPTH + WALL, HEIGHT), paint("feature wall", (0.25, 0.4, 0.42)))
+    box("wall south", (0, -WALL, 0), (WIDTH, 0, HEIGHT), wall)
+
+
 def furnish() -> None:
     """The furniture, without walls."""
     oak, white = paint("oak", (0.45, 0.3, 0.17), 0.35), paint("chair", (0.78, 0.78, 0.76))

@@ -8,7 +8,7 @@ hangs on the wall and shows the lamp to some of the photos. ``steel``: the door 
 
 from __future__ import annotations
 
-from .furnished_room import DEPTH, HEIGHT, WALL, WIDTH, box, glow, paint, render_room
+from .furnished_room import HEIGHT, WIDTH, box, glow, paint, render_room, wall_in
 
 SILVER = (0.9, 0.92, 0.9)
 """Reflectance of the mirrors and of steel."""
@@ -19,13 +19,7 @@ ROOMS = {"wardrobe": (DOOR, 0.0), "cabinet": (CABINET, 0.0), "steel": (DOOR, 0.1
 
 
 def _walls_and_light(name: str) -> None:
-    wall, trim = paint("wall", (0.72, 0.68, 0.6)), paint("white", (0.8, 0.8, 0.78))
-    box("floor", (-WALL, -WALL, -WALL), (WIDTH + WALL, DEPTH + WALL, 0), paint("floor", (0.42, 0.27, 0.16)))
-    box("ceiling", (-WALL, -WALL, HEIGHT), (WIDTH + WALL, DEPTH + WALL, HEIGHT + WALL), trim)
-    box("wall west", (-WALL, -WALL, 0), (0, DEPTH + WALL, HEIGHT), wall)
-    box("wall east", (WIDTH, -WALL, 0), (WIDTH + WALL, DEPTH + WALL, HEIGHT), wall)
-    box("wall north", (0, DEPTH, 0), (WIDTH, DEPTH + WALL, HEIGHT), paint("feature wall", (0.25, 0.4, 0.42)))
-    box("wall south", (0, -WALL, 0), (WIDTH, 0, HEIGHT), wall)
+    wall_in()
     corners, roughness = ROOMS[name]
     box("mirror", *corners, paint("silver", SILVER, roughness, metallic=1.0))
     box("ceiling lamp", (1.9, 1.4, HEIGHT - 0.05), (2.5, 2.0, HEIGHT), glow("lamp", (1.0, 0.86, 0.7), 9.0))

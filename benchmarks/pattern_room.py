@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from .furnished_room import DEPTH, HEIGHT, WALL, WIDTH, box, glow, paint, render_room
+from .furnished_room import HEIGHT, box, glow, paint, render_room, wall_in
 
 SCREEN = ((2.3, 0.04, 0.9), (0.9, 0.04, 1.7))
 """Lower left and upper right corner of the screen on the south wall, as one sees it, metres."""
@@ -25,13 +25,7 @@ ROOMS = ("television", "window", "panel")
 
 
 def _walls_and_light(name: str) -> None:
-    wall, trim = paint("wall", (0.72, 0.68, 0.6)), paint("white", (0.8, 0.8, 0.78))
-    box("floor", (-WALL, -WALL, -WALL), (WIDTH + WALL, DEPTH + WALL, 0), paint("floor", (0.42, 0.27, 0.16)))
-    box("ceiling", (-WALL, -WALL, HEIGHT), (WIDTH + WALL, DEPTH + WALL, HEIGHT + WALL), trim)
-    box("wall west", (-WALL, -WALL, 0), (0, DEPTH + WALL, HEIGHT), wall)
-    box("wall east", (WIDTH, -WALL, 0), (WIDTH + WALL, DEPTH + WALL, HEIGHT), wall)
-    box("wall north", (0, DEPTH, 0), (WIDTH, DEPTH + WALL, HEIGHT), paint("feature wall", (0.25, 0.4, 0.42)))
-    box("wall south", (0, -WALL, 0), (WIDTH, 0, HEIGHT), wall)
+    wall_in()
     if name == "television":
         box("television", (0.87, 0, 0.87), (2.33, 0.039, 1.73), paint("plastic", (0.03,) * 3, 0.4))
         _shining_wall("screen", *SCREEN, _cartoon(), 2.5)
