@@ -139,7 +139,8 @@ REFINEMENTS: Mapping[str, Refinement] = {
     "light_of_unseen": Refinement(
         "light from parts of the backdrop that no photo shows, beside the light that photos show",
         BALANCE,
-        gain=0.02,
+        gain=0.01,
+        errors=1.0,
         experiment="0111-what-lights-a-scan-where-no-photo-looks",
     ),
     "lamp": Refinement(
