@@ -195,28 +195,21 @@ REFINEMENTS: Mapping[str, Refinement] = {
         gain=0.02,
         experiment="0011-which-diffuse-lobe",
     ),
+    # Losses are negative logs of likelihoods, and the error 1: twelve to one, more than regions of its kind can give.
+    "highlights": Refinement(
+        "a roughness below 1, as a region and its like show its highlights",
+        "how unlikely the share of its highlights that photos show is if they exist, and if not: 0",
+        gain=0.0,
+        errors=2.5,
+        experiment="0135-is-a-predicted-highlight-there",
+    ),
+    # A region without highlights of its own gains with its like, in proportion: less than this is a like in name only.
     "gloss": Refinement(
-        "a roughness below 1, as a region and its like show it together",
+        "a roughness below 1 whose highlights are likelier to exist than not",
         "robust residual of view dependence, products of two halves of the reflected rays",
-        gain=0.0,
-        errors=1.5,
-        experiment="0037-how-certain-must-a-gain-of-gloss-be",
-    ),
-    # A white frame is polished on a white wall, and the wall is matte beside it (two errors: experiment 0041). Errors
-    # of the light beside a window make a matte wall gain 2.4 %, however little its photos scatter.
-    "gloss_alone": Refinement(
-        "a roughness below 1 that a region shows and its like do not",
-        "robust residual of view dependence, of the region alone",
-        gain=0.03,
+        gain=0.002,
         errors=2.0,
-        experiment="0124-are-rounded-edges-borders",
-    ),
-    "matte_alone": Refinement(
-        "a rough region among its glossy like",
-        "robust residual of view dependence, of the region alone",
-        gain=0.0,
-        errors=2.0,
-        experiment="0041-when-may-neighbours-outvote-a-region",
+        experiment="0135-is-a-predicted-highlight-there",
     ),
     # Well observed metals bring 0.16 and more, what is none 0.11 at most.
     "metal": Refinement(

@@ -1,4 +1,4 @@
-"""Costs of a gloss pooled over regions that may be of one material, equation (25).
+"""Costs of a gloss, and evidence for its highlights, pooled over regions that may be of one material, equation (25).
 
 The legs of a table and its top, the treads of a staircase, the fragments of a scanned sofa: each shows too little of a
 highlight to decide alone.
@@ -7,6 +7,7 @@ highlight to decide alone.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ from ..base.group_by import rank_in_group
 
 POOL_MAX_OBSERVATIONS = 2000
 """Observations that all other regions together contribute to the pooled cost of a region, at most."""
+POOL_MAX_EVIDENCE = 2.1
+"""Evidence for highlights that other regions give, at most: eight to one, less than row "highlights" asks for."""
 POOL_DISTANCE = 1.0
 """Standard deviation in metres of the weight by distance, for regions of like albedo."""
 POOL_ALBEDO = 0.05
@@ -56,13 +59,38 @@ class RegionCosts:
     texture: NDArray[np.float64]
 
     def pooled(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Costs of every region averaged with those of other regions by the weights of equation (25).
+        """Costs of every region averaged with those of its like by the weights of equation (25).
 
         Returns:
             Plastic and metal costs (k, levels), and the standard error (k, levels) of the former.
         """
+        near, alike, own = self._alike
+        weight = self.count[near] * np.where(own, 0.0, alike)
+        # A region that is well observed itself must not be outvoted by the others, however many they are.
+        weight *= np.minimum(1.0, POOL_MAX_OBSERVATIONS / np.maximum(weight.sum(1, keepdims=True), 1e-9))
+        weight += own * self.count[:, None]
+        weight /= weight.sum(1, keepdims=True)
+        return (
+            np.einsum("kn,knl->kl", weight, self.plastic[near]),
+            np.einsum("kn,knl->kl", weight, self.metal[near]),
+            np.sqrt(np.einsum("kn,knl->kl", weight**2, self.error[near] ** 2)),
+        )
+
+    def with_like(self, evidence: NDArray[np.floating]) -> NDArray[np.float64]:
+        """(k, levels) the ``evidence`` (k, levels) of every region for highlights, and that of its like.
+
+        That another region is glossy tells of this one no more than that both are of one material.
+        """
+        near, alike, own = self._alike
+        of_like = np.einsum("kn,knl->kl", np.where(own, 0.0, alike), evidence[near])
+        return evidence + np.clip(of_like, -POOL_MAX_EVIDENCE, POOL_MAX_EVIDENCE)
+
+    @cached_property
+    def _alike(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
+        """Regions (k, m) that may be of one material with each region, how alike (k, m) they are, from 0 to 1, and
+        which entry (k, m) is the region itself."""
         near, first = self._candidates()
-        own = near == np.arange(len(near))[:, None]
+        own = (near == np.arange(len(near))[:, None]) & first
         same_object = self.in_file[near] == self.in_file[:, None]
         distance = np.linalg.norm(self.centre[near] - self.centre[:, None], axis=-1) / POOL_DISTANCE
         unlike = np.abs(self.log_albedo[near] - self.log_albedo[:, None]).max(-1)
@@ -70,16 +98,7 @@ class RegionCosts:
         texture = 0.5 * (self.texture[near] ** 2 + self.texture[:, None] ** 2)
         in_object, beside = (unlike**2 / (std**2 + texture) for std in (POOL_ALBEDO_IN_FILE, POOL_ALBEDO))
         apart = np.where(same_object, in_object, distance**2 + beside)
-        weight = np.where(first & ~own, self.count[near] * np.exp(-0.5 * apart), 0.0)
-        # A region that is well observed itself must not be outvoted by the others, however many they are.
-        weight *= np.minimum(1.0, POOL_MAX_OBSERVATIONS / np.maximum(weight.sum(1, keepdims=True), 1e-9))
-        weight += (first & own) * self.count[:, None]
-        weight /= weight.sum(1, keepdims=True)
-        return (
-            np.einsum("kn,knl->kl", weight, self.plastic[near]),
-            np.einsum("kn,knl->kl", weight, self.metal[near]),
-            np.sqrt(np.einsum("kn,knl->kl", weight**2, self.error[near] ** 2)),
-        )
+        return near, np.where(first, np.exp(-0.5 * apart), 0.0), own
 
     def _candidates(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Regions (k, m) that may be of one material with each region, and whether (k, m) an entry is the first of its

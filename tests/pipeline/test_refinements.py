@@ -198,6 +198,8 @@ def test_forced_gloss_is_fitted_below_the_acceptance_gain():
     fits = [fit_gloss(observed, 1, Decisions({"gloss": forced})) for forced in (None, True, False)]
     assert fits[0].roughness[0] == 1 and fits[1].roughness[0] < 1 and fits[2].roughness[0] == 1
     assert not fits[2].decided.any()
+    shown = replace(observed, radiance=0.5 * irradiance * noise)
+    assert fit_gloss(shown, 1, Decisions({"gloss": True})).roughness[0] > 0.6
 
 
 def test_nothing_is_forced_by_default():
