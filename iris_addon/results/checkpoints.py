@@ -25,8 +25,8 @@ from ..config import SolveConfig
 from ..model.capture import Capture
 from .files import PREVIEWS, preview_path
 
-FORMAT = 9
-"""Version of the format of checkpoints."""
+FORMAT = 10
+"""Version of the format of checkpoints, and of what stages decide: no result is to mix two rules."""
 LOCK = ".lock"
 """Name of the lock file in a result folder."""
 Stage = Literal["response", "lights", "materials"]
