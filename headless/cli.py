@@ -20,7 +20,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from iris_addon.base.errors import Cancelled, IrisError
 from iris_addon.base.progress import Progress, Sink, console, json_lines
@@ -32,12 +32,12 @@ from .cancellation import cancelled_by_signals, stop_with_stdin
 from .environment import delegate, missing_packages, unusable
 
 USAGE_CODE = 2
-MAX_FRAMES = 1_000_000
-MAX_RESOLUTION = 200_000_000
-"""Pixels of a rendered photo."""
-MAX_EXPOSURE = 1e12
-MAX_METRES = 1e6
-"""Of a unit, and one by it the least; of a coordinate."""
+MAX_FRAMES, MAX_RESOLUTION = 1_000_000, 200_000_000
+"""Of a run; pixels of a rendered photo."""
+MAX_EXPOSURE, MAX_METRES = 1e12, 1e6
+"""Metres of a unit, and one by it the least; of a coordinate."""
+SEVERAL: dict[str, Any] = {"nargs": "+", "action": "extend"}
+"""Names after an option, which may be given more than once."""
 MAX_PANORAMA_WIDTH = 16384
 
 
@@ -196,7 +196,7 @@ def _add_solving(add: Add) -> None:
     )
     solve.add_argument("--hdr", type=Path, metavar="DIR", help="one EXR of radiance per photo, in place of the photos")
     solve.add_argument("--strict", action="store_true", help="refuse a capture that lacks photos or poses")
-    solve.add_argument("--exclude", nargs="+", default=(), metavar="PHOTO", help="photos to leave out")
+    solve.add_argument("--exclude", **SEVERAL, default=[], metavar="PHOTO", help="photos to leave out")
     _add_unit(solve)
     _add_texture_size(solve)
     solve.add_argument("--resume", action="store_true", help="go on from the last finished stage")
@@ -300,7 +300,7 @@ def _add_rendering(add: Add) -> None:
     for command, exposure in ((render, "photo"), (relight, "auto"), (insert, "photo")):
         command.add_argument("result", type=Path, help="folder of a result")
         command.add_argument("--views", type=Path, required=True, metavar="transforms.json", help="cameras to render")
-        command.add_argument("--only", nargs="+", metavar="NAME", help="only these views; jobs count them from 0")
+        command.add_argument("--only", **SEVERAL, metavar="NAME", help="only these views; jobs count them from 0")
         command.add_argument("--out", type=Path, required=True, help="folder of the pictures")
         command.add_argument("--linear", action="store_true", help="write EXR of radiance instead of PNG")
         _add_acescg(command)
@@ -380,7 +380,7 @@ def _add_scoring(add: Add, common: _Parser) -> None:
     synth = add("synth", "posed LDR capture with ground truth out of a Blender scene")
     synth.add_argument("scene", type=Path, metavar="SCENE.blend", help="the scene to photograph")
     synth.add_argument("--out", type=Path, required=True, help="folder of the capture")
-    synth.add_argument("--cameras", nargs="+", metavar="NAME", help="camera objects to use; all without it")
+    synth.add_argument("--cameras", **SEVERAL, metavar="NAME", help="camera objects to use; all without it")
     synth.add_argument("--resolution", type=_resolution, default=(320, 240), metavar="WxH", help="of the photos")
     synth.add_argument("--response", default="film", metavar="film|gamma|linear|FILE", help="of the camera")
     synth.add_argument("--compact", action="store_true", help="leave out what no metric needs, compress with loss")

@@ -207,6 +207,14 @@ def test_solve_hands_its_options_on_and_writes_the_folder(fipt_room, tmp_path, s
     assert str(out) in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("options", [("--exclude", "a", "b"), ("--exclude", "a", "--exclude", "b")])
+def test_photos_are_excluded_however_the_option_is_repeated(options):
+    """The last one alone would count, and the others be solved from without a word."""
+    args = cli.make_parser().parse_args(["solve", "room", "--out", "out", *options])
+    assert list(args.exclude) == ["a", "b"]
+    assert list(cli.make_parser().parse_args(["solve", "room", "--out", "out"]).exclude) == []
+
+
 @pytest.mark.parametrize(
     ("options", "asked"),
     [
