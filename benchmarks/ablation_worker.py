@@ -49,9 +49,9 @@ MECHANISMS: Mapping[str, tuple[Replaced, ...]] = {
         Replaced("surface.regions", "split_creases", lambda regions, *_: np.unique(regions, return_inverse=True)[1]),
     ),
     "gloss: pooled over regions of one object of the file": (
-        Replaced("materials.region_costs", "POOL_ALBEDO_IN_FILE", 1e-6),
+        Replaced("materials.region_likeness", "POOL_ALBEDO_IN_FILE", 1e-6),
     ),
-    "gloss: pooled over near regions of like albedo": (Replaced("materials.region_costs", "POOL_ALBEDO", 1e-6),),
+    "gloss: pooled over near regions of like albedo": (Replaced("materials.region_likeness", "POOL_ALBEDO", 1e-6),),
     "paint: shared by regions": (
         Replaced("textures.principled", "shared_paint", lambda _a, _e, _r, painted: np.arange(len(painted))),
     ),

@@ -3,7 +3,7 @@
 For each level of roughness the specular light is predicted and subtracted. What remains must be one diffuse albedo per
 patch, whatever the view, and about the same albedo over a region; the cost of a gloss, equation (24), measures the
 deviation (:class:`.RegionFits`). Costs are pooled over regions that may be of one material, equation (25)
-(:class:`.RegionCosts`). A region is metallic only if that lowers its cost enough, and glossy only if photos show the
+(:class:`.RegionLikeness`). A region is metallic only if that lowers its cost enough, and glossy only if photos show the
 highlights that the gloss predicts, equation (26) (:func:`fit_gloss`); otherwise it stays the rough dielectric it
 started as.
 """
@@ -21,8 +21,9 @@ from ..base.group_by import MAD, rank_in_group
 from ..base.parallel import over_each
 from ..brdf.ggx import DIELECTRIC_F0
 from ..decide import Decisions
-from .region_costs import POOL_MAX_OBSERVATIONS, RegionCosts
+from .region_costs import RegionCosts
 from .region_fits import LobeHalves, RegionFits
+from .region_likeness import POOL_MAX_OBSERVATIONS, RegionLikeness
 from .shown_highlights import find_highlights
 
 COST_MIN_ROUGH = 0.02
@@ -173,11 +174,11 @@ def fit_gloss(observed: GlossObservations, n_regions: int, decisions: Decisions)
     if regions is None:
         return gloss
     costs, factor, layered = _layered_or_not(regions, observed)
-    plastics, metals, errors = costs.pooled()
+    plastics, metals, errors = costs.pooled
     highlights = find_highlights(regions.fits, regions.position, factor, regions.lobes, len(GLOSS_RAYS))
-    evidence = costs.with_like(highlights.evidence).max(1)
+    evidence = regions.like.with_like(highlights.evidence).max(1)
     for k, (plastic, metal) in enumerate(zip(plastics, metals, strict=True)):
-        label, level = int(costs.ids[k]), int(np.argmin(plastic[: len(GLOSS_RAYS)]))
+        label, level = int(regions.ids[k]), int(np.argmin(plastic[: len(GLOSS_RAYS)]))
         subject = f"region {label}"
         if decisions.accept("metal", plastic.min(), metal.min(), share=float(not forced), subject=subject):
             _make_metal(gloss, label, metal, costs.colour[k])
@@ -201,7 +202,7 @@ def _layered_or_not(regions: _Regions, observed: GlossObservations) -> tuple[Reg
     either = [regions.costs(factor) for factor in factors]
     plain = either[0]
     explains = [
-        np.average(costs.pooled()[0].min(1) * costs.rough / plain.rough, weights=plain.count) for costs in either
+        np.average(costs.pooled[0].min(1) * costs.rough / plain.rough, weights=regions.like.count) for costs in either
     ]
     best = int(np.argmin(explains))
     return either[best], factors[best], best == 1
@@ -217,11 +218,7 @@ class _Regions:
         fits: the observations, with regions and patches numbered from 0.
         position: (m, 3) metres.
         lobes: per level, the specular lobes of both halves of the rays.
-        count: (k,) observations.
-        centre: (k, 3) metres.
-        log_albedo: (k, 3).
-        in_file: (k,) object of the mesh file that each region lies in.
-        texture: (k,) standard deviation of the log albedo within a region of a scan; 0 of modelled ones.
+        like: which of the regions may be of one material.
     """
 
     ids: NDArray[np.integer]
@@ -229,11 +226,7 @@ class _Regions:
     fits: RegionFits
     position: NDArray[np.floating]
     lobes: list[LobeHalves]
-    count: NDArray[np.float64]
-    centre: NDArray[np.float64]
-    log_albedo: NDArray[np.float64]
-    in_file: NDArray[np.integer]
-    texture: NDArray[np.float64]
+    like: RegionLikeness
 
     @staticmethod
     def observed(o: GlossObservations) -> _Regions | None:
@@ -262,11 +255,13 @@ class _Regions:
             ),
             position=o.position[rows],
             lobes=[[(s0[rows], s1[rows]) for s0, s1 in halves] for halves in o.lobes],
-            count=count[enough].astype(np.float64),
-            centre=np.stack([o.position[own].mean(0) for own in per_region]),
-            log_albedo=np.stack([np.median(log_albedo[own], axis=0) for own in per_region]),
-            in_file=ids if o.in_file is None else o.in_file[ids],
-            texture=np.where(False if o.scanned is None else o.scanned[ids], texture, 0.0),
+            like=RegionLikeness(
+                count=count[enough].astype(np.float64),
+                centre=np.stack([o.position[own].mean(0) for own in per_region]),
+                log_albedo=np.stack([np.median(log_albedo[own], axis=0) for own in per_region]),
+                in_file=ids if o.in_file is None else o.in_file[ids],
+                texture=np.where(False if o.scanned is None else o.scanned[ids], texture, 0.0),
+            ),
         )
 
     def costs(self, factor: NDArray[np.floating]) -> RegionCosts:
@@ -278,17 +273,12 @@ class _Regions:
         null = np.maximum(plastic[:, -1:], COST_MIN_ROUGH)
         metal, colour = self._metals
         return RegionCosts(
-            ids=self.ids,
+            like=self.like,
             rough=null[:, 0],
             plastic=plastic / null,
             metal=metal / null,
             error=error / null,
             colour=colour,
-            count=self.count,
-            centre=self.centre,
-            log_albedo=self.log_albedo,
-            in_file=self.in_file,
-            texture=self.texture,
         )
 
     @cached_property

@@ -1,8 +1,4 @@
-"""Costs of a gloss, and evidence for its highlights, pooled over regions that may be of one material, equation (25).
-
-The legs of a table and its top, the treads of a staircase, the fragments of a scanned sofa: each shows too little of a
-highlight to decide alone.
-"""
+"""Costs of a gloss, averaged over regions that may be of one material, equation (25)."""
 
 from __future__ import annotations
 
@@ -11,109 +7,36 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from ..base.group_by import rank_in_group
-
-POOL_MAX_OBSERVATIONS = 2000
-"""Observations that all other regions together contribute to the pooled cost of a region, at most."""
-POOL_MAX_EVIDENCE = 2.1
-"""Evidence for highlights that other regions give, at most: eight to one, less than row "highlights" asks for."""
-POOL_DISTANCE = 1.0
-"""Standard deviation in metres of the weight by distance, for regions of like albedo."""
-POOL_ALBEDO = 0.05
-"""Standard deviation of the weight by difference in log albedo."""
-POOL_ALBEDO_IN_FILE = 0.1
-"""The same for regions of one object of the file, at any distance; the albedo of small regions is off by as much."""
-POOL_NEIGHBOURS = 24
-"""Nearest regions that are pooled, and best observed regions of the same object, at most."""
+from .region_likeness import RegionLikeness
 
 
 @dataclass(frozen=True)
 class RegionCosts:
-    """Costs of k regions at every level of roughness, and what indicates which of them are one material.
+    """Costs of k regions at every level of roughness.
 
     Attributes:
-        ids: (k,) region ids.
+        like: which of the regions may be of one material.
         rough: (k,) cost of the rough dielectric.
         plastic, metal: (k, levels) costs relative to ``rough``.
         error: (k, levels) standard error of the difference between ``plastic`` and the rough dielectric.
         colour: (k, levels, 3) specular colour of the metal.
-        count: (k,) observations.
-        centre: (k, 3) metres.
-        log_albedo: (k, 3).
-        in_file: (k,) object of the mesh file that each region lies in.
-        texture: (k,) standard deviation of the log albedo within a region of a scan; 0 of modelled ones.
     """
 
-    ids: NDArray[np.integer]
+    like: RegionLikeness
     rough: NDArray[np.float64]
     plastic: NDArray[np.float64]
     metal: NDArray[np.float64]
     error: NDArray[np.float64]
     colour: NDArray[np.float64]
-    count: NDArray[np.float64]
-    centre: NDArray[np.float64]
-    log_albedo: NDArray[np.float64]
-    in_file: NDArray[np.integer]
-    texture: NDArray[np.float64]
 
+    @cached_property
     def pooled(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Costs of every region averaged with those of its like by the weights of equation (25).
-
-        Returns:
-            Plastic and metal costs (k, levels), and the standard error (k, levels) of the former.
-        """
-        near, alike, own = self._alike
-        weight = self.count[near] * np.where(own, 0.0, alike)
-        # A region that is well observed itself must not be outvoted by the others, however many they are.
-        weight *= np.minimum(1.0, POOL_MAX_OBSERVATIONS / np.maximum(weight.sum(1, keepdims=True), 1e-9))
-        weight += own * self.count[:, None]
-        weight /= weight.sum(1, keepdims=True)
+        """Plastic and metal costs (k, levels) of every region averaged with those of its like, and the standard error
+        (k, levels) of the former."""
+        near, weight = self.like.pool
         return (
             np.einsum("kn,knl->kl", weight, self.plastic[near]),
             np.einsum("kn,knl->kl", weight, self.metal[near]),
             np.sqrt(np.einsum("kn,knl->kl", weight**2, self.error[near] ** 2)),
         )
-
-    def with_like(self, evidence: NDArray[np.floating]) -> NDArray[np.float64]:
-        """(k, levels) the ``evidence`` (k, levels) of every region for highlights, and that of its like.
-
-        That another region is glossy tells of this one no more than that both are of one material.
-        """
-        near, alike, own = self._alike
-        of_like = np.einsum("kn,knl->kl", np.where(own, 0.0, alike), evidence[near])
-        return evidence + np.clip(of_like, -POOL_MAX_EVIDENCE, POOL_MAX_EVIDENCE)
-
-    @cached_property
-    def _alike(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
-        """Regions (k, m) that may be of one material with each region, how alike (k, m) they are, from 0 to 1, and
-        which entry (k, m) is the region itself."""
-        near, first = self._candidates()
-        own = (near == np.arange(len(near))[:, None]) & first
-        same_object = self.in_file[near] == self.in_file[:, None]
-        distance = np.linalg.norm(self.centre[near] - self.centre[:, None], axis=-1) / POOL_DISTANCE
-        unlike = np.abs(self.log_albedo[near] - self.log_albedo[:, None]).max(-1)
-        # A scan ends a region at the edge of a tread; the next tread differs from it as the grain of each does.
-        texture = 0.5 * (self.texture[near] ** 2 + self.texture[:, None] ** 2)
-        in_object, beside = (unlike**2 / (std**2 + texture) for std in (POOL_ALBEDO_IN_FILE, POOL_ALBEDO))
-        apart = np.where(same_object, in_object, distance**2 + beside)
-        return near, np.where(first, np.exp(-0.5 * apart), 0.0), own
-
-    def _candidates(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Regions (k, m) that may be of one material with each region, and whether (k, m) an entry is the first of its
-        region in the row.
-
-        They are the nearest regions, itself included, and the best observed regions of the same object of the file.
-        """
-        n = len(self.ids)
-        near = cKDTree(self.centre).query(self.centre, k=min(POOL_NEIGHBOURS, n))[1].reshape(n, -1)
-        best = np.lexsort((-self.count, self.in_file))
-        rank = rank_in_group(self.in_file[best])
-        most = min(POOL_NEIGHBOURS, int(rank.max()) + 1)  # one where the file names no objects
-        listed = rank < most
-        of_object = np.full((int(self.in_file.max()) + 1, most), -1)
-        of_object[self.in_file[best[listed]], rank[listed]] = best[listed]
-        same_object = of_object[self.in_file]
-        other = (same_object >= 0) & ~(same_object[:, :, None] == near[:, None]).any(-1)
-        return np.concatenate([near, same_object], 1), np.concatenate([np.ones(near.shape, bool), other], 1)

@@ -88,18 +88,18 @@ class RegionFits:
 
     def mean(self, cost: NDArray[np.floating]) -> NDArray[np.float64]:
         """(k,) mean of the costs (n,) of a region's patches, weighted by observations."""
-        weight = self.patch_weight
+        weight = self._patch_weight
         return np.bincount(self.region, weight * cost) / np.bincount(self.region, weight)
 
     def standard_error(self, cost: NDArray[np.floating]) -> NDArray[np.float64]:
         """(k,) standard error of :meth:`mean` from the spread of a region's patches; for a single patch, the mean."""
-        weight, mean, n = self.patch_weight, self.mean(cost), np.bincount(self.region)
+        weight, mean, n = self._patch_weight, self.mean(cost), np.bincount(self.region)
         off = weight * (cost - mean[self.region])
         spread = np.sqrt(np.bincount(self.region, off**2)) / np.bincount(self.region, weight)
         return np.where(n > 1, spread * np.sqrt(n / np.maximum(n - 1, 1)), np.abs(mean))
 
     @cached_property
-    def patch_weight(self) -> NDArray[np.float64]:
+    def _patch_weight(self) -> NDArray[np.float64]:
         """(n,) sum of the weights of each patch's observations."""
         return np.asarray(np.bincount(self.patch, self.weight, len(self.region)), np.float64)
 
@@ -112,7 +112,7 @@ class RegionFits:
         """
         sums = np.zeros((2, len(self.region), 3))
         _add_products(self.patch, self.region, self.weight, self.radiance, halves[0], halves[-1], sums)
-        views, space = _robust(sums / self.patch_weight[:, None])
+        views, space = _robust(sums / self._patch_weight[:, None])
         return (views + COST_SPATIAL_WEIGHT * space).mean(1)
 
 

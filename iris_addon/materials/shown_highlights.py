@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +85,7 @@ def find_highlights(
         lobes: per level, the last of which is rough, the specular lobes of both halves of the rays.
         traced: the first levels, whose highlights are looked for.
     """
-    n_patches, n_regions = len(fits.region), int(fits.region.max()) + 1
+    n_regions = int(fits.region.max()) + 1
     patch, region = fits.patch, fits.region[fits.patch]
     radiance, irradiance = fits.radiance.mean(1), fits.irradiance.mean(1)
     scale = np.maximum(radiance, MIN_RADIANCE)
@@ -96,12 +97,6 @@ def find_highlights(
     def per_region(values: NDArray[np.floating]) -> NDArray[np.float64]:
         return np.asarray(np.bincount(region, values, n_regions), np.float64)
 
-    def projected(values: NDArray[np.floating], weight: NDArray[np.floating]) -> tuple[NDArray, NDArray]:
-        """(m,) the least-squares albedo of each patch, and what is left of ``values`` (m,)."""
-        norm = np.bincount(patch, weight * light * light, n_patches)
-        albedo = (np.bincount(patch, weight * values * light, n_patches) / np.maximum(norm, TINY))[patch]
-        return albedo, values - albedo * light
-
     def robust(off: NDArray[np.floating]) -> NDArray[np.float64]:
         """(m,) weights by the residuals ``off`` (m,) of a fit."""
         relative = off / scale
@@ -111,15 +106,18 @@ def find_highlights(
     def share_of(level: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         more_diffuse = (diffuse[level] - diffuse[-1]) * irradiance
         halves = [_dielectric(half) - rough for half in (lobes[level][0], lobes[level][-1])]
-        weights = [trust, trust]
-        share, variance = np.zeros(n_regions), np.full(n_regions, np.inf)
-        for _ in range(PASSES):
+
+        def fit(weights: Sequence[NDArray[np.floating]]) -> _Fit:
             power, explained, seen = np.zeros((3, n_regions))
             sides = []
             # A weight from the residual under one half of the rays knows of its noise; the other half does not.
             for k, weight in enumerate(weights):
-                albedo, left = projected(shown, weight)
-                own, other = (projected(halves[half] + albedo * more_diffuse, weight)[1] for half in (k, 1 - k))
+                albedo = _albedo(patch, shown, light, weight)[patch]
+                added = [half + albedo * more_diffuse for half in halves]
+                left, own, other = (
+                    values - _albedo(patch, values, light, weight)[patch] * light
+                    for values in (shown, added[k], added[1 - k])
+                )
                 sides.append((left, own, weight * other))
                 power += per_region(weight * other * own)
                 explained += per_region(weight * other * left)
@@ -127,15 +125,48 @@ def find_highlights(
             shines = power > FAINTEST**2 * seen
             power = np.where(shines, power, 1.0)
             share = np.where(shines, explained / power, 0.0)
-            pull = sum((pulling * (left - share[region] * own) for left, own, pulling in sides), np.zeros(len(region)))
-            error = blocks.squared_error(pull, n_regions) / power**2
-            variance = np.where(shines, error + MODEL_ERROR**2 + LIGHT_ERROR**2 * seen / power, np.inf)
-            limited = np.clip(share, *SHARE_LIMITS)[region]
-            weights = [robust(left - limited * own) for left, own, _ in sides]
-        return share, variance
+            return _Fit(share=share, shines=shines, power=power, seen=seen, sides=sides)
+
+        found = fit([trust, trust])
+        for _ in range(PASSES - 1):
+            limited = np.clip(found.share, *SHARE_LIMITS)[region]
+            found = fit([robust(left - limited * own) for left, own, _ in found.sides])
+        share, shines, power, seen, sides = found
+        pull = sum((pulling * (left - share[region] * own) for left, own, pulling in sides), np.zeros(len(region)))
+        error = blocks.squared_error(pull, n_regions) / power**2
+        return share, np.where(shines, error + MODEL_ERROR**2 + LIGHT_ERROR**2 * seen / power, np.inf)
 
     found = over_each(range(traced), share_of)
     return ShownHighlights(*(np.stack(column, 1) for column in zip(*found, strict=True)))
+
+
+class _Fit(NamedTuple):
+    """One fit of the shares of k regions to m observations.
+
+    Attributes:
+        share: (k,).
+        shines: (k,) bool, whether a highlight is predicted.
+        power, seen: (k,) weighted sums of squares of the predicted highlight, 1 where there is none, and of radiance.
+        sides: under the weight of either half of the rays, what is left of the radiance, what is left of the highlight
+            of that half, and that of the other times the weight, (m,) each.
+    """
+
+    share: NDArray[np.float64]
+    shines: NDArray[np.bool_]
+    power: NDArray[np.float64]
+    seen: NDArray[np.float64]
+    sides: list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]]
+
+
+def _albedo(
+    patch: NDArray[np.integer],
+    values: NDArray[np.floating],
+    light: NDArray[np.floating],
+    weight: NDArray[np.floating],
+) -> NDArray[np.float64]:
+    """(n,) albedo of each patch whose light (m,) is closest to ``values`` (m,), least squares by ``weight`` (m,)."""
+    norm = np.bincount(patch, weight * light * light)
+    return np.bincount(patch, weight * values * light) / np.maximum(norm, TINY)
 
 
 def _dielectric(lobe: tuple[NDArray[np.floating], NDArray[np.floating]]) -> NDArray[np.float64]:
@@ -149,9 +180,7 @@ def _trust(
     """(m,) weight of each observation: less where the patch has another albedo than its region, since then the mesh, or
     the light there, is not what it seems."""
     weight = fits.weight / scale**2
-    norm = np.bincount(fits.patch, weight * light * light)
-    albedo = np.bincount(fits.patch, weight * shown * light) / np.maximum(norm, TINY)
-    log_albedo = np.log(np.maximum(albedo, MIN_ALBEDO))[:, None]
+    log_albedo = np.log(np.maximum(_albedo(fits.patch, shown, light, weight), MIN_ALBEDO))[:, None]
     off = np.abs(log_albedo - fits.medians(log_albedo)[fits.region])
     deviation = np.maximum(MAD * fits.medians(off), MIN_ALBEDO_DEVIATION)[fits.region]
     # Geman and McClure's weight: a patch that is far off counts for nothing.
