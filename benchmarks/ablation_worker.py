@@ -13,7 +13,6 @@ import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest.mock import patch
@@ -78,8 +77,12 @@ def left_out(name: str) -> Iterator[None]:
     """The engine without ``name``; raises KeyError for what is no refinement and no mechanism."""
     with ExitStack() as undone:
         if name in decide.REFINEMENTS:
-            refused = replace(decide.REFINEMENTS[name], gain=np.inf)
-            undone.enter_context(patch.dict(decide.REFINEMENTS, {name: refused}))  # type: ignore[arg-type]
+            decide_as_before = decide.accept
+
+            def refusing(asked: str, *losses: float, **more: float) -> bool:
+                return asked != name and decide_as_before(asked, *losses, **more)
+
+            undone.enter_context(patch.object(decide, "accept", refusing))
         elif name != NOTHING:
             for module, attribute, by in MECHANISMS[name]:
                 owner: Any = importlib.import_module(f"iris_addon.{module}")

@@ -32,6 +32,7 @@ def test_a_refinement_that_is_left_out_earns_nothing_whatever_it_gains(name: str
     assert decide.accept(name, 1.0, -10.0)
     with left_out(name):
         assert not decide.accept(name, 1.0, -10.0)
+        assert not decide.Decisions().accept(name, -1.0, -10.0)
     assert decide.accept(name, 1.0, -10.0)
 
 
