@@ -10,20 +10,44 @@ from __future__ import annotations
 import hashlib
 import os
 import stat
+import sys
 import tempfile
-from collections.abc import Callable
-from contextlib import suppress
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numba
 import numpy as np
-from numba.core import config as numba_config
-from numba.core.caching import FunctionCache
 from numpy.typing import NDArray
 
 from .files import user_cache
+
+
+@contextmanager
+def _without_yaml() -> Iterator[None]:
+    """Numba, imported in here, does not read ``.numba_config.yaml`` of the current folder.
+
+    That is often the folder of a file from an untrusted source, and the configuration can name a folder of compiled
+    functions: pickles, which run what they say.
+    """
+    kept = {name: sys.modules.pop(name) for name in ("yaml",) if name in sys.modules}
+    sys.modules["yaml"] = None  # type: ignore[assignment] - Python's way to say that a module cannot be imported
+    try:
+        with warnings.catch_warnings(action="ignore"):  # that the file is there
+            yield
+    finally:
+        del sys.modules["yaml"]
+        sys.modules.update(kept)
+
+
+with _without_yaml():
+    import numba
+    from numba.core import config as numba_config
+    from numba.core.caching import FunctionCache
+
+numba_config._config_fname = ""  # type: ignore[attr-defined] - it is looked for again whenever something is compiled
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Real = Any
@@ -84,8 +108,9 @@ def _kept() -> bool:
 
     Numba does not see that a kernel called from another file has changed, so the folder is named after all sources.
     """
-    # NUMBA_CACHE_DIR is the user's own choice.
-    folder = Path(numba_config.CACHE_DIR) if numba_config.CACHE_DIR else user_cache() / "kernels" / _digest()
+    # The variable is the user's own choice; Numba's own setting may come from a file of the current folder.
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    folder = Path(chosen) if chosen else user_cache() / "kernels" / _digest()
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):

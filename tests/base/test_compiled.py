@@ -104,3 +104,14 @@ def test_compiled_code_is_not_read_from_a_folder_that_others_write(tmp_path):
         path.unlink()
     run(tmp_path)
     assert files and not kept(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["cache_dir: planted\n", "a: [\n", "disable_jit: 1\nopt: many\n"])
+def test_a_configuration_in_the_current_folder_is_not_read(tmp_path, text):
+    """It can name a folder of compiled code, which lies beside it and runs what it says."""
+    pytest.importorskip("yaml", reason="Numba reads the file by PyYAML")
+    foreign = tmp_path / "stranger"
+    (foreign / "planted").mkdir(mode=0o700, parents=True)
+    (foreign / ".numba_config.yaml").write_text(text)
+    run(tmp_path, before=f"import os\nos.chdir({str(foreign)!r})\n")
+    assert kept(tmp_path) and not kept(foreign) and not list((foreign / "planted").iterdir())
