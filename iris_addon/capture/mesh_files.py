@@ -23,7 +23,7 @@ from ..model.capture import DEGENERATE_AREA, FloatArray, Mesh
 from ..rays.tracer import Tracer
 from .glb_geometry import INSTANCES, MESHOPT, plain_geometry
 from .ply_files import MAX_MESH_BYTES, read_ply
-from .polygons import triangulate
+from .polygons import texture_coordinates, triangulate
 
 AGAIN = "copy or export the mesh again"
 MESH_SUFFIXES = (".ply", ".obj", ".glb")
@@ -147,7 +147,7 @@ def _convert(geometry: trimesh.Trimesh, transform: FloatArray) -> Mesh:
     per_vertex = getattr(geometry.visual, "uv", None)
     uv = None
     if per_vertex is not None and len(per_vertex) == len(vertices):
-        uv = np.asarray(per_vertex, np.float32)[faces]
+        uv = texture_coordinates(per_vertex)[faces]
     return Mesh(vertices, faces, uv)
 
 
@@ -306,7 +306,7 @@ def read_obj(path: Path) -> Mesh:
     at = triangulate(vertices, corners, np.array(lines.counts, np.int64))
     uv = None
     if len(corner_uv) and lines.uv and corner_uv.min() >= 0:
-        uv = np.array(lines.uv, np.float32)[corner_uv[at]]
+        uv = texture_coordinates(lines.uv)[corner_uv[at]]
     labels = lines.materials if len(set(lines.materials)) > 1 else lines.groups
     return Mesh(
         vertices,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..base.errors import BadInput
 from ..base.untrusted import open_file
 from ..model.capture import Mesh
-from .polygons import triangulate
+from .polygons import texture_coordinates, triangulate
 
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
@@ -72,10 +72,10 @@ def read_ply(path: Path) -> Mesh:
 def _uv(vertex: dict, face: dict, corners: NDArray, counts: NDArray, at: NDArray) -> NDArray[np.float32] | None:
     """(F, 3, 2) of the faces' list of texture coordinates, else of the vertices."""
     if "texcoord" in face and np.array_equal(face["texcoord"][1], 2 * counts):
-        return np.asarray(face["texcoord"][0], np.float32).reshape(-1, 2)[at]
+        return texture_coordinates(face["texcoord"][0]).reshape(-1, 2)[at]
     for u, v in _UV_NAMES:
         if u in vertex and v in vertex:
-            return np.stack([vertex[u], vertex[v]], -1).astype(np.float32)[corners[at]]
+            return texture_coordinates(np.stack([vertex[u], vertex[v]], -1))[corners[at]]
     return None
 
 

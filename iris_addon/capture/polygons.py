@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import mapbox_earcut
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..model.capture import FloatArray
 
@@ -34,6 +34,12 @@ def triangulate(vertices: FloatArray, corners: NDArray[np.int64], counts: NDArra
         own = slice(start[polygon], start[polygon] + counts[polygon])
         triangles[first[polygon] : first[polygon] + made[polygon]] = start[polygon] + _cut(vertices[corners[own]])
     return triangles
+
+
+def texture_coordinates(values: ArrayLike) -> NDArray[np.float32]:
+    """``values`` in single precision; those beyond its range become infinite, which no texture has."""
+    with np.errstate(over="ignore"):
+        return np.asarray(values, np.float32)
 
 
 def _splits_badly(quads: FloatArray) -> NDArray[np.bool_]:
