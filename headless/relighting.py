@@ -90,10 +90,10 @@ def relight(args: argparse.Namespace, progress: Progress) -> Outcome:
     """Views in other light, rendered or mixed from light shares."""
     result, views = _read(args)
     job = read_json(args.lights)
+    if args.shares is not None:
+        _without_frames(args, "--shares")
+        return _mix_shares(args, progress, result, views, job)
     with _naming(args.lights):
-        if args.shares is not None:
-            _without_frames(args, "--shares")
-            return _mix_shares(args, progress, result, views, job)
         relight_edit(result, job, args.lights.parent)  # errors come before anything is rendered
 
     def edit_at(time: float) -> SceneEdit:
@@ -237,16 +237,12 @@ def _mix_shares(
 ) -> Outcome:
     from iris_addon.edits.light_shares import light_gains, mix_shares, read_shares
 
-    gains, developer = light_gains(result, job), _developer(args, result)
-    written = []
+    with _naming(args.lights):
+        gains = light_gains(result, job)
+    developer, written = _developer(args, result), []
     with progress.stage("mix"):
         for number, view in enumerate(views):
-            path = args.shares / f"{view.name}.exr"
-            shares = read_shares(path)
-            if shares.combined.shape[:2] != (view.camera.height, view.camera.width):
-                raise BadInput(
-                    f"is not {view.camera.width}x{view.camera.height} pixels", "render the shares again", path
-                )
+            shares = read_shares(args.shares / f"{view.name}.exr", (view.camera.width, view.camera.height))
             written.append(developer.write(view, mix_shares(shares.shares, gains)))
             progress.update((number + 1) / len(views))
     return Outcome.of("Mixed", {"files": written})

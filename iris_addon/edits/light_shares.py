@@ -96,8 +96,15 @@ def write_shares(path: Path, light: LightShares) -> None:
     atomic_write(path, lambda temporary: temporary.write_bytes(encoded.getbuffer()))
 
 
-def read_shares(path: Path) -> LightShares:
-    """What :func:`write_shares` wrote; raises BadInput."""
+def read_shares(path: Path, size: tuple[int, int] | None = None) -> LightShares:
+    """What :func:`write_shares` wrote.
+
+    Args:
+        size: (width, height) that it must have; looked at before anything is decoded.
+
+    Raises:
+        BadInput: it is no such file, or of another size.
+    """
     import OpenEXR
 
     mend = "render them again with --light-shares"
@@ -105,6 +112,8 @@ def read_shares(path: Path) -> LightShares:
     check_exr_samples(path, announced)
     if len({(part.width, part.height) for part in announced}) != 1:
         raise BadInput("has parts of different sizes", mend, path)
+    if size is not None and (announced[0].width, announced[0].height) != size:
+        raise BadInput(f"is not {size[0]}x{size[1]} pixels", mend, path)
     if len(announced) < 2 or any(sorted(part.channels) != ["B", "G", "R"] for part in announced):
         raise BadInput("holds no light shares", mend, path)
     with decoding(path, "holds no light shares", mend):

@@ -249,8 +249,9 @@ def test_light_shares_of_two_sizes_are_refused(tmp_path: Path) -> None:
 def test_light_shares_are_looked_at_before_they_are_decoded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     light = LightShares(np.ones((40, 60, 3), np.float32), {"a": np.ones((40, 60, 3), np.float32)})
     write_shares(tmp_path / "a.exr", light)
-    monkeypatch.setattr("iris_addon.base.image_headers.MAX_PIXELS", 1000)
     monkeypatch.setattr(OpenEXR, "File", None)
+    assert "a.exr: is not 30x40 pixels" in refused(read_shares, tmp_path / "a.exr", (30, 40))
+    monkeypatch.setattr("iris_addon.base.image_headers.MAX_PIXELS", 1000)
     assert "a.exr: is 60x40 pixels" in refused(read_shares, tmp_path / "a.exr")
 
 
