@@ -24,6 +24,7 @@ from iris_addon.base.untrusted import read_json
 from iris_addon.results.result import Result
 
 from .child import run_command
+from .frame_folder import frames_in
 from .job_file import Frames, Job, read_jobs
 from .outcome import Outcome, summarise
 from .side_by_side import run_side_by_side
@@ -218,16 +219,28 @@ def _left_behind(unit: Unit, folder: Path) -> Line:
     """The line that a run of ``unit`` alone has written; of frames that ran in chunks, how many there are."""
     line, path = unit.line(), _line_file(unit, folder)
     if path.is_file():
-        known = {f.name for f in fields(Line)}
-        return Line(**{name: value for name, value in read_json(path).items() if name in known})
+        return _read_line(path, line)
     if unit.frames is not None:
         wanted = range(unit.frames.first, unit.frames.last + 1)
-        there = sum(any(unit.frames.out.glob(f"frame_{frame:04d}.*")) for frame in wanted)
+        there = len(frames_in(unit.frames.out, wanted))
         line.figures = {"frames": there}
         line.status = "done" if there == len(wanted) else "failed"
         line.error = "" if there == len(wanted) else f"{len(wanted) - there} of {len(wanted)} frames are missing"
     else:
         line.status, line.error = "failed", "has not run"
+    return line
+
+
+def _read_line(path: Path, line: Line) -> Line:
+    """``line`` with what the file ``path`` says; raises BadInput where that is no line."""
+    content = read_json(path)
+    for name in (f.name for f in fields(Line)):
+        value, own = content.get(name, getattr(line, name)), getattr(line, name)
+        if type(value) is not type(own) and not (isinstance(own, float) and isinstance(value, int)):
+            raise BadInput(f"'{name}' is not what a run of a job writes", "delete it, and run the job again", path)
+        setattr(line, name, one_line(value, MAX_QUOTED) if isinstance(value, str) else value)
+    if not all(isinstance(value, int | float) for value in line.metrics.values()):
+        raise BadInput("'metrics' are not numbers", "delete it, and run the job again", path)
     return line
 
 
@@ -261,4 +274,4 @@ def _table(lines: Sequence[Line]) -> str:
 
 
 def _cell(value: Any) -> str:
-    return "–" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+    return "–" if value is None else f"{value:.4g}" if isinstance(value, float) else one_line(str(value), MAX_QUOTED)

@@ -73,15 +73,24 @@ class Frames:
 
     def all_finished(self) -> list[int]:
         """The frames that need not be rendered again, in order: those that lie in the folder, whatever the length."""
-        names = re.compile(rf"frame_(\d{{4,9}}){re.escape(self.suffix)}")
-        found = [int(match[1]) for path in self.folder.iterdir() if (match := names.fullmatch(path.name))]
-        whole = range(self.first, self.first + self.length)
-        return sorted(frame for frame in set(found) if frame in whole and self.finished(frame))
+        there = frames_in(self.folder, range(self.first, self.first + self.length), self.suffix)
+        return sorted(frame for frame in there if self.finished(frame))
 
     def remember(self, **facts: Any) -> None:
         """Keep ``facts`` beside the frames."""
         self.facts.update(facts)
         write_json(self.folder / RECORD, self.facts)
+
+
+def frames_in(folder: Path, wanted: range, suffix: str | None = None) -> set[int]:
+    """Those of the frames ``wanted`` that lie in ``folder``; the folder is looked at, however many are wanted.
+
+    Args:
+        suffix: of the frames; None for any.
+    """
+    names = re.compile(r"frame_(\d{4,9})" + (r"\.\w+" if suffix is None else re.escape(suffix)))
+    there = folder.iterdir() if folder.is_dir() else ()
+    return {int(match[1]) for path in there if (match := names.fullmatch(path.name)) and int(match[1]) in wanted}
 
 
 def open_frames(folder: Path, length: int, suffix: str, job: Mapping[str, Any], first: int = 1) -> Frames:

@@ -36,13 +36,14 @@ from tests.result_room import room
 
 from .camera_files import camera_targets
 from .checks import Target, files
+from .more_files import more_targets
 
 # ---- good files -----------------------------------------------------------------------------------------------------
 
 
 def targets(root: Path) -> list[Target]:
     """Every kind of file with its reader, in folders below ``root``."""
-    return [*_captures(root), *camera_targets(root), *_results(root), *_jobs(root)]
+    return [*_captures(root), *camera_targets(root), *_results(root), *_jobs(root), *more_targets(root)]
 
 
 def _captures(root: Path) -> Iterator[Target]:

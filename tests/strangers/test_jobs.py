@@ -180,6 +180,25 @@ def test_a_job_whose_traceback_has_no_place_does_not_end_the_batch(
         assert line.status == "failed" and line.error.startswith("ValueError: one two") and line.error.isprintable()
 
 
+def test_a_summary_looks_at_the_frames_that_are_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once for an animation, and not once for each of the frames that a job file says it has."""
+    frames = "".join(f'[[job.frames]]\nname = "{k}"\nframes = "1-1000000"\n' for k in range(3))
+    (tmp_path / "jobs.toml").write_text(f'[[job]]\ncapture = "a"\n{frames}')
+    folder = tmp_path / "jobs" / "a" / "1"
+    folder.mkdir(parents=True)
+    for name in ("frame_0001.png", "frame_0007.exr", "frame_0007.png", "frame_9999999.png", "frame_x.png"):
+        (folder / name).touch()
+    looked: list[Path] = []
+    for method in ("iterdir", "glob"):
+        real = getattr(Path, method)
+        counted = lambda self, *more, real=real: (looked.append(self), real(self, *more))[1]  # noqa: E731
+        monkeypatch.setattr(Path, method, counted)
+    assert cli.main(["batch", str(tmp_path / "jobs.toml"), "--summary"]) == 1
+    assert looked == [folder]
+    lines = json.loads((tmp_path / "jobs" / "summary.json").read_text())["jobs"]
+    assert [line["figures"].get("frames") for line in lines] == [None, 0, 2, 0]
+
+
 # ---- lights and objects ---------------------------------------------------------------------------------------------
 
 HUGE = int("9" * 400)
