@@ -185,6 +185,49 @@ def test_no_command_runs_code_of_the_current_folder(
     assert not (tmp_path / "PWNED").exists(), (tmp_path / "PWNED").read_text()
 
 
+@pytest.mark.bpy
+@pytest.mark.parametrize("reader", ["synth", "composite", "probe"])
+def test_a_blend_runs_no_code_whatever_the_preferences_say(tmp_path: Path, reader: str) -> None:
+    """A text that registers itself, and a driver; whoever lets their own files run has not asked for this one."""
+    script = f"""
+import sys
+sys.path.insert(0, {str(ROOT)!r})
+from pathlib import Path
+import bpy
+folder = Path({str(tmp_path)!r})
+text = bpy.data.texts.new("run.py")
+text.write(f"open({{str(folder / 'PWNED')!r}}, 'a')")
+text.use_module = True
+thing = bpy.data.objects.new("thing", None)
+bpy.context.scene.collection.objects.link(thing)
+driver = thing.driver_add("location", 0).driver
+driver.type, driver.expression = "SCRIPTED", f"[open({{str(folder / 'PWNED')!r}}, 'a'), 0.0][1]"
+bpy.ops.wm.save_as_mainfile(filepath=str(folder / "stranger.blend"))
+(folder / "PWNED").unlink(missing_ok=True)
+bpy.context.preferences.filepaths.use_scripts_auto_execute = True
+from iris_addon.blender.insert import photo_composite, probe
+from iris_addon.blender.synth import run
+from iris_addon.model.render_settings import RenderSettings
+blend = folder / "stranger.blend"
+read = {{
+    "synth": lambda: run._open(blend, (32, 24)),
+    "composite": lambda: photo_composite.open_scene(blend),
+    "probe": lambda: probe.probe_file(
+        blend, (0, 0, 0), folder / "a.exr", width=8, settings=RenderSettings(samples=1)
+    ),
+}}[{reader!r}]
+try:
+    read()
+except Exception as error:
+    print(type(error).__name__)
+bpy.context.view_layer.update()
+assert "thing" in bpy.data.objects
+print("RAN", (folder / "PWNED").exists())
+"""
+    ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert "RAN False" in ran.stdout, ran.stdout + ran.stderr
+
+
 # ---- small files that cost much -------------------------------------------------------------------------------------
 
 BOMBS = {

@@ -151,7 +151,7 @@ def composite_file(
 def open_scene(blend: Path) -> bpy.types.Scene:
     """Open ``blend``; its scene with a solved room. Raises BadInput if there is none."""
     try:
-        bpy.ops.wm.open_mainfile(filepath=str(blend.absolute()), load_ui=False)
+        bpy.ops.wm.open_mainfile(filepath=str(blend.absolute()), load_ui=False, use_scripts=False)
     except RuntimeError as error:
         raise BadInput("cannot be opened", "give a .blend with a solved room", blend) from error
     scenes = [scene for scene in bpy.data.scenes if APPLIED in scene]

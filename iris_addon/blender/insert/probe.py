@@ -62,7 +62,7 @@ def probe_file(blend: Path, at: Sequence[float], out: Path, *, width: int, setti
         IrisError: ``out`` cannot be written.
     """
     try:
-        bpy.ops.wm.open_mainfile(filepath=str(blend.absolute()), load_ui=False)
+        bpy.ops.wm.open_mainfile(filepath=str(blend.absolute()), load_ui=False, use_scripts=False)
     except RuntimeError as error:
         raise BadInput(
             "cannot be opened", "give a .blend with a solved room, or the folder of a result", blend

@@ -115,7 +115,7 @@ def synth(scene_blend: Path, out: Path, config: SynthConfig | None = None, progr
 
 def _open(path: Path, resolution: tuple[int, int]) -> bpy.types.Scene:
     try:
-        bpy.ops.wm.open_mainfile(filepath=str(path.absolute()))
+        bpy.ops.wm.open_mainfile(filepath=str(path.absolute()), use_scripts=False)
     except RuntimeError as error:
         raise BadInput(
             "cannot be opened by Blender", "give a .blend file of this or an earlier version", path
