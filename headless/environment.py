@@ -10,6 +10,7 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import chdir
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -44,10 +45,23 @@ RUN = Path(__file__).with_name("run.py")
 
 def missing_packages(args: argparse.Namespace) -> list[str]:
     """Packages that the command of ``args`` needs and this Python lacks."""
-    needed = NEEDS[args.command]
-    if args.command == "evaluate" and not args.no_render:
-        needed = (*needed, "bpy")
-    return [name for name in needed if name not in sys.modules and find_spec(name) is None]
+    return [name for name in _needed(args) if name not in sys.modules and find_spec(name) is None]
+
+
+def _needed(args: argparse.Namespace) -> tuple[str, ...]:
+    renders = args.command == "evaluate" and not args.no_render
+    return (*NEEDS[args.command], "bpy") if renders else NEEDS[args.command]
+
+
+def import_blender(args: argparse.Namespace) -> None:
+    """Import Blender as a module, if the command of ``args`` needs it.
+
+    Its sound library loads every library in a folder ``plugins`` of the current folder, which may be that of a file
+    from an untrusted source. So it is imported in the folder of this program.
+    """
+    if "bpy" in _needed(args) and "bpy" not in sys.modules:
+        with chdir(RUN.parent):
+            import bpy  # noqa: F401 - the modules that use it import it again
 
 
 def unusable(error: ImportError) -> IrisError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from headless import frame_folder, make_environment
+from headless.environment import RUN
 from iris_addon.blender.worker.jobs import (
     composite_command,
     environment_command,
@@ -131,3 +133,26 @@ def test_ffmpeg_is_never_that_of_the_current_folder(
     assert frame_folder.find_ffmpeg() is None
     monkeypatch.setenv("PATH", os.pathsep.join([".", str(tmp_path / "bin")]))
     assert frame_folder.find_ffmpeg() == str(tmp_path / "bin" / "ffmpeg")
+
+
+EVIL = """
+#include <stdio.h>
+__attribute__((constructor)) static void run(void) { FILE *file = fopen("PWNED", "w"); if (file) fclose(file); }
+"""
+
+
+@pytest.mark.bpy
+@pytest.mark.skipif(sys.platform != "linux" or shutil.which("cc") is None, reason="there is no compiler for a library")
+def test_blender_loads_no_library_of_the_current_folder(foreign: Path) -> None:
+    """Its sound library looks for plug-ins there."""
+    (foreign / "evil.c").write_text(EVIL)
+    (foreign / "plugins").mkdir()
+    subprocess.run(["cc", "-shared", "-fPIC", "-o", "plugins/evil.so", "evil.c"], check=True)
+    command = [sys.executable, "-B", str(RUN), "probe", "nothing.blend", "--at", "0", "0", "0", "--out", "a.exr"]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ran.returncode == 3 and "nothing.blend" in ran.stderr, ran.stderr
+    assert not (foreign / "PWNED").exists()
+    for path in foreign.glob("*.py"):  # numpy.py and the rest, which Python itself would import by -c
+        path.unlink()
+    subprocess.run([sys.executable, "-c", "import bpy"], check=True)
+    assert (foreign / "PWNED").exists(), "Blender does not look there any more: importing it needs no care"
