@@ -9,7 +9,7 @@ from typing import Literal
 from .base.errors import BadInput
 from .model.texture_size import AskedSize, atlas_size_of, density_of
 
-MAX_SEED = 2**30
+MAX_SEED = 2**30 - 1
 """Of seeds and samples: Blender has 32 bits for the double of one."""
 TEXTURE_OPTIONS = ("atlas_size", "texels_per_metre")
 """Settings of the size of textures."""

@@ -21,7 +21,7 @@ from headless.frame_folder import open_frames, write_film
 from iris_addon.base.errors import BadInput, IrisError
 from iris_addon.base.progress import Progress
 from iris_addon.base.untrusted import MAX_DEPTH
-from iris_addon.config import preset
+from iris_addon.config import MAX_SEED, preset
 from iris_addon.edits.jobs import insertion_edits, relight_edit
 from iris_addon.edits.light_shares import LightShares, read_shares, write_shares
 from iris_addon.edits.motion import at_time
@@ -135,6 +135,11 @@ def test_options_beyond_what_blender_takes_are_usage_errors(
 
 def test_a_resolution_beyond_all_photos_is_a_usage_error() -> None:
     assert cli.main(["synth", "s.blend", "--out", "o", "--resolution", "99999x99999"]) == 2
+
+
+def test_twice_the_largest_seed_fits_into_blender() -> None:
+    """The two halves of a composited picture have seeds of their own."""
+    assert 2 * MAX_SEED + 1 == 2**31 - 1
 
 
 # ---- batch ----------------------------------------------------------------------------------------------------------
