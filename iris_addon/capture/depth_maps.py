@@ -28,6 +28,7 @@ from ..model.capture import Camera, Distortion, View
 from .depth_fusion import DepthMap
 from .lens import distort
 from .listing import frames_of, has_pose, inside, number, read_json_object
+from .mesh_files import MAX_COORDINATE
 from .nerfstudio import view_of_frame
 from .photo_files import open_photo
 from .pose_folders import MAX_TUM_BYTES, TUM_CLOCKS, read_matrix
@@ -169,10 +170,12 @@ def _stored(depth: Path) -> NDArray:
 def _read(view: View, depth: Path, scale: float) -> NDArray[np.float32]:
     """(H, W) metres along the view axis of a pinhole, 0 where nothing is known."""
     numbers = _stored(depth)
-    known = np.isfinite(numbers) & (numbers > 0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        far = numbers.astype(np.float64) * scale
+    known = (far > 0) & (far <= MAX_COORDINATE)
     if numbers.dtype.kind in "iu":
         known &= numbers != FULL
-    metres = np.where(known, numbers * np.float32(scale), 0).astype(np.float32)
+    metres = np.where(known, far, 0).astype(np.float32)
     return metres if view.distortion is None else _straight(metres, view.camera, view.distortion)
 
 

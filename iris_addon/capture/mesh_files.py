@@ -7,6 +7,7 @@ PLY are read here, because general readers sort faces by material, and cut conca
 from __future__ import annotations
 
 import io
+import logging
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -24,6 +25,9 @@ from ..rays.tracer import Tracer
 from .glb_geometry import INSTANCES, MESHOPT, plain_geometry
 from .ply_files import MAX_MESH_BYTES, read_ply
 from .polygons import texture_coordinates, triangulate
+
+# What trimesh logs goes to those who look at its log; an error about a file is one line.
+logging.getLogger("trimesh").addHandler(logging.NullHandler())
 
 AGAIN = "copy or export the mesh again"
 MESH_SUFFIXES = (".ply", ".obj", ".glb")

@@ -8,6 +8,7 @@ opaque are no picture. HEIC needs the package pillow-heif, camera raw files need
 from __future__ import annotations
 
 import io
+import logging
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,6 +24,9 @@ from ..base.errors import BadInput
 from ..base.image_headers import MAX_IMAGE_BYTES, check_pixels
 from ..base.images import HDR_SUFFIXES, check_image, exr_size, read_exr
 from ..base.untrusted import decoding, open_file
+
+# What Pillow logs goes to those who look at its log; an error about a file is one line.
+logging.getLogger("PIL").addHandler(logging.NullHandler())
 
 FORMATS = ("PNG", "JPEG", "MPO", "WEBP", "TIFF", "AVIF", "BMP", "HEIF")
 """Pillow's names. MPO is a JPEG with further pictures behind it, as phones with several lenses or gain maps write."""

@@ -66,7 +66,7 @@ def _photos(folder: Path) -> Iterator[Target]:
     image.save(
         folder / "wide.jpg", exif=exif, icc_profile=matrix_profile([(0.68, 0.32), (0.265, 0.69), (0.15, 0.06)], 2.2)
     )
-    (folder / "deep.tif").write_bytes(_deep_tiff())
+    (folder / "deep.tif").write_bytes(deep_tiff())
     (folder / "a.dng").write_bytes(_dng())
     for name in ("a.webp", "a.tif", "a.bmp", "a.avif", "a.heic", "wide.jpg", "deep.tif", "a.dng"):
 
@@ -100,7 +100,8 @@ def _short(*values: int) -> bytes:
     return struct.pack(f"<{len(values)}H", *values)
 
 
-def _deep_tiff() -> bytes:
+def deep_tiff() -> bytes:
+    """A photo of 16 bits per channel."""
     shape = [(256, 3, _short(WIDTH)), (257, 3, _short(HEIGHT)), (258, 3, _short(16, 16, 16)), (259, 3, _short(1))]
     rest = [(262, 3, _short(2)), (277, 3, _short(3)), (278, 3, _short(HEIGHT)), (284, 3, _short(1))]
     return _tiff([*shape, *rest], (CODES.astype("<u2") * 257).tobytes())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import subprocess
 import sys
 import tracemalloc
 import zlib
@@ -22,8 +23,11 @@ from iris_addon.capture.colmap import colmap_model, read_colmap_views
 from iris_addon.capture.listing import inside, safe_name
 from iris_addon.capture.mesh_files import read_mesh
 from iris_addon.capture.reader import read_capture
+from tests.blender_home import ROOT
 from tests.box_room import RoomCapture, box_mesh, write_mesh
+from tests.capture.test_mesh_files import draco_glb
 from tests.colmap_model import camera_of, poses, write_text
+from tests.strangers.more_files import deep_tiff
 
 LITTLE = 60 << 20
 """Bytes that no refusal allocates."""
@@ -254,6 +258,32 @@ def test_a_ply_that_names_a_texture_is_read_in_silence(tmp_path: Path, capfd: py
     (tmp_path / "a.ply").write_bytes(data.replace(b"element vertex", b"comment TextureFile no.png\nelement vertex", 1))
     assert len(read_mesh(tmp_path / "a.ply")[0].faces) == 12
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("damage", ["draco", "tiff"])
+def test_what_libraries_log_of_a_damaged_file_is_not_printed(tmp_path: Path, damage: str) -> None:
+    """A process of its own: pytest listens to all logs."""
+    path = tmp_path / ("a.glb" if damage == "draco" else "a.tif")
+    if damage == "draco":
+        pytest.importorskip("DracoPy")
+        path.write_bytes(draco_glb().replace(b'"attributes": {"POSITION": 0}}', b'"attributes": [ "POSITION"  ]}'))
+    else:
+        samples = struct.pack("<HHI", 277, 3, 1)
+        path.write_bytes(deep_tiff().replace(samples + b"\x03\0", samples + b"\0\x80"))
+    code = f"""
+import sys
+sys.path.insert(0, {str(ROOT)!r})
+from pathlib import Path
+from iris_addon.base.errors import BadInput
+from iris_addon.capture.mesh_files import read_mesh
+from iris_addon.capture.photo_files import read_photo
+try:
+    {"read_mesh" if damage == "draco" else "read_photo"}(Path({str(path)!r}))
+except BadInput as error:
+    print(error)
+"""
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert ran.stderr == "" and ran.stdout.count("\n") == 1 and path.name in ran.stdout, ran
 
 
 @pytest.mark.parametrize("count", ["9" * 5000, "9" * 30, "-1", "x"])

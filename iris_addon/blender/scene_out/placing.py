@@ -6,7 +6,9 @@ Objects come from .blend, .glb, .gltf, .obj and .usd files.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import redirect_stderr, redirect_stdout
 from functools import cached_property
+from io import StringIO
 
 import bmesh
 import bpy
@@ -230,7 +232,8 @@ def _import_file(source: ObjectFile) -> None:
             wanted.objects = found.objects
     elif kind in (".glb", ".gltf"):
         require_gltf()
-        bpy.ops.import_scene.gltf(filepath=path)
+        with redirect_stdout(StringIO()), redirect_stderr(StringIO()):  # tracebacks of a file that is damaged
+            bpy.ops.import_scene.gltf(filepath=path)
     elif kind == ".obj":
         require_build_option("io_wavefront_obj", "An .obj file")
         bpy.ops.wm.obj_import(filepath=path)
