@@ -194,8 +194,11 @@ def _render(unit: Unit, frames: Frames, args: argparse.Namespace, progress: Prog
         last = first
     elif args.chunk is not None:
         first, last = frames.frames_of(args.chunk)
-    words = [frames.command, str(unit.job.out), "--out", str(frames.out), "--frames", f"{first}-{last}"]
-    length = [] if frames.command == "onto-plate" else ["--length", str(frames.last)]
+    words = [frames.command, str(unit.job.out)]
+    if frames.scene is not None:
+        words = [frames.command, str(frames.scene), "--result", str(unit.job.out), "--resume"]
+    words += ["--out", str(frames.out), "--frames", f"{first}-{last}"]
+    length = [] if frames.command in ("onto-plate", "composite") else ["--length", str(frames.last)]
     return run_command([*words, *length, *frames.options], progress)
 
 

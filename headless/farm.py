@@ -162,6 +162,7 @@ def _assets(path: Path, jobs: Sequence[Job]) -> dict[str, Any]:
         for frames in job.frames:
             words = frames.options
             files += [Path(word) for option, word in pairwise(words) if option in _FILE_OPTIONS]
+            files += [] if frames.scene is None else [frames.scene]
             plates = [Path(word) for option, word in pairwise(words) if option == "--plate"]
             folders += [plate if plate.is_dir() else plate.parent for plate in plates]
     inputs = {

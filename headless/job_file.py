@@ -14,9 +14,10 @@
     evaluate = true                 # score maps, light and camera against the capture's ground truth
 
     [[job.frames]]                  # any number of them, rendered when the job above is solved
-    command = "relight"             # render, relight, insert or onto-plate, with the options of that command
+    command = "relight"             # render, relight, insert, onto-plate or composite, with the options of that
     lights = "evening.json"         # of relight; objects = "..." of insert and onto-plate
-    views = "cameras.json"          # default: the capture; onto-plate has plate = "..." and camera = "..." instead
+    views = "cameras.json"          # default: the capture; onto-plate has plate = "..." and camera = "..." instead,
+                                    # composite scene = "shot.blend", and exposure = "auto" without a plate
     frames = "1-120"
     chunk = 10                      # frames of one task on a farm
     name = "evening"                # default: the command
@@ -48,10 +49,13 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "relight": ("lights",),
     "insert": ("objects",),
     "onto-plate": ("plate", "camera", "objects"),
+    "composite": ("scene",),
 }
 """Commands that render, and the keys of the files that each needs beside the views."""
-NEEDED = ("lights", "objects", "plate", "camera")
+NEEDED = ("lights", "objects", "plate", "camera", "scene")
 NOT_FOR_PLATES = ("views", "exposure", "onto_photos")
+NOT_FOR_SCENES = ("views", "onto_photos", "linear", "acescg", "fps")
+"""Of ``composite``, which has the rate of its scene; its ``exposure`` is that of the plate, or auto without one."""
 FRAME_PATHS = ("views", "out", *NEEDED)
 ONLY_FOR_PLATES = ("layers",)
 FRAME_SWITCHES = ("linear", "acescg", "gpu", "onto_photos", *ONLY_FOR_PLATES)
@@ -71,6 +75,7 @@ class Frames:
         first, last: frames, both included.
         chunk: frames of one task on a farm.
         waits_for_first: whether all frames share an exposure that is measured on the first.
+        scene: the .blend that ``composite`` renders.
     """
 
     name: str
@@ -81,6 +86,7 @@ class Frames:
     last: int
     chunk: int
     waits_for_first: bool
+    scene: Path | None = None
 
     @property
     def chunks(self) -> int:
@@ -196,19 +202,25 @@ def _frames(entry: Any, where: str, path: Path, located: Located, job: tuple[str
     command = entry.get("command", "render")
     if command not in COMMANDS:
         raise BadInput(f"{where}: command is {command!r}", f"commands are {', '.join(COMMANDS)}", path)
-    needed, on_plate = COMMANDS[command], command == "onto-plate"
+    needed, on_plate, own_scene = COMMANDS[command], command == "onto-plate", command == "composite"
     not_for = [key for key in NEEDED if key not in needed] + list(NOT_FOR_PLATES if on_plate else ONLY_FOR_PLATES)
+    not_for += NOT_FOR_SCENES if own_scene else ()
     wrong = next((key for key in (*needed, *not_for) if (key in entry) != (key in needed)), None)
     if wrong is not None:
         raise BadInput(
             f"{where}: {wrong} {'is missing' if wrong in needed else 'is not for ' + command}", "mend it", path
         )
-    first, last = _range(entry.get("frames"), 0 if on_plate else 1, where, path)
+    if own_scene and entry.get("exposure", "auto") != "auto":
+        raise BadInput(
+            f"{where}: exposure is {entry['exposure']!r}", "leave it out, or give auto without a plate", path
+        )
+    first, last = _range(entry.get("frames"), 0 if on_plate or own_scene else 1, where, path)
     name = _name(entry.get("name", command), where, path)
-    options = [] if on_plate else ["--views", str(located(entry["views"]) if "views" in entry else capture)]
-    for key in needed:
+    views = located(entry["views"]) if "views" in entry else capture
+    options = [] if on_plate or own_scene else ["--views", str(views)]
+    for key in () if own_scene else needed:
         options += [f"--{key}", str(located(entry[key]))]
-    for key in (*FRAME_NUMBERS, "exposure"):
+    for key in FRAME_NUMBERS if own_scene else (*FRAME_NUMBERS, "exposure"):
         options += [f"--{key}", str(entry[key])] if key in entry else []
     options += [f"--{key.replace('_', '-')}" for key in FRAME_SWITCHES if entry.get(key)]
     exposure = entry.get("exposure", "auto" if command == "relight" else "photo")
@@ -221,6 +233,7 @@ def _frames(entry: Any, where: str, path: Path, located: Located, job: tuple[str
         last=last,
         chunk=max(1, entry.get("chunk", CHUNK)),
         waits_for_first=exposure == "auto" and not (entry.get("linear") or entry.get("acescg")),
+        scene=located(entry["scene"]) if own_scene else None,
     )
 
 

@@ -24,9 +24,12 @@ from .frame_folder import FloatArray, Frames, open_frames, result_digests, write
 from .outcome import Outcome
 
 if TYPE_CHECKING:
+    import bpy
+
     from iris_addon.blender.insert.differential import Differential
     from iris_addon.edits.scene_edit import SceneEdit
     from iris_addon.model.capture import View
+    from iris_addon.model.device import Device
     from iris_addon.model.render_settings import RenderSettings
     from iris_addon.results.result import Result
 
@@ -197,29 +200,72 @@ class PlateRoom:
 
 
 def composite_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
-    """What was added to the room of a .blend, onto the plate behind its camera; needs no package but Blender's."""
-    from iris_addon.blender.images import read_image
+    """What was added to the room of a .blend, onto the plate behind its camera, or the whole scene where that shows
+    none; needs no package but Blender's."""
     from iris_addon.blender.insert.photo_composite import open_scene
-    from iris_addon.blender.insert.plate import RADIANCE_SUFFIX, plate_picture
+    from iris_addon.blender.insert.plate import RADIANCE_SUFFIX, plate_picture, shows_plate
     from iris_addon.blender.insert.plate_composite import composite_frame
     from iris_addon.model.render_settings import RenderSettings
     from iris_addon.results.records import read_response
 
     device = read_response(args.result).device_of("")  # that of most photos: a plate is none of them
     scene = open_scene(args.blend)
+    if not shows_plate(scene):
+        return _whole_scene(args, progress, scene, device)
     hdr = plate_picture(scene, args.frames.first).suffix.lower() == RADIANCE_SUFFIX
     if device.response.family == "identity" and not hdr:
         what, fix = "was solved from radiance, so the response of the plate is not known", "give the plate as EXR"
         raise BadInput(what, fix, args.result)
-    made_of = {"command": "composite", "result": result_digests(args.result)}
-    whole = {"first": scene.frame_start, "length": scene.frame_end - scene.frame_start + 1}
-    frames = replace(open_frames(args.out, 1, ".exr" if hdr else ".png", made_of), **whole)
+    frames = _frames_of(args, scene, ".exr" if hdr else ".png")
     settings = RenderSettings(samples=args.samples, seed=args.seed, gpu=args.gpu)
 
     def work(number: int) -> bool:
         frame = composite_frame(scene, number, frames.path(number), device, settings)
         _write_exposure(frames, number, frame.exposure, frame.picture)
         return frame.shows_added
+
+    return _make_scene_frames(args, progress, scene, frames, work)
+
+
+def _whole_scene(args: argparse.Namespace, progress: Progress, scene: bpy.types.Scene, device: Device) -> Outcome:
+    """The frames of a scene without a plate, as the camera of the photos would show them at the exposure of the first
+    that is rendered."""
+    from iris_addon.blender.insert.photo_composite import write_png
+    from iris_addon.blender.render.cycles import render_linear, set_cycles
+    from iris_addon.model.render_settings import RenderSettings
+    from iris_addon.model.response import grey_exposure
+
+    if scene.camera is None:
+        raise BadInput("has no active camera", "add the camera of the animation", args.blend)
+    frames = _frames_of(args, scene, ".png")
+    scene.render.use_border = False
+    set_cycles(scene, RenderSettings(samples=args.samples, seed=args.seed, gpu=args.gpu))
+
+    def work(number: int) -> bool:
+        scene.frame_set(number)
+        radiance = render_linear(scene)
+        if "exposure" not in frames.facts:
+            frames.remember(exposure=grey_exposure(radiance))
+        write_png(frames.path(number), device.response.apply(radiance * frames.exposure()))
+        return True
+
+    return _make_scene_frames(args, progress, scene, frames, work)
+
+
+def _frames_of(args: argparse.Namespace, scene: bpy.types.Scene, suffix: str) -> Frames:
+    made_of = {"command": "composite", "result": result_digests(args.result)}
+    whole = {"first": scene.frame_start, "length": scene.frame_end - scene.frame_start + 1}
+    return replace(open_frames(args.out, 1, suffix, made_of), **whole)
+
+
+def _make_scene_frames(
+    args: argparse.Namespace,
+    progress: Progress,
+    scene: bpy.types.Scene,
+    frames: Frames,
+    work: Callable[[int], bool],
+) -> Outcome:
+    from iris_addon.blender.images import read_image
 
     def finished(number: int) -> bool:
         with suppress(BadInput):

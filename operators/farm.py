@@ -11,10 +11,12 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..iris_addon.base.errors import IrisError
+from ..iris_addon.base.errors import BadInput, IrisError
 from ..iris_addon.base.files import atomic_write, require_own_folder, write_json
 from ..iris_addon.blender.apply.farm_frames import relit_frames
 from ..iris_addon.blender.apply.on_objects import APPLIED
+from ..iris_addon.blender.insert.photo_composite import has_additions, write_copy
+from ..iris_addon.blender.insert.plate import shows_plate
 from ..iris_addon.blender.worker import jobs
 from ..iris_addon.blender.worker.jobs import farm_command
 from .folders import capture_path, folder, metres_per_unit, unit_option
@@ -27,8 +29,9 @@ MAX_NAME = 30
 
 
 class IRIS_OT_export_farm(bpy.types.Operator):  # noqa: N801 - Blender's naming
-    """Write the solve of this capture, and the frames of the scene's camera under its lamps, as a job that render
-    farms run: Open Job Description (Deadline Cloud and others) and Flamenco. Placed objects are not in the frames"""
+    """Write the solve of this capture, and the frames of the scene's camera with what was placed in the room, as a job
+    that render farms run: Open Job Description (Deadline Cloud and others) and Flamenco. Behind the camera a plate is
+    the background"""
 
     bl_idname = "iris.export_farm"
     bl_label = "Export Farm Job"
@@ -91,28 +94,41 @@ class IRIS_OT_export_farm(bpy.types.Operator):  # noqa: N801 - Blender's naming
         return _table("[[job]]", job)
 
     def _frames(self, scene: bpy.types.Scene, bundle: Path, name: str) -> str:
+        if shows_plate(scene):
+            table = {"name": "plate", **self._own_scene(scene, bundle, name)}
+        elif has_additions(scene):
+            table = {"name": "scene", "exposure": "auto", **self._own_scene(scene, bundle, name)}
+        else:
+            table = {"name": "frames", **self._relit(scene, bundle, name)}
+        return _table("[[job.frames]]", {**table, "chunk": self.chunk, "samples": self.samples, "gpu": self.gpu})
+
+    def _own_scene(self, scene: bpy.types.Scene, bundle: Path, name: str) -> dict[str, str | int]:
+        """Frames of a copy of the scene, which has all that Blender renders: numbered as Blender does."""
+        if scene.camera is None:
+            raise BadInput("this scene has no camera", "add the camera of the animation")
+        write_copy(scene, bundle / f"{name}.blend")
+        return {"command": "composite", "scene": f"{name}.blend", "frames": f"{scene.frame_start}-{scene.frame_end}"}
+
+    def _relit(self, scene: bpy.types.Scene, bundle: Path, name: str) -> dict[str, str | int]:
+        """Frames of the room as the farm solves it, numbered from 1."""
         room = scene.iris.room
-        # Cameras and suns of a scene that is its own capture stand in its world.
-        own = room is None or scene.iris.source == "SCENE"
-        to_capture = np.eye(4) if own else np.linalg.inv(np.array(room.matrix_world))  # type: ignore[union-attr]
+        if room is None or scene.iris.source == "SCENE":  # it is its own capture, written in metres
+            to_capture = np.diag([*[scene.unit_settings.scale_length] * 3, 1.0])
+        else:
+            to_capture = np.linalg.inv(np.array(room.matrix_world))
         views, lights, count = relit_frames(scene, to_capture)
         for frame in views["frames"]:  # in the unit of the capture's files, as all views that a job names
             for row in frame["transform_matrix"][:3]:
                 row[3] /= metres_per_unit(scene) or 1.0
         for part, content in (("views", views), ("lights", lights)):
             write_json(bundle / f"{name}-{part}.json", content)
-        frames = {
-            "name": "frames",
+        return {
             "command": "relight",
             "lights": f"{name}-lights.json",
             "views": f"{name}-views.json",
             "frames": f"1-{count}",
-            "chunk": self.chunk,
-            "samples": self.samples,
             "fps": max(1, round(scene.render.fps / scene.render.fps_base)),
-            "gpu": self.gpu,
         }
-        return _table("[[job.frames]]", frames)
 
 
 def _table(head: str, values: Mapping[str, str | int | float | bool | list[str]]) -> str:

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from headless import cli
-from headless.job_file import read_jobs
-from iris_addon.base.images import read_image
+from headless.job_file import Frames, read_jobs
+from iris_addon.base.images import read_image, write_png
 from iris_addon.capture.reader import read_views
 from iris_addon.edits.jobs import lamp_radiance
 from iris_addon.edits.motion import at_time, camera_at
@@ -50,6 +50,30 @@ for frame in (11, 13, 15, 17):
     radiance = {{l.material["iris_lamp"]: [l.on * l.strength * c for c in l.color] for l in settings.lamps}}
     frames.append([[list(row) for row in place], radiance])
 print("SEEN", json.dumps(frames))
+scene.frame_set(11)
+ball = bpy.data.objects.new("ball", bpy.data.meshes.new("ball"))
+import bmesh
+shape = bmesh.new()
+bmesh.ops.create_uvsphere(shape, u_segments=16, v_segments=8, radius=0.25)
+shape.to_mesh(ball.data)
+ball.data.materials.append(bpy.data.materials.new("green"))
+ball.data.materials[0].use_nodes = True
+paint = next(n for n in ball.data.materials[0].node_tree.nodes if n.type == "BSDF_PRINCIPLED")
+paint.inputs["Base Color"].default_value = (0, 1, 0, 1)
+paint.inputs["Emission Color"].default_value = (0, 1, 0, 1)
+paint.inputs["Emission Strength"].default_value = 2.0
+scene.collection.objects.link(ball)
+ball.matrix_world = camera.matrix_world @ __import__("mathutils").Matrix.Translation((0, 0, -0.8))
+assert bpy.ops.iris.export_farm(directory={placed!r}, samples=2, chunk=3) == {{"FINISHED"}}
+image = bpy.data.images.load({plate!r})
+image.source = "SEQUENCE"
+while camera.data.background_images:
+    camera.data.background_images.remove(camera.data.background_images[0])
+behind = camera.data.background_images.new()
+behind.source, behind.image = "IMAGE", image
+behind.image_user.frame_start, behind.image_user.frame_duration = 11, 7
+behind.image_user.frame_offset = 1000
+assert bpy.ops.iris.export_farm(directory={onto!r}, samples=2, chunk=3) == {{"FINISHED"}}
 """
 
 
@@ -58,7 +82,10 @@ def exported(tmp_path_factory) -> tuple[Path, list]:
     """The bundle, and the cameras and lamps that Blender had at each of its frames."""
     home, bundle = tmp_path_factory.mktemp("home"), tmp_path_factory.mktemp("farm") / "bundle"
     package = build_package(tmp_path_factory.mktemp("package") / "iris.zip")
-    output = in_blender(package, home, BODY.format(bundle=str(bundle)))
+    plate = bundle.parent / "sh.1001.png"
+    write_png(plate, np.full((72, 96, 3), 90, np.uint8))
+    others = {"placed": str(bundle.parent / "placed"), "onto": str(bundle.parent / "onto"), "plate": str(plate)}
+    output = in_blender(package, home, BODY.format(bundle=str(bundle), **others))
     seen = next(line for line in output.splitlines() if line.startswith("SEEN "))
     return bundle, json.loads(seen[5:])
 
@@ -101,21 +128,52 @@ def test_every_frame_has_the_camera_and_the_lamps_that_it_has_in_blender(exporte
     assert np.ptp([pose[0][3] for pose, _ in seen]) > 0.1 and levels[0] > levels[-1]
 
 
-@pytest.mark.slow
-def test_a_farm_renders_its_frames(exported, tmp_path):
+@pytest.mark.parametrize(("kind", "waits"), [("placed", True), ("onto", False)])
+def test_what_was_placed_travels_in_a_copy_of_the_scene(exported, kind, waits):
+    """Frames without a plate share the exposure of the first; onto a plate each has its own."""
+    bundle = exported[0].parent / kind
+    (job_file,) = bundle.glob("*.toml")
+    (frames,) = read_jobs(job_file)[0].frames
+    assert (frames.command, frames.first, frames.last, frames.chunks) == ("composite", 11, 17, 3)
+    assert frames.waits_for_first == waits and frames.scene == job_file.with_suffix(".blend")
+    assets = json.loads((bundle / "asset_references.json").read_text())["assetReferences"]
+    assert str(frames.scene) in assets["inputs"]["filenames"]
+    look = f"import bpy\nwith bpy.data.libraries.load({str(frames.scene)!r}) as (found, _):\n    print(found.objects)"
+    found = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True)
+    assert "'ball'" in found.stdout
+
+
+def openjd_run(bundle: Path, tmp_path: Path, *steps: str) -> Frames:
+    """Run steps of the frames in ``bundle`` as a farm does."""
     pytest.importorskip("openjd.cli", reason="openjd-cli is not installed")
-    bundle, _ = exported
     (job_file,) = bundle.glob("*.toml")
     iris = tmp_path / "iris"
     iris.write_text(f"#!{sys.executable}\nimport sys\nsys.path.insert(0, {str(ROOT)!r})\n")
     iris.write_text(iris.read_text() + "from headless.cli import main\nsys.exit(main())\n")
     iris.chmod(0o755)
     (job,) = read_jobs(job_file)
-    for step in ("First frame", "Frames"):
+    for step in steps:
         command = [sys.executable, "-m", "openjd", "run", str(bundle / "template.json")]
         command += ["--step", f"{step} {job.frames[0].name}", "-p", f"Jobs={job_file}", "-p", f"Iris={iris}"]
+        command += ["--task-param", "Chunk=0"] if step == "Frames" and job.frames[0].scene else []
         ran = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
         assert ran.returncode == 0, ran.stdout + ran.stderr
+    return job.frames[0]
+
+
+@pytest.mark.slow
+def test_a_farm_renders_what_was_placed(exported, tmp_path):
+    frames = openjd_run(exported[0].parent / "placed", tmp_path, "First frame", "Frames")
+    picture = read_image(frames.out / "frame_0011.png") / 255.0
+    middle = picture[picture.shape[0] // 2, picture.shape[1] // 2]
+    assert (frames.out / "frame_0013.png").is_file() and middle[1] > middle[0] + 0.3
+
+
+@pytest.mark.slow
+def test_a_farm_renders_its_frames(exported, tmp_path):
+    bundle, _ = exported
+    (job,) = read_jobs(next(bundle.glob("*.toml")))
+    openjd_run(bundle, tmp_path, "First frame", "Frames")
     pictures = [read_image(job.frames[0].out / f"frame_{k:04d}.png") for k in range(1, 5)]
     # The lamp that is dimmed from 4 to 1 shows, as all frames share the exposure of the first.
     assert float(pictures[0].mean()) > 1.05 * float(pictures[-1].mean())

@@ -119,6 +119,28 @@ def test_each_frame_has_its_picture_its_exposure_and_what_was_added(shot, show):
         assert np.abs(seen - before)[0].max() < 0.1  # far from it the plate stays
 
 
+def test_a_scene_without_a_plate_is_rendered_whole_at_one_exposure(shot):
+    """What was added moves past the camera, whichever frames are made first and wherever a run was stopped."""
+    out = run(shot, "--frames", "11", "--resume")
+    exposure = json.loads((out / "frames.json").read_text())["exposure"]
+    bpy.ops.wm.open_mainfile(filepath=str(shot / "copy.blend"))
+    run(shot, "--frames", "11-13", "--resume")
+    assert json.loads((out / "frames.json").read_text())["exposure"] == exposure
+    for frame in FRAMES:
+        seen = read_image(out / f"frame_{frame:04d}.png")
+        assert seen.shape == (HEIGHT, WIDTH, 3)
+        green = np.flatnonzero(seen[HEIGHT // 2, :, 1] - seen[HEIGHT // 2, :, 0] > 0.1)
+        assert green.mean() == pytest.approx(WIDTH / 2 - 24.0 * 0.2 * (frame - 12) - 0.5, abs=1.0)
+    wall = [read_image(out / f"frame_{frame:04d}.png")[0].mean() for frame in FRAMES]
+    assert np.ptp(wall) < 0.1 * np.mean(wall)
+
+
+def test_a_scene_without_a_camera_is_named(shot, capsys):
+    bpy.context.scene.camera = None
+    run(shot, "--frames", "11", code=3)
+    assert "copy.blend: has no active camera" in capsys.readouterr().err
+
+
 def test_frames_are_kept_on_request_alone(shot):
     """Another ball is not to be found in half of the frames; a run that was stopped goes on."""
     show_clip(shot)

@@ -158,6 +158,45 @@ def test_a_plate_has_its_own_keys(rooms, line, told):
 CAMERA = 'camera = "sh010.json"\n'
 
 
+SCENE = """
+[[job]]
+capture = "one"
+
+[[job.frames]]
+command = "composite"
+scene = "sh020.blend"
+frames = "0-11"
+chunk = 6
+samples = 4
+name = "sh020"
+"""
+
+
+@pytest.mark.parametrize("plate", [True, False])
+def test_the_frames_of_a_blend_travel_with_it(rooms, monkeypatch, plate):
+    """Onto a plate each frame has an exposure of its own; without one all share that of the first."""
+    (rooms / "sh020.blend").write_bytes(b"BLENDER")
+    (rooms / "jobs.toml").write_text(SCENE + ("" if plate else 'exposure = "auto"\n'))
+    steps = [step["name"] for step in bundle(rooms)["steps"]]
+    first = [] if plate else ["First frame one/sh020"]
+    assert steps == ["Solve one", *first, "Frames one/sh020", "Summary"]
+    inputs = json.loads((rooms / "bundle" / "asset_references.json").read_text())["assetReferences"]["inputs"]
+    assert str(rooms / "sh020.blend") in inputs["filenames"]
+    ran = []
+    monkeypatch.setattr("headless.batch.run_command", lambda words, _progress: ran.append(words) or {})
+    assert cli.main(["batch", str(rooms / "jobs.toml"), "--only", "one/sh020", "--chunk", "1"]) == 0
+    args = cli.make_parser().parse_args([*ran[0], "--json"])  # nothing but options that the command has
+    assert (args.blend, args.result) == (rooms / "sh020.blend", rooms / "jobs" / "one")
+    assert list(args.frames) == list(range(6, 12)) and args.resume and args.samples == 4
+
+
+@pytest.mark.parametrize("line", ['views = "one"', "linear = true", "fps = 24", 'exposure = "photo"', 'plate = "a"'])
+def test_a_blend_has_its_own_views_and_rate(rooms, line):
+    (rooms / "jobs.toml").write_text(f"{SCENE}{line}\n")
+    with pytest.raises(BadInput, match=line.split()[0]):
+        read_jobs(rooms / "jobs.toml")
+
+
 def test_layers_are_of_plates_alone(rooms):
     (rooms / "jobs.toml").write_text(PLATE + "layers = true\n")
     frames = read_jobs(rooms / "jobs.toml")[0].frames[0]

@@ -26,6 +26,8 @@ from ..scene_out.lights import as_recovered, lamp_materials
 from ..version import single_layer_exr
 from .differential import Differential, change_photo, render_differential, render_halves
 
+RENDERED = ("MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME", "LIGHT")
+"""Types of objects that one sees in a render."""
 RENDERS = 2
 """Steps of the work: the room alone, and the room with the additions."""
 
@@ -103,6 +105,16 @@ def as_photographed(scene: bpy.types.Scene) -> Iterator[None]:
             background.inputs["Strength"].default_value = strength
 
 
+def has_additions(scene: bpy.types.Scene) -> bool:
+    """Whether anything that renders or shines was added to the room of ``scene``."""
+    return any(
+        (thing.type in RENDERED or thing.instance_type != "NONE")
+        and not thing.hide_render
+        and not _belongs_to_room(thing)
+        for thing in scene.objects
+    )
+
+
 def _belongs_to_room(thing: bpy.types.Object) -> bool:
     return ORIGINAL in thing or MADE in thing or APART in thing
 
@@ -119,7 +131,7 @@ def _recovered_background(scene: bpy.types.Scene) -> bpy.types.Node | None:
 
 
 def write_copy(scene: bpy.types.Scene, path: Path) -> None:
-    """Write ``scene`` as a .blend for :func:`composite_file`; raises IrisError if that fails."""
+    """Write ``scene`` as a .blend for the command ``composite``; raises IrisError if that fails."""
     write_whole(path, lambda part: bpy.data.libraries.write(str(part), {scene}, path_remap="ABSOLUTE", compress=True))
 
 
