@@ -3,8 +3,11 @@
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -25,15 +28,15 @@ preset = "draft"
 [[job.frames]]
 name = "still"
 views = "one"
-frames = "1-4"
-chunk = 2
+frames = "1-8"
+chunk = 4
 samples = 1
 
 [[job.frames]]
 command = "relight"
 lights = "lamps.json"
 views = "one"
-frames = "1-2"
+frames = "1-4"
 samples = 1
 
 [[job]]
@@ -265,15 +268,34 @@ def test_flamenco_gets_the_same_tasks(rooms):
 # ---- run -----------------------------------------------------------------------------------------------------------
 
 
-def openjd(rooms: Path, step: str, *more: str) -> subprocess.CompletedProcess:
-    """``openjd run`` of one step, with a program iris of its own."""
+def openjd_command(rooms: Path, step: str, *more: str) -> list[str]:
+    """``openjd run`` of one step, with a program iris of its own that writes its process id into a file."""
     iris = rooms / "iris"
-    iris.write_text(f"#!{sys.executable}\nimport sys\nsys.path.insert(0, {str(ROOT)!r})\n")
-    iris.write_text(iris.read_text() + "from headless.cli import main\nsys.exit(main())\n")
+    iris.write_text(
+        f"#!{sys.executable}\nimport os, sys\nsys.path.insert(0, {str(ROOT)!r})\n"
+        f"with open({str(rooms / 'pid')!r}, 'w') as file:\n    file.write(str(os.getpid()))\n"
+        "from headless.cli import main\nsys.exit(main())\n"
+    )
     iris.chmod(0o755)
     command = [sys.executable, "-m", "openjd", "run", str(rooms / "bundle" / "template.json"), "--step", step]
-    parameters = ["-p", f"Jobs={rooms / 'jobs.toml'}", "-p", f"Iris={iris}"]
-    return subprocess.run([*command, *parameters, *more], capture_output=True, text=True, timeout=600, check=False)
+    return [*command, "-p", f"Jobs={rooms / 'jobs.toml'}", "-p", f"Iris={iris}", *more]
+
+
+def openjd(rooms: Path, step: str, *more: str) -> subprocess.CompletedProcess:
+    command = openjd_command(rooms, step, *more)
+    return subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+
+
+def openjd_killed(rooms: Path, step: str, there: Callable[[], bool], *more: str) -> None:
+    """Run one step until something is ``there``, and kill iris as the system does that runs out of memory."""
+    (rooms / "pid").unlink(missing_ok=True)
+    command = openjd_command(rooms, step, *more)
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as farm:
+        while not there():
+            assert farm.poll() is None, f"{step} ended before it could be killed"
+            time.sleep(0.01)
+        os.kill(int((rooms / "pid").read_text()), signal.SIGKILL)
+        assert farm.wait(timeout=120) != 0
 
 
 def contents(folder: Path, pattern: str) -> dict[str, bytes]:
@@ -283,7 +305,7 @@ def contents(folder: Path, pattern: str) -> dict[str, bytes]:
 @pytest.mark.slow
 @pytest.mark.bpy
 @pytest.mark.skipif(os.name == "nt", reason="the program is a script with a #! line")
-def test_a_farm_writes_the_bytes_of_a_batch_and_a_bad_capture_fails_alone(rooms):
+def test_a_farm_writes_the_bytes_of_a_batch_also_when_killed_and_a_bad_capture_fails_alone(rooms):
     pytest.importorskip("openjd.cli", reason="openjd-cli is not installed")
     assert cli.main(["batch", str(rooms / "jobs.toml"), "--parallel", "2"]) == 1
     summary = json.loads((rooms / "jobs" / "summary.json").read_text())["jobs"]
@@ -293,12 +315,17 @@ def test_a_farm_writes_the_bytes_of_a_batch_and_a_bad_capture_fails_alone(rooms)
 
     bundle(rooms)
     assert openjd(rooms, "Solve bad").returncode != 0
+    out = rooms / "jobs" / "one"
+    openjd_killed(rooms, "Solve one", lambda: any((out / "checkpoints").glob("lights.npz")))
+    assert not (out / "report.json").exists()
     for step in ("Solve two", "Solve one", "First frame one/relight", "Frames one/relight"):
         ran = openjd(rooms, step)
         assert ran.returncode == 0, ran.stdout + ran.stderr
         assert "openjd_progress: 100.0" in ran.stdout
+    still = out / "still"
+    openjd_killed(rooms, "Frames one/still", lambda: (still / "frame_0006.png").exists(), "--task-param", "Chunk=1")
     one = openjd(rooms, "Frames one/still", "--task-param", "Chunk=1")
-    assert one.returncode == 0 and len(contents(rooms / "jobs" / "one" / "still", "frame_*.png")) == 2
+    assert one.returncode == 0 and len(contents(still, "frame_*.png")) == 4
     assert openjd(rooms, "Frames one/still").returncode == 0  # retried: the frames that are there are kept
     for name in ("one/still", "one/relight"):
         expected = contents(rooms / "by batch" / name, "frame_*.png")
