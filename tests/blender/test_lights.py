@@ -133,9 +133,14 @@ def test_a_panorama_lights_from_the_side_its_pixels_are_on(tmp_path):
         light = {"type": "hdri", "file": "side.exr", "rotation": rotation}
         (image,) = render_views(result, [out], edit=relight_edit(result, {"lights": [light]}, tmp_path), settings=QUICK)
         np.testing.assert_allclose(image.mean(), expected, atol=0.01)
-    whole = (tmp_path / "side.exr").read_bytes()
+
+
+def test_a_panorama_that_is_no_image_is_named(tmp_path):
+    """Blender itself would show black."""
+    write_exr(tmp_path / "side.exr", np.ones((32, 64, 3)))
+    result, whole = room(mesh=floor()), (tmp_path / "side.exr").read_bytes()
     for name, content in (("junk.exr", b"no picture"), ("cut.exr", whole[:200]), ("junk.hdr", b"#?RADIANCE\n")):
-        (tmp_path / name).write_bytes(content)  # Blender itself would show black
+        (tmp_path / name).write_bytes(content)
         with pytest.raises(BadInput, match=name):
             build_scene(result, relight_edit(result, {"lights": [{"type": "hdri", "file": name}]}, tmp_path))
     with pytest.raises(BadInput, match=r"none\.exr"):

@@ -17,12 +17,13 @@ from headless import cli
 from headless.job_file import read_jobs
 from iris_addon.base import untrusted
 from iris_addon.base.errors import BadInput
+from iris_addon.base.glb_chunks import pack_chunks
 from iris_addon.blender.worker import process
 from iris_addon.capture.mesh_files import read_mesh
 from iris_addon.results import checkpoints
 from iris_addon.results.folder import load_result, save_result
 from tests.blender_home import ROOT
-from tests.box_room import box_mesh, write_mesh
+from tests.box_room import box_mesh, write_mesh, write_nerfstudio_room
 from tests.result_room import room
 
 BLOCKED_SECONDS = 120.0
@@ -265,6 +266,27 @@ def test_a_bundle_of_millions_of_tasks_is_refused(tmp_path: Path, capsys: pytest
     (tmp_path / "jobs.toml").write_text(f'[[job]]\ncapture = "a"\n{frames}')
     assert cli.main(["farm", str(tmp_path / "jobs.toml"), "--out", str(tmp_path / "bundle")]) == 3
     assert "50000002 tasks" in capsys.readouterr().err
+
+
+@pytest.mark.bpy
+@pytest.mark.parametrize("name", ["chair.gltf", "chair.usda", "chair.glb"])
+def test_what_an_importer_of_blender_prints_is_not_the_error(tmp_path: Path, name: str) -> None:
+    """That of glTF prints every step of its parser; the error is a line at the end, and no other begins like it."""
+    content = {
+        "chair.gltf": b'{"asset": {"version": "2.0"}, "scenes": "x\\nerror: spoofed"}',
+        "chair.usda": b"#usda 1.0\nerror: spoofed\n",
+        "chair.glb": pack_chunks({"asset": {"version": "2.0"}, "scenes": "x\nerror: spoofed"}, b""),
+    }
+    (tmp_path / name).write_bytes(content[name])
+    save_result(room(), tmp_path / "r")
+    write_nerfstudio_room(tmp_path / "room")
+    (tmp_path / "o.json").write_text(json.dumps({"objects": [{"file": name, "location": [0, 0, 0]}]}))
+    command = [sys.executable, str(ROOT / "headless" / "run.py"), "insert", "r", "--objects", "o.json"]
+    command += ["--views", "room", "--only", "000", "--out", "o"]
+    ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    errors = [line for line in ran.stderr.splitlines() if line.startswith("error: ")]
+    assert ran.returncode == 3 and len(errors) == 1 and name in errors[0] and ran.stderr.endswith(f"{errors[0]}\n")
+    assert "Traceback" not in ran.stderr and "File " not in ran.stderr, ran.stderr
 
 
 # ---- files within files ---------------------------------------------------------------------------------------------
