@@ -29,7 +29,7 @@ from iris_addon.model.camera_height import CameraHeight
 from iris_addon.model.texture_size import atlas_size_of, density_of
 
 from .cancellation import cancelled_by_signals, stop_with_stdin
-from .environment import delegate, import_blender, missing_packages, unusable
+from .environment import delegate, missing_packages, prepare_blender, unusable
 
 USAGE_CODE = 2
 MAX_FRAMES, MAX_RESOLUTION = 1_000_000, 200_000_000
@@ -69,7 +69,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         if missing := missing_packages(args):
             return delegate(argv, missing)
-        import_blender(args)
+        prepare_blender(args)
         if getattr(args, "stop_with_stdin", False):  # an option of the commands that write JSON lines
             stop_with_stdin(progress)
         with cancelled_by_signals(progress, lambda: _fail(_cancelled(args), lines)):

@@ -10,11 +10,11 @@ import os
 import signal
 import subprocess
 import sys
-from contextlib import chdir
 from importlib.util import find_spec
 from pathlib import Path
 
 from iris_addon.base.errors import IrisError, SolverEnvironmentMissing
+from iris_addon.blender.as_module import import_blender
 from iris_addon.blender.worker.process import worker_environment
 
 from .cancellation import restore_handlers
@@ -53,15 +53,10 @@ def _needed(args: argparse.Namespace) -> tuple[str, ...]:
     return (*NEEDS[args.command], "bpy") if renders else NEEDS[args.command]
 
 
-def import_blender(args: argparse.Namespace) -> None:
-    """Import Blender as a module, if the command of ``args`` needs it.
-
-    Its sound library loads every library in a folder ``plugins`` of the current folder, which may be that of a file
-    from an untrusted source. So it is imported in the folder of this program.
-    """
-    if "bpy" in _needed(args) and "bpy" not in sys.modules:
-        with chdir(RUN.parent):
-            import bpy  # noqa: F401 - the modules that use it import it again
+def prepare_blender(args: argparse.Namespace) -> None:
+    """Import Blender as a module, if the command of ``args`` needs it."""
+    if "bpy" in _needed(args):
+        import_blender()
 
 
 def unusable(error: ImportError) -> IrisError:
