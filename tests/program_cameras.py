@@ -7,6 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import trimesh
+from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from iris_addon.model.capture import Capture
@@ -180,6 +182,109 @@ def write_scannet(root: Path, capture: Capture) -> Path:
     return root
 
 
+def write_scannetpp(root: Path, capture: Capture) -> Path:
+    """The axes exchanged as nerfstudio does, the last photo held out, masks beside the photos."""
+    photos, masks = root / "dslr" / "resized_images", root / "dslr" / "resized_anon_masks"
+    for folder in (root / "scans", root / "dslr" / "nerfstudio", masks):
+        folder.mkdir(parents=True)
+    (root / "images").rename(photos)
+    for path in list(root.glob("mesh.*")):
+        trimesh.load(path, process=False, maintain_order=True).export(root / "scans" / "mesh_aligned_0.05.ply")
+        path.unlink()
+    for other in ("mesh_aligned_0.05_semantic.ply", "pc_aligned.ply"):
+        (root / "scans" / other).write_bytes(b"ply\n")
+    turn = np.eye(4)
+    turn[:3, :3] = [[0, 1, 0], [1, 0, 0], [0, 0, -1]]
+    frames = []
+    for view in capture.views:
+        assert view.photo is not None
+        name = view.photo.name
+        Image.new("L", (view.camera.width, view.camera.height), 255).save(masks / f"{view.name}.png")
+        pose = (turn @ view.camera.c2w).tolist()
+        frames.append({"file_path": name, "mask_path": f"{view.name}.png", "transform_matrix": pose, "is_bad": False})
+    camera = capture.views[0].camera
+    lens = {"w": camera.width, "h": camera.height, "fl_x": camera.fx, "fl_y": camera.fy, "camera_model": "OPENCV"}
+    meta = {**lens, "cx": camera.cx, "cy": camera.cy, "frames": frames, "test_frames": []}
+    path = root / "dslr" / "nerfstudio" / "transforms.json"
+    path.write_text(json.dumps(meta))
+    return path
+
+
+def write_polycam(root: Path, capture: Capture) -> Path:
+    """Optimised cameras beside those of ARKit; the mesh is turned and moved against both."""
+    keyframes = root / "keyframes"
+    for folder in ("cameras", "corrected_cameras", "images"):
+        (keyframes / folder).mkdir(parents=True)
+    (root / "images").rename(keyframes / "corrected_images")
+    to_mesh = np.eye(4)
+    to_mesh[:3, :3], to_mesh[:3, 3] = Rotation.from_euler("y", 0.4).as_matrix(), (1.0, -2, 0.5)
+    for view in capture.views:
+        camera, pose = view.camera, np.linalg.inv(to_mesh) @ view.camera.c2w
+        lens = {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy, "blur_score": 115.3}
+        values = {**lens, "width": camera.width, "height": camera.height, "timestamp": 638443502}
+        rows = {f"t_{row}{column}": pose[row, column] for row in range(3) for column in range(4)}
+        (keyframes / "corrected_cameras" / f"{view.name}.json").write_text(json.dumps({**values, **rows}))
+        (keyframes / "cameras" / f"{view.name}.json").write_text(json.dumps({**values, **rows, "t_03": 0.0}))
+        (keyframes / "images" / f"{view.name}.jpg").write_bytes(b"as the lens saw it")
+    path = root / "mesh_info.json"
+    path.write_text(json.dumps({"faceCount": 12, "alignmentTransform": to_mesh.T.ravel().tolist()}))
+    return path
+
+
+def write_record3d(root: Path, capture: Capture) -> Path:
+    """Photos are numbered; the camera stands at the first of them in ``K`` and with each photo."""
+    (root / "images").rename(root / "rgb")
+    poses, lenses = [], []
+    for number, view in enumerate(capture.views):
+        assert view.photo is not None
+        (root / "rgb" / view.photo.name).rename(root / "rgb" / f"{number}{view.photo.suffix}")
+        camera = view.camera
+        poses.append([*Rotation.from_matrix(camera.c2w[:3, :3]).as_quat(), *camera.position])
+        lenses.append([camera.fx, camera.fy, camera.cx, camera.cy])
+    first = capture.views[0].camera
+    matrix = [first.fx + 3, 0, 0, 0, first.fy + 3, 0, first.cx, first.cy, 1]
+    size = {"w": first.width, "h": first.height, "dw": 192, "dh": 256, "fps": 60}
+    path = root / "metadata.json"
+    path.write_text(json.dumps({**size, "K": matrix, "poses": poses, "perFrameIntrinsicCoeffs": lenses}))
+    return path
+
+
+def write_arkit_scenes(root: Path, capture: Capture) -> Path:
+    """Photos at the times of their poses but the first, which lies between two; the last one has no pose."""
+    photos, lenses = root / "lowres_wide", root / "lowres_wide_intrinsics"
+    lenses.mkdir()
+    (root / "images").rename(photos)
+    rows = []
+    for number, view in enumerate(capture.views):
+        assert view.photo is not None
+        camera, time = view.camera, 10.0 + number
+        named = f"41069021_{time:.3f}"
+        (photos / view.photo.name).rename(photos / f"{named}{view.photo.suffix}")
+        given = f"41069021_{time + 0.001 * (number % 2):.3f}.pincam"  # the data set rounds some of them otherwise
+        numbers_of_it = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+        (lenses / given).write_text(numbers(np.array(numbers_of_it)))
+        pose = camera.c2w @ DOWN_FORWARD
+        for away in (-0.05, 0.05) if number == 0 else (0.0,):
+            own = pose.copy()
+            own[:3, :3] = (Rotation.from_rotvec([0.0, away, 0]) * Rotation.from_matrix(pose[:3, :3])).as_matrix()
+            own[:3, 3] += away * np.array([1.0, 2, 0])
+            to_camera = np.linalg.inv(own)
+            turn = Rotation.from_matrix(to_camera[:3, :3]).as_rotvec()
+            rows.append(f"{time + away:.4f} {numbers(turn)} {numbers(to_camera[:3, 3])}")
+    (root / "lowres_wide.traj").write_text("\n".join(rows) + "\n")
+    (photos / "41069021_99.000.png").write_bytes(b"lost")
+    return root
+
+
 FILES = (write_metashape, write_meshroom, write_bundler, write_reality_scan, write_openmvg)
 """Those that write one file."""
-WRITERS = (*FILES, write_scannet, write_sidecars, write_tum)
+WRITERS = (
+    *FILES,
+    write_scannet,
+    write_sidecars,
+    write_tum,
+    write_scannetpp,
+    write_polycam,
+    write_record3d,
+    write_arkit_scenes,
+)

@@ -1,4 +1,4 @@
-"""Depth beside the photos of a capture: nerfstudio's transforms.json, ScanNet, 7-Scenes and TUM RGB-D.
+"""Depth beside the photos of a capture, of nerfstudio, of phones and of RGB-D data sets.
 
 ::
 
@@ -7,6 +7,9 @@
     ScanNet      depth/N.png beside color/N.jpg, millimetres, the camera of intrinsic/intrinsic_depth.txt
     7-Scenes     frame-N.depth.png, millimetres
     TUM RGB-D    depth.txt and depth/, 5000 to a metre
+    Polycam      keyframes/depth/N.png, millimetres, without what keyframes/confidence/N.png has as 0
+    Record3D     depth/N.exr, metres
+    ARKitScenes  lowres_depth/ID_SECONDS.png, millimetres
 
 Depth is that along the view axis; 0, and 65535 in 16 bits, stand for none.
 """
@@ -23,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import BadInput
+from ..base.images import HDR_SUFFIXES, exr_size, read_exr
 from ..base.untrusted import decoding, number_in_text, open_text, read_npy
 from ..model.capture import Camera, Distortion, View
 from .depth_fusion import DepthMap
@@ -58,9 +62,10 @@ def posed_depth(path: Path) -> list[DepthMap]:
     if program.name == "ScanNet":
         own = path / "intrinsic" / "intrinsic_depth.txt"
         return _beside(views, _of_scannet, MILLIMETERS, read_matrix(own) if own.is_file() else None)
-    if program.name == "7-Scenes":
-        return _beside(views, _of_seven_scenes, MILLIMETERS)
-    return _of_tum(path, views) if program.name == "TUM RGB-D" else []
+    if program.name == "TUM RGB-D":
+        return _of_tum(path, views)
+    scale, depth_of = BESIDE.get(program.name, (MILLIMETERS, None))
+    return [] if depth_of is None else _beside(views, depth_of, scale)
 
 
 def _of_transforms(transforms: Path) -> list[DepthMap]:
@@ -85,6 +90,27 @@ def _of_scannet(photo: Path) -> Path:
 
 def _of_seven_scenes(photo: Path) -> Path:
     return photo.with_name(photo.name.replace(".color.", ".depth."))
+
+
+def _of_polycam(photo: Path) -> Path:
+    return photo.parent.parent / "depth" / f"{photo.stem}.png"
+
+
+def _of_record3d(photo: Path) -> Path:
+    return photo.parent.parent / "depth" / f"{photo.stem}.exr"
+
+
+def _of_arkit_scenes(photo: Path) -> Path:
+    return photo.parent.parent / "lowres_depth" / f"{photo.stem}.png"
+
+
+BESIDE = {
+    "7-Scenes": (MILLIMETERS, _of_seven_scenes),
+    "Polycam": (MILLIMETERS, _of_polycam),
+    "Record3D": (1.0, _of_record3d),
+    "ARKitScenes": (MILLIMETERS, _of_arkit_scenes),
+}
+"""Metres to a number of the depth maps of a program, and where that of a photo lies."""
 
 
 def _beside(
@@ -149,6 +175,8 @@ def _camera_of(lens: NDArray[np.float64], view: View, depth: Path) -> Camera:
 def _size(depth: Path) -> tuple[int, int]:
     if depth.suffix.lower() == ".npy":
         return _stored(depth).shape[1], _stored(depth).shape[0]
+    if depth.suffix.lower() in HDR_SUFFIXES:
+        return exr_size(depth)
     with open_photo(depth) as image:
         return image.size
 
@@ -161,6 +189,8 @@ def _stored(depth: Path) -> NDArray:
         if found.ndim != 2:
             raise BadInput(f"has the shape {found.shape}", AGAIN, depth)
         return found
+    if depth.suffix.lower() in HDR_SUFFIXES:
+        return read_exr(depth)[..., 0]
     with open_photo(depth) as image:
         if not image.mode.startswith(("I", "F")):
             raise BadInput("is a picture and no depth map of 16 bits", AGAIN, depth)
@@ -175,8 +205,19 @@ def _read(view: View, depth: Path, scale: float) -> NDArray[np.float32]:
     known = (far > 0) & (far <= MAX_COORDINATE)
     if numbers.dtype.kind in "iu":
         known &= numbers != FULL
+    known &= _trusted(depth, known.shape)
     metres = np.where(known, far, 0).astype(np.float32)
     return metres if view.distortion is None else _straight(metres, view.camera, view.distortion)
+
+
+def _trusted(depth: Path, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """(H, W) what a map of confidence beside Polycam's depth does not call low."""
+    confidence = depth.parent.parent / "confidence" / f"{depth.stem}.png"
+    if depth.parent.name != "depth" or not confidence.is_file():
+        return np.ones(shape, bool)
+    with open_photo(confidence) as image:
+        level = np.asarray(image)
+    return level > 0 if level.shape == shape else np.ones(shape, bool)
 
 
 def _straight(metres: NDArray[np.float32], camera: Camera, lens: Distortion) -> NDArray[np.float32]:

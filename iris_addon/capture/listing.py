@@ -187,6 +187,16 @@ def find_image(root: Path, named: str, source: Path) -> Path | None:
     return None
 
 
+def find_mask(frame: Mapping[str, Any], name: str, root: Path, source: Path) -> Path | None:
+    """The picture of the "mask_path" of the frame of the view ``name``, None where it has none; raises BadInput."""
+    if not frame.get("mask_path"):
+        return None
+    mask = find_image(root, str(frame["mask_path"]), source)
+    if mask is None:
+        raise BadInput(f"{name}: mask {frame['mask_path']!r} is missing", "add it or remove its key", source)
+    return mask
+
+
 def load_array(path: Path, length: int, what: str) -> NDArray[np.float64]:
     """(length,) float64 from a .npy file; raises BadInput for another length or content."""
     values = read_npy(path, MAX_ARRAY_BYTES, f"write one number per {what} with numpy.save").astype(np.float64).ravel()

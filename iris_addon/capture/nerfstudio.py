@@ -22,6 +22,7 @@ from .listing import (
     Listing,
     check_unique,
     find_image,
+    find_mask,
     frames_of,
     has_pose,
     inside,
@@ -100,7 +101,7 @@ def _views(
             exposure=from_frame(frame, name, source),
             distortion=read_distortion(values, name, source),
             split=split or "train",
-            mask=_mask(frame, name, root, source) if photos else None,
+            mask=find_mask(frame, name, root, source) if photos else None,
             device=frame["device"] if isinstance(frame.get("device"), str) else "",
         )
         views.append(view if split is not None else None)
@@ -115,15 +116,6 @@ def view_of_frame(meta: Mapping[str, Any], frame: Mapping[str, Any], source: Pat
     (view,), _ = _views(shared, [frame], source.parent, source, photos=False)
     assert view is not None
     return view
-
-
-def _mask(frame: Mapping[str, Any], name: str, root: Path, source: Path) -> Path | None:
-    if not frame.get("mask_path"):
-        return None
-    mask = find_image(root, str(frame["mask_path"]), source)
-    if mask is None:
-        raise BadInput(f"{name}: mask {frame['mask_path']!r} is missing", "add it or remove its key", source)
-    return mask
 
 
 def _view_names(frames: Sequence[Mapping[str, Any]], source: Path) -> list[str]:

@@ -112,7 +112,7 @@ def showing_something(
         warnings.append(
             f"all photos have the same plain bars around the picture, which are left out: {', '.join(sides)}"
         )
-        kept = [replace(view, margins=margins) for view in kept]
+        kept = [replace(view, margins=_wider(view.margins, margins)) for view in kept]
     return kept, warnings
 
 
@@ -233,6 +233,11 @@ def _bars(contents: Sequence[Content], coded: int) -> tuple[int, int, int, int]:
     columns, colors = same.T, first.means.transpose(1, 0, 2)
     left, right = leading(columns, colors), leading(columns[::-1], colors[::-1])
     top, bottom = leading(same, first.means), leading(same[::-1], first.means[::-1])
+    return left, top, right, bottom
+
+
+def _wider(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
+    left, top, right, bottom = (max(pair) for pair in zip(a, b, strict=True))
     return left, top, right, bottom
 
 

@@ -1,10 +1,12 @@
-"""RGB-D data sets with their poses as text: ScanNet as its reader extracts it, 7-Scenes, and sequences in TUM's format.
+"""Data sets with their poses as text: ScanNet as its reader extracts it, 7-Scenes, TUM's format, ScanNet++.
 
-Poses are camera to world, x right, y down, z forward; frames where tracking was lost have infinite ones.
+Poses are camera to world, x right, y down, z forward; frames where tracking was lost have infinite ones. ScanNet++ has
+those of nerfstudio, in a world whose axes its tools have exchanged against those of the mesh.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from ..base.errors import BadInput
 from ..base.untrusted import decoding, finite, number_in_text, open_text, read_bytes
+from .listing import frames_of, has_pose, read_json_object
 from .metashape import DOWN_FORWARD
 
 MAX_POSE_BYTES = 4096
@@ -32,6 +35,12 @@ TUM_CAMERAS = {
 }
 """Intrinsics by a part of the folder's name: the sequences have no file of them (their web page, "colour camera")."""
 
+SCANNETPP_PHOTOS = {"transforms.json": "resized_images", "transforms_undistorted.json": "resized_undistorted_images"}
+"""Photos of each file of poses."""
+SCANNETPP_MASKS, SCANNETPP_MESH = "resized_anon_masks", "scans/mesh_aligned_0.05.ply"
+SCANNETPP_TURN = np.array([[0.0, 1.0, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]])
+"""From the axes of the poses to those of the mesh: nerfstudio's converter took COLMAP's x, y, z for y, x, -z."""
+
 
 def read_scannet(intrinsics: Path) -> list[dict[str, Any]]:
     """Frames of an extracted ScanNet scan around ``intrinsic/intrinsic_color.txt``; raises BadInput."""
@@ -39,6 +48,46 @@ def read_scannet(intrinsics: Path) -> list[dict[str, Any]]:
     lens = {"fl_x": matrix[0, 0], "fl_y": matrix[1, 1], "cx": matrix[0, 2], "cy": matrix[1, 2]}
     poses = sorted((intrinsics.parent.parent / "pose").glob("*.txt"))
     return [{"file_path": f"color/{path.stem}", "transform_matrix": _pose(path), **lens} for path in poses]
+
+
+def scannetpp_scene(path: Path) -> Path:
+    """The folder of the scene of ScanNet++ whose ``dslr/nerfstudio``, or a file there, is ``path``; else ``path``."""
+    folder = path if path.is_dir() else path.parent
+    inside = folder.name == "nerfstudio" and folder.parent.name == "dslr" and (folder.parent.parent / "scans").is_dir()
+    return folder.parent.parent if inside else path
+
+
+def find_scannetpp(path: Path) -> Path | None:
+    """The poses of the photos of a scene of ScanNet++ in the folder ``path``; None where there are none."""
+    for name in SCANNETPP_PHOTOS:
+        if (path / "dslr" / SCANNETPP_PHOTOS[name]).is_dir() and (path / "dslr" / "nerfstudio" / name).is_file():
+            return path / "dslr" / "nerfstudio" / name
+    return None
+
+
+def read_scannetpp(transforms: Path) -> list[dict[str, Any]]:
+    """Frames of the DSLR of a scene of ScanNet++, in the frame of its mesh; those for tests are held out.
+
+    Raises:
+        BadInput: damaged.
+    """
+    meta, photos = read_json_object(transforms), f"dslr/{SCANNETPP_PHOTOS[transforms.name]}"
+    shared = {key: value for key, value in meta.items() if not isinstance(value, list)}
+    listed = [(frame, "train") for frame in frames_of(meta, transforms)]
+    if meta.get("test_frames"):
+        listed += [(frame, "val") for frame in frames_of({"frames": meta["test_frames"]}, transforms)]
+    frames = []
+    with decoding(transforms, mend="download the scene again"):
+        for frame, split in listed:
+            pose = frame["transform_matrix"]
+            if has_pose(pose):
+                pose = (SCANNETPP_TURN @ np.array(pose, np.float64)).tolist()
+            values = {**shared, **frame, "transform_matrix": pose, "split": split}
+            values["file_path"] = f"{photos}/{frame['file_path']}"
+            if frame.get("mask_path"):
+                values["mask_path"] = f"dslr/{SCANNETPP_MASKS}/{frame['mask_path']}"
+            frames.append(values)
+    return frames
 
 
 def read_seven_scenes(first: Path) -> list[dict[str, Any]]:
@@ -69,29 +118,50 @@ def read_tum(photos: Path) -> list[dict[str, Any]]:
         table = finite(rows, (None, 8))
         if table is None or len(table) < 2:
             raise ValueError("fewer than two poses")
-        table = table[np.unique(table[:, 0], return_index=True)[1]]
-        turns = Slerp(table[:, 0], Rotation.from_quat(table[:, 4:]))
+        track = PoseTrack(table[:, 0], table[:, 1:4], Rotation.from_quat(table[:, 4:]))
     frames = []
     with open_text(photos, MAX_TUM_BYTES, mend="download the sequence again") as file:
         for line in file:
             if words := line.partition("#")[0].split(maxsplit=1):
-                pose = _pose_at(number_in_text(words[0]), table, turns)
+                pose = track.at(number_in_text(words[0]), TUM_GAP)
                 frames.append({"file_path": words[1].strip(), "transform_matrix": pose, **lens})
     return frames
 
 
-def _pose_at(time: float, table: np.ndarray, turns: Slerp) -> list[list[float]] | None:
-    """The pose at a time in seconds; None where the motion capture had lost the camera."""
-    times = table[:, 0]
-    inside = float(np.clip(time, times[0], times[-1]))
-    after = min(max(int(np.searchsorted(times, inside)), 1), len(times) - 1)
-    at_one = np.abs(times[after - 1 : after + 1] - time).min() < TUM_CLOCKS
-    if abs(time - inside) > TUM_CLOCKS or (times[after] - times[after - 1] > TUM_GAP and not at_one):
-        return None
-    pose = np.eye(4)
-    pose[:3, :3] = turns(inside).as_matrix()
-    pose[:3, 3] = [np.interp(inside, times, table[:, axis]) for axis in (1, 2, 3)]
-    return (pose @ DOWN_FORWARD).tolist()
+@dataclass(frozen=True)
+class PoseTrack:
+    """Poses at times of their own, between which those of photos are interpolated.
+
+    Attributes:
+        times: (n,) seconds, in any order, doubles allowed.
+        places: (n, 3) positions of the camera.
+        turns: n rotations, camera to world, x right, y down, z forward.
+    """
+
+    times: np.ndarray
+    places: np.ndarray
+    turns: Rotation
+    _between: Slerp = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        times, kept = np.unique(self.times, return_index=True)
+        turns = Rotation.from_quat(self.turns.as_quat()[kept])
+        values = {"times": times, "places": self.places[kept], "turns": turns, "_between": Slerp(times, turns)}
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    def at(self, time: float, gap: float) -> list[list[float]] | None:
+        """The pose at a time, x right, y up, z backward; None where no pose lies within ``gap`` seconds around it."""
+        times = self.times
+        inside = float(np.clip(time, times[0], times[-1]))
+        after = min(max(int(np.searchsorted(times, inside)), 1), len(times) - 1)
+        at_one = np.abs(times[after - 1 : after + 1] - time).min() < TUM_CLOCKS
+        if abs(time - inside) > TUM_CLOCKS or (times[after] - times[after - 1] > gap and not at_one):
+            return None
+        pose = np.eye(4)
+        pose[:3, :3] = self._between(inside).as_matrix()
+        pose[:3, 3] = [np.interp(inside, times, self.places[:, axis]) for axis in range(3)]
+        return (pose @ DOWN_FORWARD).tolist()
 
 
 def _tum_lens(folder: Path) -> dict[str, float]:

@@ -11,6 +11,10 @@
     ScanNet         color/ pose/ intrinsic/   as SensReader extracts it
     7-Scenes        frame-*.color.png with frame-*.pose.txt
     TUM RGB-D       rgb.txt, groundtruth.txt, rgb/
+    ScanNet++       dslr/nerfstudio/transforms.json, dslr/resized_images/, scans/
+    Polycam         keyframes/ and raw.glb, as its raw data
+    Record3D        metadata.json, rgb/, as "EXR + RGB"
+    ARKitScenes     lowres_wide.traj, lowres_wide/, lowres_wide_intrinsics/
 
 Each reader turns its file into frames with the keys of a transforms.json. Poses there are camera to world, x right, y
 up, z backward; None where the program did not find one.
@@ -31,7 +35,9 @@ from .listing import (
     Listing,
     check_unique,
     find_image,
+    find_mask,
     has_pose,
+    inside,
     only_mesh,
     read_camera,
     read_distortion,
@@ -42,8 +48,16 @@ from .listing import (
 from .meshroom import read_meshroom
 from .metashape import read_metashape
 from .openmvg import read_openmvg
+from .phone_exports import (
+    find_arkit_scenes,
+    find_polycam,
+    find_record3d,
+    read_arkit_scenes,
+    read_polycam,
+    read_record3d,
+)
 from .photo_files import PHOTO_SUFFIXES, check_photo
-from .pose_folders import read_scannet, read_seven_scenes, read_tum
+from .pose_folders import SCANNETPP_MESH, find_scannetpp, read_scannet, read_scannetpp, read_seven_scenes, read_tum
 from .xmp_sidecars import is_sidecar, read_sidecars
 
 Frame = Mapping[str, Any]
@@ -63,12 +77,14 @@ class Program:
         find: its file in a folder, or named itself; None where there is none.
         read: the frames of that file.
         has_unit: whether its poses are in metres.
+        mesh: where its mesh lies below the folder; "" where it is the only one in the folder.
     """
 
     name: str
     find: Callable[[Path], Path | None]
     read: Callable[[Path], list[dict[str, Any]]]
     has_unit: bool = False
+    mesh: str = ""
 
 
 def _file_that(*suffixes: str, begins: Sequence[bytes]) -> Callable[[Path], Path | None]:
@@ -124,6 +140,10 @@ PROGRAMS = (
     Program("ScanNet", _scannet, read_scannet, has_unit=True),
     Program("7-Scenes", _seven_scenes, read_seven_scenes, has_unit=True),
     Program("TUM RGB-D", _tum, read_tum, has_unit=True),
+    Program("ScanNet++", find_scannetpp, read_scannetpp, has_unit=True, mesh=SCANNETPP_MESH),
+    Program("Polycam", find_polycam, read_polycam, has_unit=True),
+    Program("Record3D", find_record3d, read_record3d, has_unit=True),
+    Program("ARKitScenes", find_arkit_scenes, read_arkit_scenes, has_unit=True),
 )
 
 
@@ -142,13 +162,14 @@ def read_program(path: Path, program: Program, source: Path) -> Listing:
     views, unposed = _views(program.read(source), root, source)
     if not views:
         raise BadInput("has no camera with a pose", "align the photos first, and export their cameras again", source)
+    mesh = inside(root, program.mesh, source) if program.mesh else only_mesh(root, source, "leave one in the folder")
     return Listing(
         name=root.resolve().name or "capture",
         root=root,
         source=source,
-        views=tuple(views),
-        val_views=(),
-        mesh_file=only_mesh(root, source, "leave one of them in the folder"),
+        views=tuple(view for view in views if view.split == "train"),
+        val_views=tuple(view for view in views if view.split == "val"),
+        mesh_file=mesh,
         up=up_axis(root, upright(views)),
         unit="" if program.has_unit else f"{program.name}'s cameras have no unit",
         unposed=tuple(unposed),
@@ -171,8 +192,16 @@ def _views(frames: Sequence[Frame], root: Path, source: Path) -> tuple[list[View
             continue
         photo = photos.find(str(frame["file_path"]))
         values = with_size(frame, None if photo is None else check_photo(photo))
-        camera = read_camera(values, None, name, source)
-        views.append(View(name, camera, photo, distortion=read_distortion(values, name, source)))
+        view = View(
+            name=name,
+            camera=read_camera(values, None, name, source),
+            photo=photo,
+            distortion=read_distortion(values, name, source),
+            split=frame.get("split", "train"),
+            mask=find_mask(frame, name, root, source),
+            margins=frame.get("margins", (0, 0, 0, 0)),
+        )
+        views.append(view)
     check_unique(views, source)
     return views, unposed
 

@@ -35,6 +35,7 @@ from .nerfstudio import read_nerfstudio, read_nerfstudio_views
 from .photo_contents import showing_something
 from .photo_files import SIDEWAYS, UPRIGHT, check_photo, read_orientation
 from .photos import check_photo_size
+from .pose_folders import scannetpp_scene
 from .programs import find_program, read_program, read_program_views
 
 Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -86,7 +87,7 @@ def read_capture(
     Raises:
         BadInput: the capture cannot be used as it is.
     """
-    path = Path(path)
+    path = scannetpp_scene(Path(path))
     if maps := depth_without_mesh(path):
         keep_fused(path, maps, lambda _: check())
     listing = _list(path, photos)
@@ -201,7 +202,7 @@ def read_views(path: Path, report: Mapping[str, Any] | None = None) -> tuple[Vie
     Raises:
         BadInput: no cameras there, or unusable ones.
     """
-    views = tuple(with_device(view) for view in _read_views(Path(path), report or {}))
+    views = tuple(with_device(view) for view in _read_views(scannetpp_scene(Path(path)), report or {}))
     return mended_like(report or {}, views)
 
 
@@ -236,7 +237,8 @@ def _list(path: Path, photos: PhotoSet) -> Listing:
     if found is None:
         raise BadInput(
             "neither transforms.json nor train/transforms.json nor a COLMAP model in the folder, nor cameras of "
-            "Metashape, Meshroom, RealityScan, OpenMVG, Bundler, ScanNet, 7-Scenes or TUM RGB-D",
+            "Metashape, Meshroom, RealityScan, OpenMVG, Bundler, Polycam, Record3D, ScanNet, ScanNet++, ARKitScenes, "
+            "7-Scenes or TUM RGB-D",
             "export the poses in one of these formats, or name the file itself",
             path,
         )

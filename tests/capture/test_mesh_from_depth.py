@@ -15,16 +15,18 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from iris_addon.base.errors import BadInput, Cancelled
+from iris_addon.base.images import write_exr
 from iris_addon.capture.alignment import seen_geometry
 from iris_addon.capture.depth_fusion import DepthMap, choose_voxel, depth_noise, fuse
 from iris_addon.capture.depth_maps import posed_depth
 from iris_addon.capture.listing import FUSED_MESH
 from iris_addon.capture.mesh_from_depth import fuse_capture
-from iris_addon.capture.reader import read_capture
-from iris_addon.model.capture import Camera, Mesh
+from iris_addon.capture.reader import read_capture, read_views
+from iris_addon.model.capture import Camera, Mesh, View
 from iris_addon.rays.tracer import Tracer
 from tests.box_room import ROOM_MAX, box_mesh, room_poses
 from tests.demo_capture import DemoCapture, demo_capture
+from tests.program_cameras import Writer, write_arkit_scenes, write_polycam, write_record3d
 
 DOWN_FORWARD = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -215,7 +217,57 @@ def tum(root: Path) -> DemoCapture:
     return room
 
 
-@pytest.mark.parametrize(("form", "count"), [(nerfstudio, 11), (scannet, 12), (seven_scenes, 12), (tum, 11)])
+def as_written(root: Path, write: Writer) -> tuple[DemoCapture, list[View]]:
+    """The room as a program writes it, without its mesh, and its views."""
+    room = demo_capture(root, 12)
+    write(root, read_capture(room.save()))
+    (root / "transforms.json").unlink()
+    (root / room.mesh_name).unlink()
+    return room, list(read_views(root))
+
+
+def polycam(root: Path) -> DemoCapture:
+    """A quarter of each map is wrong, and said to be little sure."""
+    room, views = as_written(root, write_polycam)
+    for folder in ("depth", "confidence"):
+        (root / "keyframes" / folder).mkdir()
+    for view in views:
+        camera = view.camera.resized(room.meta["w"] // 2, room.meta["h"] // 2)
+        depth = (depth_of(camera, mesh_of(room)) * 1000).round().astype(np.uint16)
+        sure = np.full(depth.shape, 255, np.uint8)
+        depth[: len(depth) // 4, : depth.shape[1] // 2], sure[: len(depth) // 4, : depth.shape[1] // 2] = 300, 0
+        Image.fromarray(depth).save(root / "keyframes" / "depth" / f"{view.name}.png")
+        Image.fromarray(sure).save(root / "keyframes" / "confidence" / f"{view.name}.png")
+    return room
+
+
+def record3d(root: Path) -> DemoCapture:
+    room, views = as_written(root, write_record3d)
+    (root / "depth").mkdir()
+    for view in views:
+        write_exr(root / "depth" / f"{view.name}.exr", depth_of(view.camera.resized(160, 120), mesh_of(room)))
+    return room
+
+
+def arkit_scenes(root: Path) -> DemoCapture:
+    room, views = as_written(root, write_arkit_scenes)
+    for view in views:
+        write_depth(root / "lowres_depth" / f"{view.name}.png", view.camera.resized(160, 120), mesh_of(room))
+    return room
+
+
+@pytest.mark.parametrize(
+    ("form", "count"),
+    [
+        (nerfstudio, 11),
+        (scannet, 12),
+        (seven_scenes, 12),
+        (tum, 11),
+        (polycam, 12),
+        (record3d, 12),
+        (arkit_scenes, 12),
+    ],
+)
 def test_depth_of_every_format_is_that_of_the_room(form, count: int, tmp_path: Path) -> None:
     """Fused from the files, the room is within a voxel of the mesh that their depth was made of."""
     room = form(tmp_path)

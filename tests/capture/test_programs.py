@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from iris_addon.base.errors import BadInput
+from iris_addon.capture.photos import load_photo
 from iris_addon.capture.reader import read_capture, read_views
 from iris_addon.model.capture import Distortion
-from tests.box_room import RoomCapture
+from tests.box_room import FOCAL, HEIGHT, WIDTH, RoomCapture
+from tests.demo_capture import demo_capture
 from tests.program_cameras import (
     FILES,
     WRITERS,
     Writer,
+    write_arkit_scenes,
     write_metashape,
     write_openmvg,
+    write_polycam,
+    write_record3d,
     write_scannet,
+    write_scannetpp,
     write_sidecars,
     write_tum,
 )
@@ -27,15 +36,17 @@ from tests.program_cameras import (
 @pytest.mark.parametrize("by_file", [False, True])
 def test_cameras_are_those_of_the_room(write: Writer, by_file: bool, nerfstudio_room: RoomCapture) -> None:
     expected = read_capture(nerfstudio_room.root)
+    photos = {view.name: load_photo(view).values for view in expected.views}
     nerfstudio_room.transforms.unlink()
     source = write(nerfstudio_room.root, expected)
     capture = read_capture(source if by_file else nerfstudio_room.root)
-    assert [view.name for view in capture.views] == [view.name for view in expected.views]
+    np.testing.assert_allclose(capture.mesh.vertices, expected.mesh.vertices, atol=1e-6)
+    assert len(capture.views) == len(expected.views)
     for view, wanted in zip(capture.views, expected.views, strict=True):
         np.testing.assert_allclose(view.camera.c2w, wanted.camera.c2w, atol=1e-6)
         for name in ("width", "height", "fx", "fy", "cx", "cy"):
             assert getattr(view.camera, name) == pytest.approx(getattr(wanted.camera, name)), name
-        assert view.photo is not None and view.photo.name == wanted.photo.name  # type: ignore[union-attr]
+        np.testing.assert_array_equal(load_photo(view).values, photos[wanted.name])
         assert view.distortion is None
     assert len(read_views(source)) == len(expected.views)
 
@@ -132,6 +143,66 @@ def test_tum_photos_far_from_any_pose_have_none_and_names_tell_the_camera(
     root = root.rename(tmp_path / "rgbd_dataset_freiburg3_room")
     with pytest.raises(BadInput, match="principal point"):  # of 640 x 480 pixels, which these photos have not
         read_views(root)
+
+
+def test_photos_of_arkit_scenes_far_from_any_pose_have_none(nerfstudio_room: RoomCapture) -> None:
+    root = write_arkit_scenes(nerfstudio_room.root, read_capture(nerfstudio_room.root))
+    nerfstudio_room.transforms.unlink()
+    assert any("41069021_99.000 (no pose)" in warning for warning in read_capture(root).warnings)
+
+
+def test_polycam_without_optimised_cameras_has_those_of_arkit(nerfstudio_room: RoomCapture) -> None:
+    expected = read_capture(nerfstudio_room.root)
+    nerfstudio_room.transforms.unlink()
+    write_polycam(nerfstudio_room.root, expected)
+    keyframes = nerfstudio_room.root / "keyframes"
+    shutil.rmtree(keyframes / "images")
+    shutil.rmtree(keyframes / "corrected_cameras")
+    (keyframes / "corrected_images").rename(keyframes / "images")
+    (nerfstudio_room.root / "mesh_info.json").unlink()
+    for view, wanted in zip(read_views(nerfstudio_room.root), expected.views, strict=True):
+        assert view.photo is not None and view.photo.parent.name == "images" and view.margins == (0, 0, 0, 0)
+        given = json.loads((keyframes / "cameras" / f"{wanted.name}.json").read_text())
+        np.testing.assert_allclose(view.camera.c2w[:3, 3], [0, given["t_13"], given["t_23"]])
+
+
+def test_the_black_border_of_corrected_photos_is_no_picture(tmp_path: Path) -> None:
+    demo = demo_capture(tmp_path / "room")
+    write_polycam(demo.root, read_capture(demo.save()))
+    (demo.root / "transforms.json").unlink()
+    border = round(demo.meta["w"] * 15 / 1024)
+    for view in read_capture(demo.root).views:
+        valid = load_photo(view).valid
+        assert valid[border:-border, border:-border].all() and valid.sum() == valid[border:-border, border:-border].size
+
+
+def test_record3d_without_lenses_of_its_photos_has_one_by_columns(nerfstudio_room: RoomCapture) -> None:
+    path = write_record3d(nerfstudio_room.root, read_capture(nerfstudio_room.root))
+    nerfstudio_room.transforms.unlink()
+    meta = json.loads(path.read_text())
+    meta["K"][6], meta["K"][7] = 15.0, 13.0
+    del meta["perFrameIntrinsicCoeffs"]
+    path.write_text(json.dumps(meta))
+    camera = read_capture(path).views[0].camera
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (FOCAL + 3, FOCAL + 3, 15.0, 13.0)
+
+
+def test_photos_of_scannetpp_for_tests_are_held_out_and_its_masks_used(nerfstudio_room: RoomCapture) -> None:
+    path = write_scannetpp(nerfstudio_room.root, read_capture(nerfstudio_room.root))
+    nerfstudio_room.transforms.unlink()
+    meta = json.loads(path.read_text())
+    meta["test_frames"] = [meta["frames"].pop()]
+    path.write_text(json.dumps(meta))
+    capture = read_capture(nerfstudio_room.root)
+    assert [view.name for view in capture.val_views] == ["005"] and len(capture.views) == 5
+    half = np.zeros((HEIGHT, WIDTH), np.uint8)
+    half[:, : WIDTH // 2] = 255
+    masks = nerfstudio_room.root / "dslr" / "resized_anon_masks"
+    Image.fromarray(half).save(masks / "001.png")
+    np.testing.assert_array_equal(load_photo(capture.views[1]).valid, half > 0)
+    (masks / "002.png").unlink()
+    with pytest.raises(BadInput, match=r"mask '.*002\.png' is missing"):
+        read_capture(nerfstudio_room.root)
 
 
 def test_entities_of_an_xml_are_not_expanded(nerfstudio_room: RoomCapture) -> None:

@@ -14,12 +14,16 @@ from iris_addon.capture.photos import load_photo
 from iris_addon.capture.reader import read_capture, read_views
 from tests.box_room import write_nerfstudio_room
 from tests.program_cameras import (
+    write_arkit_scenes,
     write_bundler,
     write_meshroom,
     write_metashape,
     write_openmvg,
+    write_polycam,
     write_reality_scan,
+    write_record3d,
     write_scannet,
+    write_scannetpp,
     write_sidecars,
     write_tum,
 )
@@ -35,6 +39,10 @@ WRITTEN = (
     (write_bundler, ("bundle.out", "list.txt")),
     (write_scannet, ("intrinsic/intrinsic_color.txt", "pose/001.txt")),
     (write_tum, ("rgb.txt", "groundtruth.txt", "calibration.txt")),
+    (write_scannetpp, ("dslr/nerfstudio/transforms.json",)),
+    (write_polycam, ("mesh_info.json", "keyframes/corrected_cameras/001.json")),
+    (write_record3d, ("metadata.json",)),
+    (write_arkit_scenes, ("lowres_wide.traj", "lowres_wide_intrinsics/41069021_11.001.pincam")),
 )
 """What writes a room as a program does, and which of its files are damaged."""
 JOBS = """
