@@ -8,8 +8,9 @@ The fit of a capture is the height of one peak. Each photo's correlation of edge
 not belong together cancels out, while a peak near no shift that the photos share stays. Over 16 photos it is 10 to 12
 for renders, 4 to 7 for scans with estimated poses, and 0.5 to 3 for wrong frames (experiment 0140).
 
-Mends are turns of the axes, units and pose conventions. Where none is clear, and the capture has sparse points, the
-similarities that bring these onto the mesh are measured by the same fit (:mod:`iris_addon.capture.points_to_mesh`).
+Mends are turns of the axes, units and pose conventions. Where none is clear, the similarities that bring the sparse
+points of the capture onto the mesh are measured by the same fit (:mod:`iris_addon.capture.points_to_mesh`); without
+such points, those of its photos (:mod:`iris_addon.capture.seen_points`).
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from .alignment import ALIGN_WIDTH, band, correlation, geometry_edges, near_no_s
 from .photo_files import SIDEWAYS, UPRIGHT, read_orientation
 from .photos import load_photo, photos_at_once
 from .points_to_mesh import find_similarities
+from .seen_points import seen_points
 from .similarity import Similarity
 
 FRAME_PHOTOS = 16
@@ -252,38 +254,48 @@ def _middle(window: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
 
 
 def search(
-    meter: FrameMeter, unmended: FrameFit, views: Sequence[View], mesh: Mesh, points: FloatArray | None = None
+    meter: FrameMeter,
+    unmended: FrameFit,
+    views: Sequence[View],
+    mesh: Mesh,
+    points: Callable[[], FloatArray | None] = lambda: None,
 ) -> Found | None:
-    """The best of the usual mends and its fit, or the best similarity of the sparse ``points`` (n, 3) to the mesh.
+    """The best of the usual mends and its fit, or the best similarity of sparse points to the mesh.
 
-    Simple mends come first. Combinations take a minute and are tried only where photos and mesh do not fit at all, and
-    there are no points that would tell.
+    Simple mends come first. Combinations and points that have to be found in the photos take a minute each; they are
+    tried only where photos and mesh do not fit at all, and combinations of three where there are no points of the
+    capture either.
+
+    Args:
+        points: the sparse points (n, 3) of the capture, None where it has none.
 
     Returns:
         None where there is nothing to try.
     """
     best: Found | None = None
     possible = [mend for mend in _mends() if _is_possible(mend, views, mesh)]
+    given = points()
 
     def simple(steps: int) -> Found | None:
         return meter.best([mend for mend in possible if mend.steps == steps])
 
     def similar() -> Found | None:
-        assert points is not None
-        found = meter.best(find_similarities(points, views, mesh, meter.check))
-        if found is None or is_clear(found[1], unmended) or found[1].peak < MISMATCH_PEAK:
+        cloud = seen_points(views, meter.check) if given is None else given
+        found = meter.best(find_similarities(cloud, views, mesh, meter.check))
+        exact = found is not None and given is not None and is_clear(found[1], unmended)
+        if found is None or exact or found[1].peak < MISMATCH_PEAK:
             return found
         assert isinstance(found[0], Similarity)
         return meter.sharpened(found[0])
 
-    stages = [partial(simple, 1), *([similar] if points is not None else [partial(simple, 2), partial(simple, 3)])]
-    for stage in stages:
+    usual = [partial(simple, 1), partial(simple, 2), similar, partial(simple, 3)]
+    for stage in usual if given is None else (usual[0], similar):
         found = stage()
         if found is not None and (best is None or found[1].peak > best[1].peak):
             best = found
         if best is not None and is_clear(best[1], unmended):
             return best
-        if points is None and not unmended.is_mismatch:
+        if given is None and not unmended.is_mismatch:
             return best
     return best
 
@@ -375,8 +387,7 @@ def bring_together(
         return given
     if may_mend and (shown := _as_shown(given, mesh, fit, check)) is not None:
         return shown
-    sparse = points() if may_mend else None
-    found = search(meter, fit, views, mesh, sparse) if may_mend else None
+    found = search(meter, fit, views, mesh, points) if may_mend else None
     if found is not None and found[1].photos >= MIN_PHOTOS and is_clear(found[1], fit):
         mend, mended = found
         warning = (
@@ -392,8 +403,7 @@ def bring_together(
     what = f"the photos do not fit the mesh: their edges agree by {fit.peak:.1f}, where {MISMATCH_PEAK:g} is the least"
     if may_mend:
         what += ", under no usual choice of axes, unit and pose convention"
-        if sparse is not None:
-            what += f", nor with their {len(sparse)} sparse points turned, scaled and moved onto it"
+        what += ", nor with points that they show in common turned, scaled and moved onto it"
     return replace(given, mismatch=(what, advice))
 
 

@@ -19,14 +19,15 @@ from ..model.capture import View, in_metres
 from .common_frame import CONVENTIONS, OURS, Convention
 
 
-def mend_record(convention: Convention, scale: float, given: Iterable[View]) -> dict[str, Any] | None:
+def mend_record(convention: Convention, scale: float, moved: bool, given: Iterable[View]) -> dict[str, Any] | None:
     """What report.json keeps of how poses were taken, None where they are as in the files.
 
     Args:
         scale: that positions were multiplied by.
+        moved: whether a similarity moved them to the mesh, which the report keeps by itself.
         given: views of the capture, with their poses as in the files.
     """
-    if convention is OURS and scale == 1:
+    if convention is OURS and scale == 1 and not moved:
         return None
     return {"convention": convention.name, "scale": scale, "poses": [_digest(view) for view in given]}
 
@@ -37,10 +38,10 @@ def mended_like(report: Mapping[str, Any], views: Sequence[View]) -> tuple[View,
     record = report.get("mended_poses")
     record = record if isinstance(record, Mapping) else {}
     convention = next((one for one in (OURS, *CONVENTIONS) if one.name == record.get("convention")), None)
-    scale, known = floats(record.get("scale"), ()), record.get("poses")
-    if convention is None or scale is None or not 0 < scale < np.inf or not isinstance(known, list):
+    scale = floats(record.get("scale"), ())
+    if convention is None or scale is None or not 0 < scale < np.inf:
         return tuple(views)
-    if not any(_digest(view) in known for view in views):
+    if not has_pose_of(report, views):
         return tuple(views)
 
     def mended(view: View) -> View:
@@ -48,6 +49,13 @@ def mended_like(report: Mapping[str, Any], views: Sequence[View]) -> tuple[View,
         return in_metres(replace(view, camera=replace(view.camera, c2w=pose)), float(scale))
 
     return tuple(mended(view) for view in views)
+
+
+def has_pose_of(report: Mapping[str, Any], views: Sequence[View]) -> bool:
+    """Whether one of ``views`` has a pose, as in its file, of the capture of ``report``."""
+    record = report.get("mended_poses")
+    known = record.get("poses") if isinstance(record, Mapping) else None
+    return isinstance(known, list) and any(_digest(view) in known for view in views)
 
 
 def _digest(view: View) -> str:

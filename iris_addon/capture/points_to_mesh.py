@@ -42,9 +42,9 @@ SCALES = np.geomspace(0.2, 5.0, 55)
 """Ratios of the extents of points and mesh: one may show a corner of the other."""
 YAW_STEPS = 24
 """Turns about the up direction that are tried beside those of dominant directions."""
-LEVELS, LEVEL_BINS, LEVEL_BAND = 3, 256, (1.0, 12.0)
-"""Shifts that are proposed per axis, bins of the histograms that propose them, and the bins over which those are
-smoothed and cleared of their broad part."""
+LEVELS, LEVEL_BINS, LEVEL_BAND = 5, 256, (1.0, 12.0)
+"""Shifts that are proposed per axis (with three, corners of furniture hide the walls), bins of the histograms that
+propose them, and the bins over which those are smoothed and cleared of their broad part."""
 GRID_CELLS = 112
 """Cells of the distance field along the longest side of the mesh."""
 NEAR = 0.04
@@ -60,7 +60,9 @@ POLISH = 0.08
 """First width of the last refinement, with all points."""
 MAX_STEP, SETTLED = 0.2, 1e-4
 """Of a refinement, in radians, logarithm of the scale and extents."""
-KEPT = (1000, 400, 40, 8)
+COUNTED = 150
+"""Points by which the share near the mesh is first estimated."""
+KEPT = (3000, 400, 40, 8)
 """Hypotheses after the shifts, the count of all points, and the coarse and the fine refinement."""
 MIN_INSIDE = 0.5
 """Share of the cameras that must lie within the bounds of the mesh."""
@@ -234,7 +236,7 @@ def _counted(
         check()
         rotation = target.axes.T @ turn
         shifts = target.middle + levels[[0, 1, 2], choice] @ target.axes
-        moved = scale * (cloud.few - cloud.middle) @ rotation.T
+        moved = scale * (cloud.few[:COUNTED] - cloud.middle) @ rotation.T
         near = NEAR * scale * cloud.extent
         shares = (target.distances(moved + shifts[:, None]) < near + target.cell).mean(1)
         shares *= near / (near + target.cell)  # small clouds lie near anything within a cell of the grid

@@ -28,7 +28,7 @@ from .common_frame import OURS, Together, bring_together, extent
 from .exposures import apply_file, from_exif, with_device
 from .fipt import PhotoSet, fipt_root, read_fipt, read_fipt_views
 from .listing import FUSED_MESH, Listing, axis_near, mean_up, up_axis, upright
-from .mended_poses import mend_record, mended_like
+from .mended_poses import has_pose_of, mend_record, mended_like
 from .mesh_files import read_mesh
 from .mesh_from_depth import depth_without_mesh, keep_fused
 from .nerfstudio import read_nerfstudio, read_nerfstudio_views
@@ -148,7 +148,9 @@ def read_capture(
         mismatch=mismatch,
         metres_per_unit=unit,
         poses_to_mesh=None if found is None else found.matrix(given),
-        mended_poses=mend_record(together.mend.convention, together.pose_scale, (*listing.views, *listing.val_views)),
+        mended_poses=mend_record(
+            together.mend.convention, together.pose_scale, found is not None, (*listing.views, *listing.val_views)
+        ),
         excluded=tuple(sorted(set(exclude))),
     )
 
@@ -192,32 +194,37 @@ def _scaled(together: Together, unit: float) -> Together:
 
 
 def read_views(path: Path, report: Mapping[str, Any] | None = None) -> tuple[View, ...]:
-    """Cameras to render from, out of a transforms.json of either layout or a COLMAP model; photos need not exist.
+    """Cameras to render from, out of a transforms.json of either layout or those of a program; photos need not exist.
 
     Args:
-        report: of the result they are for. Where its solve moved the poses of a COLMAP model to the mesh, those of a
-            model move with them; a transforms.json is in the frame of the mesh. Where it took the poses of the capture
-            in another convention, it takes those of a file with such poses likewise.
+        report: of the result they are for. Where its solve moved the poses of its capture to the mesh, those of a
+            program, as COLMAP, move with them; a transforms.json is in the frame of the mesh, unless it has one of the
+            capture's poses. Where it took them in another convention, it takes those of a file with such poses
+            likewise.
 
     Raises:
         BadInput: no cameras there, or unusable ones.
     """
-    views = tuple(with_device(view) for view in _read_views(scannetpp_scene(Path(path)), report or {}))
-    return mended_like(report or {}, views)
+    report = report or {}
+    views, in_frame_of_mesh = _read_views(scannetpp_scene(Path(path)))
+    views = tuple(with_device(view) for view in views)
+    similarity = floats(report.get("poses_to_mesh"), (4, 4))
+    if similarity is not None and (not in_frame_of_mesh or has_pose_of(report, views)):
+        return tuple(moved_by(view, similarity) for view in views)
+    return mended_like(report, views)
 
 
-def _read_views(path: Path, report: Mapping[str, Any]) -> tuple[View, ...]:
+def _read_views(path: Path) -> tuple[tuple[View, ...], bool]:
+    """The views of ``path``, and whether its format has the frame of a mesh and none of its own."""
     transforms = path / "transforms.json" if path.is_dir() else path
     root = fipt_root(transforms)
     if root is None and not transforms.is_file() and (model := colmap_model(path)) is not None:
-        similarity = floats(report.get("poses_to_mesh"), (4, 4))
-        views = read_colmap_views(path, model)
-        return views if similarity is None else tuple(moved_by(view, similarity) for view in views)
+        return read_colmap_views(path, model), False
     if root is None and (path.is_file() or not transforms.is_file()) and (found := find_program(path)) is not None:
-        return read_program_views(path, *found)
+        return read_program_views(path, *found), False
     if root is None:
-        return read_nerfstudio_views(transforms)
-    return read_fipt_views(root, "val" if transforms.parent.name == "val" else "train")
+        return read_nerfstudio_views(transforms), True
+    return read_fipt_views(root, "val" if transforms.parent.name == "val" else "train"), True
 
 
 def _list(path: Path, photos: PhotoSet) -> Listing:

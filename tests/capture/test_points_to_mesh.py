@@ -10,15 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import cKDTree
 
 from iris_addon.base.errors import BadInput
 from iris_addon.capture.colmap import read_colmap_points
 from iris_addon.capture.points_to_mesh import find_similarities
 from iris_addon.capture.reader import read_capture, read_views
+from iris_addon.capture.seen_points import seen_points
 from iris_addon.model.camera_height import CameraHeight
 from iris_addon.model.capture import Capture, moved_by
 from tests.colmap_model import camera_of, poses, write_text
 from tests.demo_capture import demo_capture
+from tests.program_cameras import write_metashape
 from tests.sparse_points import random_similarity, sparse_points, write_points
 
 CENTIMETRE, HALF_DEGREE, PERCENT = 0.01, np.radians(0.5), 0.01
@@ -74,6 +77,42 @@ def test_poses_of_any_frame_and_unit_are_moved_to_the_mesh(right: Capture, tmp_p
         np.testing.assert_allclose(found.camera.c2w, view.camera.c2w, atol=1e-6)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["Metashape", "nerfstudio"])
+def test_without_points_those_that_photos_show_in_common_are_taken(kind: str, tmp_path: Path) -> None:
+    """A chunk that was never scaled, or the poses of structure from motion in a transforms.json, and a scan."""
+    demo = demo_capture(tmp_path / "room", count=14)
+    right, similarity = read_capture(demo.save()), random_similarity(np.random.default_rng(0))
+    demo.poses = np.array([moved_by(view, similarity).camera.c2w for view in right.views])
+    demo.save()
+    if kind == "Metashape":
+        write_metashape(demo.root, replace(right, views=tuple(moved_by(view, similarity) for view in right.views)))
+        (demo.root / "transforms.json").unlink()
+    capture = read_capture(demo.root)
+    assert capture.mismatch is None and capture.poses_to_mesh is not None
+    np.testing.assert_allclose(capture.mesh.vertices, right.mesh.vertices, atol=1e-6)
+    assert np.linalg.norm(positions(capture) - positions(right), axis=1).max() < 4 * CENTIMETRE
+    by_name = {view.name: view.camera.c2w for view in right.views}
+    assert max(turn_between(view.camera.c2w, by_name[view.name]) for view in capture.views) < 2 * HALF_DEGREE
+    report = {"poses_to_mesh": capture.poses_to_mesh.tolist(), "mended_poses": capture.mended_poses}
+    for found, view in zip(read_views(demo.root, report), capture.views, strict=True):
+        np.testing.assert_allclose(found.camera.c2w, view.camera.c2w, atol=1e-6)
+
+
+def test_points_that_three_photos_show_lie_on_the_room(right: Capture) -> None:
+    points = seen_points(right.views)
+    samples = trimesh.Trimesh(right.mesh.vertices, right.mesh.faces, process=False).sample(100_000)
+    off, _ = cKDTree(samples).query(points)
+    assert len(points) > 30 and np.median(off) < 0.06
+
+
+def test_poses_that_mean_something_else_have_no_points_in_common(right: Capture) -> None:
+    """Else any wrong pose would find a place in the mesh."""
+    down = np.diag([1.0, -1.0, -1.0, 1.0])
+    wrong = [replace(view, camera=replace(view.camera, c2w=view.camera.c2w @ down)) for view in right.views]
+    assert len(seen_points(wrong)) < 0.5 * len(seen_points(right.views))
+
+
 def test_poses_that_fit_stay_where_they_are(right: Capture, tmp_path: Path) -> None:
     points = sparse_points(right, np.random.default_rng(0))
     capture = read_capture(as_colmap(right, tmp_path / "room", np.eye(4), points))
@@ -94,10 +133,10 @@ def test_photos_and_points_of_another_room_are_refused(right: Capture, tmp_path:
     try:
         capture = read_capture(root)
     except BadInput as error:
-        assert "the photos do not fit the mesh" in str(error) and "sparse points" in str(error)
+        assert "the photos do not fit the mesh" in str(error) and "show in common" in str(error)
     else:
         assert capture.poses_to_mesh is None
-        assert capture.mismatch is not None and "sparse points" in capture.mismatch.what
+        assert capture.mismatch is not None and "show in common" in capture.mismatch.what
 
 
 def test_few_points_find_nothing(right: Capture) -> None:
