@@ -47,8 +47,8 @@ COLMAP_FILES = [f"{name}.{kind}" for name in ("cameras", "images", "points3D") f
 
 class IRIS_OT_import_capture(NeedsReader, bpy.types.Operator):  # noqa: N801 - Blender's naming
     """Read photos, poses and mesh of a room, check them and add them to this scene.
-    Poses of nerfstudio, Polycam, COLMAP, Metashape, RealityScan, Meshroom, OpenMVG, Bundler, ScanNet,
-    TUM RGB-D or FIPT"""
+    Poses of nerfstudio, Polycam, Record3D, COLMAP, Metashape, RealityScan, Meshroom, OpenMVG, Bundler, ScanNet,
+    ScanNet++, ARKitScenes, 7-Scenes, TUM RGB-D or FIPT"""
 
     bl_idname = "iris.import_capture"
     bl_label = "Import Capture"

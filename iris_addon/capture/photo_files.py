@@ -1,13 +1,12 @@
 """What a photo file holds: pixels in sRGB's primaries, which of them are picture, and how the camera was held.
 
 The content decides, not the suffix: phones and messengers write WebP and HEIC under the name .jpg. Embedded profiles
-(Display P3, Adobe RGB, ProPhoto RGB) are converted by littleCMS; without one sRGB is assumed. Pixels that are not fully
+(Display P3, Adobe RGB, ProPhoto RGB) are converted; without one sRGB is assumed. Pixels that are not fully
 opaque are no picture. HEIC needs the package pillow-heif, camera raw files need rawpy; both are optional.
 """
 
 from __future__ import annotations
 
-import io
 import logging
 import sys
 from collections.abc import Iterator
@@ -18,12 +17,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import ExifTags, Image, ImageCms
+from PIL import ExifTags, Image
 
 from ..base.errors import BadInput
 from ..base.image_headers import MAX_IMAGE_BYTES, check_pixels
 from ..base.images import HDR_SUFFIXES, check_image, exr_size, read_exr
 from ..base.untrusted import decoding, open_file
+from .color_profiles import ColorProfile
 
 # What Pillow logs goes to those who look at its log; an error about a file is one line.
 logging.getLogger("PIL").addHandler(logging.NullHandler())
@@ -101,15 +101,15 @@ def read_photo(path: Path, shrink: int = 1) -> PhotoPixels:
         if shrink > 1:
             image.draft("RGB", (image.width // shrink, image.height // shrink))
         if fine := _sixteen_bits(image, path):
-            codes, alpha = fine
-            return PhotoPixels(_floored(codes), _opaque(alpha, codes.shape[:2]), hdr=False)
+            values, alpha = fine
+            return PhotoPixels(_floored(_in_srgb(values, image, path)), _opaque(alpha, values.shape[:2]), hdr=False)
         if image.mode.startswith("F"):
             raise BadInput("has floating-point pixels", "save it as EXR", path)
         has_alpha = "A" in image.getbands() or "transparency" in image.info
         rgba = image.convert("RGBA") if has_alpha else None
-        codes = _to_srgb(image if rgba is None else rgba, image.info.get("icc_profile"), path)
         opaque = None if rgba is None else np.asarray(rgba.getchannel("A"), np.float32) / 255
-        values = codes.astype(np.float32) / np.float32(255)
+        codes = np.asarray((image if rgba is None else rgba).convert("RGB"))
+        values = _in_srgb(codes.astype(np.float32) / np.float32(255), image, path)
         return PhotoPixels(values, _opaque(opaque, codes.shape[:2]), hdr=False)
 
 
@@ -196,34 +196,11 @@ def read_device(path: Path) -> str:
 # ---- Display values -------------------------------------------------------------------------------------------------
 
 
-def _to_srgb(image: Image.Image, profile: bytes | None, path: Path) -> NDArray[np.uint8]:
-    """(H, W, 3) codes in sRGB's primaries and curve."""
-    rgb = image.convert("RGB")
-    if not profile:
-        return np.asarray(rgb)
-    try:
-        source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
-        if source.profile.xcolor_space.strip() != "RGB" or _is_srgb(source):
-            return np.asarray(rgb)
-        transform = ImageCms.buildTransform(
-            source, ImageCms.createProfile("sRGB"), "RGB", "RGB", ImageCms.Intent.RELATIVE_COLORIMETRIC
-        )
-        codes = np.array(ImageCms.applyTransform(rgb, transform))
-    except ImageCms.PyCMSError as error:
-        raise BadInput(f"has a color profile that cannot be used ({error})", "save it as sRGB", path) from error
-    # Rounding takes clipped channels one code down on their way.
-    codes[codes == 254] = 255
-    return codes
-
-
-def _is_srgb(profile: ImageCms.ImageCmsProfile) -> bool:
-    """Whether the primaries are sRGB's; the curve is that of the camera anyway."""
-    own, srgb = profile.profile, ImageCms.createProfile("sRGB")
-    names = ("red_colorant", "green_colorant", "blue_colorant")
-    pairs = [(getattr(own, name, None), getattr(srgb, name, None)) for name in names]
-    if any(a is None or b is None for a, b in pairs):
-        return False
-    return all(np.allclose(a[0], b[0], atol=0.005) for a, b in pairs)  # type: ignore[index]
+def _in_srgb(values: NDArray, image: Image.Image, path: Path) -> NDArray:
+    """``values`` (H, W, 3) of ``image``, from 0 to 1, in sRGB's primaries."""
+    content = image.info.get("icc_profile")
+    profile = ColorProfile(content, path) if content else None
+    return values if profile is None or profile.is_srgb else profile.converted(values)
 
 
 def _opaque(alpha: NDArray[np.float32] | None, shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -238,7 +215,7 @@ def _floored(values: NDArray[np.floating]) -> NDArray[np.float32]:
 
 
 def _sixteen_bits(image: Image.Image, path: Path) -> tuple[NDArray[np.float64], NDArray[np.float32] | None] | None:
-    """(H, W, 3) values and (H, W) alpha of a file of 16 bits per channel in sRGB's primaries; None for others.
+    """(H, W, 3) values and (H, W) alpha of a file of 16 bits per channel; None for others.
 
     Pillow keeps one byte per colour channel. Which one follows from the byte order it is told, so that decoding twice
     gives both.
@@ -246,9 +223,8 @@ def _sixteen_bits(image: Image.Image, path: Path) -> tuple[NDArray[np.float64], 
     if image.mode.startswith("I"):
         grey = np.asarray(image).astype(np.float64) / 65535
         return np.repeat(np.clip(grey, 0, 1)[..., None], 3, axis=-1), None
-    profile = image.info.get("icc_profile")
     known = [mode for tile in image.tile for mode in _raw_modes(tile) if mode in _OTHER_BYTE]
-    if not known or (profile and not _is_srgb(ImageCms.ImageCmsProfile(io.BytesIO(profile)))):
+    if not known:
         return None
     with open_photo(path) as again:
         again.tile = [tile._replace(args=_with_mode(tile.args, known[0], _OTHER_BYTE[known[0]])) for tile in again.tile]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 import zlib
 from pathlib import Path
@@ -71,8 +72,8 @@ def test_masks_of_a_capture_are_honoured(nerfstudio_room: RoomCapture) -> None:
 # ---- colour --------------------------------------------------------------------------------------------------------
 
 
-def matrix_profile(primaries: list[tuple[float, float]], gamma: float) -> bytes:
-    """An ICC profile of a matrix and a curve, written by hand: D65 white, adapted to D50 by Bradford's matrix."""
+def matrix_profile(primaries: list[tuple[float, float]], gamma: float | bytes) -> bytes:
+    """An ICC profile of a matrix and a curve (a power, or a tag): D65 white, adapted to D50 by Bradford's matrix."""
 
     def xyz(x: float, y: float) -> np.ndarray:
         return np.array([x / y, 1, (1 - x - y) / y])
@@ -86,7 +87,8 @@ def matrix_profile(primaries: list[tuple[float, float]], gamma: float) -> bytes:
     def fixed(values: np.ndarray) -> bytes:
         return b"".join(struct.pack(">i", round(v * 65536)) for v in values)
 
-    curve = b"curv\0\0\0\0" + struct.pack(">IH", 1, round(gamma * 256)) + b"\0\0"
+    power = b"" if isinstance(gamma, bytes) else struct.pack(">IH", 1, round(gamma * 256))
+    curve = gamma if isinstance(gamma, bytes) else b"curv\0\0\0\0" + power + b"\0\0"
     text = b"made by a test\0"
     description = b"desc\0\0\0\0" + struct.pack(">I", len(text)) + text + b"\0" * 78
     tags = [(b"desc", description), (b"cprt", b"text\0\0\0\0none\0"), (b"wtpt", b"XYZ \0\0\0\0" + fixed(d50))]
@@ -110,14 +112,56 @@ PROFILES = {
 
 @pytest.mark.parametrize("name", PROFILES)
 def test_embedded_profiles_are_converted_to_the_primaries_of_srgb(name: str, tmp_path: Path) -> None:
-    import io
-
     profile = ImageCms.ImageCmsProfile(io.BytesIO(PROFILES[name]))
     srgb = ImageCms.createProfile("sRGB")
     image = ImageCms.profileToProfile(Image.fromarray(SMOOTH), srgb, profile, renderingIntent=1)
     assert image is not None and np.abs(np.asarray(image).astype(int) - SMOOTH).max() > 8
     image.save(tmp_path / "a.png", icc_profile=PROFILES[name])
-    assert np.abs(read_photo(tmp_path / "a.png").values * 255 - SMOOTH).max() <= 2.01
+    found = read_photo(tmp_path / "a.png").values * 255
+    assert np.abs(found - SMOOTH).max() <= 2.01
+    assert (np.abs(found - np.rint(found)) > 0.1).any()  # not rounded once more
+
+
+def test_sixteen_bits_in_another_space_keep_them(tmp_path: Path) -> None:
+    """A step of a sixteenth of a code is there in sRGB too, and a profile of a table as littleCMS reads it."""
+    grey = np.linspace(0.2, 0.6, 4096).reshape(64, 64)
+    fine = np.rint(np.stack([grey, 0.8 * grey, 0.9 * grey], -1) * 65535).astype(">u2")
+    write_png_16(tmp_path / "a.png", fine.astype(np.uint16), PROFILES["Display P3"])
+    values = read_photo(tmp_path / "a.png").values
+    assert len(np.unique(values[..., 0])) > 2000
+    eight = Image.fromarray((fine >> 8).astype(np.uint8))
+    profile = ImageCms.ImageCmsProfile(io.BytesIO(PROFILES["Display P3"]))
+    known = ImageCms.profileToProfile(eight, profile, ImageCms.createProfile("sRGB"), renderingIntent=1)
+    assert known is not None and np.abs(values * 255 - np.asarray(known)).max() < 1.6
+
+
+def curve_of(kind: int, *numbers: float) -> bytes:
+    return (
+        b"para\0\0\0\0" + struct.pack(">HH", kind, 0) + b"".join(struct.pack(">i", round(65536 * x)) for x in numbers)
+    )
+
+
+SRGB_PARAMETRIC = curve_of(3, 2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045)
+
+
+@pytest.mark.parametrize(
+    "curve",
+    [
+        SRGB_PARAMETRIC,
+        curve_of(4, 2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045, 0.0, 0.0),
+        curve_of(2, 2.0, 0.9, -0.1, 0.1),
+        curve_of(1, 2.0, 1.1, -0.1),
+        curve_of(0, 1.8),
+        b"curv\0\0\0\0" + struct.pack(">I3H", 3, 0, 14000, 65535) + b"\0\0",
+        b"curv\0\0\0\0" + struct.pack(">I", 0),
+    ],
+)
+def test_curves_of_every_kind_are_those_of_little_cms(curve: bytes, tmp_path: Path) -> None:
+    content = matrix_profile([(0.680, 0.320), (0.265, 0.690), (0.150, 0.060)], curve)
+    Image.fromarray(SMOOTH).save(tmp_path / "a.png", icc_profile=content)
+    profile = ImageCms.ImageCmsProfile(io.BytesIO(content))
+    known = ImageCms.profileToProfile(Image.fromarray(SMOOTH), profile, ImageCms.createProfile("sRGB"), 1)
+    assert known is not None and np.abs(read_photo(tmp_path / "a.png").values * 255 - np.asarray(known)).max() < 1.6
 
 
 def test_a_clipped_pixel_stays_clipped_through_a_profile(tmp_path: Path) -> None:
@@ -134,10 +178,12 @@ def test_a_photo_in_srgb_is_not_touched(tmp_path: Path) -> None:
 # ---- depth and formats ---------------------------------------------------------------------------------------------
 
 
-def write_png_16(path: Path, pixels: np.ndarray) -> None:
+def write_png_16(path: Path, pixels: np.ndarray, profile: bytes = b"") -> None:
     rows = b"".join(b"\0" + row.astype(">u2").tobytes() for row in pixels)
     kind = 2 if pixels.shape[2] == 3 else 6
     chunks = [(b"IHDR", struct.pack(">IIBBBBB", pixels.shape[1], pixels.shape[0], 16, kind, 0, 0, 0))]
+    if profile:
+        chunks.append((b"iCCP", b"p\0\0" + zlib.compress(profile)))
     chunks += [(b"IDAT", zlib.compress(rows)), (b"IEND", b"")]
     path.write_bytes(
         b"\x89PNG\r\n\x1a\n"
