@@ -18,15 +18,13 @@ from numpy.typing import NDArray
 from PIL import Image, ImageCms
 
 from ..base.errors import BadInput
-from ..model.response import srgb
+from ..model.response import SATURATED, srgb
 
 COLORANTS = ("red_colorant", "green_colorant", "blue_colorant")
 CURVE_TAGS = (b"rTRC", b"gTRC", b"bTRC")
 TABLES = (b"A2B0", b"A2B1", b"D2B0")
 """Tags of profiles that are more than a matrix and curves."""
 MAX_TAGS = 256
-NEARLY_FULL = 1 - 0.75 / 255
-"""Value from which a channel is full: one that was clipped may come back a little below."""
 PARAMETERS = (1, 3, 4, 5, 7)
 """Numbers of each kind of parametric curve."""
 UNUSED = (1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -66,7 +64,8 @@ class ColorProfile:
         tables = [curve(np.arange(FINEST + 1) / FINEST).astype(np.float32) for curve in curves]
         linear = np.stack([table[codes[..., k]] for k, table in enumerate(tables)], axis=-1)
         found = srgb(linear @ self._matrix.T.astype(np.float32))
-        return np.where(found >= NEARLY_FULL, np.float32(1), found).astype(np.float32)
+        full = found >= SATURATED  # a channel that was clipped comes back a little below
+        return np.where(full, np.float32(1), found).astype(np.float32)
 
     def _by_little_cms(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
         image = Image.fromarray(np.round(255 * values).astype(np.uint8))
