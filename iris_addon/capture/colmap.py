@@ -54,6 +54,11 @@ PARAMETERS = {
     "SIMPLE_RADIAL_FISHEYE": (*_FOCAL, "k1"),
     "RADIAL_FISHEYE": (*_FOCAL, "k1", "k2"),
     "THIN_PRISM_FISHEYE": (*_FOCALS, "k1", "k2", "p1", "p2", "k3", "k4", "sx1", "sy1"),
+    "RAD_TAN_THIN_PRISM_FISHEYE": (),
+    "SIMPLE_DIVISION": (),
+    "DIVISION": (),
+    "SIMPLE_FISHEYE": _FOCAL,
+    "FISHEYE": _FOCALS,
 }
 """Parameters of each camera model in COLMAP's order, by the names of a transforms file; none: it is not supported."""
 MODEL_NAMES = tuple(PARAMETERS)

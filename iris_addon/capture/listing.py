@@ -43,7 +43,11 @@ RIGID_TOLERANCE = 1e-3
 """Deviation from a rotation matrix; files keep three decimals at least."""
 
 PERSPECTIVE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "FULL_OPENCV")
-FISHEYE_MODELS = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE")
+FISHEYE_MODELS = (
+    "OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "SIMPLE_FISHEYE", "FISHEYE"
+)  # fmt: skip
+OTHER_MESHES = (".usdz", ".usd", ".usdc", ".usda", ".fbx", ".gltf", ".stl", ".dae")
+"""Suffixes of meshes that Blender imports and that are not read here."""
 DENOMINATOR = {"k4": "d1", "k5": "d2", "k6": "d3"}
 """Our names of OpenCV's coefficients in the denominator."""
 
@@ -237,7 +241,9 @@ def only_mesh(root: Path, source: Path, mend: str = 'name one with "mesh" in {}'
     files = [path for path in root.iterdir() if path.suffix.lower() in MESH_SUFFIXES and path.name[0] != "."]
     found = sorted([path for path in files if not is_point_cloud(path)] or files)
     if not found:
-        raise BadInput("no mesh (PLY, OBJ or GLB) in the folder", "add the scan of the room", root)
+        other = next((path.name for path in sorted(root.iterdir()) if path.suffix.lower() in OTHER_MESHES), None)
+        mend = "add the scan of the room" if other is None else f"import {other} into Blender and export it as GLB"
+        raise BadInput("no mesh (PLY, OBJ or GLB) in the folder", mend, root)
     if len(found) > 1:
         names = ", ".join(path.name for path in found[:6])
         raise BadInput(f"several meshes ({names})", mend.format(source.name), root)

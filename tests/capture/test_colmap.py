@@ -67,6 +67,8 @@ def test_lens_distortion_comes_along(colmap_room: tuple[Path, Capture]) -> None:
             k1=0.1, k2=0.2, p1=0.3, p2=0.4, k3=0.5, d1=0.6, d2=0.7, d3=0.8
         )),
         ("FULL_OPENCV", (0.0,) * 8, None),
+        ("SIMPLE_FISHEYE", (), Distortion(fisheye=True)),
+        ("FISHEYE", (), Distortion(fisheye=True)),
         ("THIN_PRISM_FISHEYE", (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8), Distortion(
             k1=0.1, k2=0.2, p1=0.3, p2=0.4, k3=0.5, k4=0.6, sx1=0.7, sy1=0.8, fisheye=True
         )),
@@ -81,7 +83,7 @@ def test_every_camera_model_has_its_coefficients_in_order(
 ) -> None:
     root, expected = colmap_room
     _, width, height, (fx, fy, cx, cy) = camera_of(expected)
-    focal = (fx, cx, cy) if "RADIAL" in model else (fx, fy, cx, cy)
+    focal = (fx, cx, cy) if "RADIAL" in model or "SIMPLE" in model else (fx, fy, cx, cy)
     write(root / "sparse" / "0", (model, width, height, (*focal, *more)), poses(expected))
     assert read_views(root)[0].distortion == expected_lens
 
@@ -99,6 +101,27 @@ def test_the_model_with_most_photos_is_read_and_the_rest_is_said(
     said = " ".join(capture.warnings)
     assert "sparse/1 is used, with 5 photos" in said and "sparse/0 has 2" in said
     assert "1 of 6 photos have no pose in the model and are left out: 005.png" in said
+
+
+@pytest.mark.parametrize("model", ["FOV", "DIVISION"])
+def test_a_camera_model_that_is_not_read_is_named(model: str, colmap_room: tuple[Path, Capture]) -> None:
+    root, expected = colmap_room
+    _, width, height, lens = camera_of(expected)
+    write_binary(root / "sparse" / "0", (model, width, height, (*lens, 0.5)), poses(expected))
+    with pytest.raises(BadInput, match=f"camera model {model} is not supported"):
+        read_views(root)
+
+
+def test_files_of_rigs_and_frames_change_nothing(colmap_room: tuple[Path, Capture]) -> None:
+    """As COLMAP 3.12 and later write them: the poses of images are there as before."""
+    root, expected = colmap_room
+    model = root / "sparse" / "0"
+    write_text(model, camera_of(expected), poses(expected))
+    (model / "rigs.txt").write_text("# Rig calib list\n1 1 CAMERA 3\n")
+    frames = [f"{k} 1 1 0 0 0 9 9 9 1 CAMERA 3 {k}" for k, _ in enumerate(expected.views, 1)]
+    (model / "frames.txt").write_text("# Frame list\n" + "\n".join(frames) + "\n")
+    for view, wanted in zip(read_capture(root).views, expected.views, strict=True):
+        np.testing.assert_allclose(view.camera.c2w, wanted.camera.c2w, atol=1e-9)
 
 
 def test_images_without_their_line_of_points(colmap_room: tuple[Path, Capture]) -> None:

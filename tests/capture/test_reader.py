@@ -277,6 +277,12 @@ def test_a_choice_of_meshes_must_be_made(nerfstudio_room: RoomCapture) -> None:
     assert len(read_capture(nerfstudio_room.save()).mesh.faces) == 12
 
 
+def test_a_mesh_that_only_blender_reads_is_named(nerfstudio_room: RoomCapture) -> None:
+    (nerfstudio_room.root / "mesh.ply").rename(nerfstudio_room.root / "room.usdz")
+    with pytest.raises(BadInput, match=r"import room\.usdz into Blender and export it as GLB"):
+        read_capture(nerfstudio_room.root)
+
+
 def test_non_manifold_mesh_is_a_warning(nerfstudio_room: RoomCapture) -> None:
     mesh = nerfstudio_room.mesh
     extra = np.vstack([mesh.faces, [[0, 1, 7]], [[0, 1, 6]]])
