@@ -36,6 +36,9 @@ PHOTO_SUFFIXES = (
 )  # fmt: skip
 OPAQUE = 0.999
 """Alpha of a pixel that is all picture."""
+RAW_FULL = 65535 - 64
+"""Code of a camera raw file from which a channel is full: where one is clipped on the sensor, LibRaw brings the others
+down to the same white, rounded."""
 MEND = "copy or export the file again"
 _OTHER_BYTE = {
     f"{bands};16{order}": f"{bands};16{other}"
@@ -266,7 +269,8 @@ def _read_raw(path: Path) -> PhotoPixels:
             output_bps=16,  # in sRGB's primaries, which are the default
             user_flip=0,
         )
-    return PhotoPixels(_floored(linear / 65535.0), np.ones(linear.shape[:2], bool), hdr=False)
+    values = np.where(linear >= RAW_FULL, 1.0, linear / 65535.0)
+    return PhotoPixels(_floored(values), np.ones(linear.shape[:2], bool), hdr=False)
 
 
 @contextmanager

@@ -253,6 +253,60 @@ def test_lossy_formats_of_phones(name: str, form: str, tmp_path: Path) -> None:
     assert np.abs(read_photo(tmp_path / name).values * 255 - np.asarray(smooth)).mean() < 2
 
 
+def write_dng(path: Path, linear: np.ndarray, neutral: tuple[float, float, float], white: int = 60000) -> None:
+    """Camera raw (RGGB, 16 bits) of a camera whose colours are those of sRGB, before its white balance."""
+    height, width, _ = linear.shape
+    sensor = np.clip(linear * neutral, 0, 1) * (white - 1000) + 1000
+    mosaic = sensor[..., 1].copy()
+    mosaic[::2, ::2], mosaic[1::2, 1::2] = sensor[::2, ::2, 0], sensor[1::2, 1::2, 2]
+    data = np.rint(mosaic).astype("<u2").tobytes()
+    to_xyz = np.array(
+        [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
+    )
+
+    def ratios(values: np.ndarray | tuple[float, ...], form: str) -> bytes:
+        return b"".join(struct.pack(f"<{2 * form}", round(x * 10000), 10000) for x in np.ravel(values))
+
+    long, short, byte = (lambda *x, f=f: struct.pack(f"<{len(x)}{f}", *x) for f in ("I", "H", "B"))
+    tags = {
+        254: (4, 1, long(0)), 256: (4, 1, long(width)), 257: (4, 1, long(height)), 258: (3, 1, short(16)),
+        259: (3, 1, short(1)), 262: (3, 1, short(32803)), 271: (2, 5, b"Test\0"), 272: (2, 4, b"One\0"),
+        273: (4, 1, b"data"), 274: (3, 1, short(1)), 277: (3, 1, short(1)), 278: (4, 1, long(height)),
+        279: (4, 1, long(len(data))), 284: (3, 1, short(1)), 33421: (3, 2, short(2, 2)),
+        33422: (1, 4, byte(0, 1, 1, 2)),
+        50706: (1, 4, byte(1, 4, 0, 0)), 50708: (2, 9, b"Test One\0"), 50714: (4, 1, long(1000)),
+        50717: (4, 1, long(white)), 50721: (10, 9, ratios(np.linalg.inv(to_xyz), "i")),
+        50728: (5, 3, ratios(neutral, "I")),
+        50778: (3, 1, short(21)),
+    }  # fmt: skip
+    offset, table, more = 8 + 2 + 12 * len(tags) + 4, b"", b""
+    where = offset + sum(len(value) + len(value) % 2 for _, _, value in tags.values() if len(value) > 4)
+    for tag, (kind, count, value) in tags.items():
+        content = long(where) if tag == 273 else value
+        if len(content) > 4:
+            content, value = long(offset + len(more)), content
+            more += value + b"\0" * (len(value) % 2)
+        table += struct.pack("<HHI", tag, kind, count) + content.ljust(4, b"\0")
+    path.write_bytes(b"II*\0" + long(8) + short(len(tags)) + table + long(0) + more + data)
+
+
+def test_camera_raw_is_linear_with_its_white_balance_and_clips_where_the_file_says(tmp_path: Path) -> None:
+    pytest.importorskip("rawpy")
+    linear = np.empty((96, 128, 3))
+    patches = {0: (0.05, 0.1, 0.2), 32: (0.4, 0.2, 0.1), 64: (0.3, 0.3, 0.3), 96: (1.5, 1.5, 1.5)}
+    for left, color in patches.items():
+        linear[:, left : left + 32] = color
+    write_dng(tmp_path / "a.dng", linear, (0.5, 1.0, 0.7))
+    found = read_photo(tmp_path / "a.dng")
+    assert not found.hdr and found.valid.all()
+    for left, color in patches.items():
+        middle = found.values[8:-8, left + 8 : left + 24].reshape(-1, 3)
+        if left == 96:
+            assert (middle == 1).all()
+        else:
+            np.testing.assert_allclose(middle + 0.5 / 255, np.broadcast_to(color, middle.shape), rtol=0.02, atol=0.002)
+
+
 def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.jpg").write_bytes(b"\0\0\0\x18ftypheic" + b"\0" * 40)
     (tmp_path / "a.dng").write_bytes(b"II*\0")
