@@ -305,6 +305,8 @@ DAMAGE: dict[str, Callable[[bytes, Edit], bytes]] = {
     ".xmp": damaged_xml,
     ".csv": damaged_text,
     ".txt": damaged_text,
+    ".traj": damaged_text,
+    ".pincam": damaged_text,
     ".obj": damaged_text,
     ".out": damaged_text,
     ".png": damaged_png,
