@@ -65,9 +65,9 @@ def read_polycam(first: Path) -> list[dict[str, Any]]:
     for path in sorted(cameras.glob("*.json")):
         values = read_json_object(path)
         with decoding(path, mend=AGAIN):
-            rows = [[float(values[f"t_{row}{column}"]) for column in range(4)] for row in range(3)]
-            pose = to_mesh @ np.array([*rows, [0.0, 0.0, 0.0, 1.0]])
-            frame = {"file_path": f"{images}/{path.stem}", "transform_matrix": pose.tolist()}
+            given = finite([[values[f"t_{row}{column}"] for column in range(4)] for row in range(3)], (3, 4))
+            pose = None if given is None else (to_mesh @ np.vstack([given, [0.0, 0.0, 0.0, 1.0]])).tolist()
+            frame = {"file_path": f"{images}/{path.stem}", "transform_matrix": pose}
             frame |= {"w": values["width"], "h": values["height"], "fl_x": values["fx"], "fl_y": values["fy"]}
             frame |= {"cx": values["cx"], "cy": values["cy"]}
             if corrected:
