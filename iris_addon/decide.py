@@ -188,6 +188,13 @@ REFINEMENTS: Mapping[str, Refinement] = {
         errors=2.0,
         experiment="0133-has-a-lamp-a-pattern",
     ),
+    "lamp_profile": Refinement(
+        "a profile of a lamp by angle in place of one radiance",
+        BALANCE,
+        gain=0.02,
+        errors=2.0,
+        experiment="0136-does-a-lamp-shine-alike-in-all-directions",
+    ),
     # ---- materials
     "burley": Refinement(
         "Burley's diffuse lobe in place of Lambert's",

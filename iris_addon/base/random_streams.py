@@ -35,6 +35,7 @@ STREAMS: Mapping[str, int] = {
     "transport.openings": 73,
     "materials.mirrors": 79,
     "lighting.patterns": 83,
+    "lighting.profiles": 89,
 }
 """The number of each use, "room.use". A new use takes a new number; numbers stay, so that results do."""
 

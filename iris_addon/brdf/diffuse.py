@@ -36,6 +36,11 @@ def schlick(cosine: NDArray[np.floating]) -> NDArray[np.floating]:
     return square * square * x
 
 
+def cosine_of_schlick(s: NDArray[np.floating]) -> NDArray[np.floating]:
+    """The cosines to the normal that have the S of :func:`schlick`, any shape."""
+    return 1.0 - np.power(s, 0.2)
+
+
 def grazing_gain(lobe: DiffuseLobe, roughness: NDArray[np.floating]) -> NDArray[np.float64]:
     """κ of each Principled roughness: light and view factors are 1 + κ S. Only Burley's is not 0."""
     roughness = np.asarray(roughness, np.float64)

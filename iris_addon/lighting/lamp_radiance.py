@@ -1,4 +1,4 @@
-"""The radiance of given lamps: evidence on them, the light balance, and the light that unseen surfaces pass on."""
+"""The radiance of given lamps: the light balance, and the light that unseen surfaces pass on."""
 
 from __future__ import annotations
 
@@ -6,16 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 
 from ..base.progress import Progress
 from ..base.random_streams import stream
 from ..brdf.diffuse import under_lobe
 from ..response.radiance import GroupRadiance
-from ..transport.form_factors import emitter_form_factors, emitter_of_face
-from .balance import ITERATIONS, MAX_ALBEDO, Evidence, ShadedPatches, fitted_patches, noticeable_radiance, solve_balance
-from .brightness import Brightness
-from .candidates import tie_fixtures
-from .lamp_pattern import LampPattern
+from ..transport.form_factors import EmissionShape, emitter_form_factors
+from .balance import ITERATIONS, MAX_ALBEDO, ShadedPatches, fitted_patches, noticeable_radiance, solve_balance
+from .lamp_evidence import columns_of, lamp_evidence, with_hidden
 from .problem import LightProblem, Lights
 from .sun import Sun
 
@@ -30,12 +29,6 @@ NORMAL_SENSITIVITY = 0.5
 describes it, E (1 + NORMAL_SENSITIVITY cos)."""
 FIRST_ITERATIONS = 20
 """Iterations of the first light balance, after which the light that unseen surfaces pass on is found anew."""
-CLIPPED_LAMP_FACTOR = 2.0
-"""Expected radiance of a clipped lamp over its bound; a speck whose light reaches no patch stays about there."""
-PATTERN_CLIPS = 0.05
-"""Share of the area of a lamp with a pattern that may clip where its mean radiance counts as measured."""
-LAMP_QUANTILE = 0.8
-"""Quantile over a lamp's unclipped pixels at which its radiance is measured; its edge or a blind is darker."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +81,7 @@ def solve_lights(
     on_lamp = patches_on(problem, mask)
     radiance = _start_radiance(observed, before, on_lamp, patches_on(problem, before.mask) if warm_start else None)
     radiance[problem.transport.n_seen :] *= _light_kept(problem, before, emitters)[problem.transport.n_seen :]
-    evidence = _with_hidden(_lamp_evidence(problem, emitters), before.hidden_radiance)
+    evidence = with_hidden(lamp_evidence(problem, emitters, before), before.hidden_radiance)
     kappa = problem.transport.kappa
     direct = under_lobe(form_factors, kappa)
     if problem.bounce is not None:
@@ -97,24 +90,14 @@ def solve_lights(
     level = noticeable_radiance(observed.radiance, all_factors[: problem.transport.n_seen])
     start = _first_finite(evidence.measured, evidence.expected, level)
     if warm_start:
-        known = _columns(emitters, before.emitters)
+        known = columns_of(emitters, before.emitters)
         start[np.flatnonzero(known >= 0)] = before.radiance[known[known >= 0]]
     n = problem.transport.n_seen
-    bounded = ~observed.known & (observed.bound > 0) & problem.clipped_counts
-    usable = (observed.known | bounded).all(1) & ~on_lamp[:n]
-    if hidden.sun is not None:
-        usable &= ~half_shown(problem, observed, hidden.sun)
-    weight = usable * (patch_weight(problem, observed) if fit.weight is None else fit.weight)
-    shaded = observed.radiance if fit.diffuse is None else fit.diffuse
-    region = problem.transport.region
-    rows = fitted_patches(shaded, weight if fit.fit_mask is None else weight * fit.fit_mask, bounded)
-    if not len(rows):
+    fitted = fitted_shading(problem, observed, on_lamp, fit)
+    if fitted is None:
         return before
-    # Both sides of L = a (I + B e) are averaged over neighbours of one albedo alike, so that the balance still holds.
-    # Patches that clip are averaged among themselves: the mean of a measurement and a bound is no measurement.
-    group = 2 * region[:n] + bounded.any(1)
-    kernel = problem.field.kernel(BALANCE_SMOOTHING, rows, np.where(weight > 0, group, -1))
-    smooth_shaded, smooth_factors = (kernel @ values[:n].astype(np.float32) for values in (shaded, all_factors))
+    kernel, rows = fitted.kernel, fitted.rows
+    smooth_factors = kernel @ all_factors[:n].astype(np.float32)
     albedo = before.region_albedo
     for from_solution in (True,) if warm_start else (False, True):
         unknown = mean_radiance(radiance, problem)
@@ -131,14 +114,7 @@ def solve_lights(
             indirect = indirect - passed_on[:, None] * start[-1]
         if hidden.holes is not None:
             indirect = indirect + hidden.holes.irradiance(kappa)
-        patches = ShadedPatches(
-            radiance=smooth_shaded,
-            bounded=kernel @ bounded.astype(np.float32) > 0,
-            indirect=kernel @ indirect[:n],
-            form_factors=smooth,
-            region=region[rows],
-            weight=weight[rows],
-        )
+        patches = fitted.under(kernel @ indirect[:n], smooth)
         iterations = ITERATIONS if from_solution else FIRST_ITERATIONS
         balance = solve_balance(patches, evidence, start, problem.robust_log, from_solution, iterations)
         start = balance.radiance
@@ -158,6 +134,71 @@ def solve_lights(
         region_albedo=albedo,
         held_out=balance.held_out,
         losses=replace(balance.losses, observation=rows[balance.losses.observation]),
+        profiles=before.profiles_of(emitters),
+    )
+
+
+@dataclass(frozen=True)
+class FittedShading:
+    """The m patches that enter the light balance, averaged with their neighbours.
+
+    Both sides of L = a (I + B e) are averaged over neighbours of one albedo alike, so that the balance still holds.
+
+    Attributes:
+        rows: (m,) their indices.
+        kernel: (m, P) what averages.
+        radiance, bounded: (m, 3) of :class:`ShadedPatches`.
+        region, weight: (m,) of these.
+    """
+
+    rows: NDArray[np.int64]
+    kernel: csr_matrix
+    radiance: NDArray[np.floating]
+    bounded: NDArray[np.bool_]
+    region: NDArray[np.integer]
+    weight: NDArray[np.float64]
+
+    def under(self, indirect: NDArray[np.floating], form_factors: NDArray[np.floating]) -> ShadedPatches:
+        """The same with their light, averaged too: ``indirect`` (m, 3) and ``form_factors`` (m, E)."""
+        return ShadedPatches(
+            radiance=self.radiance,
+            bounded=self.bounded,
+            indirect=indirect,
+            form_factors=form_factors,
+            region=self.region,
+            weight=self.weight,
+        )
+
+
+def fitted_shading(
+    problem: LightProblem, observed: GroupRadiance, on_lamp: NDArray[np.bool_], fit: PatchFit
+) -> FittedShading | None:
+    """The patches that enter the light balance; None if there are none.
+
+    Args:
+        on_lamp: (N,) patches on emitters.
+    """
+    n = problem.transport.n_seen
+    bounded = ~observed.known & (observed.bound > 0) & problem.clipped_counts
+    usable = (observed.known | bounded).all(1) & ~on_lamp[:n]
+    if problem.hidden.sun is not None:
+        usable &= ~half_shown(problem, observed, problem.hidden.sun)
+    weight = usable * (patch_weight(problem, observed) if fit.weight is None else fit.weight)
+    shaded = observed.radiance if fit.diffuse is None else fit.diffuse
+    region = problem.transport.region
+    rows = fitted_patches(shaded, weight if fit.fit_mask is None else weight * fit.fit_mask, bounded)
+    if not len(rows):
+        return None
+    # Patches that clip are averaged among themselves: the mean of a measurement and a bound is no measurement.
+    group = 2 * region[:n] + bounded.any(1)
+    kernel = problem.field.kernel(BALANCE_SMOOTHING, rows, np.where(weight > 0, group, -1))
+    return FittedShading(
+        rows=rows,
+        kernel=kernel,
+        radiance=kernel @ shaded[:n].astype(np.float32),
+        bounded=kernel @ bounded.astype(np.float32) > 0,
+        region=region[rows],
+        weight=weight[rows],
     )
 
 
@@ -177,19 +218,6 @@ def _first_finite(*choices: NDArray[np.float64]) -> NDArray[np.float64]:
     for choice in reversed(choices[:-1]):
         result = np.where(np.isfinite(choice) & (choice > 0), choice, result)
     return np.nan_to_num(result)
-
-
-def _with_hidden(lamps: Evidence, expected: NDArray[np.float64]) -> Evidence:
-    """Evidence on lamps and lobes of outside light together; lobes have an expectation (H, 3) only."""
-    n, h = len(lamps.tie), len(expected)
-    nothing = np.full((h, 3), np.nan)
-    first_free = int(lamps.tie.max()) + 1 if n else 0
-    return Evidence(
-        np.concatenate([lamps.bound, np.zeros((h, 3))]),
-        np.concatenate([lamps.measured, nothing]),
-        np.concatenate([lamps.tie, first_free + np.arange(h)]),
-        np.concatenate([lamps.expected, expected]),
-    )
 
 
 def lights_without_lamps(problem: LightProblem, observed: GroupRadiance) -> Lights:
@@ -230,17 +258,19 @@ def form_factors_of(
         known: lights from which the form factors of lamps among ``emitters`` are reused.
     """
     patterns = [problem.pattern_of(faces) for faces in emitters]
-    columns = _columns(emitters, known.emitters) if known else np.full(len(emitters), -1)
+    columns = columns_of(emitters, known.emitters) if known else np.full(len(emitters), -1)
     columns[[pattern is not None for pattern in patterns]] = -1
     fresh = np.flatnonzero(columns < 0)
     lamps = [emitters[k] for k in fresh]
-    shares = {n: pattern.at for n, k in enumerate(fresh) if (pattern := patterns[k]) is not None}
+    shapes = {
+        n: EmissionShape(over_surface=pattern.at) for n, k in enumerate(fresh) if (pattern := patterns[k]) is not None
+    }
     rng = stream(problem.seed, "lighting.shadow_rays")
     t = problem.transport
     samples = int(np.clip(problem.shadow_rays // max(1, len(emitters)), *limits))
-    seen = emitter_form_factors(problem.tracer, t.origins, t.rays, lamps, samples, rng, progress, shares)
+    seen = emitter_form_factors(problem.tracer, t.origins, t.rays, lamps, samples, rng, progress, shapes)
     unseen = emitter_form_factors(
-        problem.tracer, t.unseen_origins, t.unseen_rays, lamps, max(4, samples // 4), rng, progress, shares
+        problem.tracer, t.unseen_origins, t.unseen_rays, lamps, max(4, samples // 4), rng, progress, shapes
     )
     traced = np.concatenate([seen, unseen])
     if known is None:
@@ -251,57 +281,6 @@ def form_factors_of(
     return factors
 
 
-def _columns(emitters: list[NDArray[np.int64]], known: list[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """(E,) index of each emitter among those ``known``, -1 where it is none of them."""
-    column = {faces.tobytes(): k for k, faces in enumerate(known)}
-    return np.array([column.get(faces.tobytes(), -1) for faces in emitters], np.int64)
-
-
-def _lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> Evidence:
-    """Bounds and measurements per lamp from the pixels on it."""
-    seen, face, cell = problem.brightness, problem.samples.face, problem.cells.of_pixel
-    label = emitter_of_face(emitters, len(problem.regions))
-    on_lamp = np.flatnonzero(label[face] >= 0)
-    order = on_lamp[np.argsort(label[face[on_lamp]], kind="stable")]
-    per_lamp = np.split(cell[order], np.cumsum(np.bincount(label[face[order]], minlength=len(emitters)))[:-1])
-    bound = np.zeros((len(emitters), 3))
-    measured = np.full((len(emitters), 3), np.nan)
-    for index, own in enumerate(per_lamp[: len(emitters)]):
-        if len(own) == 0:
-            continue  # no photo shows it
-        pattern = problem.pattern_of(emitters[index])
-        if pattern is not None:
-            bound[index], measured[index] = _mean_over(seen, pattern)
-            continue
-        bound[index] = np.median(seen.bound[own], axis=0)
-        for channel in range(3):
-            # An unclipped pixel below the bound of clipped ones shows the lamp's edge.
-            values = seen.measured[own, channel]
-            unclipped = values >= 0.98 * bound[index, channel]
-            if unclipped.mean() > 0.3:
-                measured[index, channel] = np.quantile(values[unclipped], LAMP_QUANTILE)
-    expected = np.where((bound > 0) & np.isnan(measured), CLIPPED_LAMP_FACTOR * bound, np.nan)
-    return Evidence(bound, measured, _tied(problem, emitters), expected)
-
-
-def _tied(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """(E,) label of lamps that share one radiance; one with a pattern has its own."""
-    tie = tie_fixtures(emitters, problem.tracer.areas)
-    own = [k for k, faces in enumerate(emitters) if problem.pattern_of(faces) is not None]
-    tie[own] = len(emitters) + np.arange(len(own))
-    return np.unique(tie, return_inverse=True)[1]
-
-
-def _mean_over(seen: Brightness, pattern: LampPattern) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(3,) least mean radiance over the patches of a lamp, and the mean (3,) where hardly any clips.
-
-    A pattern has no brighter part that stands for all of it.
-    """
-    clips = np.isnan(seen.measured[pattern.patch])  # the first cells are the patches
-    mean = pattern.area @ seen.at_least(pattern.patch)
-    return mean, np.where(pattern.area @ clips <= PATTERN_CLIPS, mean, np.nan)
-
-
 def patches_on(problem: LightProblem, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(N,) patches that lie on emitting faces."""
     on = np.zeros(problem.transport.n_patches, bool)
@@ -309,34 +288,6 @@ def patches_on(problem: LightProblem, mask: NDArray[np.bool_]) -> NDArray[np.boo
     count = np.bincount(pixels, minlength=problem.transport.n_seen)
     on[: problem.transport.n_seen] = count > 0.5 * problem.surface.count
     return on
-
-
-def lamp_of_cell(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """(C,) index of the emitter that covers most of each cell, -1 for none."""
-    return _lamp_of(problem, emitters, problem.cells.of_pixel, problem.cells.count)
-
-
-def lamp_of_patch(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """(P,) the same of each seen patch."""
-    return _lamp_of(problem, emitters, problem.surface.sample_patch, problem.surface.count)
-
-
-def _lamp_of(
-    problem: LightProblem,
-    emitters: list[NDArray[np.int64]],
-    group: NDArray[np.integer],
-    count: NDArray[np.integer] | NDArray[np.floating],
-) -> NDArray[np.int64]:
-    """(n,) index of the emitter that most pixels of each group show, -1 for none; pixels are of a ``group`` (k,) with
-    ``count`` (n,) pixels."""
-    label = emitter_of_face(emitters, len(problem.regions))[problem.samples.face]
-    on = np.flatnonzero(label >= 0)
-    pair, pixels = np.unique(group[on].astype(np.int64) * len(emitters) + label[on], return_counts=True)
-    of, lamp = np.divmod(pair, max(1, len(emitters)))
-    most = pixels > 0.5 * count[of]
-    result = np.full(len(count), -1, np.int64)
-    result[of[most]] = lamp[most]
-    return result
 
 
 def _start_radiance(
@@ -359,7 +310,7 @@ def _start_radiance(
 
 def _light_kept(problem: LightProblem, before: Lights, emitters: list[NDArray[np.int64]]) -> NDArray[np.float64]:
     """(N, 3) share of the light of ``before`` at each patch that remains without the lamps that were dropped."""
-    lost = np.flatnonzero(_columns(before.emitters, emitters) < 0)
+    lost = np.flatnonzero(columns_of(before.emitters, emitters) < 0)
     direct = under_lobe(before.form_factors[:, lost], problem.transport.kappa) @ before.radiance[lost]
     return np.clip(1 - direct / np.maximum(before.irradiance, 1e-9), 0.0, 1.0)
 

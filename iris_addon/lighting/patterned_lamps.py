@@ -21,8 +21,9 @@ from ..decide import HeldOutLosses
 from ..model.response import LUMINANCE
 from ..model.surface_points import even_points, interpolated
 from ..response.radiance import MAX_COUNTED_PIXELS, GroupRadiance
+from .lamp_evidence import PATTERN_CLIPS, lamp_of_patch
 from .lamp_pattern import LampPattern
-from .lamp_radiance import PATTERN_CLIPS, PatchFit, form_factors_of, lamp_of_patch, solve_lights
+from .lamp_radiance import PatchFit, form_factors_of, solve_lights
 from .problem import LightProblem, Lights
 from .screens import Shown
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..decide import Decisions, HeldOutLosses
+from ..model.lamp_profile import EVEN_PROFILE, LampProfile
 from ..rays.tracer import Tracer
 from ..surface.irradiance import IrradianceField
 from ..surface.patches import Surface
@@ -41,6 +42,7 @@ class Lights:
         losses: of each of these patches; not part of a checkpoint, because no later stage compares with it.
         patterned: (k,) numbers of the emitters that have a pattern, of which ``radiance`` is the mean.
         lamp_share: (N,) luminance of each patch on one of these over the mean, 1 elsewhere; None without any.
+        profiles: (E, 6) radiance of each emitter at PROFILE_DEGREES over ``radiance``; None where all are even.
     """
 
     emitters: list[NDArray[np.int64]]
@@ -56,6 +58,7 @@ class Lights:
     losses: HeldOutLosses = field(default_factory=HeldOutLosses.none)
     patterned: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     lamp_share: NDArray[np.float32] | None = None
+    profiles: NDArray[np.float64] | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -73,6 +76,7 @@ class Lights:
             "lights.held_out": np.array(self.held_out),
             **{f"lights.{name}": getattr(self, name) for name in names},
             **({} if self.lamp_share is None else {"lights.lamp_share": self.lamp_share}),
+            **({} if self.profiles is None else {"lights.profiles": self.profiles}),
             "lights.sizes": np.array([len(faces) for faces in self.emitters], np.int64),
             "lights.faces": np.concatenate([*self.emitters, np.zeros(0, np.int64)]),
             "lights.region_ids": ids,
@@ -87,6 +91,27 @@ class Lights:
         albedo = dict(zip(a.pop("region_ids").tolist(), a.pop("region_albedo"), strict=True))
         held_out = float(a.pop("held_out"))
         return Lights(emitters=emitters, region_albedo=albedo, held_out=held_out, **a)  # type: ignore[arg-type]
+
+    def profile_of(self, faces: NDArray[np.int64]) -> LampProfile | None:
+        """The profile of the lamp of ``faces``, None where it is even or no lamp of these."""
+        if self.profiles is None:
+            return None
+        for own, values in zip(self.emitters, self.profiles, strict=True):
+            if np.array_equal(own, faces):
+                return None if (values == 1).all() else LampProfile(values)
+        return None
+
+    def profiles_of(self, emitters: list[NDArray[np.int64]]) -> NDArray[np.float64] | None:
+        """(E, 6) the profiles of ``emitters``, as far as they are known; None where all are even."""
+        found = [self.profile_of(faces) for faces in emitters]
+        if not any(found):
+            return None
+        return np.stack([EVEN_PROFILE if each is None else each.values for each in found])
+
+    @property
+    def profiled(self) -> list[tuple[NDArray[np.int64], LampProfile]]:
+        """Faces and profile of each lamp that has one."""
+        return [(faces, profile) for faces in self.emitters if (profile := self.profile_of(faces)) is not None]
 
     def paired_error(self, larger: Lights) -> float:
         """Standard error of the difference in held-out loss to the light under a larger model."""

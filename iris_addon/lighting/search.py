@@ -32,10 +32,10 @@ from .candidates import (
     with_specks_filled,
 )
 from .highlights import without_highlights
+from .lamp_evidence import lamp_of_cell
 from .lamp_radiance import (
     PatchFit,
     form_factors_of,
-    lamp_of_cell,
     lights_without_lamps,
     mean_radiance,
     solve_lights,

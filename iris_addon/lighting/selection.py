@@ -23,11 +23,11 @@ from ..transport.gather import GatherRays
 from .balance import Evidence, ShadedPatches, noticeable_radiance, solve_balance
 from .brightness import reflectance_needed
 from .candidates import CERTAIN_REFLECTANCE, emitting_faces, group_emitters, joined_pieces, voted, whole_regions
+from .lamp_evidence import lamp_of_cell
 from .lamp_radiance import (
     SEARCH_SHADOW_RAYS,
     PatchFit,
     form_factors_of,
-    lamp_of_cell,
     patch_weight,
     patches_on,
     solve_lights,

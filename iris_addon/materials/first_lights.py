@@ -23,7 +23,10 @@ from ..lighting.backdrop import SeenBackdrop, fit_backdrop
 from ..lighting.brightness import Cells
 from ..lighting.candidates import read_given_emitters
 from ..lighting.hidden import HiddenSources, OutsideKind, through_holes
+from ..lighting.lamp_radiance import PatchFit
 from ..lighting.problem import LightProblem, Lights
+from ..lighting.profiled_lamps import with_profiles
+from ..lighting.screens import Shown
 from ..lighting.search import choose_exponent, choose_outside
 from ..lighting.sun import Sun
 from ..lighting.sun_choice import choose_sun
@@ -169,8 +172,8 @@ def find_first_lights(
         problem: the problem under ``photometry``.
     """
     exponent = 1.0
-    shown = shown_pixels(photometry, room)
-    with_or_without_sun, light, lights = choose_sun(problem.light, problem.observed, shown, progress)
+    pixels = shown_pixels(photometry, room)
+    with_or_without_sun, light, lights = choose_sun(problem.light, problem.observed, pixels, progress)
     problem = replace(problem, light=with_or_without_sun)
     material = problem.materials_under(lights, room.regions.scanned, room.surface.pieces)
     if (material != problem.light.material).any():
@@ -184,6 +187,9 @@ def find_first_lights(
         hidden = replace(problem.light.hidden, sun=sun)
         problem = replace(problem, light=replace(problem.light, hidden=hidden, aimed=aimed))
         light, lights = choose_outside(problem.light, problem.observed, progress)
+    specular = np.zeros(problem.linear.radiance.shape, np.float32)
+    shown = Shown(problem.observations, problem.linear, specular)
+    lights = with_profiles(light, problem.observed, lights, shown, PatchFit(), progress)
     return FirstLights(
         lights=lights,
         material=material,

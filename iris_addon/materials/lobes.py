@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 
 from ..base.compiled import Integer, Real, inlined, kernel, rows_of
 from ..base.parallel import BLOCK, over_blocks, over_random_blocks
+from ..brdf.diffuse import cosine_of_schlick
 from ..brdf.ggx import ray_alpha
 from ..brdf.ggx_sampling import visible_normal_density, visible_normal_weights
 from ..lighting.backdrop import SeenBackdrop
+from ..model.lamp_profile import LampProfile
 from ..model.response import LUMINANCE
 from ..rays.sampling import Vector, ggx_direction, grazing, r2_sequence, vector
 from ..rays.tracer import Tracer
@@ -50,6 +52,7 @@ class Scene:
         backdrop: what escaping rays meet.
         aim: how rays are aimed at lamps.
         lamp_share: (N,) what each patch on a lamp emits over ``face_emission``, 1 elsewhere; None where all are even.
+        profiled: faces and profile of the lamps that do not shine alike in all directions.
     """
 
     tracer: Tracer
@@ -62,9 +65,12 @@ class Scene:
     backdrop: SeenBackdrop
     aim: LampAim
     lamp_share: NDArray[np.floating] | None = None
+    profiled: Sequence[tuple[NDArray[np.int64], LampProfile]] = ()
 
     def lobes(self, rays: LobeRays) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """``Ls0`` and ``Ls1`` (n, 3) of equation (3) at the points of the reflected ``rays``."""
+        for faces, profile in self.profiled:
+            rays = rays.towards(faces, profile, len(self.face_emission))
         return rays.radiance(*self._met, self.face_emission, self.unknown, self.lamp_share)
 
     @cached_property
@@ -334,6 +340,17 @@ class LobeRays(NamedTuple):
         shape = n, n_rays
         weight0, weight1, schlick = (np.zeros(shape, np.float32) for _ in range(3))
         return LobeRays(np.full(shape, ESCAPED, np.int32), np.full(shape, -1, np.int32), weight0, weight1, schlick)
+
+    def towards(self, faces: NDArray[np.integer], profile: LampProfile, n_faces: int) -> LobeRays:
+        """The same rays, weighed by the ``profile`` of a lamp of ``faces`` where they meet it."""
+        on = np.zeros(n_faces + 1, bool)  # the last entry is for rays that meet no face
+        on[faces] = True
+        met = np.nonzero(on[self.face])
+        share = profile.at(cosine_of_schlick(self.schlick[met]))
+        weight0, weight1 = self.weight0.copy(), self.weight1.copy()
+        weight0[met] *= share
+        weight1[met] *= share
+        return self._replace(weight0=weight0, weight1=weight1)
 
     def radiance(
         self,

@@ -21,6 +21,7 @@ from ..lighting.hidden import OutsideKind
 from ..lighting.lamp_radiance import PatchFit, mean_radiance, patch_weight
 from ..lighting.patterned_lamps import with_patterns
 from ..lighting.problem import LightProblem, Lights
+from ..lighting.profiled_lamps import with_profiles
 from ..lighting.screens import Shown, with_screens
 from ..lighting.search import reconsider_lamps
 from ..lighting.sun import Sun
@@ -144,6 +145,7 @@ class MaterialProblem:
             backdrop=light.hidden.completed(self.backdrop, lights.hidden_radiance),
             aim=LampAim.at(light.tracer, lights.emitters, lights.radiance, lights.form_factors[:seen, :, 0]),
             lamp_share=lights.lamp_share,
+            profiled=lights.profiled,
         )
 
     def with_outside(self, outside: OutsideKind, sun: Sun | None) -> MaterialProblem:
@@ -176,10 +178,11 @@ def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progr
         weight = _balance_weight(problem, gloss, diffuse)
         cast = _cast_radiance(problem, gloss, diffuse, view_factor)
         lights = reconsider_lamps(light_problem, cast, lights, weight, diffuse.radiance, progress)
+        shown = Shown(o, problem.linear, specular)
+        of_patches = PatchFit(weight, diffuse.radiance)
+        lights = with_profiles(light_problem, cast, lights, shown, of_patches, progress)
         if round_ == rounds - 1:
-            shown = Shown(o, problem.linear, specular)
             lights = with_screens(light_problem, cast, lights, shown, weight, diffuse.radiance, progress)
-            of_patches = PatchFit(weight, diffuse.radiance)
             lights = with_patterns(light_problem, cast, lights, shown, of_patches, progress)
         shading = problem.shading(lights)
         gloss = fit.gloss(problem, lights, shading)

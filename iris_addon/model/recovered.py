@@ -8,6 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from .lamp_profile import LampProfile
+
 DiffuseLobe = Literal["lambert", "layered", "burley"]
 """Layered is Lambert's lobe under a dielectric."""
 
@@ -22,6 +24,7 @@ class Emitter:
         area: square metres.
         confidence: 0 (guess) ... 1 (its light explains the shading of much of what photos show).
         patterned: whether :attr:`Textures.lamp_pattern` says how its places differ; ``radiance`` is then their mean.
+        profile: by angle; ``radiance`` is then that of an even lamp of the same flux. None where alike.
     """
 
     id: int
@@ -30,6 +33,7 @@ class Emitter:
     area: float
     confidence: float
     patterned: bool = False
+    profile: LampProfile | None = None
 
 
 @dataclass(frozen=True)

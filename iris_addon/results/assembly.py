@@ -135,6 +135,9 @@ def make_result(
         textures = replace(textures, lamp_pattern=pattern)
         lights = lights.with_radiance(lights.patterned, radiance)
     emission = lights.face_emission(len(light.regions))[samples.face]
+    for faces, profile in lights.profiled:
+        on = np.flatnonzero(np.isin(samples.face, faces))
+        emission[on] *= profile.at(samples.cosine[on])[:, None]
     if textures.lamp_pattern is not None:
         shine = np.flatnonzero(lamp_level[samples.face] > 0)
         uv = interpolate_uv(atlas.uv, samples.face[shine], samples.barycentric[shine])
@@ -302,6 +305,7 @@ def _emitters(problem: LightProblem, lights: Lights) -> list[Emitter]:
             area=float(areas[faces].sum()),
             confidence=float(confidence[k]),
             patterned=k in lights.patterned,
+            profile=lights.profile_of(faces),
         )
         for k, (faces, radiance) in enumerate(zip(lights.emitters, lights.radiance, strict=True))
     ]

@@ -61,6 +61,7 @@ class MapRenderer:
         self._emission = result.face_emission()
         patterned = [emitter.faces for emitter in result.emitters if emitter.patterned]
         self._patterned = np.isin(np.arange(len(self._emission)), np.concatenate([*patterned, np.zeros(0, np.int64)]))
+        self._profiled = [(emitter.faces, emitter.profile) for emitter in result.emitters if emitter.profile]
         self._lobe: DiffuseLobe = result.diffuse_lobe
         self._backdrop = SeenBackdrop(result.backdrop)
 
@@ -81,6 +82,9 @@ class MapRenderer:
         emission, shine = self._emission[face], np.flatnonzero(self._patterned[face])
         if textures.lamp_pattern is not None:
             emission[shine] *= bilinear(textures.lamp_pattern, uv[shine])
+        for faces, profile in self._profiled:
+            shine = np.flatnonzero(np.isin(face, faces))
+            emission[shine] *= profile.at(cosine[shine])[:, None]
         kd = base_color * (1 - metal)
         lambertian = directional_albedo(base_color, rough[:, 0], metal[:, 0], cosine)
         lobed = lambertian + kd * (albedo_gain(self._lobe, rough[:, 0], cosine) - 1)[:, None]

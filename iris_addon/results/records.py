@@ -20,6 +20,7 @@ from ..base.files import from_ranges, to_ranges
 from ..base.untrusted import MEND, json_object, numbers, read_json
 from ..model.capture import Mesh
 from ..model.device import Device, device_of_photo
+from ..model.lamp_profile import EVEN_PROFILE, LampProfile
 from ..model.local_exposure import UNIFORM, LocalSettings
 from ..model.recovered import Backdrop, Emitter, OutsideLight, Sunlight
 from ..model.response import N_SAMPLES, Response
@@ -87,6 +88,7 @@ def emitters_json(result: Result) -> dict[str, Any]:
                 "area": emitter.area,
                 "confidence": emitter.confidence,
                 **({"patterned": True} if emitter.patterned else {}),
+                **({} if emitter.profile is None else {"profile": emitter.profile.values}),
             }
             for emitter in result.emitters
         ],
@@ -136,7 +138,17 @@ def _read_emitter(entry: object, where: str, mesh: Mesh, path: Path) -> Emitter:
         area=float(numbers(content.get("area"), (), f"{where}.area", path)),
         confidence=float(numbers(content.get("confidence"), (), f"{where}.confidence", path)),
         patterned=content.get("patterned") is True,
+        profile=_read_profile(content.get("profile"), f"{where}.profile", path),
     )
+
+
+def _read_profile(value: object, where: str, path: Path) -> LampProfile | None:
+    if value is None:
+        return None
+    profile = numbers(value, EVEN_PROFILE.shape, where, path)
+    if profile.min() < 0 or profile.max() <= 0:
+        raise BadInput(f"'{where}' is not a profile of radiances, of which one is positive", MEND, path)
+    return LampProfile.of(profile)
 
 
 def _read_outside(content: dict[str, Any], path: Path) -> OutsideLight:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lighting.lamp_radiance import PATTERN_CLIPS
+from ..lighting.lamp_evidence import PATTERN_CLIPS
 from .atlas import Atlas
 from .fill import fill_texels
 from .principled import EXPECTED_WEIGHT, PaintedTexels

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -26,6 +26,8 @@ from .gather import GatherRays
 
 Pattern = Callable[[NDArray[np.floating]], NDArray[np.float32]]
 """How bright an emitter is at points (n, 3) on it, over its mean, (n,)."""
+ByAngle = Callable[[NDArray[np.floating]], NDArray[np.floating]]
+"""How bright an emitter is at cosines (n,) of the angle to its normal: (n,), or (n, K) for K profiles at once."""
 POINT_SETS = 1024
 """Sets of points on an emitter, of which each patch takes one at random. To draw points anew for each patch would cost
 as much as its rays; of the neighbouring patches that noise is averaged over, hardly two share a set."""
@@ -41,6 +43,16 @@ def emitter_of_face(emitters: Sequence[NDArray[np.integer]], n_faces: int) -> ND
     return label
 
 
+class EmissionShape(NamedTuple):
+    """How the radiance of an emitter differs from place to place, and from angle to angle."""
+
+    over_surface: Pattern | None = None
+    by_angle: ByAngle | None = None
+
+
+EVEN = EmissionShape()
+
+
 def emitter_form_factors(
     tracer: Tracer,
     origins: Origins,
@@ -49,7 +61,7 @@ def emitter_form_factors(
     n_samples: int,
     rng: np.random.Generator,
     progress: Progress,
-    patterns: Mapping[int, Pattern] = MappingProxyType({}),
+    shapes: Mapping[int, EmissionShape] = MappingProxyType({}),
 ) -> NDArray[np.float32]:
     """``B`` (P, E, 2): the visible share of a patch's cosine-weighted hemisphere that each emitter fills, and the same
     weighted by Schlick's S, for diffuse lobes (:func:`iris_addon.brdf.diffuse.under_lobe`).
@@ -58,20 +70,20 @@ def emitter_form_factors(
         origins, rays: of the P patches.
         emitters: face indices of each emitter.
         n_samples: points sampled on each emitter per patch, before patches that cannot see it are left out.
-        patterns: of emitters that are not equally bright everywhere, by their number; B is then weighted by it.
+        shapes: of emitters that are uneven, by their number; B is then weighted by them.
     """
     n, n_rays = rays.face.shape
     result = np.zeros((n, len(emitters), 2), np.float32)
     if not emitters:
         return result
-    area = np.array([tracer.areas[faces].sum() for faces in emitters], np.float32)
-    label = emitter_of_face(emitters, len(tracer.areas))
-    _add_gathered(result, tracer, origins, rays, label, area, n_samples, patterns)
+    gathered = _gathered(tracer, origins, rays, emitters, n_samples)
+    for k in range(len(emitters)):
+        gathered.of(k).add_to(result[:, k : k + 1], n_rays, shapes.get(k, EVEN))
     # One job per lamp and block of patches, so that all cores are busy where either are few.
     generators = rng.spawn(2 * len(emitters))
     points = over_each(
         range(len(emitters)),
-        lambda k: _EmitterPoints.draw(tracer, emitters[k], n_samples, generators[2 * k]).under(patterns.get(k)),
+        lambda k: _EmitterPoints.draw(tracer, emitters[k], n_samples, generators[2 * k]).under(shapes.get(k, EVEN)),
     )
     jobs = [
         (k, rows, generator)
@@ -81,45 +93,107 @@ def emitter_form_factors(
 
     def add(job: tuple[int, slice, np.random.Generator]) -> None:
         k, rows, generator = job
-        _add_sampled(result[rows, k], tracer, origins, rows, points[k], n_rays, generator)
+        _add_sampled(result[rows, k : k + 1], tracer, origins, rows, points[k], n_rays, generator)
 
     over_each(jobs, add, progress.update)
     return result
 
 
-def _add_gathered(
-    result: NDArray[np.float32],
+def profile_form_factors(
     tracer: Tracer,
     origins: Origins,
     rays: GatherRays,
-    label: NDArray[np.int64],
-    area: NDArray[np.float32],
+    faces: NDArray[np.integer],
     n_samples: int,
-    patterns: Mapping[int, Pattern],
-) -> None:
-    """Add to ``result`` (P, E, 2) the gather rays that hit an emitter, weighted against its area samples.
+    rng: np.random.Generator,
+    shape: EmissionShape,
+) -> NDArray[np.float32]:
+    """(P, K, 2) form factors of one emitter with each of K profiles, by the same rays.
 
     Args:
-        label: (F + 1,) of :func:`emitter_of_face`.
-        area: (E,) square metres.
+        faces: of the emitter.
+        shape: ``by_angle`` tells the K profiles.
     """
+    assert shape.by_angle is not None
+    n, n_rays = rays.face.shape
+    result = np.zeros((n, shape.by_angle(np.ones(1)).shape[1], 2), np.float32)
+    _gathered(tracer, origins, rays, [faces], n_samples).add_to(result, n_rays, shape)
+    of_points, of_rays = rng.spawn(2)
+    points = _EmitterPoints.draw(tracer, faces, n_samples, of_points).under(shape)
+
+    def add(job: tuple[slice, np.random.Generator]) -> None:
+        rows, generator = job
+        _add_sampled(result[rows], tracer, origins, rows, points, n_rays, generator)
+
+    over_each(list(random_blocks(n, BLOCK // n_samples, of_rays)), add)
+    return result
+
+
+@dataclass(frozen=True)
+class _Gathered:
+    """The m gather rays that hit emitters, weighed against area samples.
+
+    Attributes:
+        row: (m,) the patch that each starts from.
+        emitter: (m,) the emitter that it meets.
+        weight: (m,) by the balance heuristic.
+        end: (m, 3) metres.
+        cos_surface, cos_light: (m,) at either end.
+    """
+
+    row: NDArray[np.int64]
+    emitter: NDArray[np.int64]
+    weight: NDArray[np.floating]
+    end: NDArray[np.floating]
+    cos_surface: NDArray[np.floating]
+    cos_light: NDArray[np.floating]
+
+    def of(self, emitter: int) -> _Gathered:
+        """The rays that meet one emitter."""
+        on = np.flatnonzero(self.emitter == emitter)
+        names = (field.name for field in fields(self))
+        return _Gathered(**{name: getattr(self, name)[on] for name in names})
+
+    def add_to(self, columns: NDArray[np.float32], n_rays: int, shape: EmissionShape) -> None:
+        """Add all of them, of ``n_rays`` per patch, to the form factors ``columns`` (P, K, 2) of a ``shape``."""
+        share = np.ones((len(self.row), 1), np.float32)
+        if shape.over_surface is not None:
+            share *= shape.over_surface(self.end)[:, None]
+        if shape.by_angle is not None:
+            share = share * shape.by_angle(self.cos_light).reshape(len(share), -1)
+        for kind, factor in enumerate(with_schlick(self.cos_surface).T):
+            for k, each in enumerate(share.T):
+                weight = self.weight * each / n_rays * factor
+                columns[:, k, kind] += np.bincount(self.row, weight, minlength=len(columns))
+
+
+def _gathered(
+    tracer: Tracer,
+    origins: Origins,
+    rays: GatherRays,
+    emitters: Sequence[NDArray[np.integer]],
+    n_samples: int,
+) -> _Gathered:
+    """The gather rays that hit one of ``emitters``, weighed against ``n_samples`` points on it."""
     n_rays = rays.face.shape[1]
+    area = np.array([tracer.areas[faces].sum() for faces in emitters], np.float32)
+    label = emitter_of_face(emitters, len(tracer.areas))
     row, column = entries_of(rays.face, label >= 0)
     face = rays.face[row, column]
-    k = label[face]
-    direction = rays.direction[row, column].astype(np.float32)
+    emitter = label[face]
+    direction, distance = rays.direction[row, column].astype(np.float32), rays.distance[row, column]
     cos_light = np.abs((tracer.normals[face] * direction).sum(1))
     start = row, column % origins.normal.shape[1]
     cos_surface = np.abs((origins.normal[start] * direction).sum(1))
-    per_area = cos_surface * cos_light / np.maximum(np.pi * rays.distance[row, column] ** 2, 1e-9)
-    weight = n_rays * per_area / (n_rays * per_area + n_samples / area[k])
-    for number, pattern in patterns.items():
-        met = np.flatnonzero(k == number)
-        ends = origins.position[start][met] + direction[met] * rays.distance[row, column][met, None]
-        weight[met] *= pattern(ends)
-    for kind, factor in enumerate(with_schlick(cos_surface).T):
-        total = np.bincount(row * len(area) + k, weight / n_rays * factor, minlength=result[..., 0].size)
-        result[..., kind] += total.reshape(len(result), len(area))
+    per_area = cos_surface * cos_light / np.maximum(np.pi * distance**2, 1e-9)
+    return _Gathered(
+        row=row,
+        emitter=emitter,
+        weight=n_rays * per_area / (n_rays * per_area + n_samples / area[emitter]),
+        end=origins.position[start] + direction * distance[:, None],
+        cos_surface=cos_surface,
+        cos_light=cos_light,
+    )
 
 
 def with_schlick(cosine: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -136,6 +210,7 @@ class _EmitterPoints:
         n_samples: points of each set.
         area: of the emitter, square metres.
         share: (POINT_SETS · n_samples,) float32 how bright the emitter is there, over its mean.
+        by_angle: how bright it is by the angle to its normal; None where alike.
     """
 
     position: NDArray[np.float32]
@@ -143,6 +218,7 @@ class _EmitterPoints:
     n_samples: int
     area: float
     share: NDArray[np.float32]
+    by_angle: ByAngle | None = None
 
     @staticmethod
     def draw(tracer: Tracer, faces: NDArray[np.integer], n_samples: int, rng: np.random.Generator) -> _EmitterPoints:
@@ -165,13 +241,21 @@ class _EmitterPoints:
             share=np.ones(pick.size, np.float32),
         )
 
-    def under(self, pattern: Pattern | None) -> _EmitterPoints:
-        """The points of an emitter with that pattern."""
-        return self if pattern is None else replace(self, share=pattern(self.position))
+    def under(self, shape: EmissionShape) -> _EmitterPoints:
+        """The points of an emitter of that shape."""
+        share = self.share if shape.over_surface is None else shape.over_surface(self.position)
+        return replace(self, share=share, by_angle=shape.by_angle)
+
+    def share_of(self, rays: ShadowRays) -> NDArray[np.float32]:
+        """(m, K) how bright the emitter is at the ends of m ``rays``, towards their starts."""
+        share = self.share[rays.pick][:, None]
+        if self.by_angle is None:
+            return share
+        return (share * self.by_angle(rays.cos_light).reshape(len(share), -1)).astype(np.float32)
 
 
 def _add_sampled(
-    column: NDArray[np.float32],
+    columns: NDArray[np.float32],
     tracer: Tracer,
     origins: Origins,
     rows: slice,
@@ -179,18 +263,18 @@ def _add_sampled(
     n_rays: int,
     rng: np.random.Generator,
 ) -> None:
-    """Add shadow rays from the patches ``rows`` to one emitter to ``column`` (n, 2), its form factors there.
+    """Add shadow rays from the patches ``rows`` to one emitter to ``columns`` (n, K, 2), its form factors there.
 
     Args:
         n_rays: gather rays of a patch, which may find the emitter as well.
     """
-    shadow = ShadowRays.empty(len(column) * points.n_samples)
-    chosen = rng.integers(POINT_SETS, size=len(column))
+    shadow = ShadowRays.empty(len(columns) * points.n_samples)
+    chosen = rng.integers(POINT_SETS, size=len(columns))
     ends = points.position, points.normal, chosen, points.n_samples
     count = _toward_points(*origins.flat(rows), tracer.epsilon, *ends, shadow)
     shadow = rows_of(shadow, slice(count))
     clear = tracer.unoccluded(shadow.start, shadow.along, shadow.length)
-    _add_visible(shadow, clear, points.share, points.area, n_rays, points.n_samples, column)
+    _add_visible(shadow, clear, points.share_of(shadow), points.area, n_rays, points.n_samples, columns)
 
 
 class ShadowRays(NamedTuple):
@@ -278,17 +362,18 @@ def _add_visible(
     area: float,
     n_rays: int,
     n_samples: int,
-    column: NDArray[np.float32],
+    columns: NDArray[np.float32],
 ) -> None:
-    """Add the rays that are ``clear`` to ``column`` (n, 2), by the balance heuristic against the gather rays.
+    """Add the rays that are ``clear`` (m,) to ``columns`` (n, K, 2), by the balance heuristic against the gather rays.
 
     Args:
-        share: how bright the emitter is at each of its points.
+        share: (m, K) how bright the emitter is at the end of each ray, towards its start.
     """
     for i in range(len(clear)):
         if clear[i]:
             cosine = shadow.cos_surface[i]
             per_area = cosine * abs(shadow.cos_light[i]) / (math.pi * shadow.length[i] ** 2)
-            value = per_area / (n_samples / area + n_rays * per_area) * share[shadow.pick[i]]
-            column[shadow.row[i], 0] += value
-            column[shadow.row[i], 1] += value * grazing(cosine)
+            value = per_area / (n_samples / area + n_rays * per_area)
+            for k in range(share.shape[1]):
+                columns[shadow.row[i], k, 0] += value * share[i, k]
+                columns[shadow.row[i], k, 1] += value * share[i, k] * grazing(cosine)

@@ -10,8 +10,8 @@ import pytest
 
 from iris_addon.decide import Decisions
 from iris_addon.lighting.brightness import Brightness
+from iris_addon.lighting.lamp_evidence import _mean_over, _tied
 from iris_addon.lighting.lamp_pattern import LampPattern
-from iris_addon.lighting.lamp_radiance import _mean_over, _tied
 from iris_addon.lighting.patterned_lamps import MIN_PATCHES, _halves, _pattern_of, patterned_lamps
 from iris_addon.lighting.problem import LightProblem, Lights
 from iris_addon.lighting.screens import Shown

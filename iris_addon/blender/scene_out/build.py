@@ -201,9 +201,11 @@ def face_materials(
     patterned, image = {emitter.id for emitter in result.emitters if emitter.patterned}, None
     if patterned.intersection(lamps[:, 0]) and result.textures.lamp_pattern is not None:
         image = image_from_array(PATTERN, result.textures.lamp_pattern, colorspace=LINEAR, float_buffer=True)
+    profiles = {emitter.id: emitter.profile for emitter in result.emitters}
     for emitter_id, *radiance in lamps:
         name = lamp_name(int(emitter_id)) if emitter_id >= 0 else "IRIS Lamp"
-        slots.append(lamp_material(name, radiance, image if emitter_id in patterned else None, uv_map))
+        pattern, profile = image if emitter_id in patterned else None, profiles.get(int(emitter_id))
+        slots.append(lamp_material(name, radiance, pattern, uv_map, profile))
         slots[-1][LAMP_ID], slots[-1][RECOVERED] = int(emitter_id), [float(value) for value in radiance]
 
     if len(result.panes):

@@ -26,10 +26,12 @@ from numpy.typing import NDArray
 from ...brdf.diffuse import MEAN_COS2, MEAN_SCHLICK
 from ...brdf.ggx import layered_factor
 from ...edits.scene_edit import Material, Sphere
+from ...model.lamp_profile import LampProfile
 from ...model.recovered import DiffuseLobe, Textures
 from ...model.seen_classes import coverage_of, seen_colors
 from ..images import LINEAR, image_from_array
 from ..version import node_tree
+from .lamp_profile_nodes import is_profile, profile_output
 
 SURFACE = "IRIS Surface"
 UV_MAP = "IRIS"
@@ -38,7 +40,8 @@ LAMP_ID = "iris_lamp"
 """Custom property of a lamp's material: the id of its emitter in the result."""
 
 PATTERN, TINT = "IRIS Lamp Pattern", "IRIS Lamp Tint"
-"""Names of the image of the pattern of lamps, and of the node in a lamp's material that multiplies it by a color."""
+"""Names of the image of the pattern of lamps, and of the nodes in a lamp's material that multiply it, and the lamp's
+profile, by a color."""
 
 RECOVERED = "iris_recovered"
 """Custom property of a lamp's material: the radiance (3,) it was made with."""
@@ -103,41 +106,67 @@ def add_confidence(material: bpy.types.Material, textures: Textures) -> None:
 
 
 def lamp_material(
-    name: str, radiance: Sequence[float] | np.ndarray, pattern: bpy.types.Image | None = None, uv_map: str = UV_MAP
+    name: str,
+    radiance: Sequence[float] | np.ndarray,
+    pattern: bpy.types.Image | None = None,
+    uv_map: str = UV_MAP,
+    profile: LampProfile | None = None,
 ) -> bpy.types.Material:
     """A black surface that emits ``radiance`` (3,) from both sides, as colour of maximum 1 times strength.
 
     Args:
         pattern: image on ``uv_map`` that multiplies it.
+        profile: by angle, which multiplies it too.
     """
     material, shader = _black(name)
     if pattern is not None:
-        _lay_pattern(material.node_tree, shader, pattern, uv_map)
+        _multiply(material.node_tree, shader, _pattern_output(material.node_tree, pattern, uv_map))
+    if profile is not None:
+        _multiply(material.node_tree, shader, profile_output(material.node_tree, profile))
     _emit(shader, radiance)
     material.cycles.emission_sampling = "FRONT_BACK"
     return material
 
 
-def _lay_pattern(
-    tree: bpy.types.NodeTree, shader: bpy.types.ShaderNodeBsdfPrincipled, pattern: bpy.types.Image, uv_map: str
-) -> None:
-    uv, image, tint = (tree.nodes.new(f"ShaderNode{kind}") for kind in ("UVMap", "TexImage", "Mix"))
-    uv.location, image.location, tint.location = (-900, 0), (-650, 0), (-300, 0)
+def _pattern_output(tree: bpy.types.NodeTree, pattern: bpy.types.Image, uv_map: str) -> bpy.types.NodeSocket:
+    uv, image = (tree.nodes.new(f"ShaderNode{kind}") for kind in ("UVMap", "TexImage"))
+    uv.location, image.location = (-900, 0), (-650, 0)
     uv.uv_map, image.image, image.extension = uv_map, pattern, "EXTEND"
+    tree.links.new(uv.outputs["UV"], image.inputs["Vector"])
+    return image.outputs["Color"]
+
+
+def _multiply(
+    tree: bpy.types.NodeTree, shader: bpy.types.ShaderNodeBsdfPrincipled, share: bpy.types.NodeSocket
+) -> None:
+    """Multiply the colour that ``shader`` emits by ``share``."""
+    color = emission_color(shader)
+    tint = tree.nodes.new("ShaderNodeMix")
     tint.name = tint.label = TINT
     tint.data_type, tint.blend_type = "RGBA", "MULTIPLY"
+    tint.location = (-300, -250 * sum(node.name.startswith(TINT) for node in tree.nodes) + 250)
     factor, shown, _ = (_socket(tint.inputs, identifier) for identifier in MIX_INPUTS)
     factor.default_value = 1.0
-    tree.links.new(uv.outputs["UV"], image.inputs["Vector"])
-    tree.links.new(image.outputs["Color"], shown)
-    tree.links.new(_socket(tint.outputs, "Result_Color"), shader.inputs["Emission Color"])
+    tree.links.new(share, shown)
+    tree.links.new(_socket(tint.outputs, "Result_Color"), color)
 
 
 def emission_color(shader: bpy.types.Node) -> bpy.types.NodeSocket:
-    """The socket that holds the colour of a lamp: that of its ``shader``, or what multiplies its pattern."""
+    """The socket that holds the colour of a lamp: that of its ``shader``, or what multiplies pattern and profile."""
     socket = shader.inputs["Emission Color"]
-    source = socket.links[0].from_node if socket.is_linked else None
-    return socket if source is None or source.name != TINT else _socket(source.inputs, MIX_INPUTS[2])
+    while socket.is_linked and socket.links[0].from_node.name.startswith(TINT):
+        socket = _socket(socket.links[0].from_node.inputs, MIX_INPUTS[2])
+    return socket
+
+
+def below_profile(color: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+    """The socket whose colour a profile multiplies before it arrives at ``color``; ``color`` itself without one."""
+    node = color.links[0].from_node if color.is_linked else None
+    if node is None or not node.name.startswith(TINT):
+        return color
+    share = _socket(node.inputs, MIX_INPUTS[1])
+    profiled = share.is_linked and is_profile(share.links[0].from_node)
+    return _socket(node.inputs, MIX_INPUTS[2]) if profiled else color
 
 
 MIX_INPUTS = ("Factor_Float", "A_Color", "B_Color")

@@ -13,6 +13,7 @@ from ...base.errors import BadInput
 from ...base.files import atomic_write
 from ...model.capture import Mesh
 from ...model.response import linear_of_srgb
+from ..scene_out.materials import below_profile
 
 PATTERN_STEPS = 64
 """Points along the side of a triangle at which the picture on a lamp is averaged."""
@@ -205,6 +206,7 @@ def emitted_radiance(
         if node.bl_idname not in names:
             continue
         color, strength = (node.inputs[name] for name in names[node.bl_idname])
+        color = below_profile(color)  # which changes where light goes, not how much there is
         if not strength.is_linked and strength.default_value == 0:
             continue
         image = _picture_of(color)
