@@ -43,6 +43,7 @@ SECTIONS: Mapping[str, Section] = {
     "sunlit": made_rooms_section.describe_sunlit,
     "mirrors": made_rooms_section.describe_mirrors,
     "patterns": made_rooms_section.describe_patterns,
+    "profiles": made_rooms_section.describe_profiles,
 }
 NOT_MEASURED = "Not measured yet."
 

@@ -164,6 +164,7 @@ def test_only_the_rooms_of_blender_import_it() -> None:
         "benchmarks/furnished_room",
         "benchmarks/mirror_room",
         "benchmarks/pattern_room",
+        "benchmarks/profile_room",
         "benchmarks/sunlit_room",
         "benchmarks/moving_plate",
     )

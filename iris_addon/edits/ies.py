@@ -1,8 +1,9 @@
 """Recovered lamps as photometric files (ANSI/IES LM-63-2002), which lighting and rendering programs read.
 
-A recovered lamp is a surface of one radiance, so what it sends in a direction is its radiance times the area that one
-sees from there. Sides against a wall, and what the lamp hides of itself, send nothing. The angles of a file are those
-of the room: 0 degrees is down, wherever the lamp points, so that a program places it without turning it.
+A recovered lamp is a surface of one radiance, or of one by angle, so what it sends in a direction is its radiance times
+the area that one sees from there. Sides against a wall, and what the lamp hides of itself, send nothing. The angles of
+a file are those of the room: 0 degrees is down, wherever the lamp points, so that a program places it without turning
+it.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.capture import HitDistance
+from ..model.lamp_profile import LampProfile
 from ..model.surface_points import even_points, interpolated
 
 VERTICAL = np.arange(0.0, 181.0, 5.0)
@@ -26,13 +28,16 @@ RAY_START = 1e-4
 LONGEST_NAME = 60
 
 
-def seen_areas(corners: NDArray[np.floating], room: HitDistance, lamp: HitDistance) -> NDArray[np.float64]:
+def seen_areas(
+    corners: NDArray[np.floating], room: HitDistance, lamp: HitDistance, profile: LampProfile | None = None
+) -> NDArray[np.float64]:
     """(V, H) square metres of a lamp that one sees from each direction of VERTICAL and HORIZONTAL.
 
     Args:
         corners: (T, 3, 3) of its triangles, metres, z up.
         room: against everything, the lamp too.
         lamp: against these triangles alone.
+        profile: what areas count for by the angle at which they are seen.
     """
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = 0.5 * np.linalg.norm(cross, axis=1)
@@ -49,7 +54,8 @@ def seen_areas(corners: NDArray[np.floating], room: HitDistance, lamp: HitDistan
         row, way = np.nonzero(cosine > 1e-6)
         origin = point[open_[row]] + start * outward[open_[row]]
         clear = np.isinf(lamp(origin, ways[way]))
-        np.add.at(seen, way[clear], cosine[row[clear], way[clear]])
+        visible = cosine[row[clear], way[clear]]
+        np.add.at(seen, way[clear], visible if profile is None else visible * profile.at(visible))
     table = (seen * area.sum() / IES_POINTS).reshape(v.shape)
     table[[0, -1]] = table[[0, -1]].mean(1, keepdims=True)  # straight down and up are one direction each
     return np.concatenate([table, table[:, :1]], axis=1)

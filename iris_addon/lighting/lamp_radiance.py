@@ -12,7 +12,7 @@ from ..base.progress import Progress
 from ..base.random_streams import stream
 from ..brdf.diffuse import under_lobe
 from ..response.radiance import GroupRadiance
-from ..transport.form_factors import EmissionShape, emitter_form_factors
+from ..transport.form_factors import emitter_form_factors
 from .balance import ITERATIONS, MAX_ALBEDO, ShadedPatches, fitted_patches, noticeable_radiance, solve_balance
 from .lamp_evidence import columns_of, lamp_evidence, with_hidden
 from .problem import LightProblem, Lights
@@ -262,15 +262,13 @@ def form_factors_of(
     columns[[pattern is not None for pattern in patterns]] = -1
     fresh = np.flatnonzero(columns < 0)
     lamps = [emitters[k] for k in fresh]
-    shapes = {
-        n: EmissionShape(over_surface=pattern.at) for n, k in enumerate(fresh) if (pattern := patterns[k]) is not None
-    }
+    shares = {n: pattern.at for n, k in enumerate(fresh) if (pattern := patterns[k]) is not None}
     rng = stream(problem.seed, "lighting.shadow_rays")
     t = problem.transport
     samples = int(np.clip(problem.shadow_rays // max(1, len(emitters)), *limits))
-    seen = emitter_form_factors(problem.tracer, t.origins, t.rays, lamps, samples, rng, progress, shapes)
+    seen = emitter_form_factors(problem.tracer, t.origins, t.rays, lamps, samples, rng, progress, shares)
     unseen = emitter_form_factors(
-        problem.tracer, t.unseen_origins, t.unseen_rays, lamps, max(4, samples // 4), rng, progress, shapes
+        problem.tracer, t.unseen_origins, t.unseen_rays, lamps, max(4, samples // 4), rng, progress, shares
     )
     traced = np.concatenate([seen, unseen])
     if known is None:

@@ -98,6 +98,8 @@ def patterned_lamps(problem: LightProblem, lights: Lights, shown: Shown) -> NDAr
     patches = np.bincount(lamp[seen], minlength=len(solved))
     found = []
     for k in np.flatnonzero(patches >= MIN_PATCHES):
+        if lights.profile_of(lights.emitters[k]) is not None:
+            continue  # by angle its places are brighter and darker alike
         own = np.flatnonzero((lamp[patch] == k) & np.isin(patch, seen))
         even, pattern = (HeldOutLosses(own, loss[own], weight[own], PLACES) for loss in losses)
         smaller, larger = (float(np.average(each.loss, weights=each.weight)) for each in (even, pattern))

@@ -19,7 +19,7 @@ from ..brdf.diffuse import under_lobe
 from ..model.lamp_profile import EVEN_PROFILE, FLUX_SHARES, LampProfile, profile_basis
 from ..model.response import LUMINANCE
 from ..response.radiance import GroupRadiance
-from ..transport.form_factors import EmissionShape, profile_form_factors
+from ..transport.form_factors import profile_form_factors
 from .balance import Evidence, solve_balance
 from .lamp_evidence import lamp_of_patch, with_hidden
 from .lamp_radiance import PatchFit, fitted_shading, patches_on, solve_lights
@@ -65,12 +65,15 @@ def with_profiles(
     for lamp, found in zip(asked, _fitted_profiles(problem, observed, even, asked, shown, fit), strict=True):
         fitted = lamp.under(fitted, *found)
     best = solved(fitted)
-    for lamp in reversed(asked):
+    together, error = f"{len(asked)} lamps together", even.paired_error(best)
+    if not decisions.accept("lamp_profile", even.held_out, best.held_out, error, subject=together):
+        return lights if lights.profiles is None else even
+    for lamp in reversed(asked) if len(asked) > 1 else ():
         without = solved(lamp.under(best, LampProfile(EVEN_PROFILE), best.radiance[lamp.number]))
         error, subject = without.paired_error(best), f"lamp {lamp.number}"
         if not decisions.accept("lamp_profile", without.held_out, best.held_out, error, subject=subject):
             best = without
-    return lights if best.profiles is None and lights.profiles is None else best
+    return best
 
 
 @dataclass(frozen=True)
@@ -109,11 +112,14 @@ def _brightest(problem: LightProblem, lights: Lights) -> NDArray[np.int64]:
 def _form_factors(problem: LightProblem, faces: NDArray[np.int64]) -> NDArray[np.float32]:
     """(N, 6, 2) form factors of a lamp that shines at one of PROFILE_DEGREES alone."""
     t, rng = problem.transport, stream(problem.seed, "lighting.profiles")
-    shape = EmissionShape(by_angle=profile_basis)
-    of_patches = (t.origins, t.rays, SHADOW_RAYS), (t.unseen_origins, t.unseen_rays, SHADOW_RAYS // 4)
-    return np.concatenate(
-        [profile_form_factors(problem.tracer, origins, rays, faces, n, rng, shape) for origins, rays, n in of_patches]
+    seen, unseen = (
+        profile_form_factors(problem.tracer, origins, rays, faces, n_samples, rng, profile_basis)
+        for origins, rays, n_samples in (
+            (t.origins, t.rays, SHADOW_RAYS),
+            (t.unseen_origins, t.unseen_rays, SHADOW_RAYS // 4),
+        )
     )
+    return np.concatenate([seen, unseen])
 
 
 def _fitted_profiles(

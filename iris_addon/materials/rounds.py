@@ -180,7 +180,8 @@ def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progr
         lights = reconsider_lamps(light_problem, cast, lights, weight, diffuse.radiance, progress)
         shown = Shown(o, problem.linear, specular)
         of_patches = PatchFit(weight, diffuse.radiance)
-        lights = with_profiles(light_problem, cast, lights, shown, of_patches, progress)
+        if lights.profiles is not None:  # what gloss changes is little beside what a profile has to earn
+            lights = with_profiles(light_problem, cast, lights, shown, of_patches, progress)
         if round_ == rounds - 1:
             lights = with_screens(light_problem, cast, lights, shown, weight, diffuse.radiance, progress)
             lights = with_patterns(light_problem, cast, lights, shown, of_patches, progress)

@@ -33,6 +33,14 @@ class LampProfile:
         """(...) radiance at cosines (...) of the angle to the normal, of either sign, over that of an even lamp."""
         return np.interp(degrees_off_normal(cosine), PROFILE_DEGREES, self.values)
 
+    @property
+    def beam_angle(self) -> float:
+        """Degrees across the beam, 120 of an even lamp: twice the largest angle at which it is half as intense as at its
+        most. Intensity is radiance times the cosine."""
+        degrees = np.linspace(0.0, 90.0, 901)
+        intensity = np.cos(np.radians(degrees)) * np.interp(degrees, PROFILE_DEGREES, self.values)
+        return 2.0 * float(degrees[intensity >= 0.5 * intensity.max()][-1])
+
 
 def degrees_off_normal(cosine: NDArray[np.floating]) -> NDArray[np.floating]:
     """Angle (...) between 0 and 90 degrees to the nearer normal, from a cosine (...) of either sign."""

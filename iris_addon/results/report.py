@@ -264,12 +264,13 @@ def _emitters(result: Result, pictures: Mapping[int, Path]) -> str:
             " ".join(f"{value:.3g}" for value in emitter.radiance),
             f"{emitter.area:.4f}",
             f"{np.pi * emitter.area * np.mean(emitter.radiance):.3g}",
+            "even" if emitter.profile is None else f"{emitter.profile.beam_angle:.0f}°",
             str(len(emitter.faces)),
             f'<meter min="0" max="1" value="{emitter.confidence:.2f}"></meter> {emitter.confidence:.2f}',
         ]
         for emitter in ordered
     ]
-    head = ("id", "photo", "color", "radiance R G B", "area, m²", "power per side", "faces", "confidence")
+    head = ("id", "photo", "color", "radiance R G B", "area, m²", "power per side", "beam", "faces", "confidence")
     body = _table(head, rows) if rows else "<p>No light was found in the room itself.</p>"
     return f"<section><h2>Lights</h2>{body}</section>"
 

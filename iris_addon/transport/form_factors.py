@@ -26,8 +26,8 @@ from .gather import GatherRays
 
 Pattern = Callable[[NDArray[np.floating]], NDArray[np.float32]]
 """How bright an emitter is at points (n, 3) on it, over its mean, (n,)."""
-ByAngle = Callable[[NDArray[np.floating]], NDArray[np.floating]]
-"""How bright an emitter is at cosines (n,) of the angle to its normal: (n,), or (n, K) for K profiles at once."""
+Profiles = Callable[[NDArray[np.floating]], NDArray[np.floating]]
+"""How bright an emitter is at cosines (n,) of the angle to its normal, (n, K) for K profiles at once."""
 POINT_SETS = 1024
 """Sets of points on an emitter, of which each patch takes one at random. To draw points anew for each patch would cost
 as much as its rays; of the neighbouring patches that noise is averaged over, hardly two share a set."""
@@ -43,16 +43,6 @@ def emitter_of_face(emitters: Sequence[NDArray[np.integer]], n_faces: int) -> ND
     return label
 
 
-class EmissionShape(NamedTuple):
-    """How the radiance of an emitter differs from place to place, and from angle to angle."""
-
-    over_surface: Pattern | None = None
-    by_angle: ByAngle | None = None
-
-
-EVEN = EmissionShape()
-
-
 def emitter_form_factors(
     tracer: Tracer,
     origins: Origins,
@@ -61,7 +51,7 @@ def emitter_form_factors(
     n_samples: int,
     rng: np.random.Generator,
     progress: Progress,
-    shapes: Mapping[int, EmissionShape] = MappingProxyType({}),
+    patterns: Mapping[int, Pattern] = MappingProxyType({}),
 ) -> NDArray[np.float32]:
     """``B`` (P, E, 2): the visible share of a patch's cosine-weighted hemisphere that each emitter fills, and the same
     weighted by Schlick's S, for diffuse lobes (:func:`iris_addon.brdf.diffuse.under_lobe`).
@@ -70,7 +60,7 @@ def emitter_form_factors(
         origins, rays: of the P patches.
         emitters: face indices of each emitter.
         n_samples: points sampled on each emitter per patch, before patches that cannot see it are left out.
-        shapes: of emitters that are uneven, by their number; B is then weighted by them.
+        patterns: of emitters that are not equally bright everywhere, by their number; B is then weighted by it.
     """
     n, n_rays = rays.face.shape
     result = np.zeros((n, len(emitters), 2), np.float32)
@@ -78,12 +68,12 @@ def emitter_form_factors(
         return result
     gathered = _gathered(tracer, origins, rays, emitters, n_samples)
     for k in range(len(emitters)):
-        gathered.of(k).add_to(result[:, k : k + 1], n_rays, shapes.get(k, EVEN))
+        gathered.of(k).add_to(result[:, k : k + 1], n_rays, patterns.get(k))
     # One job per lamp and block of patches, so that all cores are busy where either are few.
     generators = rng.spawn(2 * len(emitters))
     points = over_each(
         range(len(emitters)),
-        lambda k: _EmitterPoints.draw(tracer, emitters[k], n_samples, generators[2 * k]).under(shapes.get(k, EVEN)),
+        lambda k: _EmitterPoints.draw(tracer, emitters[k], n_samples, generators[2 * k]).under(patterns.get(k)),
     )
     jobs = [
         (k, rows, generator)
@@ -106,20 +96,14 @@ def profile_form_factors(
     faces: NDArray[np.integer],
     n_samples: int,
     rng: np.random.Generator,
-    shape: EmissionShape,
+    profiles: Profiles,
 ) -> NDArray[np.float32]:
-    """(P, K, 2) form factors of one emitter with each of K profiles, by the same rays.
-
-    Args:
-        faces: of the emitter.
-        shape: ``by_angle`` tells the K profiles.
-    """
-    assert shape.by_angle is not None
+    """(P, K, 2) form factors of one emitter of ``faces`` with each of K ``profiles``, by the same rays."""
     n, n_rays = rays.face.shape
-    result = np.zeros((n, shape.by_angle(np.ones(1)).shape[1], 2), np.float32)
-    _gathered(tracer, origins, rays, [faces], n_samples).add_to(result, n_rays, shape)
+    result = np.zeros((n, profiles(np.ones(1)).shape[1], 2), np.float32)
+    _gathered(tracer, origins, rays, [faces], n_samples).add_to(result, n_rays, profiles=profiles)
     of_points, of_rays = rng.spawn(2)
-    points = _EmitterPoints.draw(tracer, faces, n_samples, of_points).under(shape)
+    points = replace(_EmitterPoints.draw(tracer, faces, n_samples, of_points), profiles=profiles)
 
     def add(job: tuple[slice, np.random.Generator]) -> None:
         rows, generator = job
@@ -154,13 +138,17 @@ class _Gathered:
         names = (field.name for field in fields(self))
         return _Gathered(**{name: getattr(self, name)[on] for name in names})
 
-    def add_to(self, columns: NDArray[np.float32], n_rays: int, shape: EmissionShape) -> None:
-        """Add all of them, of ``n_rays`` per patch, to the form factors ``columns`` (P, K, 2) of a ``shape``."""
-        share = np.ones((len(self.row), 1), np.float32)
-        if shape.over_surface is not None:
-            share *= shape.over_surface(self.end)[:, None]
-        if shape.by_angle is not None:
-            share = share * shape.by_angle(self.cos_light).reshape(len(share), -1)
+    def add_to(
+        self,
+        columns: NDArray[np.float32],
+        n_rays: int,
+        pattern: Pattern | None = None,
+        profiles: Profiles | None = None,
+    ) -> None:
+        """Add all of them, of ``n_rays`` per patch, to the form factors ``columns`` (P, K, 2)."""
+        share = np.ones((len(self.row), 1), np.float32) if profiles is None else profiles(self.cos_light)
+        if pattern is not None:
+            share = share * pattern(self.end)[:, None]
         for kind, factor in enumerate(with_schlick(self.cos_surface).T):
             for k, each in enumerate(share.T):
                 weight = self.weight * each / n_rays * factor
@@ -210,7 +198,7 @@ class _EmitterPoints:
         n_samples: points of each set.
         area: of the emitter, square metres.
         share: (POINT_SETS · n_samples,) float32 how bright the emitter is there, over its mean.
-        by_angle: how bright it is by the angle to its normal; None where alike.
+        profiles: how bright it is by the angle to its normal; None where alike.
     """
 
     position: NDArray[np.float32]
@@ -218,7 +206,7 @@ class _EmitterPoints:
     n_samples: int
     area: float
     share: NDArray[np.float32]
-    by_angle: ByAngle | None = None
+    profiles: Profiles | None = None
 
     @staticmethod
     def draw(tracer: Tracer, faces: NDArray[np.integer], n_samples: int, rng: np.random.Generator) -> _EmitterPoints:
@@ -241,17 +229,14 @@ class _EmitterPoints:
             share=np.ones(pick.size, np.float32),
         )
 
-    def under(self, shape: EmissionShape) -> _EmitterPoints:
-        """The points of an emitter of that shape."""
-        share = self.share if shape.over_surface is None else shape.over_surface(self.position)
-        return replace(self, share=share, by_angle=shape.by_angle)
+    def under(self, pattern: Pattern | None) -> _EmitterPoints:
+        """The points of an emitter with that pattern."""
+        return self if pattern is None else replace(self, share=pattern(self.position))
 
     def share_of(self, rays: ShadowRays) -> NDArray[np.float32]:
         """(m, K) how bright the emitter is at the ends of m ``rays``, towards their starts."""
         share = self.share[rays.pick][:, None]
-        if self.by_angle is None:
-            return share
-        return (share * self.by_angle(rays.cos_light).reshape(len(share), -1)).astype(np.float32)
+        return share if self.profiles is None else (share * self.profiles(rays.cos_light)).astype(np.float32)
 
 
 def _add_sampled(

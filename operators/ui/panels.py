@@ -15,6 +15,7 @@ from ...iris_addon.blender.apply.suggested_photos import suggested_groups
 from ...iris_addon.blender.insert.plate import shows_plate
 from ...iris_addon.blender.render import light_mixing
 from ...iris_addon.blender.scene_out import lights as lamps
+from ...iris_addon.blender.scene_out.lamp_profile_nodes import profile_of
 from ...iris_addon.blender.worker import jobs
 from ...iris_addon.edits.light_units import kelvin
 from ...iris_addon.model.seen_classes import SEEN_CLASSES
@@ -339,6 +340,9 @@ def _chosen_lamp(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     split = layout.split(factor=0.6, align=True)
     split.label(text=f"{lamp.area:.2g} m², {lamp.confidence:.0%} sure")
     split.operator("iris.anchor")
+    profile = profile_of(lamp.material)
+    if profile is not None:
+        layout.label(text=f"Spot, beam of {profile.beam_angle:.0f}°", icon="LIGHT_SPOT")
 
 
 def _mixing(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:

@@ -6,6 +6,7 @@ import trimesh
 
 from iris_addon.edits.ies import HORIZONTAL, VERTICAL, ies_file, seen_areas, total_flux
 from iris_addon.model.capture import Mesh
+from iris_addon.model.lamp_profile import LampProfile
 from iris_addon.rays.tracer import Tracer
 
 
@@ -21,8 +22,8 @@ def square(z: float, side: float = 0.6, at: tuple[float, float] = (0.0, 0.0)) ->
     return Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]))
 
 
-def areas(lamp: Mesh, *others: Mesh) -> np.ndarray:
-    return seen_areas(lamp.vertices[lamp.faces], hits(lamp, *others), hits(lamp))
+def areas(lamp: Mesh, *others: Mesh, profile: LampProfile | None = None) -> np.ndarray:
+    return seen_areas(lamp.vertices[lamp.faces], hits(lamp, *others), hits(lamp), profile)
 
 
 def read(text: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[float]]:
@@ -49,6 +50,15 @@ def test_a_panel_under_the_ceiling_is_lamberts_law_to_one_side():
     expected = 0.36 * np.maximum(np.cos(np.radians(VERTICAL)), 0)
     np.testing.assert_allclose(found, np.repeat(expected[:, None], len(HORIZONTAL), 1), atol=1e-9)
     assert total_flux(found) == pytest.approx(np.pi * 0.36, rel=0.003), "π · area for radiance 1"
+
+
+def test_a_spot_sends_its_profile_and_as_much_light_as_an_even_lamp():
+    spot = LampProfile.of(np.array([1, 0.8, 0.4, 0.1, 0.02, 0.01]))
+    found = areas(square(2.48), square(2.5, 4.0), profile=spot)
+    down = np.cos(np.radians(VERTICAL))
+    expected = 0.36 * np.maximum(down, 0) * spot.at(down)
+    np.testing.assert_allclose(found, np.repeat(expected[:, None], len(HORIZONTAL), 1), atol=1e-9)
+    assert total_flux(found) == pytest.approx(np.pi * 0.36, rel=0.005)
 
 
 def test_a_hanging_panel_shines_to_both_sides_and_a_ball_to_all():

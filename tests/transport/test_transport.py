@@ -13,10 +13,11 @@ from iris_addon.brdf.ggx import specular_integrals
 from iris_addon.brdf.ggx_sampling import visible_normal_weights
 from iris_addon.lighting.hidden import HiddenSources, dodecahedron, find_hidden, lobes
 from iris_addon.model.capture import Mesh
+from iris_addon.model.lamp_profile import profile_basis
 from iris_addon.model.sphere import sh_basis
 from iris_addon.rays.sampling import Origins, cosine_direction, ggx_direction, r2_sequence, tangent_frame
 from iris_addon.rays.tracer import Tracer
-from iris_addon.transport.form_factors import Pattern, emitter_form_factors
+from iris_addon.transport.form_factors import Pattern, emitter_form_factors, profile_form_factors
 from iris_addon.transport.gather import gather
 from iris_addon.transport.transport import Transport
 from tests.engine_room import SIZE, WALLS, Room, assemble, box, cameras, furnished_room, patched, quad
@@ -150,10 +151,44 @@ def test_a_lamp_shines_with_its_pattern_however_it_is_found(n_rays: int, n_sampl
     a, b, h = 1.2, 0.8, 0.6
     mesh = assemble([quad([0, 0, h], [a, 0, 0], [0, b, 0])], [0])
     patch, lamp = patch_at([0, 0, 0], 3000), [np.arange(2)]
-    bright = {0: lambda points: np.where(points[:, 0] > a / 2, 2.0, 0.0).astype(np.float32)}
-    found = form_factors(mesh, lamp, patch, n_rays, n_samples, patterns=bright)
+
+    def bright(points):
+        return np.where(points[:, 0] > a / 2, 2.0, 0.0).astype(np.float32)
+
+    found = form_factors(mesh, lamp, patch, n_rays, n_samples, patterns={0: bright})
     expected = 2 * (corner_to_rectangle(a, b, h) - corner_to_rectangle(a / 2, b, h))
     assert found.mean() == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize(("n_rays", "n_samples"), [(256, 1), (1, 128), (48, 48)])
+def test_a_lamp_shines_by_the_angle_to_its_normal_however_it_is_found(n_rays: int, n_samples: int) -> None:
+    """A disc whose radiance is the square of the cosine, on its axis: of c² over the disc, c = h / √(h² + r²), the form
+    factor is ½ (1 − (h² / (h² + R²))²)."""
+    radius, height, n = 0.7, 1.3, 96
+    angle = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    rim = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full(n, height)])
+    fan = np.column_stack([np.full(n, n), np.arange(n), (np.arange(n) + 1) % n])
+    mesh = Mesh(np.concatenate([rim, [[0, 0, height]]]), fan)
+    tracer, patch, rng = Tracer(mesh), patch_at([0, 0, 0], 1500), np.random.default_rng(3)
+    rays, _ = gather(tracer, patch, n_rays, rng, Progress())
+    factors = profile_form_factors(
+        tracer, patch, rays, np.arange(n), n_samples, rng, lambda cosine: np.square(cosine)[:, None]
+    )[:, 0, 0]
+    expected = 0.5 * (1 - (height**2 / (height**2 + radius**2)) ** 2)
+    assert factors.mean() == pytest.approx(expected, rel=0.01)
+
+
+def test_the_parts_of_a_profile_add_up_to_an_even_lamp() -> None:
+    mesh = assemble([quad([-0.5, -0.5, 0.8], [1, 0, 0], [0, 1, 0])], [0])
+    tracer, patch = Tracer(mesh), patch_at([0.4, 0.1, 0], 50)
+    rays, _ = gather(tracer, patch, 16, np.random.default_rng(1), Progress())
+    of_all = [profile_basis, lambda cosine: np.ones((len(cosine), 1))]
+    parts, even = (
+        profile_form_factors(tracer, patch, rays, np.arange(2), 32, np.random.default_rng(2), profiles)
+        for profiles in of_all
+    )
+    np.testing.assert_allclose(parts.sum(1), even[:, 0], rtol=1e-5)
+    assert (parts.mean(0) > 0).all(1).sum() >= 3, "the lamp is seen at several angles"
 
 
 def test_patch_under_the_centre_of_a_disc() -> None:

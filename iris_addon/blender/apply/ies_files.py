@@ -16,6 +16,7 @@ from ...base.errors import IrisError
 from ...base.files import atomic_write
 from ...edits.ies import ies_file, seen_areas
 from ...model.capture import HitDistance
+from ..scene_out.lamp_profile_nodes import profile_of
 from .area_lamps import lamp_triangles
 from .suggested_photos import tree_distance
 
@@ -55,7 +56,8 @@ def write_ies_files(
         folder.mkdir(parents=True, exist_ok=True)
         for lamp in shining:
             corners = lamp_triangles(scene, lamp.material)
-            areas = seen_areas(corners, room, _lamp_distance(corners)) if len(corners) else np.zeros(0)
+            shape = corners, room, _lamp_distance(corners), profile_of(lamp.material)
+            areas = seen_areas(*shape) if len(corners) else np.zeros(0)
             if not areas.any():
                 continue
             size = np.ptp(corners.reshape(-1, 3), axis=0)

@@ -32,6 +32,7 @@ from ..images import srgb_image
 from ..render.cycles import set_cycles
 from ..scene_out.backdrop import add_backdrop, is_backdrop
 from ..scene_out.build import add_room, datablocks
+from ..scene_out.lamp_profile_nodes import profile_of
 from ..scene_out.lights import add_sun, lamp_materials, reset, set_strength, strength
 from ..scene_out.materials import remove_burley
 from ..scene_out.scene_state import show_like_the_photos
@@ -77,19 +78,20 @@ def apply(
                 _use_srgb_colors(scene)
                 _leave_out_burley(scene)
             if usd is not None:
-                with lamps_as_lights(), _without_patterns(scene):
+                with lamps_as_lights(), _even_lamps(scene):
                     write_whole(usd, lambda path: bpy.ops.wm.usd_export(filepath=str(path)))
             if glb is not None:
                 form = "AUTO"
                 if light is not None:
                     lighten(scene, light)
                     form = "JPEG"
-                write_whole(
-                    glb,
-                    lambda path: bpy.ops.export_scene.gltf(
-                        filepath=str(path), use_active_scene=True, export_image_format=form
-                    ),
-                )
+                with _even_lamps(scene, but_for_patterns=True):
+                    write_whole(
+                        glb,
+                        lambda path: bpy.ops.export_scene.gltf(
+                            filepath=str(path), use_active_scene=True, export_image_format=form
+                        ),
+                    )
     finally:
         bpy.data.batch_remove(set(datablocks()) - before)
 
@@ -167,11 +169,13 @@ def _use_srgb_colors(scene: bpy.types.Scene) -> None:
 
 
 @contextmanager
-def _without_patterns(scene: bpy.types.Scene) -> Iterator[None]:
+def _even_lamps(scene: bpy.types.Scene, but_for_patterns: bool = False) -> Iterator[None]:
     """Inside, lamps are evenly bright: the exporter of USD would keep the picture on a lamp, and drop the color and the
-    strength that multiply it."""
+    strength that multiply it. No exporter knows profiles."""
     left_out = []
     for material in lamp_materials(scene.objects):
+        if but_for_patterns and profile_of(material) is None:
+            continue
         shader = next(node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
         for link in list(shader.inputs["Emission Color"].links):
             left_out.append((material, link.from_socket, shader.inputs["Emission Color"], strength(material)))
