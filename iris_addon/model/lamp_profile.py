@@ -35,8 +35,10 @@ class LampProfile:
 
     @property
     def beam_angle(self) -> float:
-        """Degrees across the beam, 120 of an even lamp: twice the largest angle at which it is half as intense as at its
-        most. Intensity is radiance times the cosine."""
+        """Degrees across the beam, 120 of an even lamp: twice the largest angle with half of the greatest intensity.
+
+        Intensity is radiance times the cosine.
+        """
         degrees = np.linspace(0.0, 90.0, 901)
         intensity = np.cos(np.radians(degrees)) * np.interp(degrees, PROFILE_DEGREES, self.values)
         return 2.0 * float(degrees[intensity >= 0.5 * intensity.max()][-1])
