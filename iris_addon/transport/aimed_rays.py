@@ -28,6 +28,9 @@ BRIGHT_RADIANCE = 10.0
 """Radiance from which on a patch is bright, in medians of the seen patches."""
 BRIGHT_MIN_SHARE = 0.02
 """Share of all light that bright patches must send to get rays of their own."""
+LONE_RAY_SHARE, LONE_RAYS_MIN = 0.3, 0.002
+"""Or share of the light of a patch that one ray to a bright one brings, and share of the seen patches with such a ray:
+the rim of a lamp sends next to nothing, and each of the few rays that meet it makes a spot."""
 POINTS_PER_FACE, MAX_POINTS = 8, 200_000
 """Points on bright patches: per face at least, and about in all."""
 AIMED_RAYS = 32
@@ -81,8 +84,11 @@ def aim_at_bright(
     on = ~dark_faces[transport.rays.face[row, column]]
     row, column = row[on], column[on]
     sent = light[transport.target[row, column]].sum() / transport.target.shape[1]
-    if sent <= BRIGHT_MIN_SHARE * (irradiance[: transport.n_seen] @ LUMINANCE).sum():
-        return None
+    arriving = irradiance[: transport.n_seen] @ LUMINANCE
+    if sent <= BRIGHT_MIN_SHARE * arriving.sum():
+        alone = light[transport.target[row, column]] > LONE_RAY_SHARE * transport.target.shape[1] * arriving[row]
+        if len(np.unique(row[alone])) <= LONE_RAYS_MIN * transport.n_seen:
+            return None
     faces = np.unique(transport.rays.face[row, column])
     points = _bright_points(tracer, transport, regions, faces, np.where(bright, light, 0.0), rng)
     if points is None:

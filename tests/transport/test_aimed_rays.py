@@ -72,3 +72,25 @@ def test_no_ray_is_aimed_without_bright_patches(traced: tuple[Room, Tracer, Tran
     before = tracer.rays_traced
     assert aim_at_bright(tracer, transport, room.regions, cast, cast, none, np.random.default_rng(5)) is None
     assert tracer.rays_traced == before
+
+
+def test_a_speck_that_few_rays_meet_is_aimed_at_where_each_would_make_a_spot(
+    traced: tuple[Room, Tracer, Transport],
+) -> None:
+    """A patch that a few patches in a hundred meet by one ray sends little, and doubles the light of each of these."""
+    room, tracer, transport = traced
+    n_rays, n = transport.target.shape[1], transport.n_seen
+    met = np.zeros(transport.n_patches)
+    for row in transport.target[:n]:
+        met[np.unique(row[row >= 0])] += 1
+    speck = np.flatnonzero(met <= 0.015 * n)[np.argmax(met[met <= 0.015 * n])]
+    assert met[speck] > 0.004 * n
+    none = np.zeros(len(tracer.areas), bool)
+
+    def aimed(radiance: float):
+        cast, light = np.ones((transport.n_patches, 3)), np.ones((transport.n_patches, 3))
+        cast[speck] = radiance
+        return aim_at_bright(tracer, transport, room.regions, cast, light, none, np.random.default_rng(1))
+
+    assert aimed(1.2 * n_rays) is not None
+    assert aimed(0.25 * n_rays) is None, "no spot to be seen, and hardly any light"
