@@ -188,7 +188,7 @@ REFINEMENTS: Mapping[str, Refinement] = {
         errors=2.0,
         experiment="0133-has-a-lamp-a-pattern",
     ),
-    # Spots and shielded panels gain 55 to 90 %, even lamps 3 %, and 14 % beside spots whose errors they take over.
+    # Spots and shielded panels gain 66 to 87 %, even lamps 3 %, and 14 % beside spots whose errors they take over.
     "lamp_profile": Refinement(
         "a profile of a lamp by angle in place of one radiance",
         BALANCE,

@@ -24,8 +24,9 @@ def lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]], befo
     """Bounds and measurements per lamp from the pixels on it.
 
     Args:
-        before: lights that know the profiles of lamps. Of these nothing is measured: photos show them from some angles,
-            and the profile was fitted to that.
+        before: lights that know the profiles of lamps. Of these, and of those that are asked for one, nothing is
+            measured: photos show them from some angles, which the fit of a profile accounts for. What they show is a
+            bound, since no angle is brighter than the brightest of the profile.
     """
     seen, face, cell = problem.brightness, problem.samples.face, problem.cells.of_pixel
     label = emitter_of_face(emitters, len(problem.regions))
@@ -50,17 +51,19 @@ def lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]], befo
                 measured[index, channel] = np.quantile(values[unclipped], LAMP_QUANTILE)
     expected = np.where((bound > 0) & np.isnan(measured), CLIPPED_LAMP_FACTOR * bound, np.nan)
     for index, faces in enumerate(emitters):
-        if before.profile_of(faces) is not None:
-            bound[index], measured[index] = 0.0, np.nan
-            expected[index] = before.radiance[columns_of([faces], before.emitters)[0]]
-    return Evidence(bound, measured, _tied(problem, emitters, before), expected)
+        profile = before.profile_of(faces)
+        if profile is None and not problem.asked_for_profile(faces):
+            continue
+        shown, measured[index] = np.fmax(bound[index], measured[index]), np.nan
+        bound[index] = 0.0 if profile is None else shown / profile.values.max()
+        expected[index] = before.radiance[columns_of([faces], before.emitters)[0]]
+    return Evidence(bound, measured, _tied(problem, emitters), expected)
 
 
-def _tied(problem: LightProblem, emitters: list[NDArray[np.int64]], before: Lights) -> NDArray[np.int64]:
-    """(E,) label of lamps that share one radiance; one with a pattern or a profile has its own."""
+def _tied(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """(E,) label of lamps that share one radiance; one with a pattern has its own."""
     tie = tie_fixtures(emitters, problem.tracer.areas)
-    uneven = (problem.pattern_of(faces) or before.profile_of(faces) for faces in emitters)
-    own = [k for k, shape in enumerate(uneven) if shape is not None]
+    own = [k for k, faces in enumerate(emitters) if problem.pattern_of(faces) is not None]
     tie[own] = len(emitters) + np.arange(len(own))
     return np.unique(tie, return_inverse=True)[1]
 

@@ -161,6 +161,8 @@ class LightProblem:
         sunlight_passed_on: whether the sun's column holds what patches pass on that no photo measures, beside what the
             sun lights. Not while a sun is but proposed: with all that for its own, many a direction explains a lamp.
         patterns: of the lamps that have one, once it is known.
+        asked: faces of the lamps that are just asked for a profile. With and without one, only the light that they cast
+            tells their radiance, so that what a profile earns is not the freedom of it.
     """
 
     tracer: Tracer
@@ -186,6 +188,11 @@ class LightProblem:
     clipped_counts: bool = False
     sunlight_passed_on: bool = True
     patterns: tuple[LampPattern, ...] = ()
+    asked: tuple[NDArray[np.int64], ...] = ()
+
+    def asked_for_profile(self, faces: NDArray[np.int64]) -> bool:
+        """Whether the lamp of ``faces`` is asked for a profile."""
+        return any(np.array_equal(each, faces) for each in self.asked)
 
     def pattern_of(self, faces: NDArray[np.int64]) -> LampPattern | None:
         """The pattern of the lamp of ``faces``, None where it has none."""

@@ -15,10 +15,11 @@ from scipy.spatial import cKDTree
 
 from ..base.progress import Progress
 from ..base.random_streams import stream
+from ..model.lamp_profile import profile_basis
 from ..model.recovered import Backdrop
 from ..model.sphere import equirect_directions
 from ..rays.sampling import Origins
-from ..transport.form_factors import emitter_form_factors
+from ..transport.form_factors import emitter_form_factors, profile_form_factors
 from ..transport.gather import gather
 from ..transport.transport import radiance_table, table_rows, targets_of
 from .backdrop import BACKDROP_HEIGHT, SeenBackdrop, Shell, blurred_panorama
@@ -107,5 +108,12 @@ def _at_shell(
     start = (place + problem.tracer.epsilon * normal)[row]
     texel = backdrop.texels(start, rays.direction[row, ray])
     radiance[row, ray] = backdrop.radiance[texel] * (texel >= 0)[:, None]
-    factors = emitter_form_factors(problem.tracer, origins, rays, lights.emitters, SHELL_SHADOW_RAYS, rng, progress)
-    return radiance.mean(1) + factors[..., 0] @ lights.radiance
+    traced = problem.tracer, origins, rays
+    factors = emitter_form_factors(*traced, lights.emitters, SHELL_SHADOW_RAYS, rng, progress)[..., 0]
+    for k, faces in enumerate(lights.emitters):
+        profile = lights.profile_of(faces)
+        if profile is not None:
+            factors[:, k] = profile_form_factors(*traced, faces, SHELL_SHADOW_RAYS, rng, profile_basis)[..., 0] @ (
+                profile.values
+            )
+    return radiance.mean(1) + factors @ lights.radiance

@@ -177,10 +177,11 @@ def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progr
         light_problem = replace(problem.light, brightness=seen, bounce=bounce, aimed=aimed)
         weight = _balance_weight(problem, gloss, diffuse)
         cast = _cast_radiance(problem, gloss, diffuse, view_factor)
+        profiled = lights.profiles is not None  # of a lamp whose faces change the profile is lost
         lights = reconsider_lamps(light_problem, cast, lights, weight, diffuse.radiance, progress)
         shown = Shown(o, problem.linear, specular)
         of_patches = PatchFit(weight, diffuse.radiance)
-        if lights.profiles is not None:  # what gloss changes is little beside what a profile has to earn
+        if profiled:  # what gloss changes is little beside what a profile has to earn
             lights = with_profiles(light_problem, cast, lights, shown, of_patches, progress)
         if round_ == rounds - 1:
             lights = with_screens(light_problem, cast, lights, shown, weight, diffuse.radiance, progress)

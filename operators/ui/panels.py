@@ -342,7 +342,7 @@ def _chosen_lamp(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     split.operator("iris.anchor")
     profile = profile_of(lamp.material)
     if profile is not None:
-        layout.label(text=f"Spot, beam of {profile.beam_angle:.0f}°", icon="LIGHT_SPOT")
+        layout.label(text=f"Beam of {profile.beam_angle:.0f}°", icon="LIGHT_SPOT")
 
 
 def _mixing(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:

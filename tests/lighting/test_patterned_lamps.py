@@ -166,9 +166,9 @@ def test_three_photos_of_sixty_that_show_a_lamp_are_never_in_one_half() -> None:
 def test_a_lamp_with_a_pattern_has_a_radiance_of_its_own_beside_its_twins() -> None:
     lamps = [np.arange(4) + 4 * k for k in range(3)]
     twins = SimpleNamespace(tracer=SimpleNamespace(areas=np.ones(12)), pattern_of=lambda faces: None)
-    assert _tied(twins, lamps, lit()).tolist() == [0, 0, 0]  # type: ignore[arg-type]
+    assert _tied(twins, lamps).tolist() == [0, 0, 0]  # type: ignore[arg-type]
     twins.pattern_of = lambda faces: "pattern" if faces[0] == 4 else None
-    label = _tied(twins, lamps, lit())  # type: ignore[arg-type]
+    label = _tied(twins, lamps)  # type: ignore[arg-type]
     assert label[0] == label[2] != label[1] and set(label) == {0, 1}
 
 

@@ -29,13 +29,16 @@ def is_profile(node: bpy.types.Node) -> bool:
 
 
 def profile_of(material: bpy.types.Material) -> LampProfile | None:
-    """The profile of a lamp of ``material``, as its group has it now; None without one."""
+    """The profile of a lamp of ``material`` in proportion, as its ramp has it now; None without a usable one."""
     tree = material.node_tree
     node = next((node for node in tree.nodes if is_profile(node)), None) if tree is not None else None
     if node is None:
         return None
-    ramp = node.node_tree.nodes[RAMP].color_ramp
-    return LampProfile.of(np.array([ramp.evaluate(place)[0] for place in PROFILE_DEGREES / 90.0]))
+    ramp = node.node_tree.nodes.get(RAMP)
+    if ramp is None or ramp.bl_idname != "ShaderNodeValToRGB":
+        return None
+    values = np.array([ramp.color_ramp.evaluate(place)[0] for place in PROFILE_DEGREES / 90.0])
+    return LampProfile.of(values) if np.isfinite(values).all() and values.max() > 0 else None
 
 
 def _group(profile: LampProfile) -> bpy.types.NodeTree:
