@@ -83,8 +83,20 @@ def box(name: str, low: Sequence[float], high: Sequence[float], material: bpy.ty
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     data = bpy.data.meshes.new(name)
     data.from_pydata(corners, [], sides)
+    return place(data, material)
+
+
+def square(name: str, corners: Sequence[Sequence[float]]) -> bpy.types.Mesh:
+    """A mesh of one face with four ``corners``, metres."""
+    data = bpy.data.meshes.new(name)
+    data.from_pydata(corners, [], [(0, 1, 2, 3)])
+    return data
+
+
+def place(data: bpy.types.Mesh, material: bpy.types.Material) -> bpy.types.Object:
+    """An object of ``data``, all of one material, in the scene."""
     data.materials.append(material)
-    thing = bpy.data.objects.new(name, data)
+    thing = bpy.data.objects.new(data.name, data)
     bpy.context.scene.collection.objects.link(thing)
     return thing
 

@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from .furnished_room import HEIGHT, box, glow, paint, render_room, wall_in
+from .furnished_room import HEIGHT, box, glow, paint, place, render_room, square, wall_in
 
 SCREEN = ((2.3, 0.04, 0.9), (0.9, 0.04, 1.7))
 """Lower left and upper right corner of the screen on the south wall, as one sees it, metres."""
@@ -61,8 +61,7 @@ def _shining_wall(
 ) -> None:
     """An upright rectangle that emits ``picture`` times ``level``."""
     (x0, y0, z0), (x1, y1, z1) = left_bottom, right_top
-    data = bpy.data.meshes.new(name)
-    data.from_pydata([(x0, y0, z0), (x1, y1, z0), (x1, y1, z1), (x0, y0, z1)], [], [(0, 1, 2, 3)])
+    data = square(name, [(x0, y0, z0), (x1, y1, z0), (x1, y1, z1), (x0, y0, z1)])
     data.uv_layers.new(name="picture").uv.foreach_set("vector", [0, 0, 1, 0, 1, 1, 0, 1])
     image = bpy.data.images.new(name, COLUMNS, ROWS, float_buffer=True)
     image.colorspace_settings.name = "Non-Color"
@@ -74,8 +73,7 @@ def _shining_wall(
     shown.image, shown.extension = image, "EXTEND"
     light = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeEmission")
     tree.links.new(shown.outputs["Color"], light.inputs["Color"])
-    data.materials.append(material)
-    bpy.context.scene.collection.objects.link(bpy.data.objects.new(name, data))
+    place(data, material)
 
 
 def main() -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from iris_addon.blender.scene_out.materials import lamp_material
 from iris_addon.model.lamp_profile import LampProfile
 
-from .furnished_room import HEIGHT, box, glow, paint, render_room, wall_in
+from .furnished_room import HEIGHT, box, glow, paint, place, render_room, square, wall_in
 
 ROOMS = ("downlights", "panel", "even")
 NARROW = (1.0, 0.85, 0.45, 0.12, 0.03, 0.01)
@@ -44,11 +44,8 @@ def _facing_down(name: str, middle: tuple[float, float], side: float, material: 
     (x, y), half, rim = middle, side / 2, 0.02
     box(f"{name} frame", (x - half - rim, y - half - rim, HEIGHT - 0.02), (x + half + rim, y + half + rim, HEIGHT),
         paint(f"{name} frame", (0.5,) * 3))  # fmt: skip
-    data = bpy.data.meshes.new(name)
     corners = [(x + a * half, y + b * half, HEIGHT - 0.025) for a, b in ((-1, -1), (-1, 1), (1, 1), (1, -1))]
-    data.from_pydata(corners, [], [(0, 1, 2, 3)])
-    data.materials.append(material)
-    bpy.context.scene.collection.objects.link(bpy.data.objects.new(name, data))
+    place(square(name, corners), material)
 
 
 def main() -> None:

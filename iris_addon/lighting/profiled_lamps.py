@@ -70,8 +70,8 @@ def with_profiles(
     for lamp, found in zip(asked, _fitted_profiles(problem, observed, even, asked, shown, fit), strict=True):
         fitted = lamp.under(fitted, *found)
     best = solved(fitted, asked)
-    together, error = f"{len(asked)} lamps together", even.paired_error(best)
-    if not decisions.accept("lamp_profile", even.held_out, best.held_out, error, subject=together):
+    error = even.paired_error(best)
+    if not decisions.accept("lamp_profile", even.held_out, best.held_out, error, subject="all lamps together"):
         return lights if lights.profiles is None else solved(even, ())
     for lamp in reversed(asked) if len(asked) > 1 else ():
         without = solved(lamp.under(best, LampProfile(EVEN_PROFILE), best.radiance[lamp.numbers[0]]), asked)
