@@ -31,8 +31,8 @@ def _walls_and_light(name: str) -> None:
         return
     profile = None if name == "even" else _profile(NARROW)
     spot = lamp_material("spot", (30.0, 25.5, 19.5), profile=profile)
-    for k, place in enumerate(((1.0, 0.9), (3.2, 0.9), (1.0, 2.7), (3.2, 2.7))):
-        _facing_down(f"spot {k}", place, 0.14, spot)
+    for k, middle in enumerate(((1.0, 0.9), (3.2, 0.9), (1.0, 2.7), (3.2, 2.7))):
+        _facing_down(f"spot {k}", middle, 0.14, spot)
 
 
 def _profile(relative: tuple[float, ...]) -> LampProfile:
