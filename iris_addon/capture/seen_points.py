@@ -145,7 +145,7 @@ def _described(
     for bin_, share in ((low, 1 - (turn - low)), (low + 1, turn - low)):
         found += np.bincount((row * BINS + bin_ % BINS).ravel(), (weight * share).ravel(), len(found))
     for largest in (LARGEST_ENTRY, np.inf):
-        found = found.reshape(len(x), -1)
+        found = found.reshape(len(x), CELLS**2 * BINS)
         found = np.minimum(found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-12), largest)
     return found.astype(np.float32)
 

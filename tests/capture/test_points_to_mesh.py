@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 from scipy.spatial import cKDTree
 
 from iris_addon.base.errors import BadInput
@@ -111,6 +112,19 @@ def test_poses_that_mean_something_else_have_no_points_in_common(right: Capture)
     down = np.diag([1.0, -1.0, -1.0, 1.0])
     wrong = [replace(view, camera=replace(view.camera, c2w=view.camera.c2w @ down)) for view in right.views]
     assert len(seen_points(wrong)) < 0.5 * len(seen_points(right.views))
+
+
+def test_photos_without_a_corner_give_no_points_and_those_beside_them_theirs(right: Capture, tmp_path: Path) -> None:
+    """One plain photo among others; and photos too low for the squares around a corner."""
+    camera = right.views[0].camera
+    plain = tmp_path / "plain.png"
+    Image.new("RGB", (camera.width, camera.height), (120, 120, 120)).save(plain)
+    assert len(seen_points([replace(right.views[0], photo=plain), *right.views[1:]])) > 0
+    assert seen_points([replace(view, photo=plain) for view in right.views]).shape == (0, 3)
+    low = replace(camera, height=40, cy=20.0)
+    Image.new("RGB", (camera.width, 40), (120, 120, 120)).save(plain)
+    lowered = [replace(view, photo=plain, camera=replace(low, c2w=view.camera.c2w)) for view in right.views]
+    assert len(seen_points(lowered)) == 0
 
 
 def test_poses_that_fit_stay_where_they_are(right: Capture, tmp_path: Path) -> None:
