@@ -30,7 +30,7 @@ MAX_ARRAY_BYTES = 16 * 1024 * 1024
 MIN_UP_LENGTH = 0.1
 """Length of the mean of unit up vectors below which the mean has no direction."""
 
-Z_UP = (0.0, 0.0, 1.0)
+Y_UP, Z_UP = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 UPRIGHT_COSINE = 0.5
 """Cosine between +z and the mean up, or backward, direction of the photos above which +z is up."""
 AXIS_COSINE = 0.9
@@ -67,6 +67,7 @@ class Listing:
         views, val_views: training and held-out photos.
         mesh_file: the mesh to read.
         up: unit vector that points away from the floor.
+        up_is_stated: whether the format of the poses states ``up``, and not how photos lie.
         unposed: names of photos that the file lists without a pose.
         unit: why one unit of poses and mesh is assumed to be one metre; "" where the source says so.
         points: reads the sparse points (n, 3) of the photos in the frame of the poses, None without any; raises
@@ -84,6 +85,7 @@ class Listing:
     warnings: tuple[str, ...] = ()
     unposed: tuple[str, ...] = ()
     one_frame: bool = False
+    up_is_stated: bool = False
     unit: str = ""
     points: Callable[[], FloatArray | None] = lambda: None
 

@@ -9,7 +9,8 @@
     ARKitScenes  lowres_wide.traj (seconds, turn in radians about an axis, shift; world to camera, y down, z forward)
                  with lowres_wide/ID_SECONDS.png, and lowres_wide_intrinsics/ID_SECONDS.pincam
 
-Poses of the first two are camera to world, x right, y up, z backward, in a world whose y points up. All are in metres.
+Poses of the first two are camera to world, x right, y up, z backward, in a world whose y points up; that of ARKitScenes
+has z up. Photos lie as the sensor does, on their side where the phone was held upright. All are in metres.
 """
 
 from __future__ import annotations

@@ -32,6 +32,8 @@ from ..base.untrusted import open_file
 from ..model.capture import View
 from .camera_tables import read_bundler, read_reality_scan
 from .listing import (
+    Y_UP,
+    Z_UP,
     Listing,
     check_unique,
     find_image,
@@ -77,6 +79,7 @@ class Program:
         find: its file in a folder, or named itself; None where there is none.
         read: the frames of that file.
         has_unit: whether its poses are in metres.
+        up: of the world of its poses where that is always the same; None where photos must tell it.
         mesh: where its mesh lies below the folder; "" where it is the only one in the folder.
     """
 
@@ -84,6 +87,7 @@ class Program:
     find: Callable[[Path], Path | None]
     read: Callable[[Path], list[dict[str, Any]]]
     has_unit: bool = False
+    up: tuple[float, float, float] | None = None
     mesh: str = ""
 
 
@@ -140,10 +144,10 @@ PROGRAMS = (
     Program("ScanNet", _scannet, read_scannet, has_unit=True),
     Program("7-Scenes", _seven_scenes, read_seven_scenes, has_unit=True),
     Program("TUM RGB-D", _tum, read_tum, has_unit=True),
-    Program("ScanNet++", find_scannetpp, read_scannetpp, has_unit=True, mesh=SCANNETPP_MESH),
-    Program("Polycam", find_polycam, read_polycam, has_unit=True),
-    Program("Record3D", find_record3d, read_record3d, has_unit=True),
-    Program("ARKitScenes", find_arkit_scenes, read_arkit_scenes, has_unit=True),
+    Program("ScanNet++", find_scannetpp, read_scannetpp, has_unit=True, up=Z_UP, mesh=SCANNETPP_MESH),
+    Program("Polycam", find_polycam, read_polycam, has_unit=True, up=Y_UP),
+    Program("Record3D", find_record3d, read_record3d, has_unit=True, up=Y_UP),
+    Program("ARKitScenes", find_arkit_scenes, read_arkit_scenes, has_unit=True, up=Z_UP),
 )
 
 
@@ -170,7 +174,8 @@ def read_program(path: Path, program: Program, source: Path) -> Listing:
         views=tuple(view for view in views if view.split == "train"),
         val_views=tuple(view for view in views if view.split == "val"),
         mesh_file=mesh,
-        up=up_axis(root, upright(views)),
+        up=up_axis(root, upright(views) if program.up is None else program.up),
+        up_is_stated=program.up is not None,
         unit="" if program.has_unit else f"{program.name}'s cameras have no unit",
         unposed=tuple(unposed),
     )

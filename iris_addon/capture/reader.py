@@ -124,7 +124,7 @@ def read_capture(
     together = bring_together(
         views, val_views, mesh, check, may_mend=not (fused or listing.one_frame), points=listing.points
     )
-    up = _up(listing, together)
+    up = up_direction(listing, together)
     unit, assumed = given, []
     if isinstance(metres_per_unit, CameraHeight) or metres_per_unit is None:
         unit, assumed = _assumed_unit(listing, together, up, metres_per_unit)
@@ -155,8 +155,14 @@ def read_capture(
     )
 
 
-def _up(listing: Listing, together: Together) -> tuple[float, float, float]:
-    """That of the files, unless the poses are no longer those of the files."""
+def up_direction(listing: Listing, together: Together) -> tuple[float, float, float]:
+    """That of the files, unless the poses are no longer those of the files. How photos lie tells it only where the
+    format does not: a phone that is held upright stores them on their side, often without EXIF."""
+    if listing.up_is_stated:
+        if together.similarity is None:
+            return listing.up
+        x, y, z = (together.similarity.rotation @ listing.up).tolist()
+        return axis_near((x, y, z))
     if together.similarity is not None:
         mean = mean_up(together.views)
         return upright(together.views) if mean is None else axis_near(mean)

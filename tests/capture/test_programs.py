@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from iris_addon.base.errors import BadInput
+from iris_addon.capture.common_frame import Together
 from iris_addon.capture.photos import load_photo
-from iris_addon.capture.reader import read_capture, read_views
-from iris_addon.model.capture import Distortion
+from iris_addon.capture.programs import find_program, read_program
+from iris_addon.capture.reader import read_capture, read_views, up_direction
+from iris_addon.capture.similarity import Similarity
+from iris_addon.model.capture import Capture, Distortion, moved_by
 from tests.box_room import FOCAL, HEIGHT, WIDTH, RoomCapture
 from tests.demo_capture import demo_capture
 from tests.program_cameras import (
@@ -164,6 +170,75 @@ def test_polycam_without_optimised_cameras_has_those_of_arkit(nerfstudio_room: R
         assert view.photo is not None and view.photo.parent.name == "images" and view.margins == (0, 0, 0, 0)
         given = json.loads((keyframes / "cameras" / f"{wanted.name}.json").read_text())
         np.testing.assert_allclose(view.camera.c2w[:3, 3], [0, given["t_13"], given["t_23"]])
+
+
+def held_upright(root: Path, capture: Capture, write: Writer, glb: bool = False) -> Path:
+    """Half a turn through the room as a phone that is held upright records it, the sensor on its side, in the world of
+    the format.
+
+    Args:
+        glb: the mesh as GLB, y up as glTF has it.
+    """
+    rolled, y_up = np.eye(4), np.eye(4)
+    rolled[:2, :2] = [[0, -1], [1, 0]]
+    y_up[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    to_world = y_up if write in (write_polycam, write_record3d) else np.eye(4)
+    views, left_out = [], capture.views[3:]
+    for view in left_out:
+        assert view.photo is not None
+        view.photo.unlink()
+    for view in capture.views[:3]:
+        views.append(replace(view, camera=replace(view.camera, c2w=to_world @ view.camera.c2w @ rolled)))
+    mesh = trimesh.load(root / "mesh.ply", process=False)
+    mesh.apply_transform(y_up if glb else to_world)
+    (root / "mesh.ply").unlink()
+    mesh.export(root / ("mesh.glb" if glb else "mesh.ply"))
+    (root / "transforms.json").unlink()
+    write(root, replace(capture, views=tuple(views)))
+    return root
+
+
+@pytest.mark.parametrize(
+    ("write", "up"),
+    [
+        (write_polycam, (0, 1, 0)),
+        (write_record3d, (0, 1, 0)),
+        (write_arkit_scenes, (0, 0, 1)),
+        (write_scannetpp, (0, 0, 1)),
+    ],
+    ids=lambda value: getattr(value, "__name__", ""),
+)
+def test_up_is_that_of_the_format_however_the_phone_was_held(
+    write: Writer, up: tuple[float, float, float], nerfstudio_room: RoomCapture
+) -> None:
+    root = held_upright(nerfstudio_room.root, read_capture(nerfstudio_room.root), write)
+    assert read_capture(root).up == up
+    (root / "meta.json").write_text('{"up_axis": "-x"}')  # who knows better says so
+    assert read_capture(root).up == (-1, 0, 0)
+
+
+def test_up_of_the_format_goes_with_poses_that_are_moved_to_the_mesh(nerfstudio_room: RoomCapture) -> None:
+    root = held_upright(nerfstudio_room.root, read_capture(nerfstudio_room.root), write_record3d)
+    found = find_program(root)
+    assert found is not None
+    listing = read_program(root, *found)
+    similarity = Similarity(Rotation.from_euler("x", 91, degrees=True).as_matrix(), 2.0, np.zeros(3))
+    moved = tuple(replace(view, camera=similarity.camera(view.camera)) for view in listing.views)
+    together = Together(moved, (), nerfstudio_room.mesh, similarity=similarity)
+    assert up_direction(listing, together) == (0, 0, 1)
+
+
+def test_a_glb_of_y_up_is_turned_to_the_z_up_of_a_phone_held_upright(nerfstudio_room: RoomCapture) -> None:
+    """The room is out of the photos' sight until it is turned: it stands far off beside them."""
+    far = np.eye(4)
+    far[:3, 3] = [0, 0, 40]
+    root, expected = nerfstudio_room.root, read_capture(nerfstudio_room.root)
+    mesh = trimesh.load(root / "mesh.ply", process=False)
+    mesh.apply_transform(far).export(root / "mesh.ply")
+    expected = replace(expected, views=tuple(moved_by(view, far) for view in expected.views))
+    capture = read_capture(held_upright(root, expected, write_arkit_scenes, glb=True))
+    assert any("turned from y up" in warning for warning in capture.warnings)
+    np.testing.assert_allclose(np.sort(capture.mesh.vertices, 0), np.sort(mesh.vertices, 0), atol=1e-5)
 
 
 def test_the_black_border_of_corrected_photos_is_no_picture(tmp_path: Path) -> None:
