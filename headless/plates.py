@@ -229,7 +229,7 @@ def composite_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
 
 def _whole_scene(args: argparse.Namespace, progress: Progress, scene: bpy.types.Scene, device: Device) -> Outcome:
     """The frames of a scene without a plate, as the camera of the photos would show them at the exposure of the first
-    that is rendered."""
+    that this run renders, or with --resume that of the run before."""
     from iris_addon.blender.insert.photo_composite import write_png
     from iris_addon.blender.render.cycles import render_linear, set_cycles
     from iris_addon.model.render_settings import RenderSettings
@@ -238,6 +238,8 @@ def _whole_scene(args: argparse.Namespace, progress: Progress, scene: bpy.types.
     if scene.camera is None:
         raise BadInput("has no active camera", "add the camera of the animation", args.blend)
     frames = _frames_of(args, scene, ".png")
+    if not args.resume and frames.facts.pop("exposure", None) is not None:  # of a scene that may have changed since
+        frames.remember()
     scene.render.use_border = False
     set_cycles(scene, RenderSettings(samples=args.samples, seed=args.seed, gpu=args.gpu))
 

@@ -135,6 +135,21 @@ def test_a_scene_without_a_plate_is_rendered_whole_at_one_exposure(shot):
     assert np.ptp(wall) < 0.1 * np.mean(wall)
 
 
+def test_the_exposure_of_a_whole_scene_is_that_of_the_run_unless_it_is_resumed(shot):
+    out = run(shot, "--frames", "12")
+    right = json.loads((out / "frames.json").read_text())
+    other = {**right, "exposure": 0.25 * right["exposure"]}  # of the scene before it changed
+    seen = read_image(out / "frame_0012.png")
+    for more, exposure in ((["--resume"], other["exposure"]), ([], right["exposure"])):
+        (out / "frames.json").write_text(json.dumps(other))
+        (out / "frame_0012.png").unlink()
+        bpy.ops.wm.open_mainfile(filepath=str(shot / "copy.blend"))
+        run(shot, "--frames", "12", *more)
+        assert json.loads((out / "frames.json").read_text())["exposure"] == pytest.approx(exposure)
+        same = np.abs(read_image(out / "frame_0012.png") - seen).max() < 1 / 255
+        assert same != bool(more)
+
+
 def test_a_scene_without_a_camera_is_named(shot, capsys):
     bpy.context.scene.camera = None
     run(shot, "--frames", "11", code=3)
