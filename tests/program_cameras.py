@@ -182,9 +182,14 @@ def write_scannet(root: Path, capture: Capture) -> Path:
     return root
 
 
-def write_scannetpp(root: Path, capture: Capture) -> Path:
+def write_scannetpp(root: Path, capture: Capture, undistorted: bool = False) -> Path:
     """The axes exchanged as nerfstudio does, the last photo held out, masks beside the photos."""
-    photos, masks = root / "dslr" / "resized_images", root / "dslr" / "resized_anon_masks"
+    names = (
+        ("resized_undistorted_images", "resized_undistorted_masks")
+        if undistorted
+        else ("resized_images", "resized_anon_masks")
+    )
+    photos, masks = (root / "dslr" / name for name in names)
     for folder in (root / "scans", root / "dslr" / "nerfstudio", masks):
         folder.mkdir(parents=True)
     (root / "images").rename(photos)
@@ -205,9 +210,13 @@ def write_scannetpp(root: Path, capture: Capture) -> Path:
     camera = capture.views[0].camera
     lens = {"w": camera.width, "h": camera.height, "fl_x": camera.fx, "fl_y": camera.fy, "camera_model": "OPENCV"}
     meta = {**lens, "cx": camera.cx, "cy": camera.cy, "frames": frames, "test_frames": []}
-    path = root / "dslr" / "nerfstudio" / "transforms.json"
+    path = root / "dslr" / "nerfstudio" / ("transforms_undistorted.json" if undistorted else "transforms.json")
     path.write_text(json.dumps(meta))
     return path
+
+
+def write_scannetpp_undistorted(root: Path, capture: Capture) -> Path:
+    return write_scannetpp(root, capture, undistorted=True)
 
 
 def write_polycam(root: Path, capture: Capture) -> Path:
@@ -284,6 +293,7 @@ WRITERS = (
     write_sidecars,
     write_tum,
     write_scannetpp,
+    write_scannetpp_undistorted,
     write_polycam,
     write_record3d,
     write_arkit_scenes,

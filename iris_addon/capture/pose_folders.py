@@ -6,6 +6,7 @@ those of nerfstudio, in a world whose axes its tools have exchanged against thos
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -35,9 +36,12 @@ TUM_CAMERAS = {
 }
 """Intrinsics by a part of the folder's name: the sequences have no file of them (their web page, "colour camera")."""
 
-SCANNETPP_PHOTOS = {"transforms.json": "resized_images", "transforms_undistorted.json": "resized_undistorted_images"}
-"""Photos of each file of poses."""
-SCANNETPP_MASKS, SCANNETPP_MESH = "resized_anon_masks", "scans/mesh_aligned_0.05.ply"
+SCANNETPP_FOLDERS = {
+    "transforms.json": ("resized_images", "resized_anon_masks"),
+    "transforms_undistorted.json": ("resized_undistorted_images", "resized_undistorted_masks"),
+}
+"""Photos and masks of each file of poses."""
+SCANNETPP_MESH = "scans/mesh_aligned_0.05.ply"
 SCANNETPP_TURN = np.array([[0.0, 1.0, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]])
 """From the axes of the poses to those of the mesh: nerfstudio's converter took COLMAP's x, y, z for y, x, -z."""
 
@@ -51,16 +55,22 @@ def read_scannet(intrinsics: Path) -> list[dict[str, Any]]:
 
 
 def scannetpp_scene(path: Path) -> Path:
-    """The folder of the scene of ScanNet++ whose ``dslr/nerfstudio``, or a file there, is ``path``; else ``path``."""
-    folder = path if path.is_dir() else path.parent
-    inside = folder.name == "nerfstudio" and folder.parent.name == "dslr" and (folder.parent.parent / "scans").is_dir()
-    return folder.parent.parent if inside else path
+    """The folder of the scene of ScanNet++ whose ``dslr/nerfstudio`` is ``path``, or the whole path of a file there;
+    else ``path``."""
+    whole = Path(os.path.normpath(path.absolute()))  # "." tells no folder; where a link leads has other names
+    folder = whole if path.is_dir() else whole.parent
+    if folder.name != "nerfstudio" or folder.parent.name != "dslr" or not (folder.parents[1] / "scans").is_dir():
+        return path
+    return folder.parents[1] if path.is_dir() else whole
 
 
 def find_scannetpp(path: Path) -> Path | None:
-    """The poses of the photos of a scene of ScanNet++ in the folder ``path``; None where there are none."""
-    for name in SCANNETPP_PHOTOS:
-        if (path / "dslr" / SCANNETPP_PHOTOS[name]).is_dir() and (path / "dslr" / "nerfstudio" / name).is_file():
+    """The poses of the photos of a scene of ScanNet++, ``path`` being its folder or that file; None where there are
+    none."""
+    if path.is_file():
+        return path if path.name in SCANNETPP_FOLDERS and scannetpp_scene(path.parent) != path.parent else None
+    for name, (photos, _) in SCANNETPP_FOLDERS.items():
+        if (path / "dslr" / photos).is_dir() and (path / "dslr" / "nerfstudio" / name).is_file():
             return path / "dslr" / "nerfstudio" / name
     return None
 
@@ -71,7 +81,7 @@ def read_scannetpp(transforms: Path) -> list[dict[str, Any]]:
     Raises:
         BadInput: damaged.
     """
-    meta, photos = read_json_object(transforms), f"dslr/{SCANNETPP_PHOTOS[transforms.name]}"
+    meta, (photos, masks) = read_json_object(transforms), SCANNETPP_FOLDERS[transforms.name]
     shared = {key: value for key, value in meta.items() if not isinstance(value, list)}
     listed = [(frame, "train") for frame in frames_of(meta, transforms)]
     if meta.get("test_frames"):
@@ -83,9 +93,9 @@ def read_scannetpp(transforms: Path) -> list[dict[str, Any]]:
             if has_pose(pose):
                 pose = (SCANNETPP_TURN @ np.array(pose, np.float64)).tolist()
             values = {**shared, **frame, "transform_matrix": pose, "split": split}
-            values["file_path"] = f"{photos}/{frame['file_path']}"
+            values["file_path"] = f"dslr/{photos}/{frame['file_path']}"
             if frame.get("mask_path"):
-                values["mask_path"] = f"dslr/{SCANNETPP_MASKS}/{frame['mask_path']}"
+                values["mask_path"] = f"dslr/{masks}/{frame['mask_path']}"
             frames.append(values)
     return frames
 

@@ -81,6 +81,7 @@ class Program:
         has_unit: whether its poses are in metres.
         up: of the world of its poses where that is always the same; None where photos must tell it.
         mesh: where its mesh lies below the folder; "" where it is the only one in the folder.
+        levels: how far its file lies below the folder of the capture, where the file may be named itself.
     """
 
     name: str
@@ -89,6 +90,11 @@ class Program:
     has_unit: bool = False
     up: tuple[float, float, float] | None = None
     mesh: str = ""
+    levels: int = 1
+
+    def root(self, path: Path) -> Path:
+        """The folder of the capture whose folder, or file, is ``path``."""
+        return path if path.is_dir() else path.parents[self.levels - 1]
 
 
 def _file_that(*suffixes: str, begins: Sequence[bytes]) -> Callable[[Path], Path | None]:
@@ -144,7 +150,7 @@ PROGRAMS = (
     Program("ScanNet", _scannet, read_scannet, has_unit=True),
     Program("7-Scenes", _seven_scenes, read_seven_scenes, has_unit=True),
     Program("TUM RGB-D", _tum, read_tum, has_unit=True),
-    Program("ScanNet++", find_scannetpp, read_scannetpp, has_unit=True, up=Z_UP, mesh=SCANNETPP_MESH),
+    Program("ScanNet++", find_scannetpp, read_scannetpp, has_unit=True, up=Z_UP, mesh=SCANNETPP_MESH, levels=3),
     Program("Polycam", find_polycam, read_polycam, has_unit=True, up=Y_UP),
     Program("Record3D", find_record3d, read_record3d, has_unit=True, up=Y_UP),
     Program("ARKitScenes", find_arkit_scenes, read_arkit_scenes, has_unit=True, up=Z_UP),
@@ -162,7 +168,7 @@ def find_program(path: Path) -> tuple[Program, Path] | None:
 
 def read_program(path: Path, program: Program, source: Path) -> Listing:
     """List the capture in, or around, ``path``; raises BadInput."""
-    root = path if path.is_dir() else path.parent
+    root = program.root(path)
     views, unposed = _views(program.read(source), root, source)
     if not views:
         raise BadInput("has no camera with a pose", "align the photos first, and export their cameras again", source)
@@ -183,7 +189,7 @@ def read_program(path: Path, program: Program, source: Path) -> Listing:
 
 def read_program_views(path: Path, program: Program, source: Path) -> tuple[View, ...]:
     """Every view with a pose, photo or not: cameras to render from; raises BadInput."""
-    return tuple(_views(program.read(source), path if path.is_dir() else path.parent, source)[0])
+    return tuple(_views(program.read(source), program.root(path), source)[0])
 
 
 def _views(frames: Sequence[Frame], root: Path, source: Path) -> tuple[list[View], list[str]]:

@@ -33,6 +33,7 @@ from tests.program_cameras import (
     write_record3d,
     write_scannet,
     write_scannetpp,
+    write_scannetpp_undistorted,
     write_sidecars,
     write_tum,
 )
@@ -262,8 +263,11 @@ def test_record3d_without_lenses_of_its_photos_has_one_by_columns(nerfstudio_roo
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (FOCAL + 3, FOCAL + 3, 15.0, 13.0)
 
 
-def test_photos_of_scannetpp_for_tests_are_held_out_and_its_masks_used(nerfstudio_room: RoomCapture) -> None:
-    path = write_scannetpp(nerfstudio_room.root, read_capture(nerfstudio_room.root))
+@pytest.mark.parametrize("write", [write_scannetpp, write_scannetpp_undistorted], ids=lambda w: w.__name__)
+def test_photos_of_scannetpp_for_tests_are_held_out_and_its_masks_used(
+    write: Writer, nerfstudio_room: RoomCapture
+) -> None:
+    path = write(nerfstudio_room.root, read_capture(nerfstudio_room.root))
     nerfstudio_room.transforms.unlink()
     meta = json.loads(path.read_text())
     meta["test_frames"] = [meta["frames"].pop()]
@@ -272,12 +276,34 @@ def test_photos_of_scannetpp_for_tests_are_held_out_and_its_masks_used(nerfstudi
     assert [view.name for view in capture.val_views] == ["005"] and len(capture.views) == 5
     half = np.zeros((HEIGHT, WIDTH), np.uint8)
     half[:, : WIDTH // 2] = 255
-    masks = nerfstudio_room.root / "dslr" / "resized_anon_masks"
+    (masks,) = (nerfstudio_room.root / "dslr").glob("*_masks")
     Image.fromarray(half).save(masks / "001.png")
     np.testing.assert_array_equal(load_photo(capture.views[1]).valid, half > 0)
     (masks / "002.png").unlink()
     with pytest.raises(BadInput, match=r"mask '.*002\.png' is missing"):
         read_capture(nerfstudio_room.root)
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_a_file_of_scannetpp_that_is_named_is_read_from_wherever_one_stands(
+    named: bool, nerfstudio_room: RoomCapture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a scene with both forms, in which the photos differ."""
+    root, expected = nerfstudio_room.root, read_capture(nerfstudio_room.root)
+    undistorted = write_scannetpp_undistorted(root, expected)
+    nerfstudio_room.transforms.unlink()
+    dslr = root / "dslr"
+    shutil.copytree(dslr / "resized_undistorted_images", dslr / "resized_images")
+    (dslr / "resized_anon_masks").mkdir()
+    meta = json.loads(undistorted.read_text())
+    meta["frames"] = [{**frame, "mask_path": None} for frame in meta["frames"]]
+    (dslr / "nerfstudio" / "transforms.json").write_text(json.dumps(meta))
+    monkeypatch.chdir(dslr / "nerfstudio")
+    path = Path(undistorted.name) if named else Path()
+    for views in (read_capture(path).views, read_views(path)):
+        assert len(views) == len(expected.views)
+        photos = {view.photo.parent.name for view in views if view.photo is not None}
+        assert photos == {"resized_undistorted_images" if named else "resized_images"}
 
 
 def test_entities_of_an_xml_are_not_expanded(nerfstudio_room: RoomCapture) -> None:
