@@ -174,20 +174,25 @@ def up_direction(listing: Listing, together: Together) -> tuple[float, float, fl
 def _assumed_unit(
     listing: Listing, together: Together, up: tuple[float, float, float], cameras: CameraHeight | None
 ) -> tuple[float, list[str]]:
-    """Metres per unit where nobody gave it, and a warning that says what was assumed."""
-    if not listing.unit:
+    """Metres per unit where nobody gave it, and a warning that says what was assumed.
+
+    Poses that were moved to the mesh have its unit, whatever theirs was.
+    """
+    moved = together.similarity is not None
+    unknown = listing.unit or (f"{listing.mesh_file.name} tells no unit" if moved else "")
+    if not unknown:
         unused = f"--camera-height is not used: {listing.source.name} is in meters"
         return 1.0, [] if cameras is None else [unused]
     height = None if cameras is None else height_over_floor(together.views, together.mesh, np.array(up))
     if cameras is not None and height is not None and height > 0:
         unit = cameras.metres / height
         said = f"the cameras are taken to be {cameras.metres:g} m over the floor in the middle, and a unit {unit:.4g} m"
-        return unit, [f"{listing.unit}: {said}"]
-    said = "the unit of the mesh" if together.similarity is not None else "one unit"
+        return unit, [f"{unknown}: {said}"]
+    said = "the unit of the mesh" if moved else "one unit"
     said += " is taken as one meter; --metres-per-unit gives it another length"
     if cameras is not None:
         said += ". --camera-height is not used: no floor is seen below the cameras"
-    return 1.0, [f"{listing.unit}: {said}"]
+    return 1.0, [f"{unknown}: {said}"]
 
 
 def _scaled(together: Together, unit: float) -> Together:

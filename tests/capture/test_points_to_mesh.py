@@ -15,11 +15,13 @@ from scipy.spatial import cKDTree
 
 from iris_addon.base.errors import BadInput
 from iris_addon.capture.colmap import read_colmap_points
+from iris_addon.capture.common_frame import Together
 from iris_addon.capture.points_to_mesh import find_similarities
 from iris_addon.capture.reader import read_capture, read_views
 from iris_addon.capture.seen_points import seen_points
+from iris_addon.capture.similarity import Similarity
 from iris_addon.model.camera_height import CameraHeight
-from iris_addon.model.capture import Capture, moved_by
+from iris_addon.model.capture import Capture, Mesh, View, moved_by
 from tests.colmap_model import camera_of, poses, write_text
 from tests.demo_capture import demo_capture
 from tests.program_cameras import write_metashape
@@ -91,6 +93,7 @@ def test_without_points_those_that_photos_show_in_common_are_taken(kind: str, tm
         (demo.root / "transforms.json").unlink()
     capture = read_capture(demo.root)
     assert capture.mismatch is None and capture.poses_to_mesh is not None
+    assert any("the unit of the mesh is taken as one meter" in warning for warning in capture.warnings)
     np.testing.assert_allclose(capture.mesh.vertices, right.mesh.vertices, atol=1e-6)
     assert np.linalg.norm(positions(capture) - positions(right), axis=1).max() < 4 * CENTIMETRE
     by_name = {view.name: view.camera.c2w for view in right.views}
@@ -182,6 +185,25 @@ def test_a_camera_height_gives_a_unit_where_none_is_known(right: Capture, tmp_pa
     np.testing.assert_allclose(positions(capture), positions(right), atol=0.08)
     np.testing.assert_allclose(np.ptp(capture.mesh.vertices, axis=0), np.ptp(right.mesh.vertices, axis=0), rtol=0.02)
     assert any(f"{height:g} m over the floor" in warning for warning in capture.warnings)
+
+
+def test_poses_in_metres_that_are_moved_to_a_mesh_do_not_tell_its_unit(
+    right: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A transforms.json is in metres; a mesh from elsewhere, onto which its poses are laid, may be in anything."""
+    said = "mesh.ply tells no unit: the unit of the mesh is taken as one meter"
+    assert not any(said in warning for warning in right.warnings)
+
+    def laid_onto(views: tuple[View, ...], val_views: tuple[View, ...], mesh: Mesh, *_: object, **__: object):
+        return Together(tuple(views), tuple(val_views), mesh, similarity=Similarity(np.eye(3), 1.0, np.zeros(3)))
+
+    monkeypatch.setattr("iris_addon.capture.reader.bring_together", laid_onto)
+    assert any(said in warning for warning in read_capture(right.root).warnings)
+    assert not any(said in warning for warning in read_capture(right.root, metres_per_unit=1.0).warnings)
+    height = float(np.median(positions(right)[:, 2]) - right.mesh.vertices[:, 2].min())
+    assert read_capture(right.root, metres_per_unit=CameraHeight(2 * height)).metres_per_unit == pytest.approx(
+        2, rel=0.05
+    )
 
 
 def test_a_camera_height_yields_to_a_unit_that_is_known(right: Capture) -> None:
