@@ -112,7 +112,7 @@ def read_photo(path: Path, shrink: int = 1) -> PhotoPixels:
         rgba = image.convert("RGBA") if has_alpha else None
         opaque = None if rgba is None else np.asarray(rgba.getchannel("A"), np.float32) / 255
         codes = np.asarray((image if rgba is None else rgba).convert("RGB"))
-        values = _in_srgb(codes.astype(np.float32) / np.float32(255), image, path)
+        values = _in_srgb(codes, image, path)
         return PhotoPixels(values, _opaque(opaque, codes.shape[:2]), hdr=False)
 
 
@@ -200,10 +200,12 @@ def read_device(path: Path) -> str:
 
 
 def _in_srgb(values: NDArray, image: Image.Image, path: Path) -> NDArray:
-    """``values`` (H, W, 3) of ``image``, from 0 to 1, in sRGB's primaries."""
+    """``values`` (H, W, 3) of ``image``, codes of 8 bits or numbers from 0 to 1, as numbers in sRGB's primaries."""
     content = image.info.get("icc_profile")
     profile = ColorProfile(content, path) if content else None
-    return values if profile is None or profile.is_srgb else profile.converted(values)
+    if profile is not None and not profile.is_srgb:
+        return profile.converted(values)
+    return values.astype(np.float32) / np.float32(255) if values.dtype == np.uint8 else values
 
 
 def _opaque(alpha: NDArray[np.float32] | None, shape: tuple[int, ...]) -> NDArray[np.bool_]:

@@ -13,6 +13,7 @@ from PIL import Image, ImageCms, ImageFilter
 
 from iris_addon.base.errors import BadInput
 from iris_addon.base.images import write_exr, write_png
+from iris_addon.capture.color_profiles import ColorProfile
 from iris_addon.capture.photo_files import read_photo
 from iris_addon.capture.photos import load_photo
 from iris_addon.capture.reader import read_capture
@@ -162,6 +163,43 @@ def test_curves_of_every_kind_are_those_of_little_cms(curve: bytes, tmp_path: Pa
     profile = ImageCms.ImageCmsProfile(io.BytesIO(content))
     known = ImageCms.profileToProfile(Image.fromarray(SMOOTH), profile, ImageCms.createProfile("sRGB"), 1)
     assert known is not None and np.abs(read_photo(tmp_path / "a.png").values * 255 - np.asarray(known)).max() < 1.6
+
+
+@pytest.mark.parametrize(
+    "curve",
+    [
+        b"curv\0\0\0\0" + struct.pack(">IH", 1, 0) + b"\0\0",
+        curve_of(0, -2.2),
+        curve_of(0, 0.0),
+        curve_of(1, -1.0, 1.0, 0.0),
+        curve_of(1, 20_000.0, 30_000.0, 0.0),
+        curve_of(3, 90.0, 30_000.0, 0.0, 1.0, 0.0),
+    ],
+)
+def test_damaged_curves_are_left_to_little_cms(curve: bytes, tmp_path: Path) -> None:
+    """A power of zero or below has no value at black, and others none that a number holds."""
+    content = matrix_profile([(0.680, 0.320), (0.265, 0.690), (0.150, 0.060)], curve)
+    Image.fromarray(SMOOTH).save(tmp_path / "a.png", icc_profile=content)
+    profile = ImageCms.ImageCmsProfile(io.BytesIO(content))
+    try:
+        known = ImageCms.profileToProfile(Image.fromarray(SMOOTH), profile, ImageCms.createProfile("sRGB"), 1)
+    except ImageCms.PyCMSError:
+        with pytest.raises(BadInput, match=r"a\.png: has a color profile that cannot be used"):
+            read_photo(tmp_path / "a.png")
+        return
+    assert known is not None
+    given = np.asarray(known)
+    np.testing.assert_array_equal(np.rint(read_photo(tmp_path / "a.png").values * 255), given + (given == 254))
+
+
+def test_photos_of_more_than_a_block_of_rows_are_converted_whole(tmp_path: Path) -> None:
+    """By codes of 8 bits as by numbers of 16."""
+    codes = np.random.default_rng(0).integers(0, 256, (150, 1000, 3)).astype(np.uint8)
+    Image.fromarray(codes).save(tmp_path / "a.png", icc_profile=PROFILES["Display P3"])
+    profile = ColorProfile(PROFILES["Display P3"], tmp_path / "a.png")
+    values = read_photo(tmp_path / "a.png").values
+    np.testing.assert_array_equal(values, profile.converted(codes / 255))
+    np.testing.assert_array_equal(values[100:], profile.converted(codes[100:]))
 
 
 def test_a_clipped_pixel_stays_clipped_through_a_profile(tmp_path: Path) -> None:
