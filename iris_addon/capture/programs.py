@@ -169,7 +169,7 @@ def find_program(path: Path) -> tuple[Program, Path] | None:
 def read_program(path: Path, program: Program, source: Path) -> Listing:
     """List the capture in, or around, ``path``; raises BadInput."""
     root = program.root(path)
-    views, unposed = _views(program.read(source), root, source)
+    views, unposed = _views(program.read(source), root, source, photos=True)
     if not views:
         raise BadInput("has no camera with a pose", "align the photos first, and export their cameras again", source)
     mesh = inside(root, program.mesh, source) if program.mesh else only_mesh(root, source, "leave one in the folder")
@@ -189,19 +189,19 @@ def read_program(path: Path, program: Program, source: Path) -> Listing:
 
 def read_program_views(path: Path, program: Program, source: Path) -> tuple[View, ...]:
     """Every view with a pose, photo or not: cameras to render from; raises BadInput."""
-    return tuple(_views(program.read(source), program.root(path), source)[0])
+    return tuple(_views(program.read(source), program.root(path), source, photos=False)[0])
 
 
-def _views(frames: Sequence[Frame], root: Path, source: Path) -> tuple[list[View], list[str]]:
-    """The views, and names of photos without a pose."""
-    photos = _Photos(root, source)
+def _views(frames: Sequence[Frame], root: Path, source: Path, *, photos: bool) -> tuple[list[View], list[str]]:
+    """The views, and names of photos without a pose; masks are looked for with ``photos`` only."""
+    found = _Photos(root, source)
     names = view_names([str(frame["file_path"]) for frame in frames])
     views, unposed = [], []
     for frame, name in zip(frames, names, strict=True):
         if not has_pose(frame["transform_matrix"]):
             unposed.append(name)
             continue
-        photo = photos.find(str(frame["file_path"]))
+        photo = found.find(str(frame["file_path"]))
         values = with_size(frame, None if photo is None else check_photo(photo))
         view = View(
             name=name,
@@ -209,7 +209,7 @@ def _views(frames: Sequence[Frame], root: Path, source: Path) -> tuple[list[View
             photo=photo,
             distortion=read_distortion(values, name, source),
             split=frame.get("split", "train"),
-            mask=find_mask(frame, name, root, source),
+            mask=find_mask(frame, name, root, source) if photos else None,
             margins=frame.get("margins", (0, 0, 0, 0)),
         )
         views.append(view)

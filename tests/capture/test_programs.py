@@ -282,6 +282,8 @@ def test_photos_of_scannetpp_for_tests_are_held_out_and_its_masks_used(
     (masks / "002.png").unlink()
     with pytest.raises(BadInput, match=r"mask '.*002\.png' is missing"):
         read_capture(nerfstudio_room.root)
+    shutil.rmtree(masks)
+    assert len(read_views(nerfstudio_room.root)) == 6  # cameras to render from need neither photos nor masks
 
 
 @pytest.mark.parametrize("named", [True, False])
