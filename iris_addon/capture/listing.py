@@ -174,6 +174,12 @@ def _entries(folder: Path) -> dict[str, list[str]]:
     return entries
 
 
+def named_like(folder: Path, pattern: str) -> list[Path]:
+    """Files of ``folder`` in order of their names, without hidden ones: macOS writes ``._003.json`` beside ``003.json``
+    on disks of other systems."""
+    return sorted(path for path in folder.glob(pattern) if not path.name.startswith("."))
+
+
 def find_image(root: Path, named: str, source: Path) -> Path | None:
     """The image called ``named`` with or without its extension, or None when there is none.
 

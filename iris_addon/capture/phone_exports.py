@@ -24,7 +24,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..base.untrusted import decoding, finite, floats, number_in_text, numbers, open_text, read_bytes
-from .listing import read_json_object
+from .listing import named_like, read_json_object
 from .photo_files import PHOTO_SUFFIXES
 from .pose_folders import MAX_POSE_BYTES, PoseTrack
 
@@ -33,7 +33,7 @@ CORRECTED = "corrected_cameras"
 CORRECTED_BORDER = 15 / 1024
 """Of the width; a corrected photo is black up to there where the lens saw nothing (nerfstudio leaves out as much)."""
 ARKIT_STREAMS = ("wide", "vga_wide", "lowres_wide")
-"""Folders of photos, the finest first."""
+"""Folders of photos, the finest first; of a recording that was loaded in part, one may be empty."""
 ARKIT_GAP = 0.25
 """Seconds between two poses, beyond which nothing is known in between; there are ten a second."""
 SAME_FRAME = 0.01
@@ -51,7 +51,7 @@ def find_polycam(path: Path) -> Path | None:
         return find_polycam(path.parent) if path.name == MESH_INFO else None
     keyframes = path / "keyframes"
     for cameras, images in ((CORRECTED, "corrected_images"), ("cameras", "images")):
-        if (keyframes / images).is_dir() and (found := sorted((keyframes / cameras).glob("*.json"))):
+        if (keyframes / images).is_dir() and (found := named_like(keyframes / cameras, "*.json")):
             return found[0]
     return None
 
@@ -63,7 +63,7 @@ def read_polycam(first: Path) -> list[dict[str, Any]]:
     images = "keyframes/corrected_images" if corrected else "keyframes/images"
     to_mesh = _to_mesh(cameras.parent.parent / MESH_INFO)
     frames = []
-    for path in sorted(cameras.glob("*.json")):
+    for path in named_like(cameras, "*.json"):
         values = read_json_object(path)
         with decoding(path, mend=AGAIN):
             given = finite([[values[f"t_{row}{column}"] for column in range(4)] for row in range(3)], (3, 4))
@@ -132,12 +132,12 @@ def read_arkit_scenes(trajectory: Path) -> list[dict[str, Any]]:
     """Frames of a recording of ARKitScenes around its ``lowres_wide.traj``; raises BadInput."""
     folder = trajectory.parent
     track = _trajectory(trajectory)
-    stream = next((name for name in ARKIT_STREAMS if (folder / name).is_dir()), ARKIT_STREAMS[-1])
+    found = {name: _photos(folder / name) for name in ARKIT_STREAMS}
+    stream = next((name for name, photos in found.items() if photos), ARKIT_STREAMS[-1])
     below = f"{folder.name}/{stream}" if folder.name.endswith("_frames") else stream
-    photos = [path for path in sorted((folder / stream).glob("*")) if path.suffix.lower() in PHOTO_SUFFIXES]
-    lenses = sorted((_seconds(path), path) for path in (folder / f"{stream}_intrinsics").glob("*.pincam"))
+    lenses = sorted((_seconds(path), path) for path in named_like(folder / f"{stream}_intrinsics", "*.pincam"))
     times, frames = [time for time, _ in lenses], []
-    for photo in photos:
+    for photo in found[stream]:
         time = _seconds(photo)
         pose = track.at(time, ARKIT_GAP)
         lens = {}
@@ -145,6 +145,10 @@ def read_arkit_scenes(trajectory: Path) -> list[dict[str, Any]]:
             lens = _pincam(lenses[nearest][1])
         frames.append({"file_path": f"{below}/{photo.name}", "transform_matrix": pose if lens else None, **lens})
     return frames
+
+
+def _photos(folder: Path) -> list[Path]:
+    return [path for path in named_like(folder, "*") if path.suffix.lower() in PHOTO_SUFFIXES]
 
 
 def _trajectory(path: Path) -> PoseTrack:

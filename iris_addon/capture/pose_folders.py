@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from ..base.errors import BadInput
 from ..base.untrusted import decoding, finite, number_in_text, open_text, read_bytes
-from .listing import frames_of, has_pose, read_json_object
+from .listing import frames_of, has_pose, named_like, read_json_object
 from .metashape import DOWN_FORWARD
 
 MAX_POSE_BYTES = 4096
@@ -50,7 +50,7 @@ def read_scannet(intrinsics: Path) -> list[dict[str, Any]]:
     """Frames of an extracted ScanNet scan around ``intrinsic/intrinsic_color.txt``; raises BadInput."""
     matrix = read_matrix(intrinsics)
     lens = {"fl_x": matrix[0, 0], "fl_y": matrix[1, 1], "cx": matrix[0, 2], "cy": matrix[1, 2]}
-    poses = sorted((intrinsics.parent.parent / "pose").glob("*.txt"))
+    poses = named_like(intrinsics.parent.parent / "pose", "*.txt")
     return [{"file_path": f"color/{path.stem}", "transform_matrix": _pose(path), **lens} for path in poses]
 
 

@@ -158,6 +158,29 @@ def test_photos_of_arkit_scenes_far_from_any_pose_have_none(nerfstudio_room: Roo
     assert any("41069021_99.000 (no pose)" in warning for warning in read_capture(root).warnings)
 
 
+@pytest.mark.parametrize("write", [write_polycam, write_arkit_scenes, write_scannet], ids=lambda w: w.__name__)
+def test_hidden_files_that_macos_adds_are_no_part_of_a_recording(write: Writer, nerfstudio_room: RoomCapture) -> None:
+    root, expected = nerfstudio_room.root, read_capture(nerfstudio_room.root)
+    nerfstudio_room.transforms.unlink()
+    write(root, expected)
+    for path in [path for path in root.rglob("*") if path.is_file()]:
+        path.with_name(f"._{path.name}").write_bytes(b"\0\5\x16\7\0\2\0\0Mac OS X        ")
+    capture = read_capture(root)
+    assert len(capture.views) == len(expected.views)
+    for view in capture.views:
+        assert view.photo is not None and view.photo.name[0] != "."
+
+
+def test_an_empty_folder_of_finer_photos_of_arkit_scenes_hides_none(nerfstudio_room: RoomCapture) -> None:
+    root, expected = nerfstudio_room.root, read_capture(nerfstudio_room.root)
+    nerfstudio_room.transforms.unlink()
+    write_arkit_scenes(root, expected)
+    (root / "wide").mkdir()
+    (root / "vga_wide").mkdir()
+    (root / "vga_wide" / "._41069021_10.000.png").write_bytes(b"")
+    assert len(read_capture(root).views) == len(expected.views)
+
+
 def test_polycam_without_optimised_cameras_has_those_of_arkit(nerfstudio_room: RoomCapture) -> None:
     expected = read_capture(nerfstudio_room.root)
     nerfstudio_room.transforms.unlink()
