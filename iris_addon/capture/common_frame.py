@@ -281,7 +281,7 @@ def search(
 
     def similar() -> Found | None:
         cloud = seen_points(views, meter.check) if given is None else given
-        found = meter.best(find_similarities(cloud, views, mesh, meter.check))
+        found = meter.best(find_similarities(cloud, views, mesh, meter.check, of_photos=given is None))
         exact = found is not None and given is not None and is_clear(found[1], unmended)
         if found is None or exact or found[1].peak < MISMATCH_PEAK:
             return found

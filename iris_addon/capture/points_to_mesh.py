@@ -15,7 +15,7 @@ et al., "The trimmed iterative closest point algorithm", ICPR 2002. Set by exper
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,9 +42,9 @@ SCALES = np.geomspace(0.2, 5.0, 55)
 """Ratios of the extents of points and mesh: one may show a corner of the other."""
 YAW_STEPS = 24
 """Turns about the up direction that are tried beside those of dominant directions."""
-LEVELS, LEVEL_BINS, LEVEL_BAND = 5, 256, (1.0, 12.0)
-"""Shifts that are proposed per axis (with three, corners of furniture hide the walls), bins of the histograms that
-propose them, and the bins over which those are smoothed and cleared of their broad part."""
+LEVEL_BINS, LEVEL_BAND = 256, (1.0, 12.0)
+"""Bins of the histograms that propose shifts, and the bins over which those are smoothed and cleared of their broad
+part."""
 GRID_CELLS = 112
 """Cells of the distance field along the longest side of the mesh."""
 NEAR = 0.04
@@ -60,25 +60,50 @@ POLISH = 0.08
 """First width of the last refinement, with all points."""
 MAX_STEP, SETTLED = 0.2, 1e-4
 """Of a refinement, in radians, logarithm of the scale and extents."""
-COUNTED = 150
-"""Points by which the share near the mesh is first estimated."""
-KEPT = (3000, 400, 40, 8)
-"""Hypotheses after the shifts, the count of all points, and the coarse and the fine refinement."""
+KEPT = (400, 40, 8)
+"""Hypotheses after the count of points, and the coarse and the fine refinement."""
 MIN_INSIDE = 0.5
 """Share of the cameras that must lie within the bounds of the mesh."""
 ALIKE_ANGLE, ALIKE_SCALE, ALIKE_SHIFT = 0.12, 0.06, 0.1
 """Radians, logarithm, and extents within which two hypotheses are one."""
 
 
+@dataclass(frozen=True)
+class _Breadth:
+    """How many hypotheses are looked at.
+
+    Attributes:
+        levels: shifts that are proposed per axis.
+        kept: hypotheses after the shifts.
+        counted: points by which the share near the mesh is then estimated.
+    """
+
+    levels: int
+    kept: int
+    counted: int
+
+
+OF_RECONSTRUCTION, OF_PHOTOS = _Breadth(3, 1000, FEW_POINTS), _Breadth(5, 3000, 150)
+"""For the sparse points of a reconstruction, and for the few that photos are found to show in common: with three levels
+corners of furniture hide the walls from those."""
+
+
 def find_similarities(
-    points: FloatArray, views: Sequence[View], mesh: Mesh, check: Callable[[], None] = lambda: None
+    points: FloatArray,
+    views: Sequence[View],
+    mesh: Mesh,
+    check: Callable[[], None] = lambda: None,
+    *,
+    of_photos: bool = False,
 ) -> list[Similarity]:
     """Similarities that bring the sparse ``points`` (n, 3) of the photos onto the mesh, the best first; may be empty.
 
     Args:
         views: the photos, in the frame of ``points``.
         check: called often; may raise, as for a cancel.
+        of_photos: the points were found in the photos, and are no reconstruction's own: more hypotheses are tried.
     """
+    breadth = OF_PHOTOS if of_photos else OF_RECONSTRUCTION
     rng = stream(0, "capture.points_to_mesh")
     points = points[np.isfinite(points).all(1)]
     if len(points) < MIN_POINTS or not len(mesh.faces):
@@ -88,15 +113,15 @@ def find_similarities(
     if len(cloud.few) < MIN_POINTS:  # all in one place
         return []
     cameras = np.array([view.camera.position for view in views])
-    hypotheses = _hypotheses(cloud, target, _rotations(cloud, target, views), check)
-    hypotheses = _counted(hypotheses, cloud, target, cameras, check)
-    hypotheses = _distinct(hypotheses, cloud, KEPT[2])
+    hypotheses = _hypotheses(cloud, target, _rotations(cloud, target, views), breadth, check)
+    hypotheses = _counted(hypotheses, cloud, target, cameras, breadth, check)
+    hypotheses = _distinct(hypotheses, cloud, KEPT[1])
     for which, widest, steps in ((cloud.few, WIDEST, 8), (cloud.all[:1000], WIDEST, 12), (cloud.all, POLISH, 6)):
         refined = []
         for hypothesis in hypotheses:
             check()
             refined.append(_refined(hypothesis, which, cloud.extent, target, widest, steps))
-        hypotheses = _distinct(refined, cloud, KEPT[3])
+        hypotheses = _distinct(refined, cloud, KEPT[2])
     return [replace(one, middle=target.middle, extent=target.extent) for one in hypotheses]
 
 
@@ -185,9 +210,9 @@ def _rotations(cloud: _Cloud, target: _Target, views: Sequence[View]) -> NDArray
 
 
 def _hypotheses(
-    cloud: _Cloud, target: _Target, rotations: NDArray[np.float64], check: Callable[[], None]
+    cloud: _Cloud, target: _Target, rotations: NDArray[np.float64], breadth: _Breadth, check: Callable[[], None]
 ) -> list[tuple[NDArray[np.float64], float, NDArray[np.float64]]]:
-    """Rotations to the mesh's axes, scales, and per axis the ``LEVELS`` best shifts (3, LEVELS) of the middles."""
+    """Rotations to the mesh's axes, scales, and per axis the best shifts (3, levels) of the middles."""
     walls = (target.samples - target.middle) @ target.axes.T
     half = 1.3 * float(np.abs(walls).max())
     width = 2 * half / LEVEL_BINS
@@ -200,10 +225,10 @@ def _hypotheses(
         match = np.fft.irfft(np.conj(_levels(along, half)) * of_mesh)
         match = np.roll(match, LEVEL_BINS, axis=2)[..., LEVEL_BINS // 2 : -LEVEL_BINS // 2]
         peaks = (match >= np.roll(match, 1, 2)) & (match > np.roll(match, -1, 2))
-        best = np.argsort(np.where(peaks, match, -1), axis=2)[..., ::-1][..., :LEVELS]
+        best = np.argsort(np.where(peaks, match, -1), axis=2)[..., ::-1][..., : breadth.levels]
         scores.append(np.take_along_axis(match, best, 2)[..., 0].sum(1))
         shifts.append((best - LEVEL_BINS // 2) * width)
-    order = np.argsort(np.concatenate(scores))[::-1][: KEPT[0]]
+    order = np.argsort(np.concatenate(scores))[::-1][: breadth.kept]
     turn, scale = np.divmod(order, len(scales))
     return [(rotations[k], float(scales[j]), shifts[k][j]) for k, j in zip(turn, scale, strict=True)]
 
@@ -227,16 +252,17 @@ def _counted(
     cloud: _Cloud,
     target: _Target,
     cameras: NDArray[np.float64],
+    breadth: _Breadth,
     check: Callable[[], None],
 ) -> list[Similarity]:
     """The hypotheses under which most points lie near the mesh, and the cameras within its bounds."""
-    choice = np.stack(np.meshgrid(*[range(LEVELS)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    choice = np.stack(np.meshgrid(*[range(breadth.levels)] * 3, indexing="ij"), -1).reshape(-1, 3)
     found = []
     for turn, scale, levels in hypotheses:
         check()
         rotation = target.axes.T @ turn
         shifts = target.middle + levels[[0, 1, 2], choice] @ target.axes
-        moved = scale * (cloud.few[:COUNTED] - cloud.middle) @ rotation.T
+        moved = scale * (cloud.few[: breadth.counted] - cloud.middle) @ rotation.T
         near = NEAR * scale * cloud.extent
         shares = (target.distances(moved + shifts[:, None]) < near + target.cell).mean(1)
         shares *= near / (near + target.cell)  # small clouds lie near anything within a cell of the grid
@@ -247,7 +273,7 @@ def _counted(
             if inside[k]:
                 shift = shifts[k] - scale * rotation @ cloud.middle
                 found.append(Similarity(rotation, scale, shift, float(shares[k])))
-    return sorted(found, key=lambda one: -one.share)[: KEPT[1]]
+    return sorted(found, key=lambda one: -one.share)[: KEPT[0]]
 
 
 def _distinct(found: Sequence[Similarity], cloud: _Cloud, count: int) -> list[Similarity]:

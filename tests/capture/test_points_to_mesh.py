@@ -156,6 +156,19 @@ def test_photos_and_points_of_another_room_are_refused(right: Capture, tmp_path:
         assert capture.mismatch is not None and "show in common" in capture.mismatch.what
 
 
+def test_more_is_tried_for_points_of_photos_than_for_those_of_a_reconstruction(right: Capture) -> None:
+    points = sparse_points(right, np.random.default_rng(0))
+    tried = []
+    for of_photos in (False, True):
+        steps: list[None] = []
+        found = find_similarities(
+            points, right.views, right.mesh, lambda to=steps: to.append(None), of_photos=of_photos
+        )
+        assert min(np.abs(one.matrix() - np.eye(4)).max() for one in found) < 2 * CENTIMETRE
+        tried.append(len(steps))
+    assert tried[0] < 0.7 * tried[1]
+
+
 def test_few_points_find_nothing(right: Capture) -> None:
     assert find_similarities(np.zeros((20, 3)), right.views, right.mesh) == []
     assert find_similarities(np.zeros((500, 3)), right.views, right.mesh) == []
