@@ -82,7 +82,8 @@ def fuse_capture(path: Path, out: Path, voxel: float | None, update: Callable[[f
     if not maps:
         raise BadInput(
             "has no posed depth",
-            'give frames a "depth_file_path", or a folder of ScanNet, 7-Scenes or TUM RGB-D with its depth',
+            'give frames a "depth_file_path", or a folder of Polycam, Record3D, ARKitScenes, ScanNet, 7-Scenes or TUM '
+            "RGB-D with its depth",
             path,
         )
     return write_fused(path, maps, out, voxel, update)

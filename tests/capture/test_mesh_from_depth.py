@@ -313,7 +313,9 @@ def test_a_mesh_that_is_there_is_taken(tmp_path: Path) -> None:
 def test_what_cannot_be_fused_is_said(tmp_path: Path) -> None:
     room = demo_capture(tmp_path, 6)
     room.save()
-    with pytest.raises(BadInput, match="has no posed depth"):
+    with pytest.raises(
+        BadInput, match=r"has no posed depth .*Polycam, Record3D, ARKitScenes, ScanNet, 7-Scenes or TUM"
+    ):
         fuse_capture(tmp_path, tmp_path / "a.ply", None, lambda share: None)
     with pytest.raises(BadInput, match="is no name of a PLY file"):
         fuse_capture(tmp_path, tmp_path / "a.obj", None, lambda share: None)
