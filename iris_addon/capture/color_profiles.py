@@ -12,6 +12,7 @@ import io
 import struct
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +64,7 @@ class ColorProfile:
         other = self._profile.profile.xcolor_space.strip() != "RGB"
         return other or (self._matrix is not None and np.allclose(self._matrix, np.eye(3), atol=SRGB_WITHIN))
 
-    def converted(self, values: NDArray[np.integer | np.floating]) -> NDArray[np.float32]:
+    def converted(self, values: NDArray[Any]) -> NDArray[np.float32]:
         """Display values in sRGB's primaries and curve; full channels stay full.
 
         Args:
@@ -79,8 +80,7 @@ class ColorProfile:
         rows = max(BLOCK_PIXELS // max(values.shape[1], 1), 1)
         for start in range(0, len(values), rows):
             block = values[start : start + rows]
-            if not coded:
-                block = np.rint(block * FINEST).astype(np.uint16)
+            block = block if coded else np.rint(block * FINEST).astype(np.uint16)
             linear = np.stack([table[block[..., k]] for k, table in enumerate(tables)], axis=-1)
             found = srgb(linear @ matrix)
             found[found >= SATURATED] = 1  # a channel that was clipped comes back a little below
