@@ -7,6 +7,7 @@ furniture and the cameras of this module with walls, light and a peculiarity of 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import tempfile
 from collections.abc import Callable, Collection, Sequence
@@ -16,6 +17,7 @@ from pathlib import Path
 import bpy
 from mathutils import Vector
 
+from iris_addon.base.files import write_json
 from iris_addon.base.progress import Progress, console
 from iris_addon.blender.synth.run import STAGE_WEIGHTS, TRUTH_RENDER, SynthConfig, synth
 from iris_addon.blender.version import node_tree
@@ -125,8 +127,12 @@ def glow(name: str, color: Sequence[float], strength: float) -> bpy.types.Materi
     return material
 
 
-def build(walls_and_light: Callable[[], None], blend: Path) -> None:
-    """Model a furnished room in an empty file, with its cameras, and save it as ``blend``."""
+def build(walls_and_light: Callable[[], None], blend: Path, photographed: Callable[[], None] | None = None) -> None:
+    """Model a furnished room in an empty file, with its cameras, and save it as ``blend``.
+
+    Args:
+        photographed: tells the cameras how their photos are taken, where they differ.
+    """
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.context.scene.unit_settings.system = "METRIC"
     walls_and_light()
@@ -139,12 +145,25 @@ def build(walls_and_light: Callable[[], None], blend: Path) -> None:
             bpy.context.scene.collection.objects.link(camera)
             camera.location = position
             camera.rotation_euler = (Vector(target) - Vector(position)).to_track_quat("-Z", "Y").to_euler()
+    if photographed is not None:
+        photographed()
     bpy.context.scene.camera = bpy.data.objects["photo 00"]
     bpy.ops.wm.save_as_mainfile(filepath=str(blend.absolute()), compress=True)
 
 
-def render_room(names: Collection[str], walls_and_light: Callable[[str], None], description: str | None) -> None:
-    """Command line of a module that renders one of the rooms ``names`` as a capture."""
+def render_room(
+    names: Collection[str],
+    walls_and_light: Callable[[str], None],
+    description: str | None,
+    photographed: Callable[[str], None] | None = None,
+    hidden_states: Collection[str] = (),
+) -> None:
+    """Command line of a module that renders one of the rooms ``names`` as a capture.
+
+    Args:
+        photographed: tells the cameras how their photos are taken, where they differ.
+        hidden_states: rooms whose capture does not say which light state its photos were taken in.
+    """
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("room", choices=names)
     parser.add_argument("--out", type=Path, required=True, help="folder of the capture")
@@ -155,8 +174,19 @@ def render_room(names: Collection[str], walls_and_light: Callable[[str], None], 
     width, height = map(int, args.resolution.split("x"))
     with tempfile.TemporaryDirectory() as folder:
         blend = args.blend or Path(folder) / f"{args.room}.blend"
-        build(lambda: walls_and_light(args.room), blend)
+        build(lambda: walls_and_light(args.room), blend, photographed and (lambda: photographed(args.room)))
         config = SynthConfig(
             resolution=(width, height), compact=True, render=replace(TRUTH_RENDER, samples=args.samples)
         )
         synth(blend, args.out, config, Progress(console(), STAGE_WEIGHTS))
+    if args.room in hidden_states:
+        for split in ("train", "val"):
+            _forget_states(args.out / split / "transforms.json")
+
+
+def _forget_states(transforms: Path) -> None:
+    """Remove the light states of all frames of ``transforms``."""
+    content = json.loads(transforms.read_text(encoding="utf-8"))
+    for frame in content["frames"]:
+        frame.pop("light_state", None)
+    write_json(transforms, content)

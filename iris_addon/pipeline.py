@@ -26,11 +26,12 @@ from .capture.exposures import with_unit_mean
 from .config import SolveConfig
 from .decide import Decisions
 from .lighting.candidates import read_given_emitters
-from .lighting.hidden import find_hidden, nothing_hidden
-from .materials.first_lights import FirstLights, find_first_lights, pose_problem
+from .lighting.hidden import HiddenSources, find_hidden, nothing_hidden
+from .materials.first_lights import FirstLights, RoomInState, find_first_lights, pose_states
 from .materials.rounds import solve_materials
 from .materials.solution import Solution
 from .model.capture import Capture
+from .model.light_states import LightStates, joined_arrays, split_arrays
 from .rays.tracer import Tracer
 from .response.observations import Observations, observe
 from .response.photometry import Photometry, fixed_response, measure_photometry, shown_pixels
@@ -119,6 +120,7 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         surface, tracer = choose_surface(capture, stream(config.seed, "surface.scan"), progress, decisions)
         capture, cameras = fit_cameras(capture, tracer, stream(config.seed, "cameras.points"), progress, decisions)
         reduced = replace(capture, views=within_budget(capture.views))
+        states = LightStates.of(reduced.views)
         photos = sample_photos(reduced, tracer, config.hdr is not None, progress)
     with progress.stage("surface"):
         room, observations = traced(tracer, photos)
@@ -127,7 +129,8 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         def measure() -> dict[str, NDArray]:
             overlap = stream(config.seed, "response.overlap")
             found = measure_photometry(reduced, config, observations, photos, overlap, decisions)
-            panes = find_panes(surface, tracer, room.samples, shown_pixels(found, room), decisions)
+            alike = room if len(states) == 1 else room.of_photos(states.photos(0))  # under one light
+            panes = find_panes(surface, tracer, alike.samples, shown_pixels(found, alike), decisions)
             if isinstance(config.emitters, Path):  # a lamp that the user names is none
                 panes = np.setdiff1d(panes, np.concatenate(read_given_emitters(config.emitters, tracer.areas) or [[]]))
             return {**found.arrays(), "panes": panes}
@@ -145,34 +148,42 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     atlas = aside(lambda: atlas_for_photos(capture.mesh, room.samples, reduction, size))
     with progress.stage("transport"):
         transport = cached_transport(room, config, stream(config.seed, "transport.gather_rays"), progress)
-        hidden = nothing_hidden(transport)
-        if not decisions.forbids("hidden_light"):
-            faces = room.regions.of_face, room.smooth_components, room.surveyed
-            hidden = find_hidden(room.tracer, transport, *faces, stream(config.seed, "transport.openings"))
+
+        def find_unshown(own: TracedRoom) -> HiddenSources:
+            """Sources that the photos of ``own`` do not show."""
+            if decisions.forbids("hidden_light"):
+                return nothing_hidden(transport)
+            faces = own.regions.of_face, own.smooth_components, own.surveyed
+            return find_hidden(own.tracer, transport, *faces, stream(config.seed, "transport.openings"))
+
+        in_states = [RoomInState.of(room, observations, states, k, find_unshown) for k in range(len(states))]
     with progress.stage("lights"):
-        pose = partial(pose_problem, room, transport, hidden, observations, config, decisions)
-        problem = cancellable(lambda: pose(photometry))
-        search = partial(find_first_lights, pose, problem, photometry, room, progress)
-        first = FirstLights.from_arrays(stage("lights", lambda: search().arrays()))
-        if first.exponent != 1.0:
-            photometry = photometry.raised(first.exponent)
-            problem = pose(photometry)
-        problem = first.settle(problem)
-        write_previews(out, reduced, room.photos.z, photometry, problem, first.lights)
+        pose = partial(pose_states, in_states, room, observations, transport, config, decisions)
+        problems = cancellable(lambda: pose(photometry))
+        rooms = [own.room for own in in_states]
+        search = partial(find_first_lights, pose, problems, photometry, rooms, progress)
+        arrays = stage("lights", lambda: joined_arrays([own.arrays() for own in search()]))
+        first = [FirstLights.from_arrays(own) for own in split_arrays(arrays, len(states))]
+        if first[0].exponent != 1.0:
+            photometry = photometry.raised(first[0].exponent)
+            problems = pose(photometry)
+        problems = [own.settle(problem) for own, problem in zip(first, problems, strict=True)]
+        lights = [own.lights for own in first]
+        write_previews(out, reduced, rooms[0].photos.z, photometry, problems[0], lights[0])
     with progress.stage("materials"):
-        rounds = partial(solve_materials, problem, first.lights, config.rounds, progress)
+        rounds = partial(solve_materials, problems, lights, config.rounds, progress)
         arrays = stage("materials", lambda: Solution(photometry, *rounds()).arrays())
-        solution = Solution.from_arrays(photometry, arrays)
-        problem = problem.with_gloss(solution.gloss)
-        write_previews(out, reduced, room.photos.z, photometry, problem, solution.lights)
+        solution = Solution.from_arrays(photometry, arrays, len(states))
+        problems = [problem.with_gloss(solution.gloss) for problem in problems]
+        write_previews(out, reduced, rooms[0].photos.z, photometry, problems[0], solution.lights[0])
     with progress.stage("textures"):
         texels = waited_for(atlas, progress.check)
         result, rerenders = cancellable(
-            lambda: make_result(room, capture.views, config, texels, problem, solution, checkpoints, progress)
+            lambda: make_result(room, capture.views, config, texels, problems, solution, checkpoints, progress)
         )
         result = result.with_exposures_times(unit / room.photos.unit)
     result = replace(result, panes=panes)
-    result = with_figures(result, room, config, cameras, problem, solution, progress)
+    result = with_figures(result, room, config, cameras, problems, solution, progress)
     result.report["decisions"] = decisions.report()
     patterned = result.textures.lamp_pattern is not None
     result.report["atlas"] = reached = describe_atlas(result.mesh, texels, room.samples, patterned)

@@ -21,6 +21,7 @@ from .listing import (
     find_image,
     frames_of,
     inside,
+    light_states,
     load_array,
     only_mesh,
     read_camera,
@@ -74,6 +75,7 @@ def read_fipt_views(root: Path, split: Split, photos: PhotoSet = "Image") -> tup
     exposures = _exposures(root, split, photos, len(frames))
     found = [_photo(frame, index, root, source, photos) for index, frame in enumerate(frames)]
     any_photo = next((photo for _, photo in found if photo is not None), None)
+    states = light_states(frames, [name for name, _ in found], source)
     size: tuple[int, int] | None = None
     views = []
     for index, (frame, (name, photo)) in enumerate(zip(frames, found, strict=True)):
@@ -89,6 +91,7 @@ def read_fipt_views(root: Path, split: Split, photos: PhotoSet = "Image") -> tup
                 exposure=None if exposures is None else checked(exposures[index], name, source),
                 distortion=read_distortion(values, name, source),
                 split=split,
+                light_state=states[index],
             )
         )
     check_unique(views, source)

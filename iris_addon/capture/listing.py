@@ -39,6 +39,7 @@ AXIS_COSINE = 0.9
 MAX_FIELD_OF_VIEW = math.radians(170.0)
 MAX_NAME_BYTES = 200
 """Of the name of a view, which pictures of it are called by."""
+_LIGHT_STATE = re.compile(r"[\w+.-][\w+. -]{0,39}")
 RIGID_TOLERANCE = 1e-3
 """Deviation from a rotation matrix; files keep three decimals at least."""
 
@@ -233,6 +234,25 @@ def view_names(photos: Sequence[str]) -> list[str]:
     if len(set(stems)) == len(stems):
         return stems
     return [safe_name(str(path.with_suffix("") if path.name else path)) for path in paths]
+
+
+def light_states(frames: Sequence[Mapping[str, Any]], names: Sequence[str], source: Path) -> list[str]:
+    """The "light_state" of each frame, "" for all where none has one.
+
+    Raises:
+        BadInput: one is no short text, or some frames have one and others do not.
+    """
+    found = [frame.get("light_state") for frame in frames]
+    if all(state is None for state in found):
+        return [""] * len(found)
+    for name, state in zip(names, found, strict=True):
+        if state is None:
+            fix = "give every frame the name of its light state, or none"
+            raise BadInput(f'{name} has no "light_state" although other frames have one', fix, source)
+        if not isinstance(state, str) or not _LIGHT_STATE.fullmatch(state):
+            fix = "name it by up to 40 letters, digits, spaces and - . _ +"
+            raise BadInput(f'{name} has the "light_state" {state!r}', fix, source)
+    return [str(state) for state in found]
 
 
 def check_unique(views: Iterable[View], source: Path) -> None:

@@ -2,7 +2,7 @@
 
 Format: https://docs.nerf.studio/quickstart/data_conventions.html. In addition "mesh" may name the mesh, and "one_frame"
 tell that it is in the frame of the poses, so that no other is searched, and a frame may carry "split", "exposure" or
-"exposure_time" (with "iso", "f_number").
+"exposure_time" (with "iso", "f_number"), and "light_state".
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from .listing import (
     has_pose,
     inside,
     is_point_cloud,
+    light_states,
     number,
     only_mesh,
     read_camera,
@@ -83,10 +84,11 @@ def _views(
     With ``photos`` these are left out, as recorders write them where they lost track; without, they are an error.
     """
     names = _view_names(frames, source)
+    states = light_states(frames, names, source)
     split_of = _split_lists(meta, source)
     views: list[View | None] = []
     unposed: list[str] = []
-    for frame, name in zip(frames, names, strict=True):
+    for frame, name, state in zip(frames, names, states, strict=True):
         split = _split(frame, name, split_of, source)
         photo = find_image(root, str(frame["file_path"]), source)
         if photos and not has_pose(frame.get("transform_matrix")):
@@ -103,6 +105,7 @@ def _views(
             split=split or "train",
             mask=find_mask(frame, name, root, source) if photos else None,
             device=frame["device"] if isinstance(frame.get("device"), str) else "",
+            light_state=state,
         )
         views.append(view if split is not None else None)
     check_unique([view for view in views if view is not None], source)

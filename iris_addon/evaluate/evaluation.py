@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,9 @@ import numpy as np
 from ..base.errors import BadInput
 from ..base.progress import Progress
 from ..capture.reader import read_capture
+from ..model.capture import View
 from ..model.recovered import Sunlight
+from ..rays.tracer import Tracer
 from ..results.maps import MapRenderer
 from ..results.result import Result
 from . import metrics
@@ -21,7 +24,7 @@ from .pictures import (
     inserted_views,
     novel_views,
     relit_views,
-    render_all,
+    render_in_states,
     score_held_out,
     score_pictures,
 )
@@ -79,7 +82,7 @@ def _against_truth(
 ) -> tuple[dict[str, dict[str, float]], dict[str, float], dict[str, str]]:
     """Per-view values, numbers that have no views, and what is missing and why."""
     with progress.stage("maps"):
-        per_view = score_maps(MapRenderer(result), truth, progress)
+        per_view = score_maps(_renderers(result), truth, progress)
     sun = read_sun(truth)
     numbers = _camera_scores(result, truth) | ({} if sun is None else _sun_scores(result.sun, sun))
     if render is not None:
@@ -97,6 +100,19 @@ def _against_truth(
         name: missing if render is not None else "nothing was rendered" for name in RENDERED if name not in found
     }
     return per_view, numbers, left_out
+
+
+def _renderers(result: Result) -> Callable[[View], MapRenderer]:
+    """The renderer of maps in the light state of a view; of one that the result does not have, that of the first."""
+    tracer = Tracer(result.mesh, without=result.panes)
+    made: dict[str, MapRenderer] = {}
+
+    def renderer_of(view: View) -> MapRenderer:
+        if view.light_state not in made:
+            made[view.light_state] = MapRenderer(result.in_state_of(view) or result, tracer)
+        return made[view.light_state]
+
+    return renderer_of
 
 
 def _camera_scores(result: Result, truth: GroundTruth) -> dict[str, float]:
@@ -127,7 +143,8 @@ def _sun_scores(sun: Sunlight | None, truth: Sunlight) -> dict[str, float]:
 def _held_out(
     result: Result, root: Path, render: RenderViews | None, samples: int, seed: int, progress: Progress
 ) -> dict[str, dict[str, float]]:
-    views = result.as_taken(view for view in read_capture(root).val_views if view.photo is not None)
+    held_out = [view for view in read_capture(root).val_views if view.photo is not None]
+    views = result.as_taken(view for view in held_out if result.in_state_of(view) is not None)
     if not views:
         raise BadInput("has neither ground truth nor held-out photos", 'give some photos the split "val"', root)
     if render is None:
@@ -137,5 +154,5 @@ def _held_out(
             root,
         )
     with progress.stage("novel views"):
-        images = render_all(result, [view.camera for view in views], None, render, samples, seed, progress)
+        images = render_in_states(result, views, render, samples, seed, progress)
     return score_held_out(result, views, images)

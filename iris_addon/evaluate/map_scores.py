@@ -8,12 +8,13 @@ Values are means over images of the per-image value.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..base.progress import Progress
+from ..model.capture import View
 from ..results.maps import MapRenderer, ViewMaps
 from . import metrics
 from .ground_truth import GroundTruth
@@ -50,18 +51,24 @@ class _ScaleFit:
         return self.pg / self.pp if self.pg > 0 and self.pp > 0 else 1.0
 
 
-def score_maps(renderer: MapRenderer, truth: GroundTruth, progress: Progress) -> dict[str, dict[str, float]]:
-    """Per-image values of every map metric the ground truth allows: metric, then view name."""
+def score_maps(
+    renderer_of: Callable[[View], MapRenderer], truth: GroundTruth, progress: Progress
+) -> dict[str, dict[str, float]]:
+    """Per-image values of every map metric the ground truth allows: metric, then view name.
+
+    Args:
+        renderer_of: of the room in the light state of a view.
+    """
     albedo_fits: dict[str, _ScaleFit] = {}
     light_fit = _LogScaleFit()
-    for _index, _maps, pairs, emission in _views(renderer, truth, progress, 0.0):
+    for _index, _maps, pairs, emission in _views(renderer_of, truth, progress, 0.0):
         for pair in pairs:
             albedo_fits.setdefault(pair.metric, _ScaleFit()).add(pair.image[pair.mask], pair.truth[pair.mask])
         if emission is not None:
             light_fit.add(*emission)
 
     scores: dict[str, dict[str, float]] = {}
-    for index, maps, pairs, emission in _views(renderer, truth, progress, 0.5):
+    for index, maps, pairs, emission in _views(renderer_of, truth, progress, 0.5):
         found: dict[str, float] = {}
         for pair in pairs:
             found |= _albedo_scores(pair, maps.hit, albedo_fits[pair.metric].factor)
@@ -74,12 +81,12 @@ def score_maps(renderer: MapRenderer, truth: GroundTruth, progress: Progress) ->
 
 
 def _views(
-    renderer: MapRenderer, truth: GroundTruth, progress: Progress, start: float
+    renderer_of: Callable[[View], MapRenderer], truth: GroundTruth, progress: Progress, start: float
 ) -> Iterator[tuple[int, ViewMaps, list[AlbedoPair], tuple[FloatArray, FloatArray] | None]]:
     """For each training view its maps, its albedo pairs, and its emission (ours, true) if a true emitter shows."""
     for index, view in enumerate(truth.views):
         progress.update(start + 0.5 * index / len(truth.views))
-        maps = renderer.maps(view.camera)
+        maps = renderer_of(view).maps(view.camera)
         true_emission = truth.map("Emit", "train", index)
         shows = true_emission is not None and bool((true_emission > 0).any())
         yield (

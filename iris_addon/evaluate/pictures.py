@@ -116,9 +116,11 @@ def novel_views(
     chosen = [
         (view, photo)
         for index, view in enumerate(truth.val_views)
-        if view.exposure is not None and (photo := truth.photo(index)) is not None
+        if view.exposure is not None
+        and result.in_state_of(view) is not None
+        and (photo := truth.photo(index)) is not None
     ]
-    images = render_all(result, [view.camera for view, _ in chosen], None, render, samples, seed, progress)
+    images = render_in_states(result, [view for view, _ in chosen], render, samples, seed, progress)
     devices = [result.device_of(view) for view, _ in chosen]
     return [
         Picture(
@@ -187,6 +189,20 @@ def _beside(
         exposure=exposure,
         mask=mask,
     )
+
+
+def render_in_states(
+    result: Result, views: Sequence[View], render: RenderViews, samples: int, seed: int, progress: Progress
+) -> list[NDArray[np.float32]]:
+    """Render ``views``, each in its light state, which the result has; raises Cancelled."""
+    images: dict[str, NDArray[np.float32]] = {}
+    for state in dict.fromkeys(view.light_state for view in views):
+        own = [view for view in views if view.light_state == state]
+        lit = result.in_state_of(own[0])
+        assert lit is not None
+        found = render_all(lit, [view.camera for view in own], None, render, samples, seed, progress)
+        images |= {view.name: image for view, image in zip(own, found, strict=True)}
+    return [images[view.name] for view in views]
 
 
 def render_all(

@@ -139,6 +139,7 @@ class Cells:
         observation: (k,) int32 observation of each of these.
         least: (k, 3) float32 its least radiance, measured or a bound; scene-linear Rec.709.
         unclipped: (k, 3) bool, channels in which it is measured.
+        n_patches: P.
     """
 
     of_pixel: NDArray[np.int32]
@@ -147,6 +148,7 @@ class Cells:
     observation: NDArray[np.int32]
     least: NDArray[np.float32]
     unclipped: NDArray[np.bool_]
+    n_patches: int
 
     @property
     def n_cells(self) -> int:
@@ -170,6 +172,7 @@ class Cells:
             observation=none.astype(np.int32),
             least=nothing,
             unclipped=nothing > 0,
+            n_patches=n_patches,
         )
 
     @staticmethod
@@ -177,6 +180,7 @@ class Cells:
         photos: PhotoSamples,
         photometry: Photometry,
         sample_patch: NDArray[np.int32],
+        n_patches: int,
         observations: Observations,
         scanned: NDArray[np.bool_],
     ) -> Cells:
@@ -189,7 +193,6 @@ class Cells:
             sample_patch: (n,) patch of each pixel.
             scanned: (F,) faces of scans.
         """
-        n_patches = int(sample_patch.max()) + 1
         samples = photos.samples
         rows = np.flatnonzero(scanned[samples.face])
         if not len(rows):
@@ -215,17 +218,17 @@ class Cells:
             observation=observations.sample_to_observation[rows[on]],
             least=least[on],
             unclipped=linear.unclipped[on],
+            n_patches=n_patches,
         )
 
     def brightness(
         self, observations: Observations, linear: Linearised, specular: NDArray[np.floating] | None = None
     ) -> Brightness:
         """Brightness of every cell, without the ``specular`` radiance (M, 3) of the observations if known."""
-        of_patches = brightness(observations, linear, int(observations.patch.max()) + 1, specular)
+        of_patches = brightness(observations, linear, self.n_patches, specular)
         if not len(self.pixels):
             return of_patches
-        n_patches = len(of_patches.floor)
-        cell, n = self.of_pixel[self.pixels] - n_patches, self.n_cells - n_patches
+        cell, n = self.of_pixel[self.pixels] - self.n_patches, self.n_cells - self.n_patches
         value = self.least.astype(np.float64)
         if specular is not None:
             value = np.maximum(value - specular[self.observation], 0.0)

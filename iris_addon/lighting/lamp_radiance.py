@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +14,15 @@ from ..base.random_streams import stream
 from ..brdf.diffuse import under_lobe
 from ..response.radiance import GroupRadiance
 from ..transport.form_factors import emitter_form_factors
-from .balance import ITERATIONS, MAX_ALBEDO, ShadedPatches, fitted_patches, noticeable_radiance, solve_balance
+from .balance import (
+    ITERATIONS,
+    MAX_ALBEDO,
+    Balance,
+    ShadedPatches,
+    fitted_patches,
+    noticeable_radiance,
+)
+from .joint_balance import BalanceInput, solve_joined
 from .lamp_evidence import columns_of, lamp_evidence, with_hidden
 from .problem import LightProblem, Lights
 from .sun import Sun
@@ -69,17 +78,73 @@ def solve_lights(
     Returns:
         The lights; ``before`` where there is nothing to solve for or no patch to fit.
     """
+    state = LitState(
+        problem=problem, observed=observed, emitters=emitters, before=before, form_factors=form_factors, fit=fit
+    )
+    return solve_together([state], progress, warm_start)[0]
+
+
+@dataclass(frozen=True)
+class LitState:
+    """What the light of one light state is solved from, as the arguments of :func:`solve_lights`."""
+
+    problem: LightProblem
+    observed: GroupRadiance
+    emitters: list[NDArray[np.int64]]
+    before: Lights
+    form_factors: NDArray[np.float32] | None = None
+    fit: PatchFit = PatchFit()
+
+
+def solve_together(states: Sequence[LitState], progress: Progress, warm_start: bool = False) -> list[Lights]:
+    """:func:`solve_lights` of the light states of one room, under one albedo per region.
+
+    Each state has lamps, radiance and patches of its own; what a region reflects is the same in all.
+
+    Returns:
+        The lights of each state, with the held-out loss of its own patches.
+    """
+    solving = [_solving(state, progress, warm_start) for state in states]
+    at = [_advanced(each, None) for each in solving]
+    for from_solution in (True,) if warm_start else (False, True):
+        posed = {k: each for k, each in enumerate(at) if isinstance(each, BalanceInput)}
+        if not posed:
+            break
+        iterations = ITERATIONS if from_solution else FIRST_ITERATIONS
+        balances = solve_joined([*posed.values()], states[0].problem.robust_log, from_solution, iterations)
+        for k, balance in zip(posed, balances, strict=True):
+            at[k] = _advanced(solving[k], balance)
+    return [each for each in at if isinstance(each, Lights)]
+
+
+Solving = Generator[BalanceInput, Balance | None, Lights]
+"""Hands out what is to be balanced, takes the balance, and returns the lights in the end."""
+
+
+def _advanced(solving: Solving, balance: Balance | None) -> BalanceInput | Lights:
+    """What ``solving`` hands out, or returns, once it has the ``balance`` of what it handed out before."""
+    try:
+        return solving.send(balance)
+    except StopIteration as ended:
+        return ended.value
+
+
+def _solving(state: LitState, progress: Progress, warm_start: bool) -> Solving:
+    """The light of one state, from one balance if that starts from a solution, else from two."""
+    problem, observed, emitters, before = state.problem, state.observed, state.emitters, state.before
     if not emitters and not len(before.hidden_radiance):
         return before
     n_faces = len(problem.regions)
     mask = np.zeros(n_faces, bool)
     for faces in emitters:
         mask[faces] = True
+    form_factors = state.form_factors
     if form_factors is None:
         form_factors = form_factors_of(problem, emitters, progress)
     hidden = problem.hidden
     on_lamp = patches_on(problem, mask)
-    radiance = _start_radiance(observed, before, on_lamp, patches_on(problem, before.mask) if warm_start else None)
+    was_lamp = patches_on(problem, before.mask) if warm_start else None
+    radiance = _start_radiance(problem, observed, before, on_lamp, was_lamp)
     radiance[problem.transport.n_seen :] *= _light_kept(problem, before, emitters)[problem.transport.n_seen :]
     evidence = with_hidden(lamp_evidence(problem, emitters, before), before.hidden_radiance)
     kappa = problem.transport.kappa
@@ -93,13 +158,13 @@ def solve_lights(
         known = columns_of(emitters, before.emitters)
         start[np.flatnonzero(known >= 0)] = before.radiance[known[known >= 0]]
     n = problem.transport.n_seen
-    fitted = fitted_shading(problem, observed, on_lamp, fit)
+    fitted = fitted_shading(problem, observed, on_lamp, state.fit)
     if fitted is None:
         return before
     kernel, rows = fitted.kernel, fitted.rows
     smooth_factors = kernel @ all_factors[:n].astype(np.float32)
     albedo = before.region_albedo
-    for from_solution in (True,) if warm_start else (False, True):
+    for _ in range(1 if warm_start else 2):
         unknown = mean_radiance(radiance, problem)
         factors, smooth, cast, passed_on = all_factors, smooth_factors, radiance, None
         if hidden.sun is not None and problem.sunlight_passed_on:
@@ -114,9 +179,8 @@ def solve_lights(
             indirect = indirect - passed_on[:, None] * start[-1]
         if hidden.holes is not None:
             indirect = indirect + hidden.holes.irradiance(kappa)
-        patches = fitted.under(kernel @ indirect[:n], smooth)
-        iterations = ITERATIONS if from_solution else FIRST_ITERATIONS
-        balance = solve_balance(patches, evidence, start, problem.robust_log, from_solution, iterations)
+        balance = yield BalanceInput(fitted.under(kernel @ indirect[:n], smooth), evidence, start)
+        assert balance is not None
         start = balance.radiance
         irradiance = indirect + factors @ balance.radiance
         albedo = dict(zip(balance.region_ids.tolist(), balance.region_albedo, strict=True))
@@ -225,8 +289,9 @@ def lights_without_lamps(problem: LightProblem, observed: GroupRadiance) -> Ligh
     n = problem.transport.n_patches
     radiance = np.zeros((n, 3))
     radiance[: len(observed.radiance)] = observed.radiance
-    unknown = mean_radiance(radiance, problem)
+    unknown = mean_radiance(radiance[: len(observed.radiance)][problem.shown], problem)
     radiance[len(observed.radiance) :] = unknown
+    radiance[: len(observed.radiance)][~problem.shown] = unknown
     none = np.zeros(len(problem.regions), bool)
     hidden = problem.hidden.start(unknown)
     irradiance = problem.transport.gather_radiance(radiance, unknown, none)
@@ -289,18 +354,22 @@ def patches_on(problem: LightProblem, mask: NDArray[np.bool_]) -> NDArray[np.boo
 
 
 def _start_radiance(
-    observed: GroupRadiance, before: Lights, on_lamp: NDArray[np.bool_], was_lamp: NDArray[np.bool_] | None
+    problem: LightProblem,
+    observed: GroupRadiance,
+    before: Lights,
+    on_lamp: NDArray[np.bool_],
+    was_lamp: NDArray[np.bool_] | None,
 ) -> NDArray[np.float64]:
     """(N, 3) radiance that patches cast at the start.
 
     Args:
         on_lamp: (N,) patches on emitters, which reflect nothing.
         was_lamp: (N,) patches on the emitters of ``before``: with it only these take their observed radiance, and all
-            others that of ``before``. None: all seen patches take their observed radiance.
+            others that of ``before``. None: all shown patches take their observed radiance.
     """
     n = len(observed.radiance)
     radiance = before.patch_radiance.copy()
-    known = np.ones(n, bool) if was_lamp is None else was_lamp[:n]
+    known = problem.shown if was_lamp is None else was_lamp[:n]
     radiance[:n][known] = observed.radiance[known]
     radiance[on_lamp] = 0.0
     return radiance

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -189,6 +190,11 @@ class LightProblem:
     sunlight_passed_on: bool = True
     patterns: tuple[LampPattern, ...] = ()
     asked: tuple[NDArray[np.int64], ...] = ()
+
+    @cached_property
+    def shown(self) -> NDArray[np.bool_]:
+        """(P,) seen patches that photos of this light state show; what others cast here is inferred."""
+        return self.surface.count > 0
 
     def asked_for_profile(self, faces: NDArray[np.int64]) -> bool:
         """Whether the lamp of ``faces`` is asked for a profile."""

@@ -7,6 +7,7 @@ exponent (:func:`choose_exponent`) is judged by the light balance of patches tha
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -34,6 +35,7 @@ from .candidates import (
 from .highlights import without_highlights
 from .lamp_evidence import lamp_of_cell
 from .lamp_radiance import (
+    LitState,
     PatchFit,
     form_factors_of,
     lights_without_lamps,
@@ -270,9 +272,7 @@ def _irradiance_by_rank(problem: LightProblem, lights: Lights, lamp: NDArray[np.
 # ---- The exponent of the response -----------------------------------------------------------------------------------
 
 
-def choose_exponent(
-    problem: LightProblem, observed: GroupRadiance, lights: Lights, error: float, progress: Progress
-) -> float:
+def choose_exponent(states: Sequence[LitState], error: float, progress: Progress) -> float:
     """The exponent g of equation (16), under which the light balances best.
 
     With unknown or wrongly recorded exposures, photos determine response, exposures and radiance only up to
@@ -281,20 +281,19 @@ def choose_exponent(
     lamps, and held-out patches decide.
 
     Args:
-        observed: radiance of the seen patches, up to a power.
-        lights: the lamps found under that radiance; g changes their radiance, not their faces.
+        states: each light state with its radiance of the seen patches, up to a power, and the lamps found under that;
+            g changes their radiance, not their faces.
         error: standard deviation of log g that recorded exposures leave, infinite without any.
 
     Returns:
         The exponent; 1 where more light comes from outside than from lamps, because the balance then rests on guesses,
         and where the best g lies at an end of the range.
     """
-    n_seen, kappa = problem.transport.n_seen, problem.transport.kappa
-    from_lamps = under_lobe(lights.form_factors[:n_seen], kappa[:n_seen]) @ lights.radiance
-    from_outside = problem.hidden.irradiance(lights.hidden_radiance, kappa)[:n_seen]
-    if from_lamps.sum() <= from_outside.sum():
+    from_lamps, from_outside = np.sum([_lamps_and_outside(state.problem, state.before) for state in states], axis=0)
+    if from_lamps <= from_outside:
         return 1.0
-    losses = np.array([_loss(problem, observed, lights, float(g), progress) for g in np.exp(EXPONENT_LOGS)])
+    gs = [float(g) for g in np.exp(EXPONENT_LOGS)]
+    losses = np.array([np.mean([_loss(state, g, progress) for state in states]) for g in gs])
     losses += 0.5 * (EXPONENT_LOGS / min(error, EXPONENT_PRIOR_STD)) ** 2 / EFFECTIVE_PATCHES
     if losses.argmin() in (0, len(losses) - 1):
         return 1.0
@@ -302,11 +301,19 @@ def choose_exponent(
     return float(np.exp(fine[CubicSpline(EXPONENT_LOGS, losses)(fine).argmin()]))
 
 
-def _loss(problem: LightProblem, observed: GroupRadiance, lights: Lights, g: float, progress: Progress) -> float:
+def _lamps_and_outside(problem: LightProblem, lights: Lights) -> tuple[float, float]:
+    """Light of the lamps, and from outside, at the seen patches."""
+    n_seen, kappa = problem.transport.n_seen, problem.transport.kappa
+    from_lamps = under_lobe(lights.form_factors[:n_seen], kappa[:n_seen]) @ lights.radiance
+    return float(from_lamps.sum()), float(problem.hidden.irradiance(lights.hidden_radiance, kappa)[:n_seen].sum())
+
+
+def _loss(state: LitState, g: float, progress: Progress) -> float:
     """Held-out loss of the light balance of radiance raised to the power g.
 
     Differences of log radiance grow by the factor g, errors included, so the robust scale does too.
     """
+    problem, lights = state.problem, state.before
     seen = problem.brightness
     hidden = problem.hidden
     raised = replace(
@@ -316,7 +323,7 @@ def _loss(problem: LightProblem, observed: GroupRadiance, lights: Lights, g: flo
         robust_log=ROBUST_LOG * g,
     )
     before = replace(lights, patch_radiance=lights.patch_radiance**g, hidden_radiance=lights.hidden_radiance**g)
-    solved = solve_lights(raised, _raised(observed, g), lights.emitters, before, progress, lights.form_factors)
+    solved = solve_lights(raised, _raised(state.observed, g), lights.emitters, before, progress, lights.form_factors)
     return solved.held_out
 
 

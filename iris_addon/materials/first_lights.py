@@ -1,13 +1,13 @@
 """The first solve for light, with every surface rough.
 
-:func:`pose_problem` makes the problem from the photos. :func:`find_first_lights` solves it and fixes, for the rest of
-the solve, the regions of one material, the kind of light from outside, and the exponent of the response. Rounds of
-lamps and gloss (:mod:`.rounds`) start from there.
+:func:`pose_states` makes the problem of each light state from its photos; where photos name no states there is one.
+:func:`find_first_lights` solves them and fixes, for the rest of the solve, the regions of one material, the kind of
+light from outside, and the exponent of the response. Rounds of lamps and gloss (:mod:`.rounds`) start from there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,14 +22,16 @@ from ..decide import Decisions
 from ..lighting.backdrop import SeenBackdrop, fit_backdrop
 from ..lighting.brightness import Cells
 from ..lighting.candidates import read_given_emitters
+from ..lighting.common_lamps import solve_states
 from ..lighting.hidden import HiddenSources, OutsideKind, through_holes
-from ..lighting.lamp_radiance import PatchFit
+from ..lighting.lamp_radiance import LitState, PatchFit
 from ..lighting.problem import LightProblem, Lights
 from ..lighting.profiled_lamps import with_profiles
 from ..lighting.screens import Shown
 from ..lighting.search import choose_exponent, choose_outside
 from ..lighting.sun import Sun
 from ..lighting.sun_choice import choose_sun
+from ..model.light_states import LightStates
 from ..response.observations import Observations
 from ..response.photometry import Photometry, shown_pixels
 from ..response.radiance import group_radiance
@@ -37,42 +39,89 @@ from ..surface.traced_room import TracedRoom
 from ..transport.transport import Transport
 from .gloss import GLOSS_LEVELS, rough_everywhere
 from .rounds import MaterialProblem
-from .view_dependence import choose_diffuse, mirrored_radiance
+from .view_dependence import DiffuseChoice, choose_diffuse, mirrored_radiance
 
-Pose = Callable[[Photometry], MaterialProblem]
-"""The problem under a photometry: :func:`pose_problem` with its other arguments bound."""
+Pose = Callable[[Photometry], list[MaterialProblem]]
+"""The problem of each light state under a photometry: :func:`pose_states` with its other arguments bound."""
 
 
-def pose_problem(
+@dataclass(frozen=True)
+class RoomInState:
+    """A room as the photos of one light state show it.
+
+    Attributes:
+        room: with the pixels of these photos.
+        observations: of these photos.
+        hidden: sources that none of them shows, without light through holes.
+    """
+
+    room: TracedRoom
+    observations: Observations
+    hidden: HiddenSources
+
+    @staticmethod
+    def of(
+        room: TracedRoom,
+        observations: Observations,
+        states: LightStates,
+        state: int,
+        find_hidden: Callable[[TracedRoom], HiddenSources],
+    ) -> RoomInState:
+        """The room in one of the ``states`` of its photos, of which ``room`` and ``observations`` have all."""
+        if len(states) > 1:
+            photos = states.photos(state)
+            room, observations = room.of_photos(photos), observations.of_photos(photos)
+        return RoomInState(room, observations, find_hidden(room))
+
+
+def pose_states(
+    states: Sequence[RoomInState],
     room: TracedRoom,
-    transport: Transport,
-    hidden: HiddenSources,
     observations: Observations,
+    transport: Transport,
     config: SolveConfig,
     decisions: Decisions,
     photometry: Photometry,
-) -> MaterialProblem:
-    """The problem of light and materials under ``photometry``, with all surfaces rough.
+) -> list[MaterialProblem]:
+    """The problem of light and materials in each light state under ``photometry``, with all surfaces rough.
 
     Args:
-        hidden: sources that no photo shows, without light through holes.
+        room, observations: with all photos.
 
     Raises:
-        BadInput: no pixel of any photo is unclipped in all channels, or the file of lamps cannot be used.
+        BadInput: no pixel of any photo of a state is unclipped in all channels, or the file of lamps cannot be used.
     """
+    comparable = observations.apart(LightStates.of(room.capture.views))
+    linear = photometry.linearise_observations(comparable)
+    angle = schlick(room.samples.cosine[observations.sample].astype(np.float64))
+    diffuse = choose_diffuse(comparable, linear, angle, decisions)
+    return [_posed(state, transport, config, decisions, photometry, diffuse) for state in states]
+
+
+def _posed(
+    state: RoomInState,
+    transport: Transport,
+    config: SolveConfig,
+    decisions: Decisions,
+    photometry: Photometry,
+    diffuse: DiffuseChoice,
+) -> MaterialProblem:
+    room, observations = state.room, state.observations
     linear = photometry.linearise_observations(observations)
     if not linear.unclipped.all(1).any():
-        raise BadInput("every pixel of the photos is clipped in one channel or another", "add darker photos")
+        named = room.capture.views[int(room.samples.view[0])].light_state
+        of_state = f" of light state {named!r}" if named else ""
+        raise BadInput(f"every pixel of the photos{of_state} is clipped in one channel or another", "add darker photos")
     photos, regions, n_patches = room.photos, room.regions.of_face, len(room.patches.region)
     angle = schlick(room.samples.cosine[observations.sample].astype(np.float64))
-    diffuse = choose_diffuse(observations, linear, angle, decisions)
     backdrop = SeenBackdrop(None)
     if not decisions.forbids("hidden_light"):
         capture = room.capture
         backdrop = fit_backdrop(photos.backdrop, photometry, capture.mesh, capture.views)
     rough = rough_everywhere(room.n_regions)
     emitters_file = config.emitters
-    cells = Cells.on_scans(photos, photometry, room.patches.sample_patch, observations, room.regions.scanned)
+    sample_patch, scanned = room.patches.sample_patch, room.regions.scanned
+    cells = Cells.on_scans(photos, photometry, sample_patch, n_patches, observations, scanned)
     light = LightProblem(
         tracer=room.tracer,
         samples=room.samples,
@@ -83,9 +132,9 @@ def pose_problem(
         adjacency=room.adjacency,
         cells=cells,
         brightness=cells.brightness(observations, linear),
-        scanned=room.regions.scanned,
+        scanned=scanned,
         brighter_neighbour=room.mixed.brighter_neighbour,
-        hidden=replace(hidden, holes=through_holes(transport, backdrop)),
+        hidden=replace(state.hidden, holes=through_holes(transport, backdrop)),
         field=room.field,
         shadow_rays=config.shadow_rays,
         seed=config.seed,
@@ -160,40 +209,77 @@ class FirstLights:
 
 def find_first_lights(
     pose: Pose,
-    problem: MaterialProblem,
+    problems: Sequence[MaterialProblem],
     photometry: Photometry,
-    room: TracedRoom,
+    rooms: Sequence[TracedRoom],
     progress: Progress,
-) -> FirstLights:
-    """The lamps, the regions of a scan that are one material under their light, and the exponent.
+) -> list[FirstLights]:
+    """The lamps of each light state, the regions of a scan that are one material under the light of the first, and the
+    exponent.
 
     Args:
-        pose: makes the problem under another photometry.
-        problem: the problem under ``photometry``.
+        pose: makes the problems under another photometry.
+        problems: the problem of each state under ``photometry``.
+        rooms: as the photos of each state show it.
     """
-    exponent = 1.0
-    pixels = shown_pixels(photometry, room)
-    with_or_without_sun, light, lights = choose_sun(problem.light, problem.observed, pixels, progress)
-    problem = replace(problem, light=with_or_without_sun)
-    material = problem.materials_under(lights, room.regions.scanned, room.surface.pieces)
-    if (material != problem.light.material).any():
-        problem = problem.with_materials(material)
-        light, lights = choose_outside(problem.light, problem.observed, progress, lights)
-    if photometry.exponent_unconstrained and not problem.light.decisions.forbids("exponent"):
-        exponent = choose_exponent(light, problem.observed, lights, photometry.exponent_error, progress)
+    exponent, decisions = 1.0, problems[0].light.decisions
+    found = [
+        choose_sun(problem.light, problem.observed, shown_pixels(photometry, room), progress)
+        for problem, room in zip(problems, rooms, strict=True)
+    ]
+    problems = [replace(problem, light=own[0]) for problem, own in zip(problems, found, strict=True)]
+    chosen = [(light, lights) for _, light, lights in found]
+    material = problems[0].materials_under(chosen[0][1], rooms[0].regions.scanned, rooms[0].surface.pieces)
+    if (material != problems[0].light.material).any():
+        problems = [problem.with_materials(material) for problem in problems]
+        chosen = [
+            choose_outside(problem.light, problem.observed, progress, lights)
+            for problem, (_, lights) in zip(problems, chosen, strict=True)
+        ]
+    if photometry.exponent_unconstrained and not decisions.forbids("exponent"):
+        exponent = choose_exponent(_lit(problems, chosen), photometry.exponent_error, progress)
     if exponent != 1.0:
-        sun, aimed = problem.light.hidden.sun, problem.light.aimed
-        problem = pose(photometry.raised(exponent)).with_materials(material)
-        hidden = replace(problem.light.hidden, sun=sun)
-        problem = replace(problem, light=replace(problem.light, hidden=hidden, aimed=aimed))
-        light, lights = choose_outside(problem.light, problem.observed, progress)
+        before = problems
+        problems = [problem.with_materials(material) for problem in pose(photometry.raised(exponent))]
+        problems = [_with_sun_of(problem, own.light) for problem, own in zip(problems, before, strict=True)]
+        chosen = [choose_outside(problem.light, problem.observed, progress) for problem in problems]
+    if len(problems) > 1:
+        together = solve_states(_lit(problems, chosen), progress)
+        chosen = [(light, lights) for (light, _), lights in zip(chosen, together, strict=True)]
+    chosen = [
+        (light, _with_profiles(problem, light, lights, progress))
+        for problem, (light, lights) in zip(problems, chosen, strict=True)
+    ]
+    if len(problems) > 1 and any(lights.profiles is not None for _, lights in chosen):
+        together = solve_states(_lit(problems, chosen), progress, warm_start=True)
+        chosen = [(light, lights) for (light, _), lights in zip(chosen, together, strict=True)]
+    return [
+        FirstLights(
+            lights=lights,
+            material=material,
+            outside=light.hidden.kind,
+            exponent=exponent,
+            sun=light.hidden.sun,
+        )
+        for light, lights in chosen
+    ]
+
+
+def _lit(problems: Sequence[MaterialProblem], chosen: Sequence[tuple[LightProblem, Lights]]) -> list[LitState]:
+    """Each state with the light that was found in it."""
+    return [
+        LitState(problem=light, observed=problem.observed, emitters=lights.emitters, before=lights)
+        for problem, (light, lights) in zip(problems, chosen, strict=True)
+    ]
+
+
+def _with_sun_of(problem: MaterialProblem, light: LightProblem) -> MaterialProblem:
+    """``problem`` with the sun of ``light`` and the rays aimed at what it lights."""
+    hidden = replace(problem.light.hidden, sun=light.hidden.sun)
+    return replace(problem, light=replace(problem.light, hidden=hidden, aimed=light.aimed))
+
+
+def _with_profiles(problem: MaterialProblem, light: LightProblem, lights: Lights, progress: Progress) -> Lights:
     specular = np.zeros(problem.linear.radiance.shape, np.float32)
     shown = Shown(problem.observations, problem.linear, specular)
-    lights = with_profiles(light, problem.observed, lights, shown, PatchFit(), progress)
-    return FirstLights(
-        lights=lights,
-        material=material,
-        outside=light.hidden.kind,
-        exponent=exponent,
-        sun=light.hidden.sun,
-    )
+    return with_profiles(light, problem.observed, lights, shown, PatchFit(), progress)

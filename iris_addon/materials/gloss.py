@@ -161,6 +161,33 @@ class GlossObservations:
     in_file: NDArray[np.integer] | None = None
     scanned: NDArray[np.bool_] | None = None
 
+    @staticmethod
+    def joined(states: Sequence[GlossObservations], n_patches: int) -> GlossObservations:
+        """The observations of several light states, in each of which ``n_patches`` patches are patches of their own: an
+        error of the light of one state is none of the view."""
+        first = states[0]
+        if len(states) == 1:
+            return first
+
+        def levels(column: str) -> NDArray[np.floating]:
+            return np.concatenate([getattr(own, column) for own in states], axis=1)
+
+        rows = {
+            column: np.concatenate([getattr(own, column) for own in states])
+            for column in ("region", "weight", "position", "radiance", "irradiance")
+        }
+        return replace(
+            first,
+            patch=np.concatenate([own.patch + k * n_patches for k, own in enumerate(states)]),
+            diffuse=levels("diffuse"),
+            lobes=[
+                [tuple(map(np.concatenate, zip(*half, strict=True))) for half in zip(*halves, strict=True)]
+                for halves in zip(*(own.lobes for own in states), strict=True)
+            ],
+            layer=None if first.layer is None else levels("layer"),
+            **rows,
+        )
+
 
 def fit_gloss(observed: GlossObservations, n_regions: int, decisions: Decisions) -> Gloss:
     """Roughness and metallic of every region with enough observations, decided by equation (26).

@@ -6,7 +6,9 @@ makes the floor look glossier. Each is therefore solved for again under the othe
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +19,9 @@ from ..base.random_streams import stream
 from ..brdf.diffuse import grazing_gain
 from ..brdf.ggx import layered_factor
 from ..lighting.backdrop import SeenBackdrop
+from ..lighting.common_lamps import solve_states
 from ..lighting.hidden import OutsideKind
-from ..lighting.lamp_radiance import PatchFit, mean_radiance, patch_weight
+from ..lighting.lamp_radiance import LitState, PatchFit, mean_radiance, patch_weight
 from ..lighting.patterned_lamps import with_patterns
 from ..lighting.problem import LightProblem, Lights
 from ..lighting.profiled_lamps import with_profiles
@@ -154,42 +157,69 @@ class MaterialProblem:
         return replace(self, light=replace(self.light, hidden=replace(hidden, sun=sun)))
 
 
-def solve_materials(problem: MaterialProblem, lights: Lights, rounds: int, progress: Progress) -> tuple[Lights, Gloss]:
-    """Lamps and materials that explain the observations together.
+class _Round(NamedTuple):
+    """One of the rounds: its number, whether it is the last, and whether there is one light state."""
+
+    number: int
+    last: bool
+    alone: bool
+
+
+def solve_materials(
+    problems: Sequence[MaterialProblem], lights: Sequence[Lights], rounds: int, progress: Progress
+) -> tuple[list[Lights], Gloss]:
+    """Lamps of each light state, and materials, that explain the observations together.
 
     Args:
-        lights: lamps found by diffuse shading, the start.
+        problems: of each state.
+        lights: lamps of each found by diffuse shading, the start.
         rounds: times that lamps and gloss are solved for in turn.
     """
-    fit = _GlossFit.prepare(problem, lights)
-    shading = problem.shading(lights)
-    gloss = fit.gloss(problem, lights, shading)
-    for round_ in range(rounds):
-        problem = problem.with_gloss(gloss, shading.moments)
-        shading = replace(shading, layered=gloss.layered)
-        specular = _observed_specular(problem, lights, shading, gloss, round_, progress)
-        o, n_patches = problem.observations, len(problem.observed.weight)
-        view_factor = problem.view_factor(shading, gloss.roughness[problem.region])
-        diffuse = group_radiance(problem.linear, o.patch, o.count, n_patches, specular, view_factor)
-        seen = problem.light.cells.brightness(o, problem.linear, specular)
-        bounce = _continued_paths(problem, gloss, round_)
-        aimed = problem.light.rays_to_bright(lights, stream(problem.seed, "materials.aimed_rays", round_))
-        light_problem = replace(problem.light, brightness=seen, bounce=bounce, aimed=aimed)
-        weight = _balance_weight(problem, gloss, diffuse)
-        cast = _cast_radiance(problem, gloss, diffuse, view_factor)
-        profiled = lights.profiles is not None  # of a lamp whose faces change the profile is lost
-        lights = reconsider_lamps(light_problem, cast, lights, weight, diffuse.radiance, progress)
-        shown = Shown(o, problem.linear, specular)
-        of_patches = PatchFit(weight, diffuse.radiance)
-        if profiled:  # what gloss changes is little beside what a profile has to earn
-            lights = with_profiles(light_problem, cast, lights, shown, of_patches, progress)
-        if round_ == rounds - 1:
-            lights = with_screens(light_problem, cast, lights, shown, weight, diffuse.radiance, progress)
-            lights = with_patterns(light_problem, cast, lights, shown, of_patches, progress)
-        shading = problem.shading(lights)
-        gloss = fit.gloss(problem, lights, shading)
-        progress.update((round_ + 1) / rounds)
+    alone = len(problems) == 1
+    fits = [_GlossFit.prepare(problem, own) for problem, own in zip(problems, lights, strict=True)]
+    shadings = [problem.shading(own) for problem, own in zip(problems, lights, strict=True)]
+    gloss, lights = _fitted_gloss(fits, problems, lights, shadings), list(lights)
+    for number in range(rounds):
+        turn = _Round(number, number == rounds - 1, alone)
+        problems = [
+            problem.with_gloss(gloss, shading.moments) for problem, shading in zip(problems, shadings, strict=True)
+        ]
+        found = [
+            _lights_under(problem, own, replace(shading, layered=gloss.layered), gloss, turn, progress)
+            for problem, own, shading in zip(problems, lights, shadings, strict=True)
+        ]
+        lights = [found[0].before] if alone else solve_states(found, progress, warm_start=True)
+        shadings = [problem.shading(own) for problem, own in zip(problems, lights, strict=True)]
+        gloss = _fitted_gloss(fits, problems, lights, shadings)
+        progress.update((number + 1) / rounds)
     return lights, gloss
+
+
+def _lights_under(
+    problem: MaterialProblem, lights: Lights, shading: Shading, gloss: Gloss, turn: _Round, progress: Progress
+) -> LitState:
+    """The lamps of one light state, tested and solved for again under ``gloss``, and what they are solved from."""
+    specular = _observed_specular(problem, lights, shading, gloss, turn.number, progress)
+    o, n_patches = problem.observations, len(problem.observed.weight)
+    view_factor = problem.view_factor(shading, gloss.roughness[problem.region])
+    diffuse = group_radiance(problem.linear, o.patch, o.count, n_patches, specular, view_factor)
+    seen = problem.light.cells.brightness(o, problem.linear, specular)
+    bounce = _continued_paths(problem, gloss, turn.number)
+    aimed = problem.light.rays_to_bright(lights, stream(problem.seed, "materials.aimed_rays", turn.number))
+    light_problem = replace(problem.light, brightness=seen, bounce=bounce, aimed=aimed)
+    weight = _balance_weight(problem, gloss, diffuse)
+    cast = _cast_radiance(problem, gloss, diffuse, view_factor)
+    profiled = lights.profiles is not None  # of a lamp whose faces change the profile is lost
+    lights = reconsider_lamps(light_problem, cast, lights, weight, diffuse.radiance, progress)
+    shown = Shown(o, problem.linear, specular)
+    of_patches = PatchFit(weight, diffuse.radiance)
+    if profiled:  # what gloss changes is little beside what a profile has to earn
+        lights = with_profiles(light_problem, cast, lights, shown, of_patches, progress)
+    if turn.last:
+        lights = with_screens(light_problem, cast, lights, shown, weight, diffuse.radiance, progress)
+        if turn.alone:  # a pattern is common to all states, and its mean to none
+            lights = with_patterns(light_problem, cast, lights, shown, of_patches, progress)
+    return LitState(problem=light_problem, observed=cast, emitters=lights.emitters, before=lights, fit=of_patches)
 
 
 def _glossy_regions(gloss: Gloss) -> NDArray[np.bool_]:
@@ -275,8 +305,8 @@ class _GlossFit:
         ]
         return _GlossFit(rows, rays)
 
-    def gloss(self, problem: MaterialProblem, lights: Lights, shading: Shading) -> Gloss:
-        """Roughness and metallic per region under ``lights``."""
+    def observed(self, problem: MaterialProblem, lights: Lights, shading: Shading) -> GlossObservations:
+        """The observations with the light that falls on them under ``lights``."""
         o, samples = problem.observations, problem.light.samples
         scene = problem.scene(lights)
         at = o.sample[self.rows]
@@ -287,7 +317,7 @@ class _GlossFit:
         rough = GLOSS_LEVELS[len(GLOSS_RAYS) :]
         lobes += [[rough_lobes(np.full(len(at), level), samples.cosine[at], local)] for level in rough]
         lobe, levels = problem.diffuse.lobe, np.array(GLOSS_LEVELS)[:, None]
-        observed = GlossObservations(
+        return GlossObservations(
             region=problem.region[self.rows],
             patch=o.patch[self.rows],
             weight=np.minimum(o.count[self.rows], 20.0),
@@ -302,5 +332,19 @@ class _GlossFit:
             in_file=problem.in_file,
             scanned=problem.scanned,
         )
-        material = problem.light.material
-        return fit_gloss(observed, len(material), problem.light.decisions).of_regions(material)
+
+
+def _fitted_gloss(
+    fits: Sequence[_GlossFit],
+    problems: Sequence[MaterialProblem],
+    lights: Sequence[Lights],
+    shadings: Sequence[Shading],
+) -> Gloss:
+    """Roughness and metallic per region under the ``lights`` of all light states."""
+    each = [
+        fit.observed(problem, own, shading)
+        for fit, problem, own, shading in zip(fits, problems, lights, shadings, strict=True)
+    ]
+    light = problems[0].light
+    observed = GlossObservations.joined(each, light.transport.n_seen)
+    return fit_gloss(observed, len(light.material), light.decisions).of_regions(light.material)

@@ -156,6 +156,7 @@ class View:
         orientation: EXIF's, under which the stored photo is turned to fit its camera; 1 where it is taken as stored.
         mask: picture of the same size, above the middle grey where the photo may be used.
         device: maker and model of the camera, "" where the photo does not record them.
+        light_state: name of the set of lamps that are on, "" where the capture names none: then one set is in all.
         margins: pixels of the file left, above, right and below, as turned for the camera, that are no picture.
         reduction: a pixel of ``camera`` is the mean over a block of so many rows and columns of the file.
     """
@@ -171,6 +172,7 @@ class View:
     reduction: int = 1
     margins: tuple[int, int, int, int] = (0, 0, 0, 0)
     device: str = ""
+    light_state: str = ""
 
     def reduced(self, factor: int) -> View:
         """The view at a size smaller by a whole ``factor``: :meth:`Camera.reduced`."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -59,6 +59,35 @@ class Sunlight:
 
     direction: NDArray[np.float64]
     irradiance: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LightState:
+    """The light of a room in one of the states that it was photographed in.
+
+    Attributes:
+        name: as the capture names it.
+        photos: names of the training photos that were taken in it.
+        radiance: (E, 3) float64 of the emitters, in their order; 0 for those that are off.
+        outside: as of the result.
+        sun: as of the result.
+    """
+
+    name: str
+    photos: tuple[str, ...]
+    radiance: NDArray[np.float64]
+    outside: OutsideLight | None = None
+    sun: Sunlight | None = None
+
+    def with_radiance_over(self, factor: float) -> LightState:
+        """The same state with all light divided by ``factor``."""
+        outside, sun = self.outside, self.sun
+        return replace(
+            self,
+            radiance=self.radiance / factor,
+            outside=None if outside is None else OutsideLight(outside.sh / factor),
+            sun=None if sun is None else replace(sun, irradiance=sun.irradiance / factor),
+        )
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,13 @@ some 10^5 to 10^6 of them stand for all pixels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..base.group_by import group_equal, group_sums
+from ..model.light_states import LightStates
 from ..model.response import SATURATED
 
 MIXED_WEIGHT = 1e-3
@@ -45,6 +46,22 @@ class Observations:
     sample: NDArray[np.int64]
     pixel: NDArray[np.int32]
     sample_to_observation: NDArray[np.int32]
+
+    def apart(self, states: LightStates) -> Observations:
+        """The same observations where a patch under another light is another patch: only photos of one light state
+        show a place with one radiance."""
+        if len(states) == 1:
+            return self
+        return replace(self, patch=self.patch * np.int32(len(states)) + states.index[self.view].astype(np.int32))
+
+    def of_photos(self, photos: NDArray[np.bool_]) -> Observations:
+        """Those of some ``photos`` (V,), with pixel samples numbered as :meth:`.TracedRoom.of_photos` numbers them."""
+        rows = photos[self.view]
+        kept = rows[self.sample_to_observation]
+        columns = {column.name: getattr(self, column.name)[rows] for column in fields(self)[:-1]}
+        columns["sample"] = (np.cumsum(kept) - 1)[columns["sample"]]
+        number = (np.cumsum(rows) - 1).astype(np.int32)
+        return Observations(**columns, sample_to_observation=number[self.sample_to_observation[kept]])
 
 
 def observe(

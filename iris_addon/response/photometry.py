@@ -21,6 +21,7 @@ from ..decide import Decisions
 from ..model import response as curve
 from ..model.capture import Capture
 from ..model.device import devices_of
+from ..model.light_states import LightStates
 from ..model.local_exposure import LocalExposure
 from ..model.response import LUMINANCE, N_SAMPLES, SATURATED, Response
 from ..surface.photo_samples import PhotoSamples, ShownPixels
@@ -329,7 +330,8 @@ def measure_photometry(
         )
     fixed = fixed_response(config)
     devices = devices_of(capture.views)
-    fit = fit_overlap(observations, given, n, rng, fixed, decisions, photos.small, devices)
+    comparable = observations.apart(LightStates.of(capture.views))
+    fit = fit_overlap(comparable, given, n, rng, fixed, decisions, photos.small, devices)
     device = devices.index if devices is not None and fit.others else None
     error = 0.0 if given is None else _error_of_recorded(fit.exposures, given, device)
     return Photometry(

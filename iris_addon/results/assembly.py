@@ -9,25 +9,25 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.parallel import BLOCK, filled, over_blocks, peak_memory_bytes
+from ..base.parallel import BLOCK, over_blocks, peak_memory_bytes
 from ..base.progress import Progress
 from ..base.random_streams import stream
-from ..brdf.diffuse import schlick
 from ..brdf.ggx import DIELECTRIC_F0
 from ..cameras.fit import CameraFit
 from ..config import SolveConfig
 from ..lighting.balance import MAX_ALBEDO
-from ..lighting.problem import LightProblem, Lights
+from ..lighting.problem import Lights
 from ..lighting.shell_surface import as_surface
 from ..materials.mirrors import smooth_metals, with_mirrors
 from ..materials.rounds import MaterialProblem
-from ..materials.shading import Shading, sunlight_at
+from ..materials.shading import sunlight_at
 from ..materials.solution import Solution
-from ..materials.specular import pixel_lobes, subtract_specular
+from ..materials.specular import subtract_specular
 from ..model.capture import Capture, View
 from ..model.device import Device
+from ..model.light_states import LightStates
 from ..model.local_exposure import UNIFORM
-from ..model.recovered import Emitter, OutsideLight, Sunlight
+from ..model.recovered import Backdrop
 from ..response.photometry import Photometry, shown_pixels
 from ..surface.primary_rays import PixelSamples, as_picture
 from ..surface.traced_room import TracedRoom
@@ -43,11 +43,21 @@ from .held_out import MISFIT_ERROR, POOR_PSNR, base_color_of_pixels, errors_of_p
 from .maps import bilinear
 from .report import MAX_WIDTH
 from .result import Result
+from .state_lights import (
+    StateLight,
+    at_all_pixels,
+    light_at_pixels,
+    recovered_emitters,
+    recovered_outside,
+    recovered_states,
+    recovered_sun,
+    state_lights,
+)
 
 RERENDERED_PHOTOS = 4
 """Photos shown in the report beside their re-rendering."""
-UNSEEN_LAMP_CONFIDENCE = 0.2
-"""Confidence in a lamp that no photo shows."""
+FEW_PHOTOS = 4
+"""Photos of a light state below which a warning names it."""
 Rows = slice | NDArray[np.integer]
 """Indexes some of the pixels."""
 
@@ -57,7 +67,7 @@ def make_result(
     views: Sequence[View],
     config: SolveConfig,
     atlas: Atlas,
-    problem: MaterialProblem,
+    problems: Sequence[MaterialProblem],
     solution: Solution,
     checkpoints: Checkpoints,
     progress: Progress,
@@ -67,77 +77,86 @@ def make_result(
     Args:
         views: the photos at full size.
         atlas: with the texels of the pixels of ``room``.
-        problem: with the lobes of ``solution``.
+        problems: of each light state, with the lobes of ``solution``.
         checkpoints: keep what each photo shows.
 
     Returns:
         The result, its report without :func:`with_figures`; and a few re-rendered photos by name, (H, W, 3).
     """
-    capture, photos, samples, light = room.capture, room.photos, room.samples, problem.light
-    photometry, lights, gloss = solution.photometry, solution.lights, solution.gloss
-    region, patch = light.regions[samples.face], light.surface.sample_patch
-    shading = problem.shading(lights)
-    irradiance = shading.at_pixels(light, lights)
-    ls0, ls1 = pixel_lobes(
-        problem.scene(lights),
-        photos,
-        room.cameras,
-        gloss.roughness[region],
-        irradiance,
-        config.specular_rays,
-        stream(config.seed, "results.pixel_lobes"),
-        progress,
-    )
+    capture, photos, samples, gloss = room.capture, room.photos, room.samples, solution.gloss
+    photometry, states = solution.photometry, state_lights(room, problems, solution)
+    light, field = problems[0].light, room.field
+    region, patch, n = light.regions[samples.face], room.patches.sample_patch, len(samples.face)
+    pixel_light = light_at_pixels(states, gloss, config, n, progress)
     metallic = gloss.metallic[region]
-    view_factor = _view_factor(shading, patch, gloss.roughness[region], samples)
-    expected = problem.observed.radiance[patch]
-    pixel_light = PixelLight(irradiance, irradiance * view_factor[:, None], ls0, ls1)
+    each_expected = [state.expected for state in states]
+    expected = at_all_pixels(
+        states, [own[patch[state.rows]] for state, own in zip(states, each_expected, strict=True)], n
+    )
     albedo, weight, usual = _pixel_albedo(room, photometry, expected, pixel_light, metallic)
-    of_patch = residual_light(light.field, light.surface.region, gloss.metallic < 0.5, patch, albedo, weight)
+    each_lit = [_lit_faces(state, len(states) > 1) for state in states]
+    lit = at_all_pixels(states, [own[samples.face[state.rows]] for state, own in zip(states, each_lit, strict=True)], n)
+    weight[lit] = 0
+    dielectric = gloss.metallic < 0.5
+    of_patches = [
+        residual_light(field, light.surface.region, dielectric, patch[rows], albedo[rows], weight[rows])
+        for rows in (state.rows for state in states)
+    ]
+    interpolated = [
+        field.at_samples(state.room.samples, patch[state.rows], own)
+        for state, own in zip(states, of_patches, strict=True)
+    ]
     # Of metals base colour is no quotient of irradiance; interpolation would bring in the factor of neighbours.
-    brighter = np.where(metallic[:, None] > 0.5, np.float32(1), light.field.at_samples(samples, patch, of_patch))
+    brighter = np.where(metallic[:, None] > 0.5, np.float32(1), at_all_pixels(states, interpolated, n))
     albedo, diffuse_light = np.minimum(albedo / brighter, MAX_ALBEDO), pixel_light.diffuse * brighter
+    ls0, ls1 = pixel_light.ls0, pixel_light.ls1
     # The base colour of a metal is no quotient of irradiance, that of a lamp with a pattern no base colour.
     painted = gloss.metallic < 0.5
     held_out = hold_out(room, stream(config.seed, "results.held_out_pixels"))
-    patterned = _patterned(room, photometry, lights)
+    patterned = _patterned(room, photometry, states[0].lights)
     lamp_level = np.zeros(len(light.regions), np.float32)
     for lamp in patterned:
         lamp_level[lamp.faces] = lamp.level
     shines = lamp_level > 0
     painted[np.setdiff1d(light.regions[shines], light.regions[~shines])] = False
-    painter = Painter(
-        room=room,
-        points=TexelPoints.of(room.tracer, atlas.uv, atlas.size),
-        regions=light.regions,
-        photometry=photometry,
-        gloss=gloss,
-        shading=shading,
-        sunlight_at=partial(sunlight_at, light, lights),
-        light=pixel_light,
-        expected=problem.observed.radiance,
-        brighter=of_patch,
-        light_spread=light.field.spread(shading.irradiance),
-        usual=usual,
-        held_out=held_out.hidden,
-        lamp_level=lamp_level,
-    )
-    texels = paint_texels(painter, views, atlas.size, checkpoints.table, progress)
+    points = TexelPoints.of(room.tracer, atlas.uv, atlas.size)
+    painters = [
+        Painter(
+            room=room,
+            points=points,
+            regions=light.regions,
+            photometry=photometry,
+            gloss=gloss,
+            shading=state.shading,
+            sunlight_at=partial(sunlight_at, state.problem.light, state.lights),
+            light=pixel_light,
+            expected=own_expected,
+            brighter=of_patch,
+            light_spread=field.spread(state.shading.irradiance),
+            usual=usual,
+            held_out=held_out.hidden,
+            lamp_level=lamp_level,
+            lit=own_lit,
+        )
+        for state, own_expected, of_patch, own_lit in zip(states, each_expected, of_patches, each_lit, strict=True)
+    ]
+    of_photo = LightStates.of(capture.views).index
+    texels = paint_texels(painters, of_photo, views, atlas.size, checkpoints.table, progress)
     pixels = PixelAlbedo(albedo, weight * ~held_out.hidden[:, None])
     shown_gloss = gloss
     if len(smooth_metals(gloss)):
         rng = stream(config.seed, "materials.mirrors")
-        shown = shown_pixels(photometry, room)
-        shown_gloss = with_mirrors(gloss, room.tracer, samples, shown, region, rng, light.decisions)
-    textures, paint = make_textures(atlas, light.regions, lights.mask, shown_gloss, samples, pixels, texels, painted)
+        own = states[0].room
+        shown = shown_pixels(photometry, own)
+        own_region = region[states[0].rows]
+        shown_gloss = with_mirrors(gloss, room.tracer, own.samples, shown, own_region, rng, light.decisions)
+    always_lit = np.all([state.lights.mask for state in states], axis=0)
+    textures, paint = make_textures(atlas, light.regions, always_lit, shown_gloss, samples, pixels, texels, painted)
     if patterned:
         pattern, radiance = lamp_pattern(atlas, texels, light.tracer.areas, patterned)
         textures = replace(textures, lamp_pattern=pattern)
-        lights = lights.with_radiance(lights.patterned, radiance)
-    emission = lights.face_emission(len(light.regions))[samples.face]
-    for faces, profile in lights.profiled:
-        on = np.flatnonzero(np.isin(samples.face, faces))
-        emission[on] *= profile.at(samples.cosine[on])[:, None]
+        states = [replace(states[0], lights=states[0].lights.with_radiance(states[0].lights.patterned, radiance))]
+    emission = at_all_pixels(states, [_emission(state, len(light.regions)) for state in states], n)
     if textures.lamp_pattern is not None:
         shine = np.flatnonzero(lamp_level[samples.face] > 0)
         uv = interpolate_uv(atlas.uv, samples.face[shine], samples.barycentric[shine])
@@ -156,7 +175,7 @@ def make_result(
     shown = photos.z[tested]
     found = explained(tested, base_color_of_pixels(textures, atlas, room, tested))
     shown = shown if photos.hdr else np.clip(shown + 0.5 / 255, 0, 1)
-    psnr, residual = -10 * np.log10(np.mean((found - shown) ** 2)), np.log(of_patch).std()
+    psnr, residual = -10 * np.log10(np.mean((found - shown) ** 2)), np.log(np.stack(of_patches)).std()
     of_photos = errors_of_photos(found, shown, samples.view[tested], len(capture.views))
     paints = {"paints": paint.paints, "parts_of_one_colour": paint.plain_regions}
     report = {
@@ -176,18 +195,17 @@ def make_result(
         mesh=mesh,
         regions=light.regions,
         textures=textures,
-        emitters=tuple(_emitters(light, lights)),
-        outside=_outside(light, lights),
-        sun=_sun(light, lights),
+        emitters=tuple(recovered_emitters(states)),
+        outside=recovered_outside(light, states[0].lights),
+        sun=recovered_sun(light, states[0].lights),
+        light_states=recovered_states(states),
         response=photometry.response,
         exposures=exposures,
         report=report,
         up=capture.up,
         local=UNIFORM if photometry.local is None else photometry.local.settings,
         devices=_further_devices(capture, photometry),
-        backdrop=problem.backdrop.recovered
-        if light.hidden.holes is None
-        else as_surface(light.hidden.completed(problem.backdrop, lights.hidden_radiance), light, lights, progress),
+        backdrop=_recovered_backdrop(states[0], progress),
     )
     return result, _rerenders(capture, samples, rerender)
 
@@ -247,18 +265,6 @@ def _pixel_albedo(
     return albedo, weight / np.float32(usual.weight), usual
 
 
-def _view_factor(
-    shading: Shading, patch: NDArray[np.integer], roughness: NDArray[np.floating], samples: PixelSamples
-) -> NDArray[np.float32]:
-    """(n,) factor of the diffuse lobe towards the camera of each pixel, on ``patch`` (n,) of ``roughness`` (n,)."""
-
-    def factor(rows: slice) -> NDArray[np.floating]:
-        angle, toward = schlick(samples.cosine[rows]), samples.direction[rows]
-        return shading.view_factor(patch[rows], roughness[rows], angle, toward)
-
-    return filled(np.empty(len(patch), np.float32), factor)
-
-
 def _rerenders(
     capture: Capture, samples: PixelSamples, explained: Callable[[slice], NDArray[np.float64]]
 ) -> dict[str, NDArray[np.float32]]:
@@ -294,23 +300,6 @@ def _predict(
     return base_color * (1 - m) * irradiance + ks * ls0 + ls1 + emission
 
 
-def _emitters(problem: LightProblem, lights: Lights) -> list[Emitter]:
-    areas = problem.tracer.areas
-    confidence = np.where(_unseen(problem, lights), UNSEEN_LAMP_CONFIDENCE, 1.0 / (1.0 + lights.log_std))
-    return [
-        Emitter(
-            id=k,
-            faces=faces,
-            radiance=radiance,
-            area=float(areas[faces].sum()),
-            confidence=float(confidence[k]),
-            patterned=k in lights.patterned,
-            profile=lights.profile_of(faces),
-        )
-        for k, (faces, radiance) in enumerate(zip(lights.emitters, lights.radiance, strict=True))
-    ]
-
-
 def _patterned(room: TracedRoom, photometry: Photometry, lights: Lights) -> list[PatternedLamp]:
     """The lamps that have a pattern, with the brightest radiance that a pixel of each shows."""
     lamps = []
@@ -323,20 +312,31 @@ def _patterned(room: TracedRoom, photometry: Photometry, lights: Lights) -> list
     return lamps
 
 
-def _unseen(problem: LightProblem, lights: Lights) -> NDArray[np.bool_]:
-    """(E,) lamps that no photo shows."""
-    seen = problem.samples.seen_faces(len(problem.regions))
-    return np.array([not seen[faces].any() for faces in lights.emitters], bool)
+def _lit_faces(state: StateLight, several: bool) -> NDArray[np.bool_]:
+    """(F,) faces on which photos of a state show no base colour, because they emit.
+
+    In a room of ``several`` states a lamp is a surface in the photos of those in which it is off; in a room of one no
+    photo tells its base colour, and it is given none in the end.
+    """
+    return state.lights.mask if several else np.zeros(len(state.lights.mask), bool)
 
 
-def _outside(problem: LightProblem, lights: Lights) -> OutsideLight | None:
-    sh = problem.hidden.outside_sh(lights.hidden_radiance)
-    return None if sh is None else OutsideLight(sh)
+def _emission(state: StateLight, n_faces: int) -> NDArray[np.float64]:
+    """(k, 3) radiance that the pixels of one light state show emitted, without patterns."""
+    samples, lights = state.room.samples, state.lights
+    emission = lights.face_emission(n_faces)[samples.face]
+    for faces, profile in lights.profiled:
+        on = np.flatnonzero(np.isin(samples.face, faces))
+        emission[on] *= profile.at(samples.cosine[on])[:, None]
+    return emission
 
 
-def _sun(problem: LightProblem, lights: Lights) -> Sunlight | None:
-    sun = problem.hidden.sun
-    return None if sun is None else Sunlight(sun.direction, lights.hidden_radiance[-1])
+def _recovered_backdrop(state: StateLight, progress: Progress) -> Backdrop | None:
+    problem, lights = state.problem, state.lights
+    if problem.light.hidden.holes is None:
+        return problem.backdrop.recovered
+    shown = problem.light.hidden.completed(problem.backdrop, lights.hidden_radiance)
+    return as_surface(shown, problem.light, lights, progress)
 
 
 def _misfit_warnings(capture: Capture, errors: NDArray[np.floating], psnr: float) -> list[str]:
@@ -375,18 +375,20 @@ def with_figures(
     room: TracedRoom,
     config: SolveConfig,
     cameras: CameraFit,
-    problem: MaterialProblem,
+    problems: Sequence[MaterialProblem],
     solution: Solution,
     progress: Progress,
 ) -> Result:
     """``result`` of :func:`make_result` with the figures of the stages before it in its report."""
-    transport, gloss = problem.light.transport, solution.gloss
-    photometry, lights = solution.photometry, solution.lights
+    problem, transport, gloss = problems[0], problems[0].light.transport, solution.gloss
+    photometry, lights = solution.photometry, solution.lights[0]
+    seen = room.samples.seen_faces(len(problem.light.regions))
     model = {
         "camera": cameras.report(),
         "response": photometry.report(),
-        "lamps": len(lights.emitters),
-        "unseen_lamps": int(_unseen(problem.light, lights).sum()),
+        "lamps": len(result.emitters),
+        "unseen_lamps": sum(not seen[emitter.faces].any() for emitter in result.emitters),
+        **({"light_states": _states_figures(result)} if result.light_states else {}),
         "outside_directions": len(problem.light.hidden.directions),
         "sun": problem.light.hidden.sun is not None,
         "faces_of_panes": len(result.panes),
@@ -417,7 +419,27 @@ def with_figures(
             *cameras.warnings,
             *photometry.warnings,
             *lights.warnings,
+            *_state_warnings(result, photometry),
             *result.report["warnings"],
         ],
     }
     return replace(result, report={**result.report, **figures})
+
+
+def _states_figures(result: Result) -> dict[str, dict[str, int]]:
+    """Photos and lit lamps of each light state."""
+    return {
+        state.name: {"photos": len(state.photos), "lamps_on": int((state.radiance > 0).any(1).sum())}
+        for state in result.light_states
+    }
+
+
+def _state_warnings(result: Result, photometry: Photometry) -> list[str]:
+    """What a user of a room with several light states should know."""
+    if not result.light_states:
+        return []
+    few = [f"{state.name} ({len(state.photos)})" for state in result.light_states if len(state.photos) < FEW_PHOTOS]
+    warnings = [f"light states of few photos are told by little: {', '.join(few)}"] if few else []
+    if not (photometry.known_exposures or photometry.hdr):
+        warnings.append("exposures are unknown: how bright one light state is beside another is not known")
+    return warnings

@@ -46,7 +46,7 @@ def fingerprint(capture: Capture, config: SolveConfig) -> str:
     for view in capture.views:
         camera = view.camera
         lens = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, view.distortion)
-        digest.update(repr((view.name, view.exposure, view.device, lens)).encode())
+        digest.update(repr((view.name, view.exposure, view.device, view.light_state, lens)).encode())
         digest.update(camera.c2w.tobytes())
     files = [view.photo for view in capture.views] + [config.response, config.emitters]
     for path in files:

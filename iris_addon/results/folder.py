@@ -5,7 +5,7 @@
     report.json      schema_version and Result.report
     response.json    family, coefficients, samples, exposures and white balance per photo
     emitters.json    id, faces, radiance, area, confidence, patterned; harmonics of light from outside; sun; shell of
-                     the backdrop; faces of panes
+                     the backdrop; faces of panes; light states, if there were several
     backdrop.exr     what cameras see through holes of the mesh, if it has any; backdrop_albedo.exr, if that reflects
     materials/       base_color.exr, roughness.png, metallic.png, confidence.png, coverage.png, emission.exr, mesh.glb;
                      lamp_pattern.exr, if a lamp has one
@@ -95,7 +95,7 @@ def _load(folder: Path, read: ReadImage) -> Result:
         )
     mesh, regions, up = read_glb(result_file(folder, MESH))
     camera = read_response(folder)
-    emitters, outside, sun, shell, panes = read_emitters(folder, mesh)
+    emitters, outside, sun, shell, panes, states = read_emitters(folder, mesh)
     textures = _read_textures(folder, read)
     if any(emitter.patterned for emitter in emitters):
         textures = replace(textures, lamp_pattern=_read_pattern(folder, len(textures.base_color), read))
@@ -115,6 +115,7 @@ def _load(folder: Path, read: ReadImage) -> Result:
         devices=camera.devices,
         backdrop=backdrop,
         panes=panes,
+        light_states=states,
     )
     with decoding(path, "'model.camera' holds no corrections of cameras", MEND):
         result.as_taken([])  # so that a damaged report is reported here

@@ -22,7 +22,7 @@ from ..model.capture import Mesh
 from ..model.device import Device, device_of_photo
 from ..model.lamp_profile import EVEN_PROFILE, LampProfile
 from ..model.local_exposure import UNIFORM, LocalSettings
-from ..model.recovered import Backdrop, Emitter, OutsideLight, Sunlight
+from ..model.recovered import Backdrop, Emitter, LightState, OutsideLight, Sunlight
 from ..model.response import N_SAMPLES, Response
 from .files import EMITTERS, REPORT, RESPONSE, result_file
 
@@ -41,13 +41,14 @@ LOCAL_BOUNDS = {"strength": (0.0, 0.99), "scale": (1e-3, 10.0), "headroom": (1.0
 
 
 class StoredLights(NamedTuple):
-    """Lamps, light from outside, the sun, the backdrop's shell, and the faces that light passes."""
+    """Lamps, light from outside, the sun, the backdrop's shell, the faces that light passes, and light states."""
 
     emitters: tuple[Emitter, ...]
     outside: OutsideLight | None
     sun: Sunlight | None
     shell: StoredShell | None
     panes: NDArray[np.int64]
+    states: tuple[LightState, ...]
 
 
 class StoredShell(NamedTuple):
@@ -78,7 +79,7 @@ def read_report(folder: Path) -> dict[str, Any]:
 
 def emitters_json(result: Result) -> dict[str, Any]:
     """The content of emitters.json."""
-    backdrop, sun = result.backdrop, result.sun
+    backdrop = result.backdrop
     return {
         "emitters": [
             {
@@ -92,10 +93,27 @@ def emitters_json(result: Result) -> dict[str, Any]:
             }
             for emitter in result.emitters
         ],
-        "outside": None if result.outside is None else {"sh": result.outside.sh},
-        "sun": None if sun is None else {"direction": sun.direction, "irradiance": sun.irradiance},
+        **_light_json(result.outside, result.sun),
         "backdrop": None if backdrop is None else _shell_json(backdrop),
         "panes": to_ranges(result.panes),
+        **({"light_states": [_state_json(state) for state in result.light_states]} if result.light_states else {}),
+    }
+
+
+def _state_json(state: LightState) -> dict[str, Any]:
+    return {
+        "name": state.name,
+        "photos": list(state.photos),
+        "radiance": state.radiance,
+        **_light_json(state.outside, state.sun),
+    }
+
+
+def _light_json(outside: OutsideLight | None, sun: Sunlight | None) -> dict[str, Any]:
+    """Light from outside as emitters.json has it."""
+    return {
+        "outside": None if outside is None else {"sh": outside.sh},
+        "sun": None if sun is None else {"direction": sun.direction, "irradiance": sun.irradiance},
     }
 
 
@@ -116,13 +134,43 @@ def read_emitters(folder: Path, mesh: Mesh) -> StoredLights:
     if not isinstance(listed, list):
         raise BadInput("'emitters' is missing or not a list", MEND, path)
     emitters = tuple(_read_emitter(entry, f"emitters[{number}]", mesh, path) for number, entry in enumerate(listed))
-    outside, sun, backdrop = (content.get(name) for name in ("outside", "sun", "backdrop"))
+    backdrop = content.get("backdrop")
     return StoredLights(
         emitters,
-        None if outside is None else _read_outside(json_object(outside, "outside", path), path),
-        None if sun is None else read_sunlight(sun, "sun", path),
+        *_read_light(content, "", path),
         None if backdrop is None else _read_shell(json_object(backdrop, "backdrop", path), path),
         from_ranges(content.get("panes"), len(mesh.faces), "panes", path),  # results of earlier versions have none
+        _read_states(content.get("light_states", []), len(emitters), path),  # only where there are several
+    )
+
+
+def _read_states(listed: object, n_emitters: int, path: Path) -> tuple[LightState, ...]:
+    if not isinstance(listed, list):
+        raise BadInput("'light_states' is no list", MEND, path)
+    states = []
+    for number, entry in enumerate(listed):
+        where = f"light_states[{number}]"
+        content = json_object(entry, where, path)
+        name, photos = content.get("name"), content.get("photos")
+        if not isinstance(name, str) or not name or name in [state.name for state in states]:
+            raise BadInput(f"'{where}' has no name of its own", MEND, path)
+        if not isinstance(photos, list) or not all(isinstance(photo, str) for photo in photos):
+            raise BadInput(f"'{where}.photos' is no list of names", MEND, path)
+        radiance = np.zeros((0, 3))
+        if n_emitters:
+            radiance = numbers(content.get("radiance"), (n_emitters, 3), f"{where}.radiance", path)
+        if (radiance < 0).any():
+            raise BadInput(f"'{where}.radiance' is negative", MEND, path)
+        states.append(LightState(name, tuple(photos), radiance, *_read_light(content, f"{where}.", path)))
+    return tuple(states)
+
+
+def _read_light(content: dict[str, Any], where: str, path: Path) -> tuple[OutsideLight | None, Sunlight | None]:
+    """Light from outside and the sun in the part ``where`` of emitters.json."""
+    outside, sun = content.get("outside"), content.get("sun")
+    return (
+        None if outside is None else _read_outside(json_object(outside, f"{where}outside", path), path),
+        None if sun is None else read_sunlight(sun, f"{where}sun", path),
     )
 
 

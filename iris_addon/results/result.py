@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..base.errors import BadInput
 from ..base.untrusted import finite
 from ..model.capture import Camera, Mesh, View, in_metres
 from ..model.corrections import CameraCorrection, PoseCorrections
 from ..model.device import Device, device_of_view
 from ..model.local_exposure import UNIFORM, LocalSettings
-from ..model.recovered import Backdrop, DiffuseLobe, Emitter, OutsideLight, Sunlight, Textures
+from ..model.recovered import Backdrop, DiffuseLobe, Emitter, LightState, OutsideLight, Sunlight, Textures
 from ..model.response import Response
 
 if TYPE_CHECKING:
@@ -45,6 +46,8 @@ class Result:
         backdrop: what cameras see through holes of the mesh; None where it has hardly any.
         sun: light of the sun beside that of ``outside``; None where none shines in.
         panes: (k,) faces of panes of glass, which light and cameras pass.
+        light_states: the light in each state that the room was photographed in, where there were several; ``emitters``,
+            ``outside`` and ``sun`` are those of the first (:meth:`in_state`).
     """
 
     mesh: Mesh
@@ -61,6 +64,7 @@ class Result:
     sun: Sunlight | None = None
     devices: tuple[Device, ...] = ()
     panes: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    light_states: tuple[LightState, ...] = ()
 
     def __repr__(self) -> str:
         size = len(self.textures.base_color)
@@ -138,6 +142,38 @@ class Result:
         changed = (replace(emitter, radiance=rgb) if emitter.id == number else emitter for emitter in self.emitters)
         return replace(self, emitters=tuple(changed))
 
+    def in_state(self, name: str) -> Result:
+        """The same room in the light state ``name``: its lamps that are on there, and the light from outside.
+
+        A lamp that is off is a surface like others; the others keep their ids. Cameras see the backdrop of the first
+        state.
+
+        Raises:
+            BadInput: the room was not photographed in that state.
+
+        Example:
+            >>> import iris_addon as iris
+            >>> result = iris.load_result("out/hotel_room")
+            >>> [state.name for state in result.light_states]
+            ['evening', 'bedside']
+            >>> bedside = result.in_state("bedside")
+        """
+        state = next((state for state in self.light_states if state.name == name), None)
+        if state is None:
+            known = ", ".join(state.name for state in self.light_states)
+            fix = f"name one of its states: {known}" if known else "it was photographed in one light state only"
+            raise BadInput(f"the room has no light state {name!r}", fix)
+        lit = zip(self.emitters, state.radiance, strict=True)
+        emitters = tuple(replace(emitter, radiance=radiance) for emitter, radiance in lit if radiance.max() > 0)
+        return replace(self, emitters=emitters, outside=state.outside, sun=state.sun, light_states=())
+
+    def in_state_of(self, view: View) -> Result | None:
+        """The room as the photo of ``view`` was taken; None where its light state is none of those solved."""
+        if not self.light_states:
+            return self
+        named = {state.name: state for state in self.light_states}
+        return self.in_state(view.light_state) if view.light_state in named else None
+
     @property
     def diffuse_lobe(self) -> DiffuseLobe:
         """Lobe of the diffuse surfaces, as report.json names it."""
@@ -165,6 +201,7 @@ class Result:
             outside=None if outside is None else OutsideLight(outside.sh / factor),
             sun=None if sun is None else replace(sun, irradiance=sun.irradiance / factor),
             backdrop=None if backdrop is None else replace(backdrop, picture=backdrop.picture / np.float32(factor)),
+            light_states=tuple(state.with_radiance_over(factor) for state in self.light_states),
             exposures={name: exposure * factor for name, exposure in self.exposures.items()},
         )
 

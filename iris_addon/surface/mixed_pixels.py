@@ -58,6 +58,12 @@ class MixedPixels:
             mask |= beside_outlines(photos.samples, cameras, outline_error)
         return MixedPixels(mask, brighter_neighbours(photos.samples, photos.z, mask, regions, cameras))
 
+    def take(self, kept: NDArray[np.integer]) -> MixedPixels:
+        """Those of the pixels ``kept`` (k,), ascending, which are all of some photos."""
+        number = np.full(len(self.mask) + 1, NO_PIXEL, np.int32)  # the last entry is that of -1
+        number[kept] = np.arange(len(kept), dtype=np.int32)
+        return MixedPixels(self.mask[kept], number[self.brighter_neighbour[kept]])
+
 
 def mixed_pixels(samples: PixelSamples, regions: NDArray[np.integer], cameras: Sequence[Camera]) -> NDArray[np.bool_]:
     """(n,) pixels with a neighbour that shows another region, lies beyond a crease or off their plane, or misses the

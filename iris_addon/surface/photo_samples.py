@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -63,6 +63,19 @@ class PhotoSamples:
     hdr: bool
     backdrop: BackdropPixels
     small: SmallPhotos
+
+    def take(self, kept: NDArray[np.integer], photos: NDArray[np.bool_]) -> PhotoSamples:
+        """The pixels ``kept`` (k,) on the mesh, which are those of some ``photos`` (V,), and what these show beyond."""
+        beyond = self.backdrop
+        rows = np.flatnonzero(photos[beyond.view])
+        some = replace(
+            beyond,
+            view=beyond.view[rows],
+            pixel=beyond.pixel[rows],
+            direction=beyond.direction[rows],
+            z=beyond.z[rows],
+        )
+        return replace(self, samples=self.samples.take(kept), z=self.z[kept], backdrop=some)
 
     @property
     def unit(self) -> float:

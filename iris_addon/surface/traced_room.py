@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -55,6 +55,20 @@ class TracedRoom:
     def cameras(self) -> list[Camera]:
         """The cameras of the photos."""
         return [view.camera for view in self.capture.views]
+
+    def of_photos(self, photos: NDArray[np.bool_]) -> TracedRoom:
+        """The same mesh, regions and patches with the pixels of some ``photos`` (V,) alone; views keep their numbers.
+
+        Patches that none of them shows have no pixel.
+        """
+        kept = np.flatnonzero(photos[self.samples.view])
+        count = np.bincount(self.patches.sample_patch[kept], minlength=len(self.patches.count))
+        return replace(
+            self,
+            photos=self.photos.take(kept, photos),
+            mixed=self.mixed.take(kept),
+            patches=replace(self.patches, sample_patch=self.patches.sample_patch[kept], count=count),
+        )
 
     @property
     def n_regions(self) -> int:

@@ -80,7 +80,7 @@ class SideLight:
 
 @dataclass(frozen=True)
 class Painter:
-    """What is known before the photos are read again.
+    """What is known before the photos of one light state are read again.
 
     Attributes:
         room: with the n pixels of the reduced photos.
@@ -95,6 +95,7 @@ class Painter:
         usual: of the pixels.
         held_out: (n,) bool, pixels that the textures may not see.
         lamp_level: (F,) unit in which the pattern of a lamp is painted, its brightest radiance; 0 for other faces.
+        lit: (F,) bool, faces whose base colour the photos of this light state do not show, because they emit in it.
     """
 
     room: TracedRoom
@@ -111,6 +112,7 @@ class Painter:
     usual: UsualPixel
     held_out: NDArray[np.bool_]
     lamp_level: NDArray[np.floating]
+    lit: NDArray[np.bool_]
 
     def light_of_sides(self) -> tuple[SideLight, SideLight]:
         """Light on the side of the faces' normals, and on the other."""
@@ -156,7 +158,7 @@ class Painter:
         weight = pixel_weight(texels, light.irradiance, specular, edge, scanned, usual)
         precision = linear.precision_at(self.expected[patch] + DIM_ALBEDO * light.diffuse)
         weight = weight * (linear.unclipped | at_least) * precision / usual.weight
-        weight[self.held_out[nearest]] = 0
+        weight[self.held_out[nearest] | self.lit[texels.face]] = 0
         kept = np.flatnonzero((weight > 0).any(1))
         error = light_error(self.light_spread[patch], light.irradiance.mean(1) / self.usual.irradiance)
         blur = averaged / (size * np.sqrt(texels.cosine))
@@ -360,7 +362,8 @@ def _between(
 
 
 def paint_texels(
-    painter: Painter,
+    painters: Sequence[Painter],
+    of_photo: NDArray[np.integer],
     views: Sequence[View],
     size: int,
     keep: Callable[[str, Callable[[], NDArray]], NDArray],
@@ -369,16 +372,19 @@ def paint_texels(
     """Base colour of the texels of an atlas of side ``size``, from the photos of ``views`` at full size.
 
     Args:
+        painters: of each light state, with the same texel points.
+        of_photo: (V,) painter of each photo.
         keep: stores the table that its second argument makes under a name, or finds it there, and returns it mapped.
     """
-    sides = painter.light_of_sides()
-    photos = over_each(
-        range(len(views)),
-        lambda index: keep(f"photo-{index:05d}", lambda: painter.read(views[index], index, sides)),
-        progress.update,
-        photos_at_once(views),
-    )
-    n = len(painter.points.texel)
+    sides = [painter.light_of_sides() for painter in painters]
+
+    def read(index: int) -> NDArray:
+        own = int(of_photo[index])
+        return keep(f"photo-{index:05d}", lambda: painters[own].read(views[index], index, sides[own]))
+
+    photos = over_each(range(len(views)), read, progress.update, photos_at_once(views))
+    points = painters[0].points
+    n = len(points.texel)
     error, bounded, measured = np.zeros(n, np.float32), np.zeros((n, 3), bool), np.zeros((n, 3), bool)
     for photo in photos:
         row, at_least, told = photo["row"], photo["at_least"], (photo["weight"] > 0) & ~photo["at_least"]
@@ -386,8 +392,8 @@ def paint_texels(
         measured[row] |= told
         bounded[row] |= at_least & (photo["weight"] > EXPECTED_WEIGHT)
     return PaintedTexels(
-        points=painter.points,
-        fused=fuse_samples(photos, painter.points, size),
+        points=points,
+        fused=fuse_samples(photos, points, size),
         light_error=error,
         bounded=bounded,
         measured=measured,

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import bpy
@@ -26,6 +26,7 @@ from ...base.progress import Progress
 from ...model.render_settings import RenderSettings
 from ..camera import read_camera
 from . import photos
+from .lamp_switches import LIGHT_STATE, LampSwitches
 from .references import write_references
 from .renders import Studio, add_outputs, render_maps
 from .scene import prepare, read_geometry, write_ply
@@ -76,6 +77,8 @@ def synth(scene_blend: Path, out: Path, config: SynthConfig | None = None, progr
     train, val = _shots(scene, config.cameras)
     prepare(scene)
     geometry = read_geometry(scene)
+    switches = LampSwitches.of(scene, geometry.emitters)
+    geometry = replace(geometry, materials=tuple(dict.fromkeys([*geometry.materials, *switches.unlit])))
     if not geometry.emitters and not any(thing.type == "LIGHT" and not thing.hide_render for thing in scene.objects):
         raise BadInput("neither a visible mesh nor a light object emits light", "light the scene", scene_blend)
     add_outputs(scene, geometry.materials)
@@ -87,12 +90,14 @@ def synth(scene_blend: Path, out: Path, config: SynthConfig | None = None, progr
     with progress.stage("maps"):
         maps = []
         for k, shot in enumerate(train + val):
-            maps.append(render_maps(scene, shot.camera, shot.thing))
+            with switches.in_state(shot.light_state):
+                maps.append(render_maps(scene, shot.camera, shot.thing))
             progress.update((k + 1) / len(train + val))
     with progress.stage("views"):
         radiance = []
         for k, shot in enumerate(train + val):
-            radiance.append(studio.radiance(shot.camera))
+            with switches.in_state(shot.light_state):
+                radiance.append(studio.radiance(shot.camera))
             progress.update((k + 1) / len(train + val))
 
     write_ply(partial / "scene.ply", geometry.mesh)
@@ -136,7 +141,8 @@ def _shots(scene: bpy.types.Scene, names: Sequence[str] | None) -> tuple[list[Sh
         raise BadInput(
             f"no camera named {', '.join(missing)}", f"the scene has {', '.join(things) or 'none'}", bpy.data.filepath
         )
-    shots = [Shot(things[name], read_camera(scene, things[name])) for name in sorted(names or things)]
+    chosen = [things[name] for name in sorted(names or things)]
+    shots = [Shot(thing, read_camera(scene, thing), str(thing.get(LIGHT_STATE, ""))) for thing in chosen]
     train = [shot for shot in shots if not _is_validation(shot.thing)]
     if not train:
         raise BadInput(

@@ -31,10 +31,11 @@ COMPACT_LEAVES_OUT = ("Image_const", "gt/train: Image, BaseCol, Depth, Normal", 
 
 @dataclass(frozen=True)
 class Shot:
-    """A camera object of the scene and its pinhole camera."""
+    """A camera object of the scene, its pinhole camera, and the light state of its photo, "" where it names none."""
 
     thing: bpy.types.Object
     camera: Camera
+    light_state: str = ""
 
 
 def write_npy(path: Path, array: NDArray) -> None:
@@ -56,7 +57,11 @@ class CaptureWriter:
         if camera is None:
             return
         frames = [
-            {"file_path": f"Image/{k:03d}_0001", "transform_matrix": (shot.camera.c2w @ TO_FIPT).tolist()}
+            {
+                "file_path": f"Image/{k:03d}_0001",
+                "transform_matrix": (shot.camera.c2w @ TO_FIPT).tolist(),
+                **({"light_state": shot.light_state} if shot.light_state else {}),
+            }
             for k, shot in enumerate(shots)
         ]
         angle = 2 * float(np.arctan(camera.width / 2 / camera.fx))

@@ -1,0 +1,80 @@
+"""Lamps that are switched from photo to photo, for captures of several light states.
+
+A camera names the light state of its photo by the custom property ``iris_light_state``. A lamp whose object has the
+custom property ``iris_on_in``, names of states separated by commas, shines in these alone; in others its object has the
+material named by ``iris_unlit``. References for relighting and insertion are rendered with every lamp on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import bpy
+
+from ...base.errors import BadInput
+from .scene import SceneEmitter
+
+LIGHT_STATE, ON_IN, UNLIT = "iris_light_state", "iris_on_in", "iris_unlit"
+"""Custom properties of a camera, and of a lamp's object."""
+
+
+@dataclass(frozen=True)
+class _Switched:
+    """A lamp that shines in the states ``on_in`` alone: the slots of its object, with both materials."""
+
+    on_in: frozenset[str]
+    slots: tuple[bpy.types.MaterialSlot, ...]
+    lit: bpy.types.Material
+    unlit: bpy.types.Material
+
+
+@dataclass(frozen=True)
+class LampSwitches:
+    """The lamps of a scene that are off in some light states."""
+
+    lamps: tuple[_Switched, ...]
+
+    @staticmethod
+    def of(scene: bpy.types.Scene, emitters: Sequence[SceneEmitter]) -> LampSwitches:
+        """The switches of ``emitters``.
+
+        Raises:
+            BadInput: the material of an unlit lamp is not there.
+        """
+        found = []
+        for emitter in emitters:
+            thing = scene.objects[emitter.name]
+            if ON_IN not in thing:
+                continue
+            unlit = bpy.data.materials.get(str(thing.get(UNLIT, "")))
+            if unlit is None:
+                raise BadInput(
+                    f"the lamp '{thing.name}' has states in which it is off and no material for them",
+                    f"name one by its custom property {UNLIT}",
+                    bpy.data.filepath or None,
+                )
+            states = frozenset(name.strip() for name in str(thing[ON_IN]).split(","))
+            slots = tuple(slot for slot in thing.material_slots if slot.material == emitter.material)
+            found.append(_Switched(states, slots, emitter.material, unlit))
+        return LampSwitches(tuple(found))
+
+    @property
+    def unlit(self) -> list[bpy.types.Material]:
+        """Materials of lamps that are off."""
+        return [lamp.unlit for lamp in self.lamps]
+
+    @contextmanager
+    def in_state(self, name: str) -> Iterator[None]:
+        """Inside, only the lamps of the light state ``name`` are on; with "" all are."""
+        off = [lamp for lamp in self.lamps if name and name not in lamp.on_in]
+        for lamp in off:
+            for slot in lamp.slots:
+                slot.material = lamp.unlit
+        try:
+            yield
+        finally:
+            for lamp in off:
+                for slot in lamp.slots:
+                    slot.material = lamp.lit

@@ -1,0 +1,112 @@
+"""A room photographed with one lamp, with the other, and with both: solved together, with one set of materials."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from iris_addon.config import preset
+from iris_addon.model.capture import Capture
+from iris_addon.model.response import gamma
+from iris_addon.pipeline import solve
+from iris_addon.rays.tracer import Tracer
+from iris_addon.results.folder import load_result
+from iris_addon.results.result import Result
+from iris_addon.textures.atlas import rasterise_atlas
+from tests.engine_room import LAMP_RADIANCE, LAMP_REGIONS, Room, cameras, furnished_room, photograph, render
+
+CONFIG = preset("draft", max_patches=4000, gather_rays=64, shadow_rays=64, max_atlas_size=128, rounds=1)
+LIT = {"both": (8, 9), "large": (8,), "small": (9,)}
+"""Lamps that are on in each light state."""
+UNLIT = 0.5
+"""Albedo of a lamp that is off."""
+STATES = ("both", "both", "large", "small") * 4
+
+
+def lit_room(on: tuple[int, ...]) -> Room:
+    room = furnished_room()
+    albedo, emission = room.albedo.copy(), room.emission.copy()
+    for region in set(LAMP_REGIONS) - set(on):
+        emission[region], albedo[region] = 0.0, UNLIT
+    return Room(room.mesh, albedo, emission)
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    views = cameras(len(STATES), 48, 36)
+    radiance = np.zeros((len(views), 36, 48, 3))
+    for state, on in LIT.items():
+        own = [k for k, name in enumerate(STATES) if name == state]
+        room = lit_room(on)
+        radiance[own] = render(room, Tracer(room.mesh), [views[k] for k in own], 128)
+    stops = 2.0 ** np.array([0, -3, 1, -1, -1, -4, -2, -3] * 2)
+    exposures = 0.25 / np.median(radiance.mean(-1).reshape(len(views), -1), 1) * stops
+    coarse = furnished_room(np.inf)
+    taken = photograph(coarse, views, radiance, exposures, gamma(), tmp_path_factory.mktemp("photos"))
+    named = zip(taken.views, STATES, strict=True)
+    return replace(taken, views=tuple(replace(view, light_state=state) for view, state in named))
+
+
+@pytest.fixture(scope="module")
+def folder(capture: Capture, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("solved")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("IRIS_CACHE", str(out / "cache"))
+        solve(capture, CONFIG, out / "result")
+    return out / "result"
+
+
+@pytest.fixture(scope="module")
+def found(folder: Path) -> Result:
+    return load_result(folder)
+
+
+def test_each_state_has_its_lamps_with_their_radiance(capture: Capture, found: Result) -> None:
+    regions = capture.mesh.regions
+    assert regions is not None
+    assert [state.name for state in found.light_states] == list(LIT)
+    lamps = [int(regions[emitter.faces[0]]) for emitter in found.emitters]
+    assert sorted(lamps) == list(LAMP_REGIONS)
+    for state in found.light_states:
+        for region, radiance in zip(lamps, state.radiance, strict=True):
+            if region in LIT[state.name]:
+                assert radiance == pytest.approx(LAMP_RADIANCE[LAMP_REGIONS.index(region)], rel=0.2)
+            else:
+                assert not radiance.any()
+
+
+def test_the_lights_of_the_result_are_those_of_the_state_of_most_photos(found: Result) -> None:
+    first = found.light_states[0]
+    assert first.name == "both"
+    assert np.array_equal([emitter.radiance for emitter in found.emitters], first.radiance)
+
+
+def test_one_albedo_explains_the_photos_of_all_states(capture: Capture, found: Result) -> None:
+    regions = capture.mesh.regions
+    assert regions is not None
+    face, _ = rasterise_atlas(found.mesh.uv, len(found.textures.base_color))
+    seen = (face >= 0) & (found.textures.confidence > 0)
+    region, color = regions[face[seen]], found.textures.base_color[seen]
+    error = np.abs([color[region == k].mean(0) - furnished_room(np.inf).albedo[k] for k in range(8)])
+    assert error.mean() < 0.05
+    assert error.max() < 0.12
+    assert found.report["holdout_psnr"] > 28
+
+
+def test_a_lamp_has_the_base_colour_that_photos_show_where_it_is_off(capture: Capture, found: Result) -> None:
+    regions = capture.mesh.regions
+    assert regions is not None
+    face, _ = rasterise_atlas(found.mesh.uv, len(found.textures.base_color))
+    own = (face >= 0) & (regions[face] == LAMP_REGIONS[0]) & (found.textures.confidence > 0)
+    assert own.any()
+    assert np.median(found.textures.base_color[own]) == pytest.approx(UNLIT, abs=0.15)
+
+
+def test_the_report_names_the_states(found: Result) -> None:
+    photos = {name: STATES.count(name) for name in LIT}
+    told = found.report["model"]["light_states"]
+    assert {name: figures["photos"] for name, figures in told.items()} == photos
+    assert {name: figures["lamps_on"] for name, figures in told.items()} == {"both": 2, "large": 1, "small": 1}
