@@ -1,6 +1,6 @@
 # Everything runs from the repository root through .venv; nothing is installed into the system.
 
-.PHONY: help setup demo gallery test test-all fuzz lock lint format docs clean bench stability curves scaling ablation profile figures bench-farm bench-scans bench-sunlit bench-mirrors bench-patterns bench-profiles
+.PHONY: help setup demo gallery test test-all fuzz lock lint format docs clean bench stability curves scaling ablation profile figures bench-farm bench-scans bench-sunlit bench-mirrors bench-patterns bench-profiles bench-states
 .DEFAULT_GOAL := help
 
 VENV := .venv
@@ -25,6 +25,7 @@ help:
 	@echo "make bench-mirrors two rooms with a mirror and one with steel, rendered first"
 	@echo "make bench-patterns a room with a screen, one with a window over trees and one with an even window, rendered first"
 	@echo "make bench-profiles a room with spots, one with a shielded panel and one with even lamps, rendered first"
+	@echo "make bench-states a room photographed with different lamps on, with all on, and without a word on it, rendered first"
 	@echo "make bench-farm jobs per hour of a batch, one after the other and two at a time, a quarter of an hour"
 	@echo "make figures    charts and tables out of what was measured; nothing is measured"
 	@echo "make fuzz       damaged files for every reader, SECONDS=600;  make lock  hashes of what the solver installs"
@@ -115,6 +116,9 @@ bench-patterns: $(VENV)/.bench
 
 bench-profiles: $(VENV)/.bench
 	@$(VENV)/bin/python -m benchmarks.made_rooms profiles
+
+bench-states: $(VENV)/.bench
+	@$(VENV)/bin/python -m benchmarks.made_rooms states
 
 bench-farm: $(VENV)/.bench
 	@$(VENV)/bin/python -m benchmarks.farm

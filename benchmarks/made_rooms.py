@@ -1,6 +1,6 @@
 """Rooms that we render ourselves, each set with a question of its own.
 
-    python -m benchmarks.made_rooms sunlit|mirrors|patterns|profiles [ROOM ...] [--preset draft] [--seeds 1]
+    python -m benchmarks.made_rooms sunlit|mirrors|patterns|profiles|states [ROOM ...] [--preset draft] [--seeds 1]
 
 Rooms are rendered to OUT/captures once. Records lie in OUT/records; a run that has one is not repeated.
 """
@@ -18,6 +18,7 @@ SETS = {
     "mirrors": ("mirror_room", ("wardrobe", "cabinet", "steel")),
     "patterns": ("pattern_room", ("television", "window", "panel")),
     "profiles": ("profile_room", ("downlights", "panel", "even")),
+    "states": ("switched_room", ("switched", "steady", "mixed")),
 }
 """The module that renders each set, and its rooms."""
 

@@ -71,3 +71,8 @@ def describe_patterns(records: Sequence[Record], _images: Path) -> str:
 def describe_profiles(records: Sequence[Record], _images: Path) -> str:
     """A row per room with spots or a shielded panel, and one of the marks, as Markdown."""
     return _table(records, "emission_log_l2", kd_psnr_8x8="≥ 37.6", emission_iou="≥ 0.99")
+
+
+def describe_states(records: Sequence[Record], _images: Path) -> str:
+    """A row per room of several light states and of one, as Markdown."""
+    return _table(records, "emission_iou", "emission_log_l2")

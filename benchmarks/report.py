@@ -44,6 +44,7 @@ SECTIONS: Mapping[str, Section] = {
     "mirrors": made_rooms_section.describe_mirrors,
     "patterns": made_rooms_section.describe_patterns,
     "profiles": made_rooms_section.describe_profiles,
+    "states": made_rooms_section.describe_states,
 }
 NOT_MEASURED = "Not measured yet."
 

@@ -24,7 +24,7 @@ UNLIT_ALBEDO = 0.7
 
 def _walls_and_light(name: str) -> None:
     wall_in()
-    paint("unlit", (UNLIT_ALBEDO,) * 3)
+    unlit = paint("unlit", (UNLIT_ALBEDO,) * 3)
     box("panel frame", (1.75, 1.45, HEIGHT - 0.03), (2.45, 2.15, HEIGHT), paint("panel frame", (0.5,) * 3))
     lamps = [
         box("panel", (1.8, 1.5, HEIGHT - 0.05), (2.4, 2.1, HEIGHT - 0.03), glow("panel", (0.9, 0.95, 1.0), 8.0)),
@@ -34,7 +34,7 @@ def _walls_and_light(name: str) -> None:
     box("table lamp foot", (2.49, 2.44, 0.74), (2.56, 2.51, 0.78), paint("foot", (0.2,) * 3))
     if name != "steady":
         for lamp, states in zip(lamps, ((ALL, CEILING), (ALL, LOW), (ALL, LOW)), strict=True):
-            lamp[ON_IN], lamp[UNLIT] = ",".join(states), "unlit"
+            lamp[ON_IN], lamp[UNLIT] = ",".join(states), unlit
 
 
 def _photographed(name: str) -> None:

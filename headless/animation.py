@@ -94,6 +94,7 @@ def _open(args: argparse.Namespace, views: Sequence[View], job: Mapping[str, Any
         "job": job,
         "onto_photos": getattr(args, "onto_photos", False),
         "look": [args.samples, args.seed, args.exposure, *(["acescg"] if args.acescg else [])],
+        **({} if args.light_state is None else {"light_state": args.light_state}),
     }
     return open_frames(args.out, max(length, 1), ".exr" if args.linear or linear else ".png", made_of)
 

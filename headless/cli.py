@@ -320,12 +320,8 @@ def _add_rendering(add: Add) -> None:
 
     plate = add("onto-plate", "objects onto every frame of a plate with a moving camera, each exposed as the frame is")
     plate.add_argument("result", type=Path, help="folder of a result")
-    plate.add_argument(
-        "--plate", type=Path, required=True, metavar="FOLDER|shot.####.png", help="the frames, named by their numbers"
-    )
-    plate.add_argument(
-        "--camera", type=Path, required=True, metavar="transforms.json", help="pose and lens of each frame, by number"
-    )
+    plate.add_argument("--plate", type=Path, required=True, metavar="FOLDER|shot.####.png", help="the numbered frames")
+    plate.add_argument("--camera", type=Path, required=True, metavar="transforms.json", help="pose and lens by number")
     plate.add_argument("--objects", type=Path, required=True, metavar="FILE", help="JSON of the objects, as for insert")
     plate.add_argument("--out", type=Path, required=True, help="folder of the frames")
     plate.add_argument("--frames", type=_plate_frames, metavar="1001-1024", help="these alone; finished ones are kept")
@@ -358,6 +354,9 @@ def _add_rendering(add: Add) -> None:
     probe.add_argument("--acescg", action="store_true", help="in ACEScg, not Rec.709; Blender reads the latter")
     _add_sampling(probe)
     probe.add_argument("--gpu", action="store_true", help="render on a GPU where Cycles finds one")
+
+    for lit in (render, relight, insert, plate, probe):
+        lit.add_argument("--light-state", metavar="NAME", help="of the room; else that of the views, or the first")
 
     camera = add("camera", "response, exposures and white balance as .cube tables and an OpenColorIO configuration")
     camera.add_argument("result", type=Path, help="folder of a result")

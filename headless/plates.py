@@ -57,7 +57,7 @@ def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
     from .animation import moves
 
     pictures = plate_files(args.plate)
-    result = load_result(args.result)
+    result = load_result(args.result).in_state(args.light_state)
     views = _by_number(result.as_taken(read_views(args.camera, result.report)), args.camera)
     job = read_json(args.objects)
     for key, option in {"camera": "--camera", "length": "the plate"}.items():
@@ -88,6 +88,7 @@ def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
             "plate": [first, *(path.name for path in pictures.values())],
             "job": job,
             "look": [args.samples, args.seed, *(["acescg"] if args.acescg else [])],
+            **({} if args.light_state is None else {"light_state": args.light_state}),
         },
         first,
     )

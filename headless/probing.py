@@ -26,13 +26,14 @@ def probe(args: argparse.Namespace, progress: Progress) -> Outcome:
     settings = RenderSettings(samples=args.samples, seed=args.seed, gpu=args.gpu)
     with progress.stage("probe"):
         if args.source.is_dir():
-            result, edit = load_result(args.source, read_image), None
+            result, edit = load_result(args.source, read_image).in_state(args.light_state), None
             if args.lights is not None:
                 edit = relight_edit(result, read_json(args.lights), args.lights.parent)
             progress.check()
             probe_result(result, args.at, args.out, width=args.width, settings=settings, edit=edit)
-        elif args.lights is not None:
-            raise BadInput("already has its lights in the .blend", "leave out --lights, or give a result", args.source)
+        elif args.lights is not None or args.light_state is not None:
+            option = "--lights" if args.light_state is None else "--light-state"
+            raise BadInput("already has its lights in the .blend", f"leave out {option}, or give a result", args.source)
         elif not args.source.is_file():
             raise BadInput("is neither the folder of a result nor a .blend", "correct the path", args.source)
         else:

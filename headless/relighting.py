@@ -265,7 +265,22 @@ def _read(args: argparse.Namespace) -> tuple[Result, tuple[View, ...]]:
         if missing:
             raise BadInput(f"has no view named {missing[0]}", "name views as the pictures are named", args.views)
         views = tuple(view for view in views if view.name in args.only)
-    return result, tuple(result.as_taken(views))
+    return _lit(args, result, views), tuple(result.as_taken(views))
+
+
+def _lit(args: argparse.Namespace, result: Result, views: Sequence[View]) -> Result:
+    """The room in the light state that is asked for, else in that of the views where they have one, else in the first.
+
+    Raises:
+        BadInput: the room has no such state, or photos that something is put into show several.
+    """
+    named = {view.light_state for view in views}
+    if args.light_state is None and len(named) > 1 and getattr(args, "onto_photos", False) and result.light_states:
+        raise BadInput("has photos of several light states", "render those of one at a time with --only", args.views)
+    if args.light_state is None and len(named) == 1:
+        known = {state.name for state in result.light_states}
+        return result.in_state(next(iter(named & known), None))
+    return result.in_state(args.light_state)
 
 
 def _without_frames(args: argparse.Namespace, option: str) -> None:

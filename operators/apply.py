@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..iris_addon.base.errors import IrisError
-from ..iris_addon.blender.apply.looks import forget_looks
+from ..iris_addon.blender.apply.looks import forget_looks, keep_states
 from ..iris_addon.blender.apply.on_objects import APPLIED, FaceRun, apply_to_objects, restore
 from ..iris_addon.blender.apply.photo_cameras import move_to_solved_poses
 from ..iris_addon.blender.images import read_image
@@ -120,3 +120,4 @@ def list_lamps(scene: bpy.types.Scene, result: Result) -> None:
     scene.iris.lamp_index = 0
     scene.iris.lumens_per_unit = 0.0
     forget_looks(scene)
+    keep_states(scene, result)

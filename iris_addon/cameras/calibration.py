@@ -23,6 +23,7 @@ from ..capture.photos import load_photo, photos_at_once
 from ..decide import Decisions
 from ..model.capture import Camera, Capture, View
 from ..model.corrections import CameraCorrection
+from ..model.light_states import LightStates
 from ..rays.tracer import Tracer
 
 TRIAL_RAYS = 120_000
@@ -154,14 +155,15 @@ class _Lattice:
 
     def disagreement(self, views: Sequence[View], correction: CameraCorrection, tracer: Tracer) -> float:
         """Robust mean difference between photos of the same cell, with all cameras under ``correction``."""
-        cameras = [correction.camera(view.camera) for view in views]
+        cameras, states = [correction.camera(view.camera) for view in views], LightStates.of(views)
         direction = np.concatenate([self._directions(camera) for camera in cameras])
         origin = np.repeat(np.array([camera.position for camera in cameras], np.float32), len(self.i), axis=0)
         hits = tracer.closest(origin, direction)
         on = np.flatnonzero((hits.face >= 0) & np.isfinite(self.brightness.ravel()))
         point = origin[on] + direction[on] * hits.distance[on, None]
-        cell = _cells(point, tracer.normals[hits.face[on]], direction[on])
-        return _spread(cell, on // len(self.i), self.brightness.ravel()[on], len(views))
+        cell, photo = _cells(point, tracer.normals[hits.face[on]], direction[on]), on // len(self.i)
+        cell = cell * len(states) + states.index[photo]  # photos of different light states are not compared
+        return _spread(cell, photo, self.brightness.ravel()[on], len(views))
 
     def _directions(self, camera: Camera) -> NDArray[np.float32]:
         """(n, 3) unit directions through the pixels of one photo."""

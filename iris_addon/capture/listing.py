@@ -39,6 +39,8 @@ AXIS_COSINE = 0.9
 MAX_FIELD_OF_VIEW = math.radians(170.0)
 MAX_NAME_BYTES = 200
 """Of the name of a view, which pictures of it are called by."""
+MAX_LIGHT_STATES = 16
+"""Of a capture: what each is solved from takes memory of its own."""
 _LIGHT_STATE = re.compile(r"[\w+.-][\w+. -]{0,39}")
 RIGID_TOLERANCE = 1e-3
 """Deviation from a rotation matrix; files keep three decimals at least."""
@@ -240,7 +242,7 @@ def light_states(frames: Sequence[Mapping[str, Any]], names: Sequence[str], sour
     """The "light_state" of each frame, "" for all where none has one.
 
     Raises:
-        BadInput: one is no short text, or some frames have one and others do not.
+        BadInput: one is no short text, some frames have one and others do not, or there are too many.
     """
     found = [frame.get("light_state") for frame in frames]
     if all(state is None for state in found):
@@ -252,6 +254,9 @@ def light_states(frames: Sequence[Mapping[str, Any]], names: Sequence[str], sour
         if not isinstance(state, str) or not _LIGHT_STATE.fullmatch(state):
             fix = "name it by up to 40 letters, digits, spaces and - . _ +"
             raise BadInput(f'{name} has the "light_state" {state!r}', fix, source)
+    if len(set(found)) > MAX_LIGHT_STATES:
+        what = f"names {len(set(found))} light states, more than {MAX_LIGHT_STATES}"
+        raise BadInput(what, "give all photos under one set of lamps one name", source)
     return [str(state) for state in found]
 
 

@@ -47,6 +47,11 @@ class OutsideLight:
 
     sh: NDArray[np.float64]
 
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """(3,) radiance in the mean over all directions."""
+        return self.sh[0] / (2 * np.sqrt(np.pi))
+
 
 @dataclass(frozen=True)
 class Sunlight:

@@ -438,8 +438,15 @@ def _state_warnings(result: Result, photometry: Photometry) -> list[str]:
     """What a user of a room with several light states should know."""
     if not result.light_states:
         return []
+    dark = [
+        state.name
+        for state in result.light_states[1:]  # Lights warns of the first
+        if not state.radiance.any() and state.outside is None and state.sun is None
+    ]
     few = [f"{state.name} ({len(state.photos)})" for state in result.light_states if len(state.photos) < FEW_PHOTOS]
     warnings = [f"light states of few photos are told by little: {', '.join(few)}"] if few else []
+    if dark:
+        warnings.append(f"no light was found in light state {', '.join(dark)}, so the room renders black in it")
     if not (photometry.known_exposures or photometry.hdr):
         warnings.append("exposures are unknown: how bright one light state is beside another is not known")
     return warnings

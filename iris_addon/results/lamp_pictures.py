@@ -47,10 +47,11 @@ def write_lamp_pictures(result: Result, views: Sequence[View], tracer: Tracer, f
         old.unlink()
     views = [view.reduced_to(PHOTO_WIDTH) for view in views if view.photo is not None]
     cuts: dict[int, list[tuple[int, NDArray[np.int64]]]] = defaultdict(list)
-    for emitter in result.emitters:
-        best = best_view([view.camera for view in views], emitter.faces, tracer)
+    for number, emitter in enumerate(result.emitters):
+        lit = [k for k, view in enumerate(views) if _shows_lit(result, number, view)]
+        best = best_view([views[k].camera for k in lit], emitter.faces, tracer)
         if best is not None:
-            cuts[best[0]].append((emitter.id, best[1]))
+            cuts[lit[best[0]]].append((emitter.id, best[1]))
     written = {}
     for index, lamps in cuts.items():
         photo = load_photo(views[index])
@@ -60,6 +61,12 @@ def write_lamp_pictures(result: Result, views: Sequence[View], tracer: Tracer, f
             written[number] = lamp_picture(folder, number)
             write_png(written[number], to_codes(np.clip(cut, 0, 1)))
     return written
+
+
+def _shows_lit(result: Result, number: int, view: View) -> bool:
+    """Whether the lamp of that ``number`` is on in the photo of ``view``."""
+    named = [state for state in result.light_states if state.name == view.light_state]
+    return all(state.radiance[number].any() for state in named)
 
 
 def best_view(

@@ -74,6 +74,7 @@ def write_report(
         _maps(saver, shown, maps),
         _responses(result),
         _emitters(result, lamps),
+        _light_states(result),
         _outside(result),
         _sun(result),
         _model(result),
@@ -275,10 +276,33 @@ def _emitters(result: Result, pictures: Mapping[int, Path]) -> str:
     return f"<section><h2>Lights</h2>{body}</section>"
 
 
+def _light_states(result: Result) -> str:
+    """The lamps that are on in each state, with their radiance; nothing where there is one state."""
+    if not result.light_states:
+        return ""
+    rows = [
+        [
+            escape(state.name),
+            str(len(state.photos)),
+            "; ".join(
+                f"{emitter.id}: {_swatch(radiance)} {' '.join(f'{value:.3g}' for value in radiance)}"
+                for emitter, radiance in zip(result.emitters, state.radiance, strict=True)
+                if radiance.any()
+            ),
+        ]
+        for state in result.light_states
+    ]
+    first = escape(result.light_states[0].name)
+    return (
+        f"<section><h2>Light states</h2>{_table(('state', 'photos', 'lamps that are on, radiance R G B'), rows)}"
+        f"<p>All other figures of lights are those of {first}.</p></section>"
+    )
+
+
 def _outside(result: Result) -> str:
     if result.outside is None:
         return ""
-    mean = result.outside.sh[0] * 0.282095  # the constant harmonic, 1 / (2 √π)
+    mean = result.outside.mean
     return (
         f"<section><h2>Light from outside</h2><p>{_swatch(np.maximum(mean, 0))} {len(result.outside.sh)} spherical "
         f"harmonics, mean radiance {' '.join(f'{value:.3g}' for value in mean)}.</p></section>"

@@ -142,11 +142,10 @@ class Result:
         changed = (replace(emitter, radiance=rgb) if emitter.id == number else emitter for emitter in self.emitters)
         return replace(self, emitters=tuple(changed))
 
-    def in_state(self, name: str) -> Result:
-        """The same room in the light state ``name``: its lamps that are on there, and the light from outside.
+    def in_state(self, name: str | None) -> Result:
+        """The same room in the light state ``name``, or None for the first: its lamps and the light from outside.
 
-        A lamp that is off is a surface like others; the others keep their ids. Cameras see the backdrop of the first
-        state.
+        A lamp that is off has no radiance, and is a surface like others. Cameras see the backdrop of the first state.
 
         Raises:
             BadInput: the room was not photographed in that state.
@@ -158,13 +157,15 @@ class Result:
             ['evening', 'bedside']
             >>> bedside = result.in_state("bedside")
         """
-        state = next((state for state in self.light_states if state.name == name), None)
+        if name is None and not self.light_states:
+            return self
+        state = next((state for state in self.light_states if name in (None, state.name)), None)
         if state is None:
             known = ", ".join(state.name for state in self.light_states)
             fix = f"name one of its states: {known}" if known else "it was photographed in one light state only"
             raise BadInput(f"the room has no light state {name!r}", fix)
-        lit = zip(self.emitters, state.radiance, strict=True)
-        emitters = tuple(replace(emitter, radiance=radiance) for emitter, radiance in lit if radiance.max() > 0)
+        lamps = zip(self.emitters, state.radiance, strict=True)
+        emitters = tuple(replace(emitter, radiance=radiance) for emitter, radiance in lamps)
         return replace(self, emitters=emitters, outside=state.outside, sun=state.sun, light_states=())
 
     def in_state_of(self, view: View) -> Result | None:
@@ -219,6 +220,16 @@ class Result:
             views = [in_metres(view, float(scale)) for view in views]
         taken = [view if together is None else together.view(view) for view in views]
         return taken if single is None else [replace(view, camera=single.camera(view.camera)) for view in taken]
+
+    @property
+    def switched_faces(self) -> NDArray[np.bool_]:
+        """(F,) faces of lamps that are off in the first light state and on in another."""
+        faces = np.zeros(len(self.mesh.faces), bool)
+        if self.light_states:
+            on = np.any([state.radiance.max(1) > 0 for state in self.light_states], axis=0)
+            for emitter, switched in zip(self.emitters, on, strict=True):
+                faces[emitter.faces] = switched and not emitter.radiance.any()
+        return faces
 
     def face_emission(self) -> NDArray[np.float64]:
         """(F, 3) radiance each face emits."""

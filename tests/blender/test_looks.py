@@ -8,17 +8,27 @@ import pytest
 
 from iris_addon.blender.apply.looks import (
     forget_look,
+    keep_states,
     outside_light,
     own_looks,
     save_look,
     set_look,
     set_own_look,
 )
+from iris_addon.blender.apply.scene_files import apply_to_scene
 from iris_addon.blender.render.cycles import render_camera, set_cycles
 from iris_addon.blender.scene_out.build import BuiltScene, build_scene
-from iris_addon.blender.scene_out.lights import as_recovered, lamp_materials, set_color, set_strength, switch
+from iris_addon.blender.scene_out.lights import (
+    as_recovered,
+    is_on,
+    lamp_materials,
+    set_color,
+    set_strength,
+    strength,
+    switch,
+)
 from iris_addon.model.capture import Mesh
-from iris_addon.model.recovered import OutsideLight, Sunlight
+from iris_addon.model.recovered import LightState, OutsideLight, Sunlight
 from iris_addon.model.render_settings import RenderSettings
 from tests.blender_room import box, camera, room
 
@@ -97,3 +107,39 @@ def test_a_saved_look_brings_back_the_same_light():
     np.testing.assert_allclose(floor(built), mine, rtol=0.02)  # a lamp that is off keeps its strength and colour
     forget_look(scene, "Dusk")
     assert own_looks(scene) == ["Dusk, lamp off"]
+
+
+def test_each_light_state_of_the_photos_is_a_look():
+    whole = box()
+    parts = Mesh(whole.vertices, whole.faces[[8, 9, 0, 1, 2, 3]], whole.uv[[8, 9, 0, 1, 2, 3]])
+    red, blue, dim = np.array([2.0, 0.0, 0.0]), LAMP, LAMP / 4
+    sky = OutsideLight(np.array([[0.0, SKY, 0.0]]) / 0.28209479)
+    plain = room(mesh=parts, emission={1: blue, 2: np.zeros(3)}, outside=sky)
+    states = (
+        LightState("blue", (), np.array([blue, np.zeros(3)]), sky),
+        LightState("red", (), np.array([np.zeros(3), red]), None),
+        LightState("dim", (), np.array([dim, red]), OutsideLight(sky.sh / 2)),
+    )
+    built = build_scene(replace(plain, light_states=states))
+    keep_states(built.scene, replace(plain, light_states=states))
+    assert own_looks(built.scene) == ["blue", "red", "dim"]
+    light = {}
+    for state in ("red", "dim", "blue"):
+        set_own_look(built.scene, state)
+        light[state] = floor(built)
+    assert light["blue"][0] < 1e-4 < min(light["blue"][1:])
+    assert light["red"][0] > 1e-2 and max(light["red"][1:]) < 1e-4
+    np.testing.assert_allclose(light["dim"], light["red"] + light["blue"] * (0, 0.5, 0.25), rtol=0.05, atol=1e-4)
+
+
+def test_a_lamp_that_is_off_in_the_first_state_can_be_switched_on():
+    plain = room(emission={1: np.zeros(3), 2: LAMP})
+    states = tuple(LightState(name, (), np.array(each)) for name, each in (("a", [[0, 0, 0], LAMP]), ("b", [LAMP] * 2)))
+    scene = bpy.context.scene
+    apply_to_scene(replace(plain, light_states=states), scene)
+    first, second = lamp_materials(scene.objects)
+    assert (strength(first), strength(second)) == (0.0, 4.0)
+    set_own_look(scene, "b")
+    assert (strength(first), strength(second)) == (4.0, 4.0)
+    set_own_look(scene, "a")
+    assert not is_on(first) and is_on(second)

@@ -16,6 +16,7 @@ from iris_addon.base.images import read_exr, read_image, read_map
 from iris_addon.blender.camera import read_camera
 from iris_addon.blender.render.cycles import render_coverage, render_linear, set_cycles
 from iris_addon.blender.scene_out.materials import layer_transmittance
+from iris_addon.blender.synth.lamp_switches import LIGHT_STATE, ON_IN, UNLIT
 from iris_addon.blender.synth.photos import GREY, exposures, film, read_response
 from iris_addon.blender.synth.renders import add_outputs, render_maps
 from iris_addon.blender.synth.run import TRUTH_RENDER, SynthConfig, synth
@@ -294,6 +295,44 @@ def test_a_decreasing_response_is_refused(tmp_path: Path):
 
 
 # ---- refusals -------------------------------------------------------------------------------------------------------
+
+
+def test_lamps_are_switched_from_photo_to_photo(tmp_path: Path):
+    blend = build_room(tmp_path / "room.blend")
+    bpy.data.objects["wall lamp"][ON_IN] = "evening, all"
+    bpy.data.objects["wall lamp"][UNLIT] = material("unlit", PAINT)
+    bpy.data.objects["lamp"][ON_IN], bpy.data.objects["lamp"][UNLIT] = "all", material("unlit lamp", PAINT)
+    cameras = [thing for thing in bpy.data.objects if thing.type == "CAMERA"]
+    for thing in cameras:
+        thing[LIGHT_STATE] = "all" if thing.name in ("photo 2", "val 0") else "evening"
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend))
+    render = replace(TRUTH_RENDER, samples=8)
+    synth(blend, tmp_path / "capture", SynthConfig(resolution=(WIDTH, HEIGHT), render=render))
+    read = read_capture(tmp_path / "capture")
+    states = [view.light_state for view in read.views]
+    assert states == ["evening", "evening", "all", "evening", "evening"]
+    assert [view.light_state for view in read.val_views] == ["all"]
+    lamps = json.loads((tmp_path / "capture" / "gt" / "emitters.json").read_text())
+    shown = {state: set() for state in states}
+    for k, state in enumerate(states):
+        emission = gt(tmp_path / "capture", "Emit", k)
+        face = Tracer(read.mesh).closest(*read.views[k].camera.rays()).face.reshape(HEIGHT, WIDTH)
+        for lamp in lamps:
+            on = (face >= lamp["faces"][0]) & (face < lamp["faces"][1])
+            if on.any():
+                lit = bool((emission[on] > 0).all())
+                assert lit == (lamp["name"] == "wall lamp" or state == "all")
+                assert lit or gt(tmp_path / "capture", "BaseCol", k)[on] == pytest.approx(np.array(PAINT), abs=0.01)
+                shown[state].add(lamp["name"])
+    assert shown["evening"] == {"lamp", "wall lamp"}
+
+
+def test_a_switched_lamp_needs_a_material_for_when_it_is_off(tmp_path: Path):
+    blend = build_room(tmp_path / "room.blend")
+    bpy.data.objects["lamp"][ON_IN] = "all"
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend))
+    with pytest.raises(BadInput, match="'lamp' has states in which it is off"):
+        synth(blend, tmp_path / "capture", SynthConfig(resolution=(WIDTH, HEIGHT)))
 
 
 def test_a_folder_with_files_is_not_overwritten(tmp_path: Path):

@@ -459,3 +459,37 @@ def test_a_camera_of_too_few_photos_is_a_warning(nerfstudio_room: RoomCapture) -
     with_models(nerfstudio_room, "aaa-bb")
     (warning,) = [warning for warning in read_capture(nerfstudio_room.save()).warnings if "cameras" in warning]
     assert "3 cameras" in warning and "unknown (1)" in warning and "Acme b (2)" in warning
+
+
+@pytest.mark.parametrize("layout", ["nerfstudio_room", "fipt_room"])
+def test_frames_name_their_light_state(layout: str, request: pytest.FixtureRequest) -> None:
+    room: RoomCapture = request.getfixturevalue(layout)
+    assert {view.light_state for view in read_capture(room.root).views} == {""}
+    states = ["evening", "Bett + Flur", "a-b_c.1", "evening", "evening", "2"]
+    for frame, state in zip(room.meta["frames"], states, strict=True):
+        frame["light_state"] = state
+    assert [view.light_state for view in read_capture(room.save()).views] == states
+
+
+@pytest.mark.parametrize("state", ["", " ", 3, None, "x" * 41, "a\nb", ["a"]])
+def test_a_light_state_that_is_no_name_is_refused_with_the_file(nerfstudio_room: RoomCapture, state: object) -> None:
+    for frame in nerfstudio_room.meta["frames"]:
+        frame["light_state"] = "evening"
+    nerfstudio_room.meta["frames"][2]["light_state"] = state
+    with pytest.raises(BadInput, match=r"002.*light_state") as refused:
+        read_capture(nerfstudio_room.save())
+    assert str(nerfstudio_room.transforms) in str(refused.value)
+
+
+def test_all_frames_name_a_light_state_or_none_does(nerfstudio_room: RoomCapture) -> None:
+    for frame in nerfstudio_room.meta["frames"][1:]:
+        frame["light_state"] = "evening"
+    with pytest.raises(BadInput, match=r'000 has no "light_state"'):
+        read_capture(nerfstudio_room.save())
+
+
+def test_a_light_state_of_its_own_for_every_photo_is_refused(nerfstudio_room: RoomCapture) -> None:
+    frames = nerfstudio_room.meta["frames"]
+    nerfstudio_room.meta["frames"] = [{**frames[k % 6], "light_state": f"lamp {k}"} for k in range(17)]
+    with pytest.raises(BadInput, match="17 light states"):
+        read_capture(nerfstudio_room.save())

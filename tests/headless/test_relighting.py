@@ -13,8 +13,9 @@ from headless.frame_folder import open_frames, write_film
 from iris_addon.base.color_spaces import ACESCG, REC709
 from iris_addon.base.errors import BadInput
 from iris_addon.base.images import read_exr, read_image, write_exr, write_png
+from iris_addon.model.recovered import LightState
 from iris_addon.model.response import gamma, identity
-from iris_addon.results.folder import save_result
+from iris_addon.results.folder import load_result, save_result
 from tests.blender_room import camera, room
 
 SIZE = {"w": 24, "h": 18, "fl_x": 15.0, "fl_y": 15.0, "cx": 12.0, "cy": 9.0}
@@ -46,6 +47,51 @@ def run(solved, command, *more, out="out", code=0):
 def write_job(folder, name, **job):
     (folder / name).write_text(json.dumps(job))
     return folder / name
+
+
+# ---- light states --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def in_states(solved):
+    """The room with a green lamp, as photo "a" shows it, and with a red one, as photo "b" does."""
+    green, red = np.array([0.0, 6.0, 0.0]), np.array([6.0, 0.0, 0.0])
+    plain = replace(load_result(solved / "result"), emitters=room(emission={3: green, 2: np.zeros(3)}).emitters)
+    states = (
+        LightState("green", ("a",), np.array([green, np.zeros(3)])),
+        LightState("red", ("b",), np.array([np.zeros(3), red])),
+    )
+    save_result(replace(plain, light_states=states), solved / "result")
+    transforms = json.loads((solved / "transforms.json").read_text())
+    for frame, state in zip(transforms["frames"], ("green", "red"), strict=True):
+        frame["light_state"] = state
+    (solved / "transforms.json").write_text(json.dumps(transforms))
+    return solved
+
+
+@pytest.mark.bpy
+def test_views_are_rendered_in_the_light_state_that_is_asked_for_or_that_they_have(in_states):
+    for more, channels in (
+        (["--only", "b"], {"b": 0}),
+        (["--only", "a"], {"a": 1}),
+        (["--light-state", "red"], {"a": 0, "b": 0}),
+        ([], {"a": 1, "b": 1}),
+    ):
+        out = run(in_states, "render", "--linear", *more, out="-".join(["out", *more]))
+        for name, channel in channels.items():
+            picture = read_exr(out / f"{name}.exr")
+            assert picture[..., channel].mean() > 1e-2 and picture[..., 1 - channel].max() < 1e-4
+
+
+def test_a_light_state_that_the_room_lacks_is_bad_input(in_states, capsys):
+    run(in_states, "render", "--light-state", "blue", code=3)
+    assert "no light state 'blue'" in capsys.readouterr().err
+
+
+def test_things_are_put_onto_photos_of_one_light_state(in_states, capsys):
+    job = write_job(in_states, "objects.json", views=[])
+    run(in_states, "insert", "--objects", job, "--onto-photos", code=3)
+    assert "photos of several light states" in capsys.readouterr().err
 
 
 # ---- frames --------------------------------------------------------------------------------------------------------

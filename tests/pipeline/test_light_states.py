@@ -64,6 +64,16 @@ def found(folder: Path) -> Result:
     return load_result(folder)
 
 
+def seen_texels(capture: Capture, result: Result) -> tuple[np.ndarray, np.ndarray]:
+    """Part of the room and base colour of the texels that photos reached."""
+    regions, uv = capture.mesh.regions, result.mesh.uv
+    assert regions is not None
+    assert uv is not None
+    face, _ = rasterise_atlas(uv, len(result.textures.base_color))
+    seen = (face >= 0) & (result.textures.confidence > 0)
+    return regions[face[seen]], result.textures.base_color[seen]
+
+
 def test_each_state_has_its_lamps_with_their_radiance(capture: Capture, found: Result) -> None:
     regions = capture.mesh.regions
     assert regions is not None
@@ -85,11 +95,7 @@ def test_the_lights_of_the_result_are_those_of_the_state_of_most_photos(found: R
 
 
 def test_one_albedo_explains_the_photos_of_all_states(capture: Capture, found: Result) -> None:
-    regions = capture.mesh.regions
-    assert regions is not None
-    face, _ = rasterise_atlas(found.mesh.uv, len(found.textures.base_color))
-    seen = (face >= 0) & (found.textures.confidence > 0)
-    region, color = regions[face[seen]], found.textures.base_color[seen]
+    region, color = seen_texels(capture, found)
     error = np.abs([color[region == k].mean(0) - furnished_room(np.inf).albedo[k] for k in range(8)])
     assert error.mean() < 0.05
     assert error.max() < 0.12
@@ -97,12 +103,10 @@ def test_one_albedo_explains_the_photos_of_all_states(capture: Capture, found: R
 
 
 def test_a_lamp_has_the_base_colour_that_photos_show_where_it_is_off(capture: Capture, found: Result) -> None:
-    regions = capture.mesh.regions
-    assert regions is not None
-    face, _ = rasterise_atlas(found.mesh.uv, len(found.textures.base_color))
-    own = (face >= 0) & (regions[face] == LAMP_REGIONS[0]) & (found.textures.confidence > 0)
+    region, color = seen_texels(capture, found)
+    own = region == LAMP_REGIONS[0]
     assert own.any()
-    assert np.median(found.textures.base_color[own]) == pytest.approx(UNLIT, abs=0.15)
+    assert np.median(color[own]) == pytest.approx(UNLIT, abs=0.15)
 
 
 def test_the_report_names_the_states(found: Result) -> None:

@@ -18,7 +18,7 @@ from iris_addon.base.files import from_ranges, plain, to_ranges
 from iris_addon.model.capture import Camera, View
 from iris_addon.model.device import Device
 from iris_addon.model.local_exposure import LocalSettings
-from iris_addon.model.recovered import Backdrop
+from iris_addon.model.recovered import Backdrop, LightState, Sunlight
 from iris_addon.model.response import Response, gamma
 from iris_addon.results.files import WHOLE, complete_save
 from iris_addon.results.folder import load_result, read_coverage, save_result
@@ -118,6 +118,83 @@ def test_the_emission_picture_has_the_pattern_at_any_size_of_the_atlas(side):
     shown = emission_texture(result)[..., 0]
     left, right = np.array_split(shown, 2, axis=1)
     assert {0.0, 7.0} <= set(np.unique(left)) and {0.0, 1.0} <= set(np.unique(right)) and not (right == 7).any()
+
+
+def in_two_states() -> Result:
+    """The room, solved with both lamps on, and with the second alone beside more light from outside."""
+    plain = room()
+    assert plain.outside is not None
+    both = LightState("both", ("000_0001",), np.array([emitter.radiance for emitter in plain.emitters]), plain.outside)
+    second = np.array([np.zeros(3), [3.0, 2.0, 1.0]])
+    sun = Sunlight(np.array([0.0, 0.6, 0.8]), np.array([9.0, 8.0, 7.0]))
+    return replace(plain, light_states=(both, LightState("second", ("001_0001",), second, None, sun)))
+
+
+def test_light_states_survive_and_scale_with_exposures(tmp_path):
+    result = in_two_states()
+    save_result(result, tmp_path)
+    for loaded, expected in ((load_result(tmp_path), result), (result.with_exposures_times(4.0), None)):
+        for k, (mine, yours) in enumerate(zip(result.light_states, loaded.light_states, strict=True)):
+            factor = 1.0 if expected is not None else 4.0
+            assert (mine.name, mine.photos) == (yours.name, yours.photos)
+            np.testing.assert_array_equal(yours.radiance, mine.radiance / factor)
+            assert (yours.outside is None, yours.sun is None) == (k == 1, k == 0)
+    assert loaded.light_states[1].sun.irradiance == pytest.approx([9 / 4, 2, 7 / 4])
+    save_result(room(), tmp_path)
+    assert not load_result(tmp_path).light_states
+
+
+def test_a_room_in_a_light_state_has_its_light():
+    result = in_two_states()
+    lit = result.in_state("second")
+    assert [emitter.id for emitter in lit.emitters] == [3, 5]
+    assert not lit.emitters[0].radiance.any() and lit.emitters[1].radiance == pytest.approx([3, 2, 1])
+    assert not lit.light_states
+    assert lit.outside is None and lit.sun is result.light_states[1].sun
+    assert np.array_equal(result.in_state("both").face_emission(), result.face_emission())
+    assert np.array_equal(result.in_state(None).face_emission(), result.face_emission())
+    assert room().in_state(None).emitters
+    assert not result.switched_faces.any()
+    reversed_ = replace(result, emitters=lit.emitters)
+    assert np.flatnonzero(reversed_.switched_faces).tolist() == [10, 11]
+    with pytest.raises(BadInput, match="no light state 'third'"):
+        result.in_state("third")
+    with pytest.raises(BadInput, match="no light state 'both'"):
+        room().in_state("both")
+
+
+def test_a_view_is_seen_in_its_light_state():
+    camera = Camera(width=4, height=3, fx=4, fy=4, cx=2, cy=1.5, c2w=np.eye(4))
+    result = in_two_states()
+    seen = result.in_state_of(View("v", camera, None, light_state="second"))
+    assert seen is not None and not seen.emitters[0].radiance.any()
+    assert result.in_state_of(View("v", camera, None, light_state="other")) is None
+    plain = room()
+    assert plain.in_state_of(View("v", camera, None, light_state="second")) is plain
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"name": ""},
+        {"name": "both"},
+        {"photos": "001_0001"},
+        {"radiance": [[1, 2, 3]]},
+        {"radiance": [[1, 2, 3], [1, -2, 3]]},
+        {"radiance": [[1, 2, 3], [1, "x", 3]]},
+        {"sun": {"direction": [0, 0, 9], "irradiance": [1, 1, 1]}},
+        {"outside": {"sh": [[1, 2, 3]] * 2}},
+    ],
+)
+def test_damaged_light_states_are_bad_input_that_names_the_file(tmp_path, change):
+    save_result(in_two_states(), tmp_path)
+    path = tmp_path / "emitters.json"
+    content = json.loads(path.read_text())
+    content["light_states"][1].update(change)
+    path.write_text(json.dumps(content))
+    with pytest.raises(BadInput) as refused:
+        load_result(tmp_path)
+    assert str(path) in str(refused.value)
 
 
 @pytest.mark.parametrize("damage", ["missing", "size", "negative", "grey"])

@@ -5,8 +5,12 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import bpy
+import numpy as np
 from mathutils import Quaternion
+from numpy.typing import NDArray
 
+from ...model.response import LUMINANCE
+from ...results.result import Result
 from ..scene_out.lights import (
     color,
     is_on,
@@ -74,6 +78,9 @@ def is_solo(scene: bpy.types.Scene, lamp: bpy.types.Material) -> bool:
     return [material for material in lamp_materials(scene.objects) if is_on(material)] == [lamp]
 
 
+TINY = 1e-9
+"""Light that stands for none."""
+
 # ---- looks of the artist's own -------------------------------------------------------------------------------------
 
 OWN_LOOKS = "iris_looks"
@@ -125,6 +132,40 @@ def set_own_look(scene: bpy.types.Scene, name: str) -> None:
         sun.hide_render = sun.hide_viewport = not on
         sun.data.color = rest[:3]
         sun.matrix_basis = Quaternion(rest[3:]).to_matrix().to_4x4()
+
+
+def keep_states(scene: bpy.types.Scene, result: Result) -> None:
+    """Keep each light state that the room of ``result`` was photographed in as a look, by its name.
+
+    The light from outside is dimmed to that of the state, and keeps the directions that it has in the first; a lamp
+    that is off would have the radiance that it has where it is on.
+    """
+    for state in result.light_states:
+        brightest = np.max([other.radiance for other in result.light_states], axis=0)
+        lamps = {
+            str(emitter.id): _kept(radiance, most)
+            for emitter, radiance, most in zip(result.emitters, state.radiance, brightest, strict=True)
+        }
+        look: dict[str, Any] = {"lamps": lamps}
+        if result.outside is not None:
+            level = 0.0 if state.outside is None else state.outside.mean @ LUMINANCE
+            look["outside"] = float(level / max(result.outside.mean @ LUMINANCE, TINY))
+        for thing in filter(is_recovered_sun, scene.objects):
+            recovered = np.zeros(3) if state.sun is None else state.sun.irradiance
+            energy = max(float(recovered.max()), TINY)
+            turn = thing.matrix_basis.to_quaternion()
+            look["sun"] = [float(state.sun is not None), energy, *(recovered / energy).tolist(), *turn]
+        if OWN_LOOKS not in scene:
+            scene[OWN_LOOKS] = {}
+        scene[OWN_LOOKS][state.name] = look
+
+
+def _kept(radiance: NDArray[np.floating], otherwise: NDArray[np.floating]) -> list[float]:
+    """A lamp of a look: whether it shines, and strength and colour of its ``radiance`` (3,), or of ``otherwise``."""
+    on = bool(radiance.max() > 0)
+    shown = radiance if on else otherwise
+    level = max(float(shown.max()), TINY)
+    return [float(on), level, *(shown / level).tolist()]
 
 
 def forget_look(scene: bpy.types.Scene, name: str) -> None:

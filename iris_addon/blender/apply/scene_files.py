@@ -40,6 +40,7 @@ from ..scene_out.world import make_world
 from ..version import require_build_option, require_gltf, usd_library
 from .camera_look import add_compositing
 from .lighten import Limits, lighten
+from .looks import keep_states
 
 
 def apply(
@@ -134,6 +135,7 @@ def apply_to_scene(
             image.pack()
     set_cycles(scene, RenderSettings(samples=128))
     show_like_the_photos(result, scene)
+    keep_states(scene, result)
     return anchor
 
 

@@ -192,7 +192,9 @@ def face_materials(
     slot_of_face = np.zeros(len(emission), np.int32)
     slots = [surface_material(result.textures, uv_map, result.diffuse_lobe)]
 
-    lit = np.flatnonzero(emission.max(axis=1) > 0)
+    # A lamp that is off in the first light state is one that can be switched on; in an edited room it is a surface.
+    switched = result.switched_faces & (edit.face_emission is None)
+    lit = np.flatnonzero((emission.max(axis=1) > 0) | switched)
     emitter_of_face = np.full(len(emission), -1)
     for emitter in result.emitters:
         emitter_of_face[emitter.faces] = emitter.id

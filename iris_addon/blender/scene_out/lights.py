@@ -219,7 +219,8 @@ def reset(material: bpy.types.Material) -> None:
 def _emit_recovered(shader: bpy.types.Node, material: bpy.types.Material) -> None:
     radiance = [float(value) for value in material[RECOVERED]]
     shader.inputs["Emission Strength"].default_value = max(radiance)
-    emission_color(shader).default_value = (*(value / max(radiance) for value in radiance), 1.0)
+    if max(radiance) > 0:  # a lamp that is off in the first light state keeps its colour
+        emission_color(shader).default_value = (*(value / max(radiance) for value in radiance), 1.0)
 
 
 @contextmanager

@@ -249,7 +249,7 @@ def _black(name: str) -> tuple[bpy.types.Material, bpy.types.ShaderNodeBsdfPrinc
 def _emit(shader: bpy.types.ShaderNodeBsdfPrincipled, radiance: Sequence[float] | np.ndarray) -> None:
     radiance = np.asarray(radiance, float)
     strength = float(radiance.max())
-    emission_color(shader).default_value = (*(radiance / strength), 1.0)
+    emission_color(shader).default_value = (*(radiance / strength if strength > 0 else np.ones(3)), 1.0)
     shader.inputs["Emission Strength"].default_value = strength
 
 

@@ -2,7 +2,8 @@
 
 A camera names the light state of its photo by the custom property ``iris_light_state``. A lamp whose object has the
 custom property ``iris_on_in``, names of states separated by commas, shines in these alone; in others its object has the
-material named by ``iris_unlit``. References for relighting and insertion are rendered with every lamp on.
+material that its custom property ``iris_unlit`` is. References for relighting and insertion are rendered with every
+lamp on.
 """
 
 from __future__ import annotations
@@ -48,11 +49,11 @@ class LampSwitches:
             thing = scene.objects[emitter.name]
             if ON_IN not in thing:
                 continue
-            unlit = bpy.data.materials.get(str(thing.get(UNLIT, "")))
-            if unlit is None:
+            unlit = thing.get(UNLIT)
+            if not isinstance(unlit, bpy.types.Material):
                 raise BadInput(
                     f"the lamp '{thing.name}' has states in which it is off and no material for them",
-                    f"name one by its custom property {UNLIT}",
+                    f"give it one as its custom property {UNLIT}",
                     bpy.data.filepath or None,
                 )
             states = frozenset(name.strip() for name in str(thing[ON_IN]).split(","))
