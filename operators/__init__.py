@@ -88,7 +88,7 @@ def register() -> None:
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     bpy.types.Scene.iris = bpy.props.PointerProperty(type=settings.IrisSettings)
-    bpy.types.Camera.iris_exposure = settings.EXPOSURE
+    bpy.types.Camera.iris_exposure, bpy.types.Camera.iris_light_state = settings.EXPOSURE, settings.LIGHT_STATE
     icons.register()
     solve_preview.register()
     lamp_highlight.register()
@@ -105,6 +105,6 @@ def unregister() -> None:
     lamp_highlight.unregister()
     solve_preview.unregister()
     icons.unregister()
-    del bpy.types.Scene.iris, bpy.types.Camera.iris_exposure
+    del bpy.types.Scene.iris, bpy.types.Camera.iris_exposure, bpy.types.Camera.iris_light_state
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

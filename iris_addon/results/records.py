@@ -161,7 +161,8 @@ def _read_states(listed: object, n_emitters: int, path: Path) -> tuple[LightStat
             radiance = numbers(content.get("radiance"), (n_emitters, 3), f"{where}.radiance", path)
         if (radiance < 0).any():
             raise BadInput(f"'{where}.radiance' is negative", MEND, path)
-        states.append(LightState(name, tuple(photos), radiance, *_read_light(content, f"{where}.", path)))
+        outside, sun = _read_light(content, f"{where}.", path)
+        states.append(LightState(name=name, photos=tuple(photos), radiance=radiance, outside=outside, sun=sun))
     return tuple(states)
 
 

@@ -116,8 +116,9 @@ class Result:
     def with_emitter(self, number: int, radiance: ArrayLike) -> Result:
         """The same room with another radiance of one lamp.
 
-        Materials, exposures and the light from outside stay. Light that the lamp sends to other surfaces is simulated
-        by what renders the result; :meth:`render_maps` shows the lamp itself.
+        Materials, exposures and the light from outside stay; of several light states the first alone remains. Light
+        that the lamp sends to other surfaces is simulated by what renders the result; :meth:`render_maps` shows the
+        lamp itself.
 
         Args:
             number: ``id`` of the emitter.
@@ -140,7 +141,7 @@ class Result:
         if not (np.isfinite(rgb).all() and (rgb >= 0).all()):
             raise ValueError(f"a radiance is finite and not negative, got {rgb}")
         changed = (replace(emitter, radiance=rgb) if emitter.id == number else emitter for emitter in self.emitters)
-        return replace(self, emitters=tuple(changed))
+        return replace(self, emitters=tuple(changed), light_states=())
 
     def in_state(self, name: str | None) -> Result:
         """The same room in the light state ``name``, or None for the first: its lamps and the light from outside.

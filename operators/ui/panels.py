@@ -124,6 +124,7 @@ class IRIS_PT_data(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         camera = context.scene.camera
         if settings.source == "SCENE" and camera is not None and camera.type == "CAMERA":
             layout.prop(camera.data, "iris_exposure", text=f"Exposure of {camera.name}")
+            layout.prop(camera.data, "iris_light_state")
         layout.prop(settings, "result")
 
 

@@ -75,6 +75,13 @@ EXPOSURE = bpy.props.FloatProperty(
 )
 
 
+LIGHT_STATE = bpy.props.StringProperty(
+    name="Light State",
+    description="Name of the set of lamps that are on in this camera's photo; empty where it is the same in all photos",
+    maxlen=40,
+)
+
+
 # ---- properties -----------------------------------------------------------------------------------------------------
 
 

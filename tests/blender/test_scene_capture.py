@@ -19,8 +19,9 @@ pytestmark = pytest.mark.bpy
 def empty_blender():
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.types.Camera.iris_exposure = bpy.props.FloatProperty()  # as the extension does
+    bpy.types.Camera.iris_light_state = bpy.props.StringProperty()
     yield
-    del bpy.types.Camera.iris_exposure
+    del bpy.types.Camera.iris_exposure, bpy.types.Camera.iris_light_state
 
 
 def box(name: str, **placed) -> None:
@@ -50,7 +51,7 @@ def test_a_scene_becomes_a_capture_in_metres_that_the_solver_reads(tmp_path):
     for number, fit in enumerate(("AUTO", "HORIZONTAL", "VERTICAL")):
         eye = bpy.data.objects.new(f"cam {number}", bpy.data.cameras.new("cam"))
         eye.data.sensor_fit, eye.data.lens, eye.data.shift_x, eye.data.shift_y = fit, 20, 0.1, -0.05
-        eye.data.iris_exposure = 0.5 + number
+        eye.data.iris_exposure, eye.data.iris_light_state = 0.5 + number, ("all", "all ", "low")[number]
         eye.rotation_euler, eye.location = (1.5, 0.0, 0.5 * number), (30.0 * number, 0, 0)
         scene.collection.objects.link(eye)
         behind = eye.data.background_images.new()
@@ -59,6 +60,7 @@ def test_a_scene_becomes_a_capture_in_metres_that_the_solver_reads(tmp_path):
     assert write_scene_capture(scene, bpy.context.evaluated_depsgraph_get(), tmp_path / "job") == []
     capture = read_capture(tmp_path / "job" / "capture")
     assert [view.exposure for view in capture.views] == [0.5, 1.5, 2.5]
+    assert [view.light_state for view in capture.views] == ["all", "all", "low"]
     np.testing.assert_allclose(np.ptp(capture.mesh.vertices, axis=0), [6, 4, 3], atol=1e-5)
     assert len(np.unique(capture.mesh.regions)) == 2
     names = read_view_cameras(tmp_path / "job")

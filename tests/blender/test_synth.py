@@ -322,7 +322,7 @@ def test_lamps_are_switched_from_photo_to_photo(tmp_path: Path):
             if on.any():
                 lit = bool((emission[on] > 0).all())
                 assert lit == (lamp["name"] == "wall lamp" or state == "all")
-                assert lit or gt(tmp_path / "capture", "BaseCol", k)[on] == pytest.approx(np.array(PAINT), abs=0.01)
+                assert lit or np.abs(gt(tmp_path / "capture", "BaseCol", k)[on] - PAINT).max() < 0.01
                 shown[state].add(lamp["name"])
     assert shown["evening"] == {"lamp", "wall lamp"}
 

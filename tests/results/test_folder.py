@@ -127,7 +127,7 @@ def in_two_states() -> Result:
     both = LightState("both", ("000_0001",), np.array([emitter.radiance for emitter in plain.emitters]), plain.outside)
     second = np.array([np.zeros(3), [3.0, 2.0, 1.0]])
     sun = Sunlight(np.array([0.0, 0.6, 0.8]), np.array([9.0, 8.0, 7.0]))
-    return replace(plain, light_states=(both, LightState("second", ("001_0001",), second, None, sun)))
+    return replace(plain, light_states=(both, LightState("second", ("001_0001",), second, sun=sun)))
 
 
 def test_light_states_survive_and_scale_with_exposures(tmp_path):
@@ -161,6 +161,12 @@ def test_a_room_in_a_light_state_has_its_light():
         result.in_state("third")
     with pytest.raises(BadInput, match="no light state 'both'"):
         room().in_state("both")
+
+
+def test_a_lamp_that_is_changed_is_changed_in_what_is_saved(tmp_path):
+    in_two_states().with_emitter(3, 7.0).save(tmp_path)
+    loaded = load_result(tmp_path)
+    assert not loaded.light_states and loaded.in_state(None).emitters[0].radiance == pytest.approx(7.0)
 
 
 def test_a_view_is_seen_in_its_light_state():

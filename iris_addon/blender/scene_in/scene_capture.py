@@ -222,7 +222,10 @@ def _photo_cameras(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     return [thing for thing in scene.objects if thing.type == "CAMERA" and photo_of(thing) is not None]
 
 
-def _view(scene: bpy.types.Scene, thing: bpy.types.Object, scale: float) -> tuple[str, bpy.types.Image, Camera, float]:
+def _view(
+    scene: bpy.types.Scene, thing: bpy.types.Object, scale: float
+) -> tuple[str, bpy.types.Image, Camera, dict[str, Any]]:
+    """Name, photo and camera of a view, and what else its frame of transforms.json tells."""
     image = photo_of(thing)
     assert image is not None
     frame = read_camera(scene, thing)
@@ -241,7 +244,10 @@ def _view(scene: bpy.types.Scene, thing: bpy.types.Object, scale: float) -> tupl
     c2w = frame.c2w.copy()
     c2w[:3, 3] *= scale
     camera = replace(frame.resized(width, height), c2w=c2w)
-    return thing.name, image, camera, float(getattr(thing.data, "iris_exposure", 0.0))
+    exposure = float(getattr(thing.data, "iris_exposure", 0.0))
+    state = str(getattr(thing.data, "iris_light_state", "")).strip()
+    told = {**({"exposure": exposure} if exposure > 0 else {}), **({"light_state": state} if state else {})}
+    return thing.name, image, camera, told
 
 
 def _behind(frame: Camera, thing: bpy.types.Object) -> Camera:
@@ -273,7 +279,7 @@ def _behind(frame: Camera, thing: bpy.types.Object) -> Camera:
     )
 
 
-def _frame(stem: Path, name: str, image: bpy.types.Image, camera: Camera, exposure: float) -> dict[str, Any]:
+def _frame(stem: Path, name: str, image: bpy.types.Image, camera: Camera, told: Mapping[str, Any]) -> dict[str, Any]:
     """The entry of transforms.json; the photo is linked or copied to ``stem`` plus its suffix."""
     source = Path(bpy.path.abspath(image.filepath_raw or image.filepath))
     suffix = source.suffix.lower()
@@ -292,7 +298,7 @@ def _frame(stem: Path, name: str, image: bpy.types.Image, camera: Camera, exposu
         **{"w": camera.width, "h": camera.height, "cx": camera.cx, "cy": camera.cy},
         **{"fl_x": camera.fx, "fl_y": camera.fy},
         "transform_matrix": camera.c2w.tolist(),
-        **({"exposure": exposure} if exposure > 0 else {}),
+        **told,
     }
 
 
