@@ -8,6 +8,7 @@ tells them apart.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,16 +41,7 @@ def solve_states(states: Sequence[LitState], progress: Progress, warm_start: boo
     for state, lit in zip(states, on, strict=True):
         emitters = [lamps[k] for k in np.flatnonzero(lit)]
         factors = form_factors_of(state.problem, emitters, progress, known=state.before)
-        posed.append(
-            LitState(
-                problem=state.problem,
-                observed=state.observed,
-                emitters=emitters,
-                before=state.before,
-                form_factors=factors,
-                fit=state.fit,
-            )
-        )
+        posed.append(replace(state, emitters=emitters, form_factors=factors))
     return solve_together(posed, progress, warm_start)
 
 

@@ -435,7 +435,7 @@ def half_shown(problem: LightProblem, observed: GroupRadiance, sun: Sun) -> NDAr
 
     Those beside a patch that clips are among them, because the balance averages neighbours.
     """
-    return sun.border & _clips(observed)[problem.field.neighbours].any(1)
+    return sun.border & _clips(problem, observed)[problem.field.neighbours].any(1)
 
 
 def _sunlit(
@@ -461,9 +461,9 @@ def _measured(problem: LightProblem, observed: GroupRadiance) -> NDArray[np.bool
     """(P, 3) patches whose radiance photos measure: of those that sunlight covers in part, where it clips, photos
     measure only the darker part."""
     sun = problem.hidden.sun
-    return observed.known if sun is None else observed.known & ~(sun.border & _clips(observed))[:, None]
+    return observed.known if sun is None else observed.known & ~(sun.border & _clips(problem, observed))[:, None]
 
 
-def _clips(observed: GroupRadiance) -> NDArray[np.bool_]:
+def _clips(problem: LightProblem, observed: GroupRadiance) -> NDArray[np.bool_]:
     """(P,) patches of which something clips in a photo, brighter than what others measure."""
-    return (~observed.known | (observed.bound > observed.radiance)).any(1)
+    return (~observed.known | (observed.bound > observed.radiance)).any(1) & problem.shown

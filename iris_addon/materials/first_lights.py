@@ -50,11 +50,13 @@ class RoomInState:
     """A room as the photos of one light state show it.
 
     Attributes:
+        name: of the state, "" where photos name none.
         room: with the pixels of these photos.
         observations: of these photos.
         hidden: sources that none of them shows, without light through holes.
     """
 
+    name: str
     room: TracedRoom
     observations: Observations
     hidden: HiddenSources
@@ -71,7 +73,7 @@ class RoomInState:
         if len(states) > 1:
             photos = states.photos(state)
             room, observations = room.of_photos(photos), observations.of_photos(photos)
-        return RoomInState(room, observations, find_hidden(room))
+        return RoomInState(states.names[state], room, observations, find_hidden(room))
 
 
 def pose_states(
@@ -109,8 +111,7 @@ def _posed(
     room, observations = state.room, state.observations
     linear = photometry.linearise_observations(observations)
     if not linear.unclipped.all(1).any():
-        named = room.capture.views[int(room.samples.view[0])].light_state
-        of_state = f" of light state {named!r}" if named else ""
+        of_state = f" of light state {state.name!r}" if state.name else ""
         raise BadInput(f"every pixel of the photos{of_state} is clipped in one channel or another", "add darker photos")
     photos, regions, n_patches = room.photos, room.regions.of_face, len(room.patches.region)
     angle = schlick(room.samples.cosine[observations.sample].astype(np.float64))

@@ -8,7 +8,7 @@ import pytest
 from iris_addon.base.images import read_image, write_png
 from iris_addon.capture.reader import read_capture
 from iris_addon.model.capture import Camera, Mesh
-from iris_addon.model.recovered import Emitter
+from iris_addon.model.recovered import Emitter, LightState
 from iris_addon.rays.tracer import Tracer
 from iris_addon.results.files import lamp_picture
 from iris_addon.results.lamp_pictures import LAMP_SIDE, best_view, write_lamp_pictures
@@ -41,6 +41,25 @@ def test_each_lamp_is_shown_in_the_color_that_it_has_in_the_photos(fipt_room, tm
         middle = picture[LAMP_SIDE // 4 : -LAMP_SIDE // 4, LAMP_SIDE // 4 : -LAMP_SIDE // 4]
         same = np.abs(middle.astype(int) - WALL_COLORS[wall].astype(int)).max(-1) < 6
         assert same.mean() > 0.5, number
+
+
+def test_a_lamp_is_shown_where_it_is_on(fipt_room, tmp_path):
+    capture = read_capture(fipt_room.root)
+    result = replace(room(), mesh=capture.mesh, emitters=(lamp(0, [0, 1]), lamp(1, [2, 3])))
+    (tmp_path / "report").mkdir()
+    tracer = Tracer(capture.mesh)
+    shown = best_view([view.camera for view in capture.views], np.array([0, 1]), tracer)[0]
+    states = ["second" if k == shown else "first" for k in range(len(capture.views))]
+    views = [replace(view, light_state=state) for view, state in zip(capture.views, states, strict=True)]
+    others = views[:shown] + views[shown + 1 :]
+    on, off = np.ones(3), np.zeros(3)
+    told = tuple(LightState(name, (), np.array(each)) for name, each in (("first", [on, off]), ("second", [off, on])))
+    write_lamp_pictures(replace(result, light_states=told), views, tracer, tmp_path)
+    found = read_image(lamp_picture(tmp_path, 0))
+    write_lamp_pictures(result, others, tracer, tmp_path)
+    assert np.array_equal(found, read_image(lamp_picture(tmp_path, 0)))
+    write_lamp_pictures(result, views, tracer, tmp_path)
+    assert not np.array_equal(found, read_image(lamp_picture(tmp_path, 0)))
 
 
 def square(at: float, side: float = 0.2) -> np.ndarray:

@@ -11,6 +11,7 @@ from iris_addon.capture.photos import load_photo
 from iris_addon.capture.reader import read_capture
 from iris_addon.model.capture import Capture
 from iris_addon.model.device import Device
+from iris_addon.model.recovered import LightState
 from iris_addon.model.response import gamma, srgb
 from iris_addon.results import report as report_html
 from iris_addon.results.report import heat, write_report
@@ -123,6 +124,19 @@ def test_each_camera_has_its_curve(solved, tmp_path):
     result = replace(result, devices=(Device("Acme <Two>", gamma(0.8), photos=("000_0001",)),))
     html = write_report(result, capture, tmp_path, {}).read_text(encoding="utf-8")
     assert html.count('aria-label="response curve"') == 2 and "camera 2, Acme &lt;Two&gt;" in html
+
+
+def test_light_states_are_listed_with_the_lamps_that_are_on(solved, tmp_path):
+    result, capture = solved
+    assert "Light states" not in write_report(result, capture, tmp_path, {}).read_text(encoding="utf-8")
+    evil = "<i>bed</i>"
+    states = (
+        LightState("all", ("a", "b"), np.array([emitter.radiance for emitter in result.emitters])),
+        LightState(evil, ("c",), np.array([np.zeros(3), [12.5, 6.25, 3.125]])),
+    )
+    page = Page(write_report(replace(result, light_states=states), capture, tmp_path, {}).read_text(encoding="utf-8"))
+    assert evil in page.text and "i" not in page.tags
+    assert "12.5 6.25 3.12" in page.text
 
 
 def test_heat_rises_in_lightness():
