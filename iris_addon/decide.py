@@ -196,6 +196,13 @@ REFINEMENTS: Mapping[str, Refinement] = {
         errors=3.0,
         experiment="0136-does-a-lamp-shine-alike-in-all-directions",
     ),
+    "dimmed_lamps": Refinement(
+        "a radiance of each lamp in each light state in place of one in all states in which it is on",
+        BALANCE,
+        gain=0.02,
+        errors=2.0,
+        experiment="0166-what-do-light-states-tell-together",
+    ),
     # ---- materials
     "burley": Refinement(
         "Burley's diffuse lobe in place of Lambert's",

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.progress import Progress
+from ..decide import HeldOutLosses
 from ..surface.topology import component_labels
 from ..transport.form_factors import emitter_of_face
 from .lamp_evidence import lamp_of_cell
@@ -31,6 +32,9 @@ Faces = NDArray[np.int64]
 def solve_states(states: Sequence[LitState], progress: Progress, warm_start: bool = False) -> list[Lights]:
     """The lights of all ``states`` together, each with those of the common lamps that are on in it.
 
+    Switches are more common than dimmers: a lamp has one radiance in all states in which it is on, unless the held-out
+    loss tells that some lamp has not.
+
     Args:
         states: with the lamps that each was found to have, whose form factors ``before`` knows.
         warm_start: of :func:`solve_together`.
@@ -42,7 +46,26 @@ def solve_states(states: Sequence[LitState], progress: Progress, warm_start: boo
         emitters = [lamps[k] for k in np.flatnonzero(lit)]
         factors = form_factors_of(state.problem, emitters, progress, known=state.before)
         posed.append(replace(state, emitters=emitters, form_factors=factors))
-    return solve_together(posed, progress, warm_start)
+    dimmed = solve_together(posed, progress, warm_start)
+    if not (on.sum(0) > 1).any():
+        return dimmed
+    steady = [replace(state, numbers=np.flatnonzero(lit)) for state, lit in zip(posed, on, strict=True)]
+    switched = solve_together(steady, progress, warm_start)
+    one, each = _pooled(switched), _pooled(dimmed)
+    losses = [float(np.average(own.loss, weights=own.weight)) if len(own.loss) else np.inf for own in (one, each)]
+    accepted = states[0].problem.decisions.accept("dimmed_lamps", losses[0], losses[1], one.paired_error(each))
+    return dimmed if accepted else switched
+
+
+def _pooled(lights: Sequence[Lights]) -> HeldOutLosses:
+    """The held-out losses of the patches of all states."""
+    observation = [own.losses.observation * len(lights) + k for k, own in enumerate(lights)]
+    return HeldOutLosses(
+        np.concatenate(observation),
+        np.concatenate([own.losses.loss for own in lights]),
+        np.concatenate([own.losses.weight for own in lights]),
+        max(own.losses.independent for own in lights),
+    )
 
 
 def _lit(state: LitState) -> list[Faces]:

@@ -3,7 +3,8 @@
 Photos that were taken with different lamps on show one set of materials. Equation (18) holds in each state, with the
 radiance of its own lamps; the albedos of the regions are the same. So the unknowns are solved for at once: the patches
 of all states stand one below the other, those of a state are reached by its emitters alone, and the lamps that one
-state leaves undetermined are told by the albedo that the others determine.
+state leaves undetermined are told by the albedo that the others determine. A lamp may have one radiance in all states
+in which it is on, or one in each.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from ..surface.topology import component_labels
 from .balance import Balance, Evidence, ShadedPatches, solve_balance
 
 MIN_WEIGHT = 1e-12
@@ -23,11 +25,20 @@ MIN_WEIGHT = 1e-12
 
 @dataclass(frozen=True)
 class BalanceInput:
-    """What :func:`solve_balance` balances: the patches, and evidence on the emitters and a start (E, 3) for them."""
+    """What :func:`solve_balance` balances in one light state.
+
+    Attributes:
+        patches: the shading.
+        evidence: on the E emitters.
+        start: (E, 3) radiance to start from.
+        lamps: (L,) number of each of the first emitters, the lamps, among those of the room: lamps of one number have
+            one radiance in all states. None where each state has its own.
+    """
 
     patches: ShadedPatches
     evidence: Evidence
     start: NDArray[np.floating]
+    lamps: NDArray[np.int64] | None = None
 
 
 def solve_joined(posed: Sequence[BalanceInput], robust_log: float, warm_start: bool, iterations: int) -> list[Balance]:
@@ -40,7 +51,7 @@ def solve_joined(posed: Sequence[BalanceInput], robust_log: float, warm_start: b
         own = posed[0]
         return [solve_balance(own.patches, own.evidence, own.start, robust_log, warm_start, iterations)]
     start = np.concatenate([own.start for own in posed])
-    patches, evidence = _stacked([own.patches for own in posed]), _joined([own.evidence for own in posed])
+    patches, evidence = _stacked([own.patches for own in posed]), _joined(posed)
     balance = solve_balance(patches, evidence, start, robust_log, warm_start, iterations)
     ends = np.cumsum([len(own.start) for own in posed])[:-1]
     rows = np.cumsum([0, *(len(own.patches.region) for own in posed)])
@@ -82,12 +93,27 @@ def _stacked(states: Sequence[ShadedPatches]) -> ShadedPatches:
     )
 
 
-def _joined(states: Sequence[Evidence]) -> Evidence:
-    """The evidence on the emitters of all states; those of different states share no radiance."""
-    first = np.cumsum([0, *(int(own.tie.max(initial=-1)) + 1 for own in states)])
+def _joined(states: Sequence[BalanceInput]) -> Evidence:
+    """The evidence on the emitters of all states; what shares a radiance within a state, or by its number, does."""
+    each = [own.evidence for own in states]
+    first = np.cumsum([0, *(len(own.tie) for own in each)])
+    within = np.concatenate([own.tie + offset for own, offset in zip(each, first[:-1], strict=True)])
+    between = -1 - np.arange(first[-1])  # a number of its own for what has none
+    for own, offset in zip(states, first[:-1], strict=True):
+        if own.lamps is not None:
+            between[offset : offset + len(own.lamps)] = own.lamps
+    links = [_same(within), _same(between)]
+    tie = component_labels(first[-1], *(np.concatenate(ends) for ends in zip(*links, strict=True)))
     return Evidence(
-        bound=np.concatenate([own.bound for own in states]),
-        measured=np.concatenate([own.measured for own in states]),
-        tie=np.concatenate([own.tie + offset for own, offset in zip(states, first[:-1], strict=True)]),
-        expected=np.concatenate([own.expected for own in states]),
+        bound=np.concatenate([own.bound for own in each]),
+        measured=np.concatenate([own.measured for own in each]),
+        tie=tie.astype(np.int64),
+        expected=np.concatenate([own.expected for own in each]),
     )
+
+
+def _same(label: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs of entries of one ``label`` (n,) that link all entries of it."""
+    order = np.argsort(label, kind="stable")
+    alike = label[order[1:]] == label[order[:-1]]
+    return order[:-1][alike], order[1:][alike]

@@ -86,7 +86,12 @@ def solve_lights(
 
 @dataclass(frozen=True)
 class LitState:
-    """What the light of one light state is solved from, as the arguments of :func:`solve_lights`."""
+    """What the light of one light state is solved from, as the arguments of :func:`solve_lights`.
+
+    Attributes:
+        numbers: (E,) of the emitters among the lamps of the room, which have one radiance in all states; None where
+            they have their own in each.
+    """
 
     problem: LightProblem
     observed: GroupRadiance
@@ -94,6 +99,7 @@ class LitState:
     before: Lights
     form_factors: NDArray[np.float32] | None = None
     fit: PatchFit = PatchFit()
+    numbers: NDArray[np.int64] | None = None
 
 
 def solve_together(states: Sequence[LitState], progress: Progress, warm_start: bool = False) -> list[Lights]:
@@ -179,7 +185,8 @@ def _solving(state: LitState, progress: Progress, warm_start: bool) -> Solving:
             indirect = indirect - passed_on[:, None] * start[-1]
         if hidden.holes is not None:
             indirect = indirect + hidden.holes.irradiance(kappa)
-        balance = yield BalanceInput(fitted.under(kernel @ indirect[:n], smooth), evidence, start)
+        patches = fitted.under(kernel @ indirect[:n], smooth)
+        balance = yield BalanceInput(patches=patches, evidence=evidence, start=start, lamps=state.numbers)
         assert balance is not None
         start = balance.radiance
         irradiance = indirect + factors @ balance.radiance

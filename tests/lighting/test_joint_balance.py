@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -57,6 +59,17 @@ def test_a_lamp_that_is_on_in_one_state_alone_lights_no_patch_of_the_other() -> 
     alone = solved(state(FIRST, 1, measured=True))[0]
     beside = solved(state(FIRST, 1, measured=True), state(1e3 * SECOND, 2, measured=True))[0]
     assert beside == pytest.approx(alone, rel=0.02)
+
+
+def test_a_lamp_of_one_number_has_one_radiance_in_all_states() -> None:
+    """Each state alone has the lamp a little wrong, on either side of what both together tell."""
+    shown, unshown = state(FIRST, 1, measured=True), state(FIRST, 2, measured=False)
+    numbers = np.array([4])
+    both = solved(replace(shown, lamps=numbers), replace(unshown, lamps=numbers))
+    assert np.array_equal(both[0], both[1])
+    assert both[0] == pytest.approx(FIRST, rel=0.05)
+    apart = solved(replace(shown, lamps=numbers), replace(unshown, lamps=numbers + 1))
+    assert not np.array_equal(apart[0], apart[1])
 
 
 def test_the_held_out_loss_of_a_state_is_that_of_its_own_patches() -> None:
