@@ -29,7 +29,7 @@ for the lamp to be on."""
 Faces = NDArray[np.int64]
 
 
-def solve_states(states: Sequence[LitState], progress: Progress, warm_start: bool = False) -> list[Lights]:
+def solve_states(states: Sequence[LitState], progress: Progress) -> list[Lights]:
     """The lights of all ``states`` together, each with those of the common lamps that are on in it.
 
     Switches are more common than dimmers: a lamp has one radiance in all states in which it is on, unless the held-out
@@ -37,7 +37,6 @@ def solve_states(states: Sequence[LitState], progress: Progress, warm_start: boo
 
     Args:
         states: with the lamps that each was found to have, whose form factors ``before`` knows.
-        warm_start: of :func:`solve_together`.
     """
     areas = states[0].problem.tracer.areas
     lamps, on = common_lamps([_lit(state) for state in states], areas)
@@ -46,11 +45,12 @@ def solve_states(states: Sequence[LitState], progress: Progress, warm_start: boo
         emitters = [lamps[k] for k in np.flatnonzero(lit)]
         factors = form_factors_of(state.problem, emitters, progress, known=state.before)
         posed.append(replace(state, emitters=emitters, form_factors=factors))
-    dimmed = solve_together(posed, progress, warm_start)
+    # Not from the lights of each state: what their unseen patches pass on would speak for a radiance in each state.
+    dimmed = solve_together(posed, progress)
     if not (on.sum(0) > 1).any():
         return dimmed
     steady = [replace(state, numbers=np.flatnonzero(lit)) for state, lit in zip(posed, on, strict=True)]
-    switched = solve_together(steady, progress, warm_start)
+    switched = solve_together(steady, progress)
     one, each = _pooled(switched), _pooled(dimmed)
     losses = [float(np.average(own.loss, weights=own.weight)) if len(own.loss) else np.inf for own in (one, each)]
     accepted = states[0].problem.decisions.accept("dimmed_lamps", losses[0], losses[1], one.paired_error(each))

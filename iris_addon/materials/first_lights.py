@@ -252,7 +252,7 @@ def find_first_lights(
         for problem, (light, lights) in zip(problems, chosen, strict=True)
     ]
     if len(problems) > 1 and any(lights.profiles is not None for _, lights in chosen):
-        together = solve_states(_lit(problems, chosen), progress, warm_start=True)
+        together = solve_states(_lit(problems, chosen), progress)
         chosen = [(light, lights) for (light, _), lights in zip(chosen, together, strict=True)]
     return [
         FirstLights(

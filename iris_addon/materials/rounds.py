@@ -188,7 +188,7 @@ def solve_materials(
             _lights_under(problem, own, replace(shading, layered=gloss.layered), gloss, turn, progress)
             for problem, own, shading in zip(problems, lights, shadings, strict=True)
         ]
-        lights = [found[0].before] if alone else solve_states(found, progress, warm_start=True)
+        lights = [found[0].before] if alone else solve_states(found, progress)
         shadings = [problem.shading(own) for problem, own in zip(problems, lights, strict=True)]
         gloss = _fitted_gloss(fits, problems, lights, shadings)
         progress.update((number + 1) / rounds)

@@ -114,3 +114,29 @@ def test_the_report_names_the_states(found: Result) -> None:
     told = found.report["model"]["light_states"]
     assert {name: figures["photos"] for name, figures in told.items()} == photos
     assert {name: figures["lamps_on"] for name, figures in told.items()} == {"both": 2, "large": 1, "small": 1}
+
+
+def test_a_lamp_that_is_dimmed_in_one_state_has_a_radiance_in_each(capture: Capture, tmp_path: Path) -> None:
+    """The same photos under exposures twice as long, in one state, show half the light."""
+    dimmed = [
+        replace(view, exposure=2 * (view.exposure or 1.0)) if view.light_state == "small" else view
+        for view in capture.views
+    ]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("IRIS_CACHE", str(tmp_path / "cache"))
+        result = solve(replace(capture, views=tuple(dimmed)), CONFIG, tmp_path / "result")
+    regions = capture.mesh.regions
+    assert regions is not None
+    (small,) = [k for k, emitter in enumerate(result.emitters) if regions[emitter.faces[0]] == LAMP_REGIONS[1]]
+    radiance = {state.name: state.radiance[small] for state in result.light_states}
+    assert radiance["both"] == pytest.approx(LAMP_RADIANCE[1], rel=0.2)
+    assert radiance["small"] == pytest.approx(LAMP_RADIANCE[1] / 2, rel=0.2)
+
+
+def test_a_lamp_that_is_only_switched_has_one_radiance(capture: Capture, found: Result) -> None:
+    regions = capture.mesh.regions
+    assert regions is not None
+    both, large, small = found.light_states
+    for k, emitter in enumerate(found.emitters):
+        alone = large if regions[emitter.faces[0]] == LAMP_REGIONS[0] else small
+        assert np.array_equal(both.radiance[k], alone.radiance[k])
