@@ -33,6 +33,7 @@ from .mended_poses import has_pose_of, mend_record, mended_like
 from .mesh_files import read_mesh
 from .mesh_from_depth import depth_without_mesh, keep_fused
 from .nerfstudio import read_nerfstudio, read_nerfstudio_views
+from .phone_exports import refuse_recording
 from .photo_contents import showing_something
 from .photo_files import SIDEWAYS, UPRIGHT, check_photo, read_orientation
 from .photos import check_photo_size
@@ -249,6 +250,8 @@ def _read_views(path: Path) -> tuple[tuple[View, ...], bool]:
 def _list(path: Path, photos: PhotoSet) -> Listing:
     if not path.exists():
         raise BadInput("no such capture", "give a folder or a transforms.json", path)
+    if path.is_file():
+        refuse_recording(path)
     root = fipt_root(path)
     if root is not None:
         return read_fipt(root, photos)
@@ -261,6 +264,7 @@ def _list(path: Path, photos: PhotoSet) -> Listing:
         return read_colmap(path, model)
     found = find_program(path)
     if found is None:
+        refuse_recording(path)
         raise BadInput(
             "neither transforms.json nor train/transforms.json nor a COLMAP model in the folder, nor cameras of "
             "Metashape, Meshroom, RealityScan, OpenMVG, Bundler, Polycam, Record3D, ScanNet, ScanNet++, ARKitScenes, "
