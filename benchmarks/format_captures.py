@@ -32,6 +32,8 @@ from .perturb_photos import copy_capture
 from .runs import BUNDLED
 
 FIPT = "FIPT"
+POINT_NOISE = 0.002
+"""Of the distance, of points of structure from motion: half a pixel of the bundled photos."""
 Z_UP_TO_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 FROM_OUR_AXES = np.diag([-1.0, 1.0, -1.0, 1.0])
 """Turns a pose of ours into one of FIPT's layout, and back."""
@@ -101,9 +103,10 @@ def _colmap_binary(root: Path, capture: Capture) -> None:
 
 
 def _colmap_in_its_own_frame(root: Path, capture: Capture) -> None:
-    """The mesh is from elsewhere: poses and sparse points are in a frame and a unit of their own."""
+    """The mesh is from elsewhere: poses and sparse points are in a frame and a unit of their own; the points are off by
+    half a pixel or so, a fifth of them are wrong."""
     rng = np.random.default_rng(7)
-    own, points = random_similarity(rng), sparse_points(capture, rng)
+    own, points = random_similarity(rng), sparse_points(capture, rng, POINT_NOISE)
     _colmap_binary(root, replace(capture, views=tuple(moved_by(view, own) for view in capture.views)))
     write_points(root / "sparse" / "0" / "points3D.txt", points @ own[:3, :3].T + own[:3, 3])
 
