@@ -62,6 +62,17 @@ class MapOrigin:
             return None
         return {"mesh": self.mesh.tolist(), "poses": self.poses.tolist()}
 
+    def require_none(self, mesh_file: Path) -> None:
+        """Require that nothing is moved: a Blender scene gets its result back where it stands.
+
+        Raises:
+            BadInput: the capture lies on a map.
+        """
+        if self.record() is not None:
+            what = f"lies {np.linalg.norm(self.mesh if self.mesh.any() else self.poses):.3g} from the origin"
+            shift = _text(-self.mesh if self.mesh.any() else -self.poses)
+            raise BadInput(what, f"move mesh and cameras together to the origin, by ({shift})", mesh_file)
+
     def warnings(self, mesh_file: Path) -> list[str]:
         """What is done, as one warning or none."""
         if not self.mesh.any() and not self.poses.any():

@@ -114,6 +114,8 @@ def read_capture(
 
     mesh, mesh_warnings = read_mesh(listing.mesh_file)
     origin = map_origin(views, mesh, listing.mesh_file)
+    if listing.one_frame:
+        origin.require_none(listing.mesh_file)
     views, val_views, mesh = origin.views(views), origin.views(val_views), origin.of_mesh(mesh)
     warnings += origin.warnings(listing.mesh_file)
     given = 1.0

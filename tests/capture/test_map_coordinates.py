@@ -84,6 +84,16 @@ def test_views_on_the_map_follow_and_those_of_the_result_stay(
     np.testing.assert_array_equal(view.camera.c2w, capture.views[0].camera.c2w)
 
 
+def test_a_scene_that_gets_its_result_back_where_it_stands_is_refused_with_the_shift(
+    nerfstudio_room: RoomCapture,
+) -> None:
+    nerfstudio_room.meta["one_frame"] = True
+    with pytest.raises(
+        BadInput, match=r"mesh\.obj: lies 5\.43e\+06 from the origin .* by \(-45123\d, -541234\d, -12\d\)"
+    ):
+        read_capture(on_the_map(nerfstudio_room))
+
+
 def test_a_mesh_in_single_precision_on_the_map_is_refused_with_the_way_out(nerfstudio_room: RoomCapture) -> None:
     root = on_the_map(nerfstudio_room)
     (root / "mesh.obj").unlink()
