@@ -84,7 +84,7 @@ def pose_problem(
         cells=cells,
         brightness=cells.brightness(observations, linear),
         scanned=room.regions.scanned,
-        brighter_neighbour=room.mixed.brighter_neighbour,
+        mixed=room.mixed,
         hidden=replace(hidden, holes=through_holes(transport, backdrop)),
         field=room.field,
         shadow_rays=config.shadow_rays,
