@@ -1,6 +1,6 @@
 # Everything runs from the repository root through .venv; nothing is installed into the system.
 
-.PHONY: help setup demo gallery test test-all fuzz lock lint format docs clean bench stability curves scaling ablation profile figures bench-farm bench-scans bench-sunlit bench-mirrors bench-patterns bench-profiles bench-states
+.PHONY: help setup demo gallery test test-all fuzz lock lint format docs clean bench stability curves scaling ablation profile figures bench-farm bench-scans bench-formats bench-sunlit bench-mirrors bench-patterns bench-profiles bench-states
 .DEFAULT_GOAL := help
 
 VENV := .venv
@@ -21,6 +21,7 @@ help:
 	@echo "make ablation   what each refinement earns, capture by capture, 2 hours"
 	@echo "make curves     measured responses, exposures known and withheld, half an hour"
 	@echo "make bench-scans scans beside the exact meshes of the same rooms, ten minutes"
+	@echo "make bench-formats the bundled room in every format that is read, beside the original, half an hour"
 	@echo "make bench-sunlit three rooms lit by sun and sky, rendered first, 20 minutes"
 	@echo "make bench-mirrors two rooms with a mirror and one with steel, rendered first"
 	@echo "make bench-patterns a room with a screen, one with a window over trees and one with an even window, rendered first"
@@ -104,6 +105,9 @@ bench stability curves scaling ablation: $(VENV)/.bench
 # Jobs per hour of a batch, on an idle machine.
 bench-scans: $(VENV)/.bench
 	@$(VENV)/bin/python -m benchmarks.scans
+
+bench-formats: $(VENV)/.bench
+	@$(VENV)/bin/python -m benchmarks.formats
 
 bench-sunlit: $(VENV)/.bench
 	@$(VENV)/bin/python -m benchmarks.made_rooms sunlit

@@ -24,7 +24,7 @@ from iris_addon.base.untrusted import read_json
 from iris_addon.results.result import Result
 
 from .child import run_command
-from .frame_folder import frames_in
+from .frame_folder import frames_in, require_frames_of
 from .job_file import Frames, Job, read_jobs
 from .outcome import Outcome, summarise
 from .side_by_side import run_side_by_side
@@ -196,6 +196,7 @@ def _render(unit: Unit, frames: Frames, args: argparse.Namespace, progress: Prog
         first, last = frames.frames_of(args.chunk)
     words = [frames.command, str(unit.job.out)]
     if frames.scene is not None:
+        require_frames_of(frames.out, frames.scene)
         words = [frames.command, str(frames.scene), "--result", str(unit.job.out), "--resume"]
     words += ["--out", str(frames.out), "--frames", f"{first}-{last}"]
     length = [] if frames.command in ("onto-plate", "composite") else ["--length", str(frames.last)]

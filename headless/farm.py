@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from iris_addon.base.errors import BadInput
-from iris_addon.base.files import write_json
+from iris_addon.base.files import files_beside, write_json
 from iris_addon.base.progress import ProgressEvent, Sink
 
 from .job_file import Frames, Job, read_jobs
@@ -163,6 +163,9 @@ def _assets(path: Path, jobs: Sequence[Job]) -> dict[str, Any]:
             words = frames.options
             files += [Path(word) for option, word in pairwise(words) if option in _FILE_OPTIONS]
             files += [] if frames.scene is None else [frames.scene]
+            folders += (
+                [] if frames.scene is None or not files_beside(frames.scene).is_dir() else [files_beside(frames.scene)]
+            )
             plates = [Path(word) for option, word in pairwise(words) if option == "--plate"]
             folders += [plate if plate.is_dir() else plate.parent for plate in plates]
     inputs = {

@@ -22,13 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iris_addon.base.errors import BadInput, IrisError
-from iris_addon.base.files import plain, replace_when_free, write_json
+from iris_addon.base.files import digest_of, plain, replace_when_free, write_json
 from iris_addon.base.untrusted import MAX_JSON_BYTES, finite, read_bytes, read_json
 from iris_addon.results.files import EMITTERS, REPORT, RESPONSE, result_file
 
 FloatArray = NDArray[np.floating]
 
-RECORD = "frames.json"
+RECORD, SCENE_RECORD = "frames.json", "scene.json"
 
 
 @dataclass(frozen=True)
@@ -114,6 +114,24 @@ def open_frames(folder: Path, length: int, suffix: str, job: Mapping[str, Any], 
     if not facts:
         frames.remember(fingerprint=fingerprint)
     return frames
+
+
+def require_frames_of(folder: Path, blend: Path) -> None:
+    """Require that the frames in ``folder``, if there are any, were rendered of ``blend`` as it is now.
+
+    Raises:
+        BadInput: the scene has changed since, so that finished frames would be kept beside new ones.
+    """
+    if not blend.is_file():  # who renders it names it
+        return
+    record, now = folder / SCENE_RECORD, digest_of(blend)
+    kept = read_json(record).get("sha256") if record.is_file() else None
+    if kept == now:
+        return
+    if kept is not None and any(folder.glob("frame_*")):
+        what = f"holds frames of {blend.name} as it was before"
+        raise BadInput(what, "choose another out, or delete the folder", folder)
+    write_json(record, {"sha256": now})
 
 
 def result_digests(result: Path) -> list[str]:

@@ -192,6 +192,8 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         result.report["poses_to_mesh"] = capture.poses_to_mesh.tolist()
     if capture.mended_poses is not None:
         result.report["mended_poses"] = dict(capture.mended_poses)
+    if capture.map_origin is not None:
+        result.report["map_origin"] = dict(capture.map_origin)
     save_result(result, out)
     write_report(result, capture, out, rerenders)
     checkpoints.clear()

@@ -5,17 +5,19 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from hashlib import sha256
 from pathlib import Path
 
 import bpy
 import numpy as np
 
 from ..iris_addon.base.errors import BadInput, IrisError
-from ..iris_addon.base.files import atomic_write, require_own_folder, write_json
+from ..iris_addon.base.files import atomic_write, digest_of, require_own_folder, write_json
 from ..iris_addon.blender.apply.farm_frames import relit_frames
 from ..iris_addon.blender.apply.on_objects import APPLIED
-from ..iris_addon.blender.insert.photo_composite import has_additions, write_copy
+from ..iris_addon.blender.insert.linked_files import write_portable
+from ..iris_addon.blender.insert.photo_composite import has_additions
 from ..iris_addon.blender.insert.plate import shows_plate
 from ..iris_addon.blender.worker import jobs
 from ..iris_addon.blender.worker.jobs import farm_command
@@ -26,6 +28,8 @@ from .ui import steps
 
 MAX_NAME = 30
 """Characters of the name of the job, which steps of the farm repeat."""
+KEY_LENGTH = 8
+"""Characters of the key in the name of a folder of frames."""
 
 
 class IRIS_OT_export_farm(bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -73,7 +77,7 @@ class IRIS_OT_export_farm(bpy.types.Operator):  # noqa: N801 - Blender's naming
             require_own_folder(bundle)
             text = self._job(scene, name)
             if self.frames and APPLIED in scene:
-                text += self._frames(scene, bundle, name)
+                text += self._frames(scene, bundle, name, text)
             atomic_write(job_file, lambda part: part.write_text(text, encoding="utf-8"))
         except IrisError as error:
             self.report({"ERROR"}, str(error))
@@ -93,24 +97,39 @@ class IRIS_OT_export_farm(bpy.types.Operator):  # noqa: N801 - Blender's naming
         }
         return _table("[[job]]", job)
 
-    def _frames(self, scene: bpy.types.Scene, bundle: Path, name: str) -> str:
+    def _frames(self, scene: bpy.types.Scene, bundle: Path, name: str, job: str) -> str:
+        """The table of the frames, whose folder has a key of all that they are made of: those of another export, and
+        of the ``job`` with other settings, are not taken for them."""
         if shows_plate(scene):
-            table = {"name": "plate", **self._own_scene(scene, bundle, name)}
+            own, made_of = self._own_scene(scene, bundle, name)
+            table = {"name": "plate", **own}
         elif has_additions(scene):
-            table = {"name": "scene", "exposure": "auto", **self._own_scene(scene, bundle, name)}
+            own, made_of = self._own_scene(scene, bundle, name)
+            table = {"name": "scene", "exposure": "auto", **own}
         else:
-            table = {"name": "frames", **self._relit(scene, bundle, name)}
-        return _table("[[job.frames]]", {**table, "chunk": self.chunk, "samples": self.samples, "gpu": self.gpu})
+            own, made_of = self._relit(scene, bundle, name)
+            table = {"name": "frames", **own}
+        table |= {"chunk": self.chunk, "samples": self.samples, "gpu": self.gpu}
+        out = folder(scene).absolute() / f"{table['name']}-{_key(job, table, made_of)}"
+        return _table("[[job.frames]]", {**table, "out": str(out)})
 
-    def _own_scene(self, scene: bpy.types.Scene, bundle: Path, name: str) -> dict[str, str | int]:
-        """Frames of a copy of the scene, which has all that Blender renders: numbered as Blender does."""
+    def _own_scene(
+        self, scene: bpy.types.Scene, bundle: Path, name: str
+    ) -> tuple[dict[str, str | int | bool], tuple[Path, ...]]:
+        """Frames of a copy of the scene, which has all that Blender renders: numbered as Blender does; and the files
+        that they are made of."""
         if scene.camera is None:
             raise BadInput("this scene has no camera", "add the camera of the animation")
-        write_copy(scene, bundle / f"{name}.blend")
-        return {"command": "composite", "scene": f"{name}.blend", "frames": f"{scene.frame_start}-{scene.frame_end}"}
+        copy = write_portable(scene, bundle / f"{name}.blend")
+        for warning in copy.warnings:
+            self.report({"WARNING"}, warning)
+        frames = f"{scene.frame_start}-{scene.frame_end}"
+        return {"command": "composite", "scene": f"{name}.blend", "frames": frames}, (copy.blend, *copy.files)
 
-    def _relit(self, scene: bpy.types.Scene, bundle: Path, name: str) -> dict[str, str | int]:
-        """Frames of the room as the farm solves it, numbered from 1."""
+    def _relit(
+        self, scene: bpy.types.Scene, bundle: Path, name: str
+    ) -> tuple[dict[str, str | int | bool], tuple[Path, ...]]:
+        """Frames of the room as the farm solves it, numbered from 1, and the files that they are made of."""
         room = scene.iris.room
         if room is None or scene.iris.source == "SCENE":  # it is its own capture, written in metres
             to_capture = np.diag([*[scene.unit_settings.scale_length] * 3, 1.0])
@@ -120,15 +139,31 @@ class IRIS_OT_export_farm(bpy.types.Operator):  # noqa: N801 - Blender's naming
         for frame in views["frames"]:  # in the unit of the capture's files, as all views that a job names
             for row in frame["transform_matrix"][:3]:
                 row[3] /= metres_per_unit(scene) or 1.0
-        for part, content in (("views", views), ("lights", lights)):
-            write_json(bundle / f"{name}-{part}.json", content)
-        return {
+        made_of = bundle / f"{name}-views.json", bundle / f"{name}-lights.json"
+        for path, content in zip(made_of, (views, lights), strict=True):
+            write_json(path, content)
+        table: dict[str, str | int | bool] = {
             "command": "relight",
             "lights": f"{name}-lights.json",
             "views": f"{name}-views.json",
             "frames": f"1-{count}",
             "fps": max(1, round(scene.render.fps / scene.render.fps_base)),
         }
+        return table, made_of
+
+
+def _key(job: str, table: Mapping[str, str | int | bool], made_of: Iterable[Path]) -> str:
+    """What tells frames of a table of a ``job`` from others: the settings of both, written files by their content, and
+    those that a copied scene links to, which may be films, by size and time."""
+    digest = sha256(json.dumps([job, table], sort_keys=True).encode())
+    for path in made_of:
+        if path.suffix in (".json", ".blend"):
+            content = digest_of(path)
+        else:
+            state = path.stat()
+            content = f"{state.st_size} {state.st_mtime_ns}"
+        digest.update(f"{path.name} {content}\n".encode())
+    return digest.hexdigest()[:KEY_LENGTH]
 
 
 def _table(head: str, values: Mapping[str, str | int | float | bool | list[str]]) -> str:

@@ -38,7 +38,9 @@ class IRIS_OT_onto_plate(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
         if not super().poll(context):
             return False
         if not shows_plate(context.scene):
-            cls.poll_message_set("The scene's camera has no movie clip or image sequence as its background image")
+            cls.poll_message_set(
+                "The scene's camera has no movie clip, image sequence or movie as its background image"
+            )
             return False
         return jobs.running("plate", folder(context.scene)) is None
 

@@ -19,6 +19,7 @@ from iris_addon.lighting.lamp_radiance import form_factors_of, solve_lights
 from iris_addon.lighting.problem import LightProblem, Lights
 from iris_addon.response.radiance import GroupRadiance
 from iris_addon.surface.irradiance import IrradianceField
+from iris_addon.surface.mixed_pixels import MixedPixels
 from iris_addon.surface.topology import edge_adjacency, smooth_components
 from iris_addon.transport.form_factors import emitter_form_factors
 from tests.engine_room import ALBEDO, SIZE, Patched, Room, assemble, box, cameras, patched, quad
@@ -79,9 +80,25 @@ class LitRoom:
         """The same, but a share of the pixels of a region lie beside ones of ``lender`` that are as bright."""
         label = self.room.regions[self.problem.samples.face]
         own, beside = np.flatnonzero(label == region), np.flatnonzero(label == lender)[0]
-        by = self.problem.brighter_neighbour.copy()
+        by = self.problem.mixed.brighter_neighbour.copy()
         by[own[: round(share * len(own))]] = beside
-        return replace(self, problem=replace(self.problem, brighter_neighbour=by))
+        return replace(self, problem=replace(self.problem, mixed=replace(self.problem.mixed, brighter_neighbour=by)))
+
+    def on_edge(self, region: int, inner_share: float) -> LitRoom:
+        """The same, but all pixels of a region up to a share of them lie on its edge."""
+        own = np.flatnonzero(self.room.regions[self.problem.samples.face] == region)
+        inner = self.problem.mixed.inner.copy()
+        inner[own[round(inner_share * len(own)) :]] = False
+        return replace(self, problem=replace(self.problem, mixed=replace(self.problem.mixed, inner=inner)))
+
+    def showing(self, region: int, channel: int, value: float) -> LitRoom:
+        """The same, but photos show one channel of a region at ``value``, unclipped."""
+        seen = self.problem.brightness
+        floor, measured, bound = seen.floor.copy(), seen.measured.copy(), seen.bound.copy()
+        own = self.patches(region)
+        floor[own, channel] = measured[own, channel] = value
+        bound[own, channel] = 0.0
+        return replace(self, problem=replace(self.problem, brightness=Brightness(floor, measured, bound)))
 
     def lamps(self, lights: Lights) -> set[int]:
         """Regions that have a face of any lamp."""
@@ -100,7 +117,7 @@ def light_room(
     pieces: list,
     regions: list[int],
     albedo: np.ndarray,
-    emission: Mapping[int, float],
+    emission: Mapping[int, float | tuple[float, float, float]],
     *,
     clip: float = np.inf,
     shown: Mapping[int, float] | None = None,
@@ -112,7 +129,7 @@ def light_room(
     """The problem of a room.
 
     Args:
-        emission: radiance of the regions that emit, grey.
+        emission: radiance of the regions that emit, grey or of a color.
         clip: radiance from which on every photo is clipped.
         shown: what photos show of regions in place of their radiance: glare and caustics, which light nothing.
         sky: radiance that comes in where the mesh is open, of all lobes of outside light or of each of them.
@@ -121,7 +138,8 @@ def light_room(
         direct: irradiance / pi (n,) of further light at points (n, 3) with normals (n, 3).
     """
     light = np.zeros_like(albedo)
-    light[list(emission)] = np.array(list(emission.values()))[:, None]
+    for region, radiance in emission.items():
+        light[region] = radiance
     albedo = np.where(light > 0, 0.0, albedo)
     room = Room(assemble(pieces, regions), albedo, light)
     p = patched(room, cameras(10, 48, 36), max_patches=450, n_rays=32)
@@ -137,6 +155,7 @@ def light_room(
     bound = np.where(clipped, clip, 0.0)
     label = np.arange(len(albedo), dtype=np.int32)
     label[list(join or {})] = list((join or {}).values())
+    pixels = len(p.samples.face)
     problem = LightProblem(
         tracer=p.tracer,
         samples=p.samples,
@@ -148,7 +167,7 @@ def light_room(
         cells=Cells.of_patches(p.surface.sample_patch, n),
         brightness=Brightness(bounded, np.where(clipped, np.nan, photographed), bound),
         scanned=np.zeros(len(room.regions), bool),
-        brighter_neighbour=np.full(len(p.samples.face), -1, np.int32),
+        mixed=MixedPixels(np.zeros(pixels, bool), np.ones(pixels, bool), np.full(pixels, -1, np.int32)),
         hidden=hidden,
         field=IrradianceField.build(p.surface),
         shadow_rays=64,

@@ -182,6 +182,15 @@ def write_scannet(root: Path, capture: Capture) -> Path:
     return root
 
 
+def write_seven_scenes(root: Path, capture: Capture) -> Path:
+    """Of photos with the one camera of the data set; the mesh lies beside them."""
+    for view in capture.views:
+        assert view.photo is not None
+        np.savetxt(root / f"frame-{view.photo.stem}.pose.txt", view.camera.c2w @ DOWN_FORWARD)
+        view.photo.rename(root / f"frame-{view.photo.stem}.color.png")
+    return root
+
+
 def write_scannetpp(root: Path, capture: Capture, undistorted: bool = False) -> Path:
     """The axes exchanged as nerfstudio does, the last photo held out, masks beside the photos."""
     names = (

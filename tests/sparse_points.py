@@ -17,7 +17,7 @@ NOISE, OUTLIERS = 0.01, 0.2
 """Standard deviation per axis in distances from the camera, and share of points anywhere in the room."""
 
 
-def sparse_points(capture: Capture, rng: np.random.Generator) -> np.ndarray:
+def sparse_points(capture: Capture, rng: np.random.Generator, noise: float = NOISE) -> np.ndarray:
     """(n, 3) noisy points of the mesh, more of them where the photos have edges, and outliers."""
     tracer, found = Tracer(capture.mesh), []
     for view in capture.views:
@@ -27,8 +27,8 @@ def sparse_points(capture: Capture, rng: np.random.Generator) -> np.ndarray:
         hits = tracer.closest(origin, direction)
         met = hits.face >= 0
         distance = hits.distance[met, None]
-        noise = rng.normal(size=(met.sum(), 3)) * NOISE * distance
-        found.append(origin[met] + direction[met] * distance + noise)
+        away = rng.normal(size=(met.sum(), 3)) * noise * distance
+        found.append(origin[met] + direction[met] * distance + away)
     points = np.concatenate(found)
     wrong = rng.choice(len(points), int(OUTLIERS * len(points)), replace=False)
     points[wrong] = rng.uniform(points.min(0), points.max(0), (len(wrong), 3))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import errno
 import glob
+import hashlib
 import json
 import os
 import re
@@ -60,6 +61,17 @@ def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
         # A second failure while tidying up must not hide the first one.
         with suppress(OSError, ValueError):
             temporary.unlink(missing_ok=True)
+
+
+def files_beside(blend: Path) -> Path:
+    """The folder of the files that a .blend for other machines links to."""
+    return blend.with_suffix(".files")
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file of any size, as hexadecimal digits; raises OSError."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def flush_to_disk(path: Path) -> None:

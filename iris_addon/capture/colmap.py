@@ -50,7 +50,7 @@ PARAMETERS = {
     "OPENCV": (*_FOCALS, "k1", "k2", "p1", "p2"),
     "OPENCV_FISHEYE": (*_FOCALS, "k1", "k2", "k3", "k4"),
     "FULL_OPENCV": (*_FOCALS, "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
-    "FOV": (),
+    "FOV": (*_FOCALS, "omega"),
     "SIMPLE_RADIAL_FISHEYE": (*_FOCAL, "k1"),
     "RADIAL_FISHEYE": (*_FOCAL, "k1", "k2"),
     "THIN_PRISM_FISHEYE": (*_FOCALS, "k1", "k2", "p1", "p2", "k3", "k4", "sx1", "sy1"),

@@ -3,7 +3,8 @@
 The distortion models are OpenCV's (https://docs.opencv.org/4.x/d9/d0c/group__calib3d.html and, for the fisheye,
 group__calib3d__fisheye.html). Both map a pinhole direction to its place in the photo, which is what resampling onto the
 pinhole needs, so nothing has to be inverted. k4 of the perspective model multiplies r^8, as in nerfstudio, unless there
-are k5 and k6: then the three are OpenCV's, of the denominator. Needs no package but numpy.
+are k5 and k6: then the three are OpenCV's, of the denominator. The FOV model is that of Devernay and Faugeras, Straight
+Lines Have to Be Straight (2001), as COLMAP has it. Needs no package but numpy.
 """
 
 from __future__ import annotations
@@ -22,6 +23,9 @@ def distort(x: FloatArray, y: FloatArray, lens: Distortion) -> tuple[FloatArray,
         polynomial folds the image back and would show a second, false copy of its centre.
     """
     r = np.hypot(x, y)
+    if lens.omega:
+        scale = np.where(r > 1e-9, _by_angle(r, lens.omega) / np.maximum(r, 1e-9), _by_angle(1e-9, lens.omega) / 1e-9)
+        return x * scale, y * scale, np.ones(r.shape, bool)
     if lens.fisheye:
         # The angle takes the place of the radius, in the direction of the pixel.
         angle = np.arctan(r)
@@ -38,6 +42,11 @@ def _radial(t: FloatArray, lens: Distortion) -> FloatArray:
     t2 = t * t
     numerator = 1 + t2 * (lens.k1 + t2 * (lens.k2 + t2 * (lens.k3 + t2 * lens.k4)))
     return t * numerator / (1 + t2 * (lens.d1 + t2 * (lens.d2 + t2 * lens.d3)))
+
+
+def _by_angle(r: FloatArray | float, omega: float) -> FloatArray:
+    """The distorted radius of a lens on which distances from the middle grow as angles do: arctan(2 r tan(ω/2)) / ω."""
+    return np.arctan(2 * np.asarray(r) * np.tan(omega / 2)) / omega
 
 
 def _turning_point(lens: Distortion, limit: float) -> float:

@@ -45,12 +45,14 @@ _LIGHT_STATE = re.compile(r"[\w+.-][\w+. -]{0,39}")
 RIGID_TOLERANCE = 1e-3
 """Deviation from a rotation matrix; files keep three decimals at least."""
 
-PERSPECTIVE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "FULL_OPENCV")
+PERSPECTIVE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "FULL_OPENCV", "FOV")
 FISHEYE_MODELS = (
     "OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "SIMPLE_FISHEYE", "FISHEYE"
 )  # fmt: skip
 OTHER_MESHES = (".usdz", ".usd", ".usdc", ".usda", ".fbx", ".gltf", ".stl", ".dae")
 """Suffixes of meshes that Blender imports and that are not read here."""
+MIN_OMEGA = 1e-3
+"""Radians of the FOV model below which nothing moves by a tenth of a pixel in ten thousand."""
 DENOMINATOR = {"k4": "d1", "k5": "d2", "k6": "d3"}
 """Our names of OpenCV's coefficients in the denominator."""
 
@@ -457,6 +459,8 @@ def read_distortion(values: Mapping[str, Any], label: str, path: Path) -> Distor
     if model not in PERSPECTIVE_MODELS + FISHEYE_MODELS:
         known = ", ".join(PERSPECTIVE_MODELS + FISHEYE_MODELS)
         raise BadInput(f"{label}: camera model {model} is not supported", f"undistort the photos, or use {known}", path)
+    if model == "FOV":
+        return _fov(number(values, "omega", path) if "omega" in values else 0.0, label, path)
     fisheye = model in FISHEYE_MODELS or values.get("is_fisheye") is True
     keys = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "sx1", "sy1")
     if model == "OPENCV_FISHEYE":
@@ -472,3 +476,10 @@ def read_distortion(values: Mapping[str, Any], label: str, path: Path) -> Distor
     if not fisheye and not any(coefficients.values()):
         return None
     return Distortion(**coefficients, fisheye=fisheye)
+
+
+def _fov(omega: float, label: str, path: Path) -> Distortion | None:
+    """The FOV model; COLMAP keeps the perspective for 0, and any sign gives the same lens."""
+    if abs(omega) >= math.pi:
+        raise BadInput(f"{label}: omega is {omega:g}", "give the field of view of the FOV model in radians", path)
+    return None if abs(omega) < MIN_OMEGA else Distortion(omega=abs(omega))

@@ -23,12 +23,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..base.errors import BadInput
 from ..base.untrusted import decoding, finite, floats, number_in_text, numbers, open_text, read_bytes
 from .listing import named_like, read_json_object
 from .photo_files import PHOTO_SUFFIXES
 from .pose_folders import MAX_POSE_BYTES, PoseTrack
 
 MESH_INFO, RECORD3D_FILE = "mesh_info.json", "metadata.json"
+RECORDING_SUFFIX = ".r3d"
 CORRECTED = "corrected_cameras"
 CORRECTED_BORDER = 15 / 1024
 """Of the width; a corrected photo is black up to there where the lens saw nothing (nerfstudio leaves out as much)."""
@@ -96,6 +98,18 @@ def find_record3d(path: Path) -> Path | None:
     if file.name != RECORD3D_FILE or not file.is_file() or not (file.parent / "rgb").is_dir():
         return None
     return file if "poses" in read_json_object(file) else None
+
+
+def refuse_recording(path: Path) -> None:
+    """Raise BadInput where ``path`` is, or its folder holds, a recording in Record3D's own format.
+
+    That is an archive of ``metadata`` and ``rgbd/``, photos as JPEG and depth in Apple's LZFSE, and has no mesh.
+    """
+    kept = [path] if path.is_file() else named_like(path, "*")
+    recording = next((file for file in kept if file.suffix.lower() == RECORDING_SUFFIX), None)
+    if recording is not None:
+        what = "is a recording in Record3D's own format, whose depth is compressed (LZFSE)"
+        raise BadInput(what, 'export it from Record3D as "EXR + RGB" and give that folder', recording)
 
 
 def read_record3d(path: Path) -> list[dict[str, Any]]:

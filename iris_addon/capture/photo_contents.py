@@ -51,6 +51,8 @@ MAX_COPIED_SHARE = 1 / 3
 
 LOSSLESS, JPEG_BLOCK = (".png", ".tif", ".tiff", ".bmp", ".exr"), 16
 """Suffixes of formats that keep pixels apart, and the pixels that JPEG codes together."""
+Margins = tuple[int, int, int, int]
+"""Pixels of a photo left, above, right and below that are no picture."""
 SIDES = ("left", "top", "right", "bottom")
 PLAIN, BLACK, CLIPPED, NOISE, MASKED = "one plain color", "black", "all clipped", "nothing but noise", "all masked"
 
@@ -106,7 +108,7 @@ def showing_something(
         left = [k for rank, k in enumerate(left) if rank not in set(copies)]
     kept = [views[k] for k in left]
     lossy = any(view.photo is not None and view.photo.suffix.lower() not in LOSSLESS for view in kept)
-    margins = _bars([contents[k] for k in left], JPEG_BLOCK if lossy else 1)
+    margins = _bars([contents[k] for k in left], JPEG_BLOCK if lossy else 1, _narrowest(kept))
     if any(margins):
         sides = [f"{width} pixels {side}" for side, width in zip(SIDES, margins, strict=True) if width]
         warnings.append(
@@ -209,11 +211,11 @@ def _copies(views: Sequence[View], contents: Sequence[Content]) -> list[int]:
     return sorted(int(k) for k in copied)
 
 
-def _bars(contents: Sequence[Content], coded: int) -> tuple[int, int, int, int]:
+def _bars(contents: Sequence[Content], coded: int, known: Margins) -> Margins:
     """Pixels left, top, right and bottom that have one and the same plain colour in all photos.
 
     A bar ends somewhere within a block, which is left out with it, as is the block of ``coded`` pixels that a lossy
-    format has mixed there.
+    format has mixed there. None where it lies within the pixels ``known`` to be no picture.
     """
     none = (0, 0, 0, 0)
     if len(contents) < MIN_BAR_PHOTOS or len({(content.means.shape, content.block) for content in contents}) > 1:
@@ -222,21 +224,29 @@ def _bars(contents: Sequence[Content], coded: int) -> tuple[int, int, int, int]:
     means = np.stack([content.means for content in contents])
     same = (np.abs(means - first.means) < SAME_PICTURE).all((0, 3)) & np.all([one.flat for one in contents], axis=0)
 
-    def leading(rows: NDArray[np.bool_], colors: NDArray[np.float32]) -> int:
-        """Blocks of the bar along the first axis; none where it covers all."""
+    def leading(rows: NDArray[np.bool_], colors: NDArray[np.float32], known: int) -> int:
+        """Pixels of the bar along the first axis; none where it covers all."""
         plain = rows.all(1) & (np.abs(colors - colors[0, 0]) < SAME_PICTURE).all((1, 2))
         count = len(plain) if plain.all() else int(np.argmin(plain))
-        if count in (0, len(plain)):
+        if count == len(plain) or count * block <= known:
             return 0
         return (count + 1) * block if coded == 1 else -(-(count * block + coded) // coded) * coded
 
     columns, colors = same.T, first.means.transpose(1, 0, 2)
-    left, right = leading(columns, colors), leading(columns[::-1], colors[::-1])
-    top, bottom = leading(same, first.means), leading(same[::-1], first.means[::-1])
+    left, right = leading(columns, colors, known[0]), leading(columns[::-1], colors[::-1], known[2])
+    top, bottom = leading(same, first.means, known[1]), leading(same[::-1], first.means[::-1], known[3])
     return left, top, right, bottom
 
 
-def _wider(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
+def _narrowest(views: Sequence[View]) -> Margins:
+    """What is no picture in any of the views by what their format says."""
+    if not views:
+        return 0, 0, 0, 0
+    left, top, right, bottom = (min(of_views) for of_views in zip(*(view.margins for view in views), strict=True))
+    return left, top, right, bottom
+
+
+def _wider(a: Margins, b: Margins) -> Margins:
     left, top, right, bottom = (max(pair) for pair in zip(a, b, strict=True))
     return left, top, right, bottom
 

@@ -28,10 +28,12 @@ from .common_frame import OURS, Together, bring_together, extent
 from .exposures import apply_file, from_exif, with_device
 from .fipt import PhotoSet, fipt_root, read_fipt, read_fipt_views
 from .listing import FUSED_MESH, Listing, axis_near, mean_up, up_axis, upright
+from .map_coordinates import map_origin, off_the_map
 from .mended_poses import has_pose_of, mend_record, mended_like
 from .mesh_files import read_mesh
 from .mesh_from_depth import depth_without_mesh, keep_fused
 from .nerfstudio import read_nerfstudio, read_nerfstudio_views
+from .phone_exports import refuse_recording
 from .photo_contents import showing_something
 from .photo_files import SIDEWAYS, UPRIGHT, check_photo, read_orientation
 from .photos import check_photo_size
@@ -50,9 +52,6 @@ MAX_LOST_SHARE = 1 / 3
 """Of the photos, that may be missing or without a pose."""
 MAX_UNIT_RATIO = 100.0
 """Between the extents of mesh and camera path; beyond, they are in different units."""
-MAX_ORIGIN_RATIO = 50.0
-"""Distance of mesh or cameras from the origin over the extent of the mesh. Rays are traced in single precision, whose
-steps would be felt beyond."""
 
 
 def read_capture(
@@ -114,16 +113,22 @@ def read_capture(
         warnings.append(f"{unknown} of {len(views)} photos have no exposure time: all exposures are estimated")
 
     mesh, mesh_warnings = read_mesh(listing.mesh_file)
+    origin = map_origin(views, mesh, listing.mesh_file)
+    if listing.one_frame:
+        origin.require_none(listing.mesh_file)
+    views, val_views, mesh = origin.views(views), origin.views(val_views), origin.of_mesh(mesh)
+    warnings += origin.warnings(listing.mesh_file)
     given = 1.0
     if isinstance(metres_per_unit, int | float):
         given = float(metres_per_unit)
         views, val_views = ([in_metres(view, given) for view in group] for group in (views, val_views))
         mesh = replace(mesh, vertices=mesh.vertices * given)
-    check_origin(views, mesh, listing.mesh_file)
     mesh, turned = _turn_glb(mesh, views, listing)
     together = bring_together(
-        views, val_views, mesh, check, may_mend=not (fused or listing.one_frame), points=listing.points
+        views, val_views, mesh, check, may_mend=not (fused or listing.one_frame), points=origin.points(listing.points)
     )
+    if origin.apart and together.similarity is None:
+        raise _unseen(listing.mesh_file)
     up = up_direction(listing, together)
     unit, assumed = given, []
     if isinstance(metres_per_unit, CameraHeight) or metres_per_unit is None:
@@ -149,8 +154,12 @@ def read_capture(
         metres_per_unit=unit,
         poses_to_mesh=None if found is None else found.matrix(given),
         mended_poses=mend_record(
-            together.mend.convention, together.pose_scale, found is not None, (*listing.views, *listing.val_views)
+            together.mend.convention,
+            together.pose_scale,
+            found is not None,
+            origin.views([*listing.views, *listing.val_views]),
         ),
+        map_origin=origin.record(),
         excluded=tuple(sorted(set(exclude))),
     )
 
@@ -211,7 +220,7 @@ def read_views(path: Path, report: Mapping[str, Any] | None = None) -> tuple[Vie
         report: of the result they are for. Where its solve moved the poses of its capture to the mesh, those of a
             program, as COLMAP, move with them; a transforms.json is in the frame of the mesh, unless it has one of the
             capture's poses. Where it took them in another convention, it takes those of a file with such poses
-            likewise.
+            likewise. Views in map coordinates follow where the capture was moved to the origin.
 
     Raises:
         BadInput: no cameras there, or unusable ones.
@@ -219,10 +228,12 @@ def read_views(path: Path, report: Mapping[str, Any] | None = None) -> tuple[Vie
     report = report or {}
     views, in_frame_of_mesh = _read_views(scannetpp_scene(Path(path)))
     views = tuple(with_device(view) for view in views)
+    posed = off_the_map(report, views, frame="poses")
+    of_capture = not in_frame_of_mesh or has_pose_of(report, posed)
     similarity = floats(report.get("poses_to_mesh"), (4, 4))
-    if similarity is not None and (not in_frame_of_mesh or has_pose_of(report, views)):
-        return tuple(moved_by(view, similarity) for view in views)
-    return mended_like(report, views)
+    if similarity is not None and of_capture:
+        return tuple(moved_by(view, similarity) for view in posed)
+    return mended_like(report, posed if of_capture else off_the_map(report, views, frame="mesh"))
 
 
 def _read_views(path: Path) -> tuple[tuple[View, ...], bool]:
@@ -241,6 +252,8 @@ def _read_views(path: Path) -> tuple[tuple[View, ...], bool]:
 def _list(path: Path, photos: PhotoSet) -> Listing:
     if not path.exists():
         raise BadInput("no such capture", "give a folder or a transforms.json", path)
+    if path.is_file():
+        refuse_recording(path)
     root = fipt_root(path)
     if root is not None:
         return read_fipt(root, photos)
@@ -253,6 +266,7 @@ def _list(path: Path, photos: PhotoSet) -> Listing:
         return read_colmap(path, model)
     found = find_program(path)
     if found is None:
+        refuse_recording(path)
         raise BadInput(
             "neither transforms.json nor train/transforms.json nor a COLMAP model in the folder, nor cameras of "
             "Metashape, Meshroom, RealityScan, OpenMVG, Bundler, Polycam, Record3D, ScanNet, ScanNet++, ARKitScenes, "
@@ -429,22 +443,6 @@ def check_units(views: Sequence[View], mesh: Mesh, path: Path) -> None:
         )
 
 
-def check_origin(views: Sequence[View], mesh: Mesh, path: Path) -> None:
-    """Raise BadInput when the mesh ``path`` or the cameras lie too far from the origin for single precision."""
-    center = np.median(mesh.vertices, axis=0)
-    camera = np.median([view.camera.position for view in views], axis=0)
-    size = extent(mesh)
-    distance = float(min(np.linalg.norm(center), np.linalg.norm(camera)))
-    times = distance / max(size, 1e-9)
-    if times > MAX_ORIGIN_RATIO:
-        shift = ", ".join(f"{-round(value):d}" for value in center.tolist())
-        raise BadInput(
-            f"lies {distance:.3g} from the origin, {times:.0f} times its own size: map coordinates?",
-            f"move mesh and poses together to the origin, by ({shift})",
-            path,
-        )
-
-
 def _nearest_unit(scale: float) -> float:
     """The factor between usual units (mm, cm, m) nearest to ``scale``."""
     units = np.array([0.001, 0.01])
@@ -455,14 +453,17 @@ def check_sees_mesh(views: Sequence[View], mesh: Mesh, path: Path) -> tuple[str,
     """Raise BadInput when no photo sees the mesh ``path``; return a warning for photos that see little of it."""
     shares = seen_shares(views, mesh)
     if not (shares > 0).any():
-        raise BadInput(
-            "no photo sees the mesh", "bring mesh and poses into one frame (axes, unit, origin) and one capture", path
-        )
+        raise _unseen(path)
     blind = [view.name for view, share in zip(views, shares, strict=True) if share < MIN_SEEN_SHARE]
     if not blind:
         return ()
     names = ", ".join(blind[:5]) + (" …" if len(blind) > 5 else "")
     return (f"{len(blind)} of {len(views)} photos see less than {MIN_SEEN_SHARE:.0%} of the mesh: {names}",)
+
+
+def _unseen(mesh_file: Path) -> BadInput:
+    mend = "bring mesh and poses into one frame (axes, unit, origin) and one capture"
+    return BadInput("no photo sees the mesh", mend, mesh_file)
 
 
 def seen_shares(views: Sequence[View], mesh: Mesh) -> FloatArray:

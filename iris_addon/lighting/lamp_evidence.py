@@ -16,6 +16,9 @@ CLIPPED_LAMP_FACTOR = 2.0
 """Expected radiance of a clipped lamp over its bound; a speck whose light reaches no patch stays about there."""
 PATTERN_CLIPS = 0.05
 """Share of the area of a lamp with a pattern that may clip where its mean radiance counts as measured."""
+CLIPS_TOO = 0.5
+"""Share of the radiance at which one channel clips from which another may clip as well: blur makes clipped pixels
+darker, and JPEG keeps their color as the mean over several."""
 LAMP_QUANTILE = 0.8
 """Quantile over a lamp's unclipped pixels at which its radiance is measured; its edge or a blind is darker."""
 
@@ -32,24 +35,21 @@ def lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]], befo
     label = emitter_of_face(emitters, len(problem.regions))
     on_lamp = np.flatnonzero(label[face] >= 0)
     order = on_lamp[np.argsort(label[face[on_lamp]], kind="stable")]
-    per_lamp = np.split(cell[order], np.cumsum(np.bincount(label[face[order]], minlength=len(emitters)))[:-1])
+    per_lamp = np.split(order, np.cumsum(np.bincount(label[face[order]], minlength=len(emitters)))[:-1])
     bound = np.zeros((len(emitters), 3))
-    measured = np.full((len(emitters), 3), np.nan)
+    measured, expected = np.full((2, len(emitters), 3), np.nan)
     for index, own in enumerate(per_lamp[: len(emitters)]):
         if len(own) == 0:
             continue  # no photo shows it
         pattern = problem.pattern_of(emitters[index])
+        inner = own[problem.mixed.inner[own]]
         if pattern is not None:
             bound[index], measured[index] = _mean_over(seen, pattern)
-            continue
-        bound[index] = np.median(seen.bound[own], axis=0)
-        for channel in range(3):
-            # An unclipped pixel below the bound of clipped ones shows the lamp's edge.
-            values = seen.measured[own, channel]
-            unclipped = values >= 0.98 * bound[index, channel]
-            if unclipped.mean() > 0.3:
-                measured[index, channel] = np.quantile(values[unclipped], LAMP_QUANTILE)
-    expected = np.where((bound > 0) & np.isnan(measured), CLIPPED_LAMP_FACTOR * bound, np.nan)
+        elif len(inner):
+            bound[index], measured[index] = _seen_of(seen, cell[inner])
+        else:
+            bound[index], expected[index] = _seen_beside_edges(seen, cell[own])
+    expected = np.where((bound > 0) & np.isnan(measured) & np.isnan(expected), CLIPPED_LAMP_FACTOR * bound, expected)
     for index, faces in enumerate(emitters):
         profile = before.profile_of(faces)
         if profile is None and not problem.asked_for_profile(faces):
@@ -58,6 +58,30 @@ def lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]], befo
         bound[index] = 0.0 if profile is None else shown / profile.values.max()
         expected[index] = before.radiance[columns_of([faces], before.emitters)[0]]
     return Evidence(bound, measured, _tied(problem, emitters), expected)
+
+
+def _seen_of(seen: Brightness, cells: NDArray[np.integer]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(3,) bound on the radiance of a lamp, and (3,) its measurement or NaN, from the ``cells`` (k,) of its pixels."""
+    bound, measured = np.median(seen.bound[cells], axis=0), np.full(3, np.nan)
+    for channel in range(3):
+        # An unclipped pixel below the bound of clipped ones shows the lamp's edge.
+        values = seen.measured[cells, channel]
+        unclipped = values >= 0.98 * bound[channel]
+        if unclipped.mean() > 0.3:
+            measured[channel] = np.quantile(values[unclipped], LAMP_QUANTILE)
+    clips = seen.bound[cells].max()
+    measured[(measured > CLIPS_TOO * clips) & (measured <= clips)] = np.nan
+    return bound, measured
+
+
+def _seen_beside_edges(seen: Brightness, cells: NDArray[np.integer]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(3,) bound on the radiance of a lamp that all its pixels mix with what is around it, and (3,) its expectation.
+
+    They are darker than the lamp, and where the photo clips there before it is blurred, darker than what clips.
+    """
+    shown, clips = np.fmax(seen.bound[cells], seen.measured[cells]), (seen.bound[cells] > 0).any(0)
+    bound = np.nan_to_num(np.nanquantile(shown, LAMP_QUANTILE, axis=0))
+    return bound, np.where(clips, CLIPPED_LAMP_FACTOR, 1.0) * bound
 
 
 def _tied(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> NDArray[np.int64]:

@@ -14,6 +14,7 @@ from ..decide import Decisions, HeldOutLosses
 from ..model.lamp_profile import EVEN_PROFILE, LampProfile
 from ..rays.tracer import Tracer
 from ..surface.irradiance import IrradianceField
+from ..surface.mixed_pixels import MixedPixels
 from ..surface.patches import Surface
 from ..surface.primary_rays import PixelSamples
 from ..transport.aimed_rays import SparseRays, aim_at_bright
@@ -147,7 +148,7 @@ class LightProblem:
         cells: where brightness is collected: seen patches, and bright faces of scans.
         brightness: brightness of each cell.
         scanned: (F,) bool, faces of scans.
-        brighter_neighbour: (n,) pixel beside each mixed pixel that may be the source of all its light, -1 for none.
+        mixed: which of the n pixels show more than one surface.
         hidden: sources that no photo shows.
         field: neighbourhoods of the seen patches.
         shadow_rays: from a patch to all lamps together.
@@ -176,7 +177,7 @@ class LightProblem:
     cells: Cells
     brightness: Brightness
     scanned: NDArray[np.bool_]
-    brighter_neighbour: NDArray[np.int32]
+    mixed: MixedPixels
     hidden: HiddenSources
     field: IrradianceField
     shadow_rays: int

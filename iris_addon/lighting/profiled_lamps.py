@@ -194,7 +194,7 @@ def _by_angle(
     lamp = lamp_of_patch(problem, faces)[o.patch]
     nearest = profile_basis(problem.samples.cosine[o.sample]).argmax(-1)
     row = np.where(lamp >= 0, lamp * len(EVEN_PROFILE) + nearest, -1)
-    unclipped = linear.unclipped.all(1)
+    unclipped = linear.unclipped.all(1) & problem.mixed.inner[o.sample]
     for k in np.unique(row[row >= 0]):
         measures, bounds = (np.flatnonzero((row == k) & some) for some in (unclipped, ~unclipped))
         if len(measures) > len(bounds):

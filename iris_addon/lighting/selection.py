@@ -163,7 +163,7 @@ def _outside_power(problem: LightProblem, lights: Lights) -> float:
 
 def _share_beside_brighter(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> NDArray[np.float64]:
     """(E,) share of each lamp's pixels beside something else as bright, which may be the source of their light."""
-    lamp, by = emitter_of_face(emitters, len(problem.regions))[problem.samples.face], problem.brighter_neighbour
+    lamp, by = emitter_of_face(emitters, len(problem.regions))[problem.samples.face], problem.mixed.brighter_neighbour
     on = np.flatnonzero(lamp >= 0)
     borrowed = (by[on] >= 0) & (lamp[by[on]] != lamp[on])
     pixels = np.bincount(lamp[on], minlength=len(emitters))

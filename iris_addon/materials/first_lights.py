@@ -134,7 +134,7 @@ def _posed(
         cells=cells,
         brightness=cells.brightness(observations, linear),
         scanned=scanned,
-        brighter_neighbour=room.mixed.brighter_neighbour,
+        mixed=room.mixed,
         hidden=replace(state.hidden, holes=through_holes(transport, backdrop)),
         field=room.field,
         shadow_rays=config.shadow_rays,

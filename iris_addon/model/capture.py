@@ -127,6 +127,7 @@ class Distortion:
         p1, p2: tangential.
         d1, d2, d3: of r², r⁴, r⁶ in the denominator of the radial factor (OpenCV's k4, k5, k6).
         sx1, sy1: thin prism, of r².
+        omega: field of view of the FOV model in radians, which has no other coefficient; 0 for other models.
     """
 
     k1: float = 0.0
@@ -141,6 +142,7 @@ class Distortion:
     sx1: float = 0.0
     sy1: float = 0.0
     fisheye: bool = False
+    omega: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -260,6 +262,8 @@ class Capture:
         poses_to_mesh: (4, 4) similarity that took the poses of the files to their mesh before that, or None.
         mended_poses: how the poses of the files were taken, for :func:`iris_addon.capture.mended_poses.mended_like`;
             None where they are as in the files.
+        map_origin: what was taken off the ``mesh`` and the ``poses`` of files in map coordinates before all that, each
+            (3,) in their unit, or None.
     """
 
     name: str
@@ -274,6 +278,7 @@ class Capture:
     excluded: tuple[str, ...] = ()
     poses_to_mesh: FloatArray | None = None
     mended_poses: Mapping[str, Any] | None = None
+    map_origin: Mapping[str, list[float]] | None = None
 
     @property
     def exposures_known(self) -> bool:

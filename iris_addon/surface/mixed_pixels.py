@@ -27,6 +27,8 @@ OUTLINE_STEP = 2.0
 """Distance of a neighbour off a pixel's plane, in errors of the outline, from which on there is an outline between."""
 OUTLINE_MAX_PIXELS = 12
 """Pixels of the lattice over which an outline is uncertain, at most."""
+INNER = 2
+"""Pixels around an inner pixel of which none is mixed: as far as blur and the shared color of JPEG files reach."""
 NEIGHBOUR_BRIGHTNESS = 0.98
 """Brightness of a neighbour over that of a mixed pixel from which on all light of the pixel may come from there."""
 
@@ -37,11 +39,14 @@ class MixedPixels:
 
     Attributes:
         mask: (n,) bool.
+        inner: (n,) bool, pixels that are further than INNER pixels from all mixed ones. These alone show one surface
+            in photos that are blurred, or in which pixels share a color, as in most JPEG files.
         brighter_neighbour: (n,) int32 for a mixed pixel the brightest neighbour on another surface, from which all its
             light may come; -1 where all neighbours are darker.
     """
 
     mask: NDArray[np.bool_]
+    inner: NDArray[np.bool_]
     brighter_neighbour: NDArray[np.int32]
 
     @staticmethod
@@ -56,13 +61,14 @@ class MixedPixels:
         mask = mixed_pixels(photos.samples, regions, cameras)
         if outline_error > 0:
             mask |= beside_outlines(photos.samples, cameras, outline_error)
-        return MixedPixels(mask, brighter_neighbours(photos.samples, photos.z, mask, regions, cameras))
+        inner = off_edges(photos.samples, mask, cameras)
+        return MixedPixels(mask, inner, brighter_neighbours(photos.samples, photos.z, mask, regions, cameras))
 
     def take(self, kept: NDArray[np.integer]) -> MixedPixels:
         """Those of the pixels ``kept`` (k,), ascending, which are all of some photos."""
         number = np.full(len(self.mask) + 1, NO_PIXEL, np.int32)  # the last entry is that of -1
         number[kept] = np.arange(len(kept), dtype=np.int32)
-        return MixedPixels(self.mask[kept], number[self.brighter_neighbour[kept]])
+        return MixedPixels(self.mask[kept], self.inner[kept], number[self.brighter_neighbour[kept]])
 
 
 def mixed_pixels(samples: PixelSamples, regions: NDArray[np.integer], cameras: Sequence[Camera]) -> NDArray[np.bool_]:
@@ -84,6 +90,17 @@ def mixed_pixels(samples: PixelSamples, regions: NDArray[np.integer], cameras: S
 
     over_blocks(len(mixed), BLOCK, work)
     return mixed
+
+
+def off_edges(samples: PixelSamples, mixed: NDArray[np.bool_], cameras: Sequence[Camera]) -> NDArray[np.bool_]:
+    """(n,) pixels with no ``mixed`` (n,) one within INNER pixels."""
+    lattice = Lattice.of(samples.view, samples.pixel, cameras, margin=INNER)
+    result = ~mixed
+    for down in range(-INNER, INNER + 1):
+        for across in range(-INNER, INNER + 1):
+            near = lattice.pixel_at(slice(None), down, across)
+            result &= (near < 0) | ~mixed[near]
+    return result
 
 
 def beside_outlines(samples: PixelSamples, cameras: Sequence[Camera], outline_error: float) -> NDArray[np.bool_]:

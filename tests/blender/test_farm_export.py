@@ -75,6 +75,16 @@ behind.image_user.frame_start, behind.image_user.frame_duration = 11, 7
 behind.image_user.frame_offset = 1000
 assert bpy.ops.iris.export_farm(directory={onto!r}, samples=2, chunk=3) == {{"FINISHED"}}
 """
+AGAIN = """
+assert bpy.ops.iris.open_demo() == {{"FINISHED"}}
+settings, camera = scene.iris, scene.camera
+scene.frame_start, scene.frame_end = 1, 4
+for directory in {unchanged!r}, {unchanged!r} + " again":
+    assert bpy.ops.iris.export_farm(directory=directory, samples=2) == {{"FINISHED"}}
+assert bpy.ops.iris.export_farm(directory={sharper!r}, samples=4) == {{"FINISHED"}}
+settings.lamps[0].strength *= 0.5
+assert bpy.ops.iris.export_farm(directory={dimmed!r}, samples=2) == {{"FINISHED"}}
+"""
 
 
 @pytest.fixture(scope="module")
@@ -141,6 +151,38 @@ def test_what_was_placed_travels_in_a_copy_of_the_scene(exported, kind, waits):
     look = f"import bpy\nwith bpy.data.libraries.load({str(frames.scene)!r}) as (found, _):\n    print(found.objects)"
     found = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True)
     assert "'ball'" in found.stdout
+
+
+def out_of(bundle: Path) -> Path:
+    (job_file,) = bundle.glob("*.toml")
+    (job,) = read_jobs(job_file)
+    return job.frames[0].out
+
+
+def test_frames_of_a_changed_export_have_a_folder_of_their_own(tmp_path):
+    """So that finished ones of another state of the scene, or of other settings, are not kept for them."""
+    (tmp_path / "home").mkdir()
+    package = build_package(tmp_path / "iris.zip")
+    names = {name: str(tmp_path / name) for name in ("unchanged", "sharper", "dimmed")}
+    in_blender(package, tmp_path / "home", AGAIN.format(**names))
+    outs = {name: out_of(Path(path)) for name, path in names.items()}
+    assert out_of(tmp_path / "unchanged again") == outs["unchanged"]
+    assert len(set(outs.values())) == 3
+    assert {out.parent for out in outs.values()} == {outs["unchanged"].parent}
+
+
+def test_the_plate_travels_in_the_bundle_under_a_relative_path(exported, tmp_path):
+    bundle = exported[0].parent / "onto"
+    (job_file,) = bundle.glob("*.toml")
+    scene = job_file.with_suffix(".blend")
+    (plate,) = scene.with_suffix(".files").rglob("sh.1001.png")
+    assets = json.loads((bundle / "asset_references.json").read_text())["assetReferences"]
+    assert str(scene.with_suffix(".files")) in assets["inputs"]["directories"]
+    look = f"import bpy\nbpy.ops.wm.open_mainfile(filepath={str(scene)!r})\n"
+    look += "print('PATHS', [i.filepath for i in bpy.data.images if i.filepath and not i.packed_file])"
+    found = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True)
+    paths = next(line for line in found.stdout.splitlines() if line.startswith("PATHS"))
+    assert f"'//{plate.relative_to(bundle).as_posix()}'" in paths and f"'{bundle.parent}" not in paths
 
 
 def openjd_run(bundle: Path, tmp_path: Path, *steps: str) -> Frames:

@@ -235,6 +235,29 @@ def test_frames_of_a_movie_file_are_those_that_blender_shows(shot):
         plate_picture(scene, 14)
 
 
+def test_a_movie_file_as_the_image_behind_the_camera_is_a_plate(shot):
+    """The second and third frame of the film at frames 11 and 12 of the scene."""
+    scene = bpy.context.scene
+    write_movie(shot / "film.mkv", [shot / "plate" / f"sh.{FIRST_FILE + k}.png" for k in range(3)])
+    image = bpy.data.images.load(str(shot / "film.mkv"))
+    assert image.source == "MOVIE"
+    behind = scene.camera.data.background_images.new()
+    behind.source, behind.image = "IMAGE", image
+    behind.image_user.frame_start, behind.image_user.frame_duration, behind.image_user.frame_offset = 11, 3, 1
+    clips = len(bpy.data.movieclips)
+    for k, frame in enumerate((11, 12)):
+        seen, photo = read_plate(scene, frame), read_image(shot / "plate" / f"sh.{FIRST_FILE + 1 + k}.png")
+        assert seen.values.shape == photo.shape and np.abs(seen.values - photo).mean() < 3 / 255
+    assert len(bpy.data.movieclips) == clips
+    for frame, told in ((13, "film.mkv: has 3 frames, and none with the number 4"), (14, "shows frames 11 to 13")):
+        with pytest.raises(BadInput, match=told):
+            plate_picture(scene, frame)
+    out = run(shot, "--frames", "12")
+    record = json.loads((out / "exposures" / "frame_0012.json").read_text())
+    assert record["picture"] == "film.mkv"
+    np.testing.assert_allclose(record["exposure"], EXPOSURES[13], rtol=0.03)
+
+
 def write_movie(path: Path, pictures: list[Path]) -> None:
     """The pictures as a movie file, by Blender's compositor, in a scene that is removed again."""
     image = bpy.data.images.load(str(pictures[0]))

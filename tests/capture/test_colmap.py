@@ -67,6 +67,8 @@ def test_lens_distortion_comes_along(colmap_room: tuple[Path, Capture]) -> None:
             k1=0.1, k2=0.2, p1=0.3, p2=0.4, k3=0.5, d1=0.6, d2=0.7, d3=0.8
         )),
         ("FULL_OPENCV", (0.0,) * 8, None),
+        ("FOV", (0.9,), Distortion(omega=0.9)),
+        ("FOV", (0.0,), None),
         ("SIMPLE_FISHEYE", (), Distortion(fisheye=True)),
         ("FISHEYE", (), Distortion(fisheye=True)),
         ("THIN_PRISM_FISHEYE", (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8), Distortion(
@@ -103,7 +105,7 @@ def test_the_model_with_most_photos_is_read_and_the_rest_is_said(
     assert "1 of 6 photos have no pose in the model and are left out: 005.png" in said
 
 
-@pytest.mark.parametrize("model", ["FOV", "DIVISION"])
+@pytest.mark.parametrize("model", ["RAD_TAN_THIN_PRISM_FISHEYE", "DIVISION"])
 def test_a_camera_model_that_is_not_read_is_named(model: str, colmap_room: tuple[Path, Capture]) -> None:
     root, expected = colmap_room
     _, width, height, lens = camera_of(expected)
@@ -163,7 +165,7 @@ def test_a_model_without_photos_and_mesh_still_has_cameras(colmap_room: tuple[Pa
         (lambda f: (f / "images.bin").write_bytes((f / "images.bin").read_bytes()[:-30]), "damaged"),
         (lambda f: (f / "images.bin").write_bytes(struct.pack("<Q", 2**60)), "damaged"),
         (lambda f: (f / "images.bin").write_bytes(struct.pack("<Q", 0)), "no images"),
-        (lambda f: (f / "cameras.bin").write_bytes(struct.pack("<QIiQQ", 1, 3, 7, 32, 24)), "model FOV"),
+        (lambda f: (f / "cameras.bin").write_bytes(struct.pack("<QIiQQ", 1, 3, 13, 32, 24)), "model DIVISION"),
         (lambda f: (f / "cameras.bin").write_bytes(struct.pack("<QIiQQ", 1, 3, 60, 32, 24)), "number 60"),
         (lambda f: (f / "cameras.bin").write_bytes(struct.pack("<Q", 0)), "no camera 3"),
     ],

@@ -11,6 +11,7 @@ from PIL import Image
 
 from iris_addon.base.errors import BadInput
 from iris_addon.base.images import write_exr, write_png
+from iris_addon.capture.lens import distort
 from iris_addon.capture.photos import load_photo
 from iris_addon.capture.reader import read_capture
 from iris_addon.model.capture import Camera, Distortion, View
@@ -84,9 +85,29 @@ def colmap_thin_prism(x: float, y: float, lens: Distortion) -> tuple[float, floa
     )
 
 
+FOV = Distortion(omega=0.95)
+
+
+def colmap_fov(x: float, y: float, lens: Distortion) -> tuple[float, float]:
+    """FOV of COLMAP's models.h, with its series near the middle."""
+    radius2, tan_half = x * x + y * y, np.tan(lens.omega / 2)
+    if radius2 < 1e-4:
+        factor = (-2 * tan_half * (4 * radius2 * tan_half**2 - 3)) / (3 * lens.omega)
+    else:
+        factor = np.arctan(np.sqrt(radius2) * 2 * tan_half) / (np.sqrt(radius2) * lens.omega)
+    return x * factor, y * factor
+
+
 @pytest.mark.parametrize(
     ("lens", "project"),
-    [(LENS, opencv), (FISHEYE, opencv_fisheye), (RATIONAL, opencv_rational), (THIN_PRISM, colmap_thin_prism)],
+    [
+        (LENS, opencv),
+        (FISHEYE, opencv_fisheye),
+        (RATIONAL, opencv_rational),
+        (THIN_PRISM, colmap_thin_prism),
+        (FOV, colmap_fov),
+        (Distortion(omega=0.05), colmap_fov),
+    ],
 )
 @pytest.mark.parametrize("marker", MARKERS)
 def test_marker_returns_to_its_pinhole_position(tmp_path: Path, lens, project, marker) -> None:
@@ -94,6 +115,18 @@ def test_marker_returns_to_its_pinhole_position(tmp_path: Path, lens, project, m
     photo_with_blob(tmp_path / "a.png", x * CAMERA.fx + CAMERA.cx, y * CAMERA.fy + CAMERA.cy)
     photo = load_photo(View("a", CAMERA, tmp_path / "a.png", distortion=lens))
     np.testing.assert_allclose(centroid(photo.values[..., 0]), marker, atol=0.15)
+
+
+@pytest.mark.parametrize("omega", [0.02, 0.3, 0.95, 2.5])
+def test_lines_through_the_middle_of_an_fov_lens_keep_their_places(omega: float) -> None:
+    """As COLMAP puts them, from the middle to the border, and back by the inverse of the paper."""
+    x, y = np.linspace(-0.8, 0.8, 41), np.linspace(-0.5, 0.6, 41)
+    u, v, unique = distort(x, y, Distortion(omega=omega))
+    expected = np.array([colmap_fov(a, b, Distortion(omega=omega)) for a, b in zip(x, y, strict=True)])
+    np.testing.assert_allclose(np.stack([u, v], -1), expected, atol=2e-7)
+    r = np.hypot(u, v)
+    np.testing.assert_allclose(np.tan(r * omega) / (2 * np.tan(omega / 2)), np.hypot(x, y), rtol=1e-9, atol=1e-12)
+    assert unique.all()
 
 
 def test_where_the_lens_saw_nothing_is_invalid(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -270,7 +271,15 @@ def test_the_black_border_of_corrected_photos_is_no_picture(tmp_path: Path) -> N
     write_polycam(demo.root, read_capture(demo.save()))
     (demo.root / "transforms.json").unlink()
     border = round(demo.meta["w"] * 15 / 1024)
-    for view in read_capture(demo.root).views:
+    for path in (demo.root / "keyframes" / "corrected_images").iterdir():
+        with Image.open(path) as photo:
+            inner = photo.crop((border, border, photo.width - border, photo.height - border))
+            framed = Image.new("RGB", photo.size)
+        framed.paste(inner, (border, border))
+        framed.save(path)
+    capture = read_capture(demo.root)
+    assert not any("bars" in warning for warning in capture.warnings)  # they are those of the format
+    for view in capture.views:
         valid = load_photo(view).valid
         assert valid[border:-border, border:-border].all() and valid.sum() == valid[border:-border, border:-border].size
 
@@ -284,6 +293,24 @@ def test_record3d_without_lenses_of_its_photos_has_one_by_columns(nerfstudio_roo
     path.write_text(json.dumps(meta))
     camera = read_capture(path).views[0].camera
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (FOCAL + 3, FOCAL + 3, 15.0, 13.0)
+
+
+@pytest.mark.parametrize("as_file", [True, False])
+def test_a_recording_in_record3ds_own_format_is_named_with_the_way_out(
+    as_file: bool, nerfstudio_room: RoomCapture, tmp_path: Path
+) -> None:
+    """An archive as the app shares it: photos of the room, and depth that nothing here decodes."""
+    expected = read_capture(nerfstudio_room.root)
+    (tmp_path / "phone").mkdir()
+    recording = tmp_path / "phone" / "2026-11-30--10-20-30.r3d"
+    with zipfile.ZipFile(recording, "w") as archive:
+        archive.writestr("metadata", json.dumps({"w": WIDTH, "h": HEIGHT, "fps": 60, "poses": []}))
+        for number, view in enumerate(expected.views):
+            assert view.photo is not None
+            archive.writestr(f"rgbd/{number}.jpg", view.photo.read_bytes())
+            archive.writestr(f"rgbd/{number}.depth", b"bvx2" + bytes(64))
+    with pytest.raises(BadInput, match=r'30\.r3d: is a recording .*LZFSE.* — export it from Record3D as "EXR \+ RGB"'):
+        read_capture(recording if as_file else recording.parent)
 
 
 @pytest.mark.parametrize("write", [write_scannetpp, write_scannetpp_undistorted], ids=lambda w: w.__name__)

@@ -193,6 +193,33 @@ def test_the_frames_of_a_blend_travel_with_it(rooms, monkeypatch, plate):
     assert list(args.frames) == list(range(6, 12)) and args.resume and args.samples == 4
 
 
+def test_frames_of_a_blend_that_has_changed_are_not_kept_beside_new_ones(rooms, monkeypatch, capsys):
+    """A task that is run again keeps what is there; after another export it says so, and renders nothing."""
+    ran = []
+    monkeypatch.setattr("headless.batch.run_command", lambda words, _progress: ran.append(words) or {})
+    (rooms / "sh020.blend").write_bytes(b"BLENDER as it was")
+    (rooms / "jobs.toml").write_text(SCENE)
+    task = ["batch", str(rooms / "jobs.toml"), "--only", "one/sh020", "--chunk", "0"]
+    assert cli.main(task) == 0
+    out = read_jobs(rooms / "jobs.toml")[0].frames[0].out
+    (out / "frame_0001.png").write_bytes(b"finished")
+    assert cli.main(task) == 0 and len(ran) == 2
+    (rooms / "sh020.blend").write_bytes(b"BLENDER as it is")
+    assert cli.main(task) == 3 and len(ran) == 2
+    assert "frames of sh020.blend as it was before" in capsys.readouterr().err
+    (out / "frame_0001.png").unlink()
+    assert cli.main(task) == 0 and len(ran) == 3
+
+
+def test_what_a_blend_links_to_goes_with_it(rooms):
+    (rooms / "sh020.blend").write_bytes(b"BLENDER")
+    (rooms / "sh020.files").mkdir()
+    (rooms / "jobs.toml").write_text(SCENE)
+    bundle(rooms)
+    inputs = json.loads((rooms / "bundle" / "asset_references.json").read_text())["assetReferences"]["inputs"]
+    assert str(rooms / "sh020.files") in inputs["directories"]
+
+
 @pytest.mark.parametrize("line", ['views = "one"', "linear = true", "fps = 24", 'exposure = "photo"', 'plate = "a"'])
 def test_a_blend_has_its_own_views_and_rate(rooms, line):
     (rooms / "jobs.toml").write_text(f"{SCENE}{line}\n")

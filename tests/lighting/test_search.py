@@ -98,6 +98,21 @@ def test_a_lamp_clipped_in_every_photo_keeps_the_radiance_of_its_light() -> None
     assert brightness(room, again, PANEL) == pytest.approx(4.0, rel=0.1)
 
 
+@pytest.mark.parametrize(("off_its_edge", "found"), [(0.0, 10.0), (0.1, 3.0)])
+def test_a_lamp_whose_every_pixel_is_on_its_edge_is_brighter_than_it_looks(off_its_edge: float, found: float) -> None:
+    """Blur makes the few pixels of a lamp of radiance 10 as dark as 3; further off its edge they would be believed."""
+    room = light_room(*panels(CEILING_LAMP, albedo=0.85), {LAMP: 10.0}, shown={LAMP: 3.0}).on_edge(LAMP, off_its_edge)
+    assert brightness(room, room.solved(LAMP), LAMP) == pytest.approx(found, rel=0.1)
+
+
+@pytest.mark.parametrize(("blue", "found"), [(0.9, 4.0), (0.3, 0.3)])
+def test_what_shines_hardly_less_than_clips_beside_a_clipped_channel_is_not_measured(blue: float, found: float) -> None:
+    """A white lamp of radiance 4 of which red and green clip at 1, and blurred blue does not; or an orange lamp."""
+    room = light_room(*panels(CEILING_LAMP, albedo=0.85), {LAMP: (4.0, 4.0, found)}, clip=1.0)
+    lights = room.showing(LAMP, 2, blue).solved(LAMP)
+    np.testing.assert_allclose(lights.radiance[0], [4.0, 4.0, found], rtol=0.1)
+
+
 def test_a_lamp_measured_to_be_dim_is_dropped() -> None:
     room = lamp_and_panel({LAMP: 10.0}, shown={PANEL: 0.5})
     assert room.lamps(reconsider(room, room.lights({LAMP: 10.0, PANEL: 4.0}))) == {LAMP}

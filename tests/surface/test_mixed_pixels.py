@@ -7,13 +7,13 @@ from typing import cast
 
 import numpy as np
 import pytest
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import binary_dilation, distance_transform_edt
 
 from iris_addon.base.progress import Progress
 from iris_addon.model.capture import Camera
 from iris_addon.rays.tracer import Tracer
 from iris_addon.response.observations import observe
-from iris_addon.surface.mixed_pixels import beside_outlines, brighter_neighbours, mixed_pixels
+from iris_addon.surface.mixed_pixels import beside_outlines, brighter_neighbours, mixed_pixels, off_edges
 from iris_addon.surface.primary_rays import PixelSamples, trace_pixels
 from iris_addon.textures.bake import TexelAlbedo, UsualPixel, pixel_weight
 from iris_addon.textures.principled import EXPECTED_WEIGHT, with_expected
@@ -23,11 +23,10 @@ from tests.engine_room import assemble, quad
 WALL, TABLE = 0, 1
 
 
-def mixed_picture(quads: list, regions: list[int], width: int = 60) -> tuple[np.ndarray, np.ndarray]:
-    """(h, w) which pixels are mixed, and the region under each (-1 none), seen from 3 m along -z."""
+def photographed(quads: list, regions: list[int], width: int = 60) -> tuple[np.ndarray, Camera, PixelSamples]:
+    """(F,) regions of the faces, the camera and its pixels, ``width`` a side, seen from 3 m along -z."""
     mesh = assemble(quads, regions)
     assert mesh.regions is not None
-    tracer = Tracer(mesh)
     camera = Camera(
         width=width,
         height=width,
@@ -37,11 +36,16 @@ def mixed_picture(quads: list, regions: list[int], width: int = 60) -> tuple[np.
         cy=width / 2,
         c2w=look_at(np.array([0, -1e-3, 3.0]), np.zeros(3)),
     )
-    samples = trace_pixels(tracer, [camera], Progress())
+    return mesh.regions, camera, trace_pixels(Tracer(mesh), [camera], Progress())
+
+
+def mixed_picture(quads: list, regions: list[int], width: int = 60) -> tuple[np.ndarray, np.ndarray]:
+    """(h, w) which pixels are mixed, and the region under each (-1 none)."""
+    of_face, camera, samples = photographed(quads, regions, width)
     mixed, region = np.zeros((2, width, width), int)
     region -= 1
-    mixed.flat[samples.pixel] = mixed_pixels(samples, mesh.regions, [camera])
-    region.flat[samples.pixel] = mesh.regions[samples.face]
+    mixed.flat[samples.pixel] = mixed_pixels(samples, of_face, [camera])
+    region.flat[samples.pixel] = of_face[samples.face]
     return mixed > 0, region
 
 
@@ -107,25 +111,26 @@ def test_a_single_pixel_in_the_corner_of_a_photo_is_mixed() -> None:
     assert (region == WALL).sum() == 1 and mixed[region == WALL].all()
 
 
+@pytest.mark.parametrize(("side", "inner"), [(0.25, 0), (0.5, 16)])
+def test_inner_pixels_are_three_off_the_edge(side: float, inner: int) -> None:
+    """A square of 5 or of 10 pixels a side before a wall; the outermost are mixed, and two more are left out."""
+    square = quad([-side / 2, -side / 2, 0], [side, 0, 0], [0, side, 0])
+    regions, camera, samples = photographed([quad([-3, -3, -0.5], [6, 0, 0], [0, 6, 0]), square], [WALL, TABLE])
+    mixed = mixed_pixels(samples, regions, [camera])
+    found = off_edges(samples, mixed, [camera])
+    assert (found & (regions[samples.face] == TABLE)).sum() == inner
+    picture = np.zeros((2, 60, 60), bool)
+    picture[0].flat[samples.pixel], picture[1].flat[samples.pixel] = mixed, found
+    np.testing.assert_array_equal(picture[1], ~binary_dilation(picture[0], np.ones((5, 5))))
+
+
 def test_a_bar_before_a_window_has_a_brighter_neighbour_and_nothing_has_a_darker_or_coplanar_one() -> None:
     """The bar before the bright half of a wall; the other half is darker than it."""
-    mesh = assemble([WIDE_WALL, quad([-0.06, -3, 0.5], [0.12, 0, 0], [0, 6, 0])], [WALL, TABLE])
-    assert mesh.regions is not None
-    tracer, size = Tracer(mesh), 60
-    camera = Camera(
-        width=size,
-        height=size,
-        fx=size,
-        fy=size,
-        cx=size / 2,
-        cy=size / 2,
-        c2w=look_at(np.array([0, -1e-3, 3.0]), np.zeros(3)),
-    )
-    samples = trace_pixels(tracer, [camera], Progress())
-    bar, upper = mesh.regions[samples.face] == TABLE, samples.position[:, 1] > 0
+    regions, camera, samples = photographed([WIDE_WALL, quad([-0.06, -3, 0.5], [0.12, 0, 0], [0, 6, 0])], [WALL, TABLE])
+    bar, upper = regions[samples.face] == TABLE, samples.position[:, 1] > 0
     z = np.where(bar, 0.7, np.where(upper, 1.0, 0.2))[:, None].repeat(3, 1)
-    mixed = mixed_pixels(samples, mesh.regions, [camera])
-    by = brighter_neighbours(samples, z, mixed, mesh.regions, [camera])
+    mixed = mixed_pixels(samples, regions, [camera])
+    by = brighter_neighbours(samples, z, mixed, regions, [camera])
     assert bar.sum() > 100 and mixed[bar].all()
     apart = np.abs(samples.position[:, 1]) > 0.1
     assert (by[bar & upper & apart] >= 0).all() and (by[bar & ~upper & apart] < 0).all()

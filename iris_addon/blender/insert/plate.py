@@ -1,8 +1,8 @@
 """The plate behind the camera of a scene: the file and the pixels of each frame.
 
-It is the camera's background, a movie clip or an image of a sequence. Frames are counted as Blender shows them. Lens
-distortion that the tracking of a clip has found is taken out, because what is rendered has none. Needs no package but
-numpy.
+It is the camera's background, a movie clip, or an image that is a sequence or a movie. Frames are counted as Blender
+shows them. Lens distortion that the tracking of a clip has found is taken out, because what is rendered has none. Needs
+no package but numpy.
 """
 
 from __future__ import annotations
@@ -36,11 +36,35 @@ def read_plate(scene: bpy.types.Scene, frame: int) -> Photo:
     picture, clip = plate_picture(scene, frame), _clip(scene)
     hdr = picture.suffix.lower() == RADIANCE_SUFFIX
     lens = None if clip is None else _lens(clip)
-    values = _decoded(clip, frame) if clip is not None and clip.source == "MOVIE" else read_image(picture)
+    movie = _movie_frame(scene, frame)
+    values = read_image(picture) if movie is None else _of_movie(picture, *movie)
     valid = np.isfinite(values).all(-1)
     if clip is not None and lens is not None:
         values, valid = _undistorted(values, valid, clip.tracking.camera, lens)
     return Photo(values=values, valid=valid, hdr=hdr)
+
+
+def _movie_frame(scene: bpy.types.Scene, frame: int) -> tuple[bpy.types.MovieClip | None, int] | None:
+    """The movie clip behind the camera and the frame of the scene, or None and the number of the frame in the movie
+    that is shown as an image; None where there is no movie."""
+    behind, clip = _behind(scene), _clip(scene)
+    if clip is not None:
+        return (clip, frame) if clip.source == "MOVIE" else None
+    if behind is None or behind.image.source != "MOVIE":
+        return None
+    return None, _shown_by_image(behind.image, behind.image_user, frame)
+
+
+def _of_movie(path: Path, clip: bpy.types.MovieClip | None, frame: int) -> NDArray[np.float32]:
+    """:func:`_decoded` of a clip, or of the movie file ``path`` from its first frame on."""
+    if clip is not None:
+        return _decoded(clip, frame)
+    whole = bpy.data.movieclips.load(str(path))
+    try:
+        whole.frame_start = 1
+        return _decoded(whole, frame)
+    finally:
+        bpy.data.movieclips.remove(whole)
 
 
 def _decoded(clip: bpy.types.MovieClip, frame: int) -> NDArray[np.float32]:
@@ -129,7 +153,10 @@ def plate_picture(scene: bpy.types.Scene, frame: int) -> Path:
         raise BadInput("the scene has no active camera", "make the tracked camera the active one")
     behind = _behind(scene)
     if behind is None:
-        what, fix = f"the camera {scene.camera.name} shows no plate", "give it a movie clip or an image sequence as its"
+        what, fix = (
+            f"the camera {scene.camera.name} shows no plate",
+            "give it a movie clip, an image sequence or a movie as its",
+        )
         raise BadInput(what, f"{fix} background image")
     clip = _clip(scene)
     if clip is not None:
@@ -171,8 +198,20 @@ def _of_clip(clip: bpy.types.MovieClip, frame: int) -> Path:
 
 
 def _of_image(image: bpy.types.Image, user: bpy.types.ImageUser, frame: int) -> Path:
-    if image.source == "MOVIE":
-        raise BadInput(f"{image.name} is a movie file", "load it as a movie clip, and show that")
+    path = Path(bpy.path.abspath(image.filepath, library=image.library))
+    number = _shown_by_image(image, user, frame)
+    if image.source == "SEQUENCE":
+        return _numbered(path, number)
+    if not path.is_file():
+        raise BadInput("is missing", "give the image its file", path)
+    if not 1 <= number <= image.frame_duration:
+        what = f"has {image.frame_duration} frames, and none with the number {number}"
+        raise BadInput(what, "shorten the range of the scene", path)
+    return path
+
+
+def _shown_by_image(image: bpy.types.Image, user: bpy.types.ImageUser, frame: int) -> int:
+    """Number of the picture, of a movie from 1 on, that an image shows at ``frame`` of the scene; raises BadInput."""
     at = frame - user.frame_start + 1
     if user.use_cyclic:
         at = (at - 1) % max(user.frame_duration, 1) + 1
@@ -181,7 +220,7 @@ def _of_image(image: bpy.types.Image, user: bpy.types.ImageUser, frame: int) -> 
             f"{image.name} shows frames {user.frame_start} to {user.frame_start + user.frame_duration - 1}",
             "set its number of frames, or shorten the range of the scene",
         )
-    return _numbered(Path(bpy.path.abspath(image.filepath, library=image.library)), at + user.frame_offset)
+    return at + user.frame_offset
 
 
 def _numbered(path: Path, number: int, *, from_its_own: bool = False) -> Path:
