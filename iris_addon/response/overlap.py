@@ -32,23 +32,13 @@ from ..model.device import Devices
 from ..model.local_exposure import UNIFORM, LocalExposure, LocalSettings, SmallPhotos
 from ..model.response import Response
 from . import family
+from .clipping import FLAT_SPREAD
 from .curve_table import CurveTable
 from .observations import Observations
 from .overlap_problem import MIN_EXPOSURE_SPREAD, MIN_UNKNOWN_SPREAD, OverlapProblem
 
 MAX_PATCHES = 1_500
 """Of either kind: patches that fix the shape of the curve, and patches that fix its scale."""
-FLAT_SPREAD = 0.04
-"""Largest standard deviation of display values within an observation that still counts as one value."""
-NOISE_LEVELS, NOISE_PIXELS, NOISE_QUANTILE = (0.7, 0.94), 9, 0.1
-"""Display values, pixels and quantile of the spread of observations that tell noise: the smoothest tenth has neither
-texture nor shading in it."""
-CODE = 1 / 255
-"""Spread that shading and rounding leave in the smoothest observations of photos without noise."""
-NOISE_MARGIN = 9.0
-"""Margin below clipping over that noise: near edges, where JPEG keeps it all, noise is three times as large."""
-CERTAIN_SHARE = 0.9
-"""Share of clipped pixels from which a noisy observation has clipped for certain."""
 MAX_STEPS, SEPARATE_STEPS = 60, 5
 """One curve starts from the prior and runs until it has converged; three start from there and go on if they gain."""
 START_STEPS, START_EVERY, START_LEVELS = 12, 4, (0.0, 0.8, 1.6)
@@ -95,7 +85,7 @@ def _select(observations: Observations, rng: np.random.Generator) -> NDArray[np.
     """
     o = observations
     n = int(o.patch.max()) + 1
-    flat = (o.spread.max(1) < FLAT_SPREAD) & (o.count >= 2) & ~_doubtful(o)
+    flat = (o.spread.max(1) < FLAT_SPREAD) & (o.count >= 2)
     clipped = o.saturated.max(1) > 0
     n_unclipped = np.bincount(o.patch[flat & ~clipped], minlength=n)
     n_clipped = np.bincount(o.patch[flat & clipped], minlength=n)
@@ -108,26 +98,6 @@ def _select(observations: Observations, rng: np.random.Generator) -> NDArray[np.
             patches = rng.choice(patches, MAX_PATCHES, replace=False, p=_spread_over_brightness(o, index, patches))
         chosen[patches] = True
     return index[chosen[o.patch[index]]]
-
-
-def _doubtful(o: Observations) -> NDArray[np.bool_]:
-    """(M,) observations of which noise hides whether they clip: their display values are cut off on one side.
-
-    Few of them shift the radiance at which x = 1. Photos without noise have none, and need what lies below clipping.
-    """
-    near = (o.z > 1 - clip_margin(o)) & (o.saturated < CERTAIN_SHARE)
-    return near.any(1)
-
-
-def clip_margin(o: Observations) -> float:
-    """Distance from clipping, in display values, within which the noise of photos can clip; 0 where they have none."""
-    low, high = NOISE_LEVELS
-    unclipped = (o.saturated.max(1) == 0) & (o.count >= NOISE_PIXELS)
-    spread = o.spread[(o.z > low) & (o.z < high) & unclipped[:, None]]
-    if not len(spread):
-        return 0.0
-    smooth = float(np.quantile(spread, NOISE_QUANTILE))
-    return NOISE_MARGIN * max(smooth**2 - CODE**2, 0.0) ** 0.5
 
 
 def _spread_over_brightness(

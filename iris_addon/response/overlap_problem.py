@@ -20,6 +20,7 @@ from ..base.minimise import gauss_newton, one_thread
 from ..base.segments import Segments
 from ..decide import Decisions
 from . import family
+from .clipping import Clipping
 from .curve_table import Curves, DeviceCurves
 from .observations import Observations
 
@@ -62,8 +63,8 @@ class OverlapProblem:
 
     Attributes:
         z: (C, m) display values in [0, 1].
-        share: (C, m) of the pixels that are clipped.
-        clipped: (m,) whether any pixel is clipped in any channel.
+        share: (C, m) of the pixels that are clipped, as far as noise lets that be told.
+        clipped: (m,) whether any pixel is clipped in any channel, or noise may hide that it is.
         weight: (m,) statistical weight.
         patch, view: (m,) indices; ``patch`` ascends.
         pixel: (m,) row-major place in the photo.
@@ -99,12 +100,12 @@ class OverlapProblem:
         """The problem of the observations ``index``; ``exposures`` (V,) or None where they are unknown."""
         index = index[np.argsort(o.patch[index], kind="stable")]
         patches, patch = np.unique(o.patch[index], return_inverse=True)
-        share = torch.from_numpy(o.saturated[index].T.astype(np.float64))
+        clipping = Clipping.of(o)
         log_t = None if exposures is None else torch.from_numpy(np.log(np.asarray(exposures, np.float64))).expand(3, -1)
         return OverlapProblem(
             z=torch.from_numpy(np.clip(o.z[index].T.astype(np.float64) + 0.5 / 255, 0, 1)),
-            share=share,
-            clipped=share.amax(0) > 0,
+            share=torch.from_numpy(clipping.share[index].T.astype(np.float64)),
+            clipped=torch.from_numpy(~clipping.measured[index]),
             weight=torch.from_numpy(np.minimum(o.count[index], 25.0).astype(np.float64) ** 0.25),
             patch=torch.from_numpy(patch),
             view=torch.from_numpy(o.view[index].astype(np.int64)),

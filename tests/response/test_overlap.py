@@ -16,8 +16,9 @@ from iris_addon.decide import Decisions
 from iris_addon.model import response as curve
 from iris_addon.model.response import N_SAMPLES, Response
 from iris_addon.response import family
+from iris_addon.response.clipping import photo_noise
 from iris_addon.response.observations import Observations
-from iris_addon.response.overlap import clip_margin, fit_overlap
+from iris_addon.response.overlap import fit_overlap
 from iris_addon.response.overlap_problem import OverlapProblem, cauchy_root, geman_mcclure_root
 from iris_addon.response.photometry import Photometry
 from tests.engine_room import observe_off_edges
@@ -152,7 +153,7 @@ def test_noise_below_clipping_does_not_move_the_radiance_that_clips(noise: float
     rng = np.random.default_rng(1)
     truth, exposures = response_of(srgb()), 2.0 ** np.random.default_rng(2).uniform(-2, 2.2, 12)
     observations = by_phone(truth, exposures, rng, noise)
-    assert (clip_margin(observations) > 0) == (noise > 0)
+    assert (photo_noise(observations) > 0) == (noise > 0)
     one_curve = Decisions({"channel_curves": False, "corrected_exposures": False})
     fit = fit_overlap(observations, exposures, len(exposures), rng, decisions=one_curve)
     assert crf_l2(fit.response, truth.samples) < limit
