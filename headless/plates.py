@@ -55,10 +55,13 @@ def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
     from iris_addon.results.folder import load_result
 
     from .animation import moves
+    from .relighting import in_asked_state
 
     pictures = plate_files(args.plate)
-    result = load_result(args.result).in_state(args.light_state)
-    views = _by_number(result.as_taken(read_views(args.camera, result.report)), args.camera)
+    result = load_result(args.result)
+    taken = read_views(args.camera, result.report)
+    result = in_asked_state(args, result, taken)
+    views = _by_number(result.as_taken(taken), args.camera)
     job = read_json(args.objects)
     for key, option in {"camera": "--camera", "length": "the plate"}.items():
         if key in job:

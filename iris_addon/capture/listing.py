@@ -22,6 +22,7 @@ from ..base.errors import BadInput
 from ..base.image_headers import MAX_PIXELS
 from ..base.untrusted import finite, floats, read_json, read_npy
 from ..model.capture import Camera, Distortion, FloatArray, View
+from ..model.light_states import is_state_name
 from .mesh_files import MAX_COORDINATE, MESH_SUFFIXES, ply_counts
 from .photo_files import PHOTO_SUFFIXES, UPRIGHT, read_orientation, shown_up
 
@@ -41,7 +42,6 @@ MAX_NAME_BYTES = 200
 """Of the name of a view, which pictures of it are called by."""
 MAX_LIGHT_STATES = 16
 """Of a capture: what each is solved from takes memory of its own."""
-_LIGHT_STATE = re.compile(r"[\w+.-][\w+. -]{0,39}")
 RIGID_TOLERANCE = 1e-3
 """Deviation from a rotation matrix; files keep three decimals at least."""
 
@@ -253,8 +253,8 @@ def light_states(frames: Sequence[Mapping[str, Any]], names: Sequence[str], sour
         if state is None:
             fix = "give every frame the name of its light state, or none"
             raise BadInput(f'{name} has no "light_state" although other frames have one', fix, source)
-        if not isinstance(state, str) or not _LIGHT_STATE.fullmatch(state):
-            fix = "name it by up to 40 letters, digits, spaces and - . _ +"
+        if not is_state_name(state):
+            fix = "name it by up to 40 letters, digits, spaces and - . _ + (63 bytes of UTF-8), no space or - first"
             raise BadInput(f'{name} has the "light_state" {state!r}', fix, source)
     if len(set(found)) > MAX_LIGHT_STATES:
         what = f"names {len(set(found))} light states, more than {MAX_LIGHT_STATES}"

@@ -42,7 +42,7 @@ def lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]], befo
         if len(own) == 0:
             continue  # no photo shows it
         pattern = problem.pattern_of(emitters[index])
-        inner = own[problem.mixed.inner[own]]
+        inner = own[problem.inner_cells[cell[own]]]
         if pattern is not None:
             bound[index], measured[index] = _mean_over(seen, pattern)
         elif len(inner):
@@ -69,8 +69,9 @@ def _seen_of(seen: Brightness, cells: NDArray[np.integer]) -> tuple[NDArray[np.f
         unclipped = values >= 0.98 * bound[channel]
         if unclipped.mean() > 0.3:
             measured[channel] = np.quantile(values[unclipped], LAMP_QUANTILE)
-    clips = seen.bound[cells].max()
-    measured[(measured > CLIPS_TOO * clips) & (measured <= clips)] = np.nan
+    clips_too = (measured > CLIPS_TOO * bound.max()) & (measured <= bound.max())
+    bound[clips_too] = np.maximum(bound, measured)[clips_too]
+    measured[clips_too] = np.nan
     return bound, measured
 
 

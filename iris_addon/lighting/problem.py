@@ -197,6 +197,12 @@ class LightProblem:
         """(P,) seen patches that photos of this light state show; what others cast here is inferred."""
         return self.surface.count > 0
 
+    @cached_property
+    def inner_cells(self) -> NDArray[np.bool_]:
+        """(C,) cells of which most pixels are off all edges."""
+        of_pixel = self.cells.of_pixel
+        return 2 * np.bincount(of_pixel, self.mixed.inner, self.cells.n_cells) > self.cells.count
+
     def asked_for_profile(self, faces: NDArray[np.int64]) -> bool:
         """Whether the lamp of ``faces`` is asked for a profile."""
         return any(np.array_equal(each, faces) for each in self.asked)

@@ -23,6 +23,7 @@ from ..model.response import LUMINANCE
 from ..response.radiance import GroupRadiance
 from ..transport.form_factors import profile_form_factors
 from .balance import Evidence, solve_balance
+from .brightness import least_radiance
 from .candidates import tie_fixtures
 from .lamp_evidence import lamp_evidence, lamp_of_patch, with_hidden
 from .lamp_radiance import PatchFit, fitted_shading, patches_on, solve_lights
@@ -194,11 +195,12 @@ def _by_angle(
     lamp = lamp_of_patch(problem, faces)[o.patch]
     nearest = profile_basis(problem.samples.cosine[o.sample]).argmax(-1)
     row = np.where(lamp >= 0, lamp * len(EVEN_PROFILE) + nearest, -1)
-    unclipped = linear.unclipped.all(1) & problem.mixed.inner[o.sample]
+    unclipped = linear.unclipped.all(1) & problem.inner_cells[o.patch]  # the first cells are the patches
+    least = least_radiance(linear, None)
     for k in np.unique(row[row >= 0]):
         measures, bounds = (np.flatnonzero((row == k) & some) for some in (unclipped, ~unclipped))
         if len(measures) > len(bounds):
             measured[k] = np.median(linear.radiance[measures], axis=0)
         else:
-            bound[k] = np.median(linear.bound[bounds], axis=0)
+            bound[k] = np.median(least[bounds], axis=0)
     return Evidence(bound=bound, measured=measured, tie=np.arange(len(radiance)), expected=radiance)

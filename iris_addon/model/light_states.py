@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,6 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .capture import View
+
+MAX_NAME_BYTES = 63
+"""Of the name of a light state, as Blender's custom properties have them at most."""
+_NAME = re.compile(r"[\w+.](?:[\w+. -]{0,38}[\w+.-])?")
+
+
+def is_state_name(name: object) -> bool:
+    """Whether ``name`` can name a light state: short, without odd characters, and no option of a program."""
+    return isinstance(name, str) and bool(_NAME.fullmatch(name)) and len(name.encode()) <= MAX_NAME_BYTES
 
 
 @dataclass(frozen=True)

@@ -71,6 +71,8 @@ def drop_below_white(o: Observations) -> float:
     Told by the observations of which most pixels clip. The spread of darker ones is that of another part of the photo,
     and differs more between rooms.
     """
-    mostly = (o.saturated >= 0.5) & (o.saturated < 1) & (o.spread < FLAT_SPREAD) & (o.count >= MIN_PIXELS)[:, None]
+    # Pixels on edges have next to no weight: what an observation shows of others is more than half a pixel.
+    some_do_not = o.saturated <= 1 - 0.5 / np.maximum(o.count, 1)[:, None]
+    mostly = (o.saturated >= 0.5) & some_do_not & (o.spread < FLAT_SPREAD) & (o.count >= MIN_PIXELS)[:, None]
     drop = (1 - o.z[mostly]) / (1 - o.saturated[mostly])
     return float(np.quantile(drop, DROP_QUANTILE)) if len(drop) else 0.0

@@ -13,6 +13,8 @@ from functools import cached_property
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from ..base.group_by import group_means
@@ -342,7 +344,8 @@ class OverlapProblem:
         """(3, V) log exposures that fit the overlap best under a curve, on the scale of the known ones.
 
         The overlap fixes them up to an offset and a factor, the exponent of the curve. Both come from the regression of
-        the known exposures, which have the errors, on those of the overlap. Photos without overlap keep theirs.
+        the known exposures, which have the errors, on those of the overlap. Photos without overlap keep theirs, and of
+        groups of photos without overlap between them, as those of two light states, each keeps its mean.
         """
         assert self.log_t is not None
         recorded = self.log_exposures(curves)
@@ -350,14 +353,25 @@ class OverlapProblem:
         if not seen.any():
             return recorded
         known, free = recorded[:, seen], self._chained(curves, per_channel)[:, seen]
-        free = free - free.mean(1, keepdim=True)
+        mean = torch.empty_like(known)
+        for own in self._linked(seen):
+            mean[:, own] = known[:, own].mean(1, keepdim=True)
+            free[:, own] = free[:, own] - free[:, own].mean(1, keepdim=True)
         common = free.mean(0)
         varied = known.std(correction=0) > MIN_EXPOSURE_SPREAD * np.log(2)
         energy = common @ common  # zero where all photos look alike, whatever their exposures
         factor = (common @ known.mean(0)) / energy if varied and energy > MIN_COMMON else 1.0
         log_t = recorded.clone()
-        log_t[:, seen] = known.mean(1, keepdim=True) + factor * free
+        log_t[:, seen] = mean + factor * free
         return log_t
+
+    def _linked(self, seen: Tensor) -> list[Tensor]:
+        """(k,) bool per group of the k photos ``seen`` (V,), those whose patches link them; all of them as a rule."""
+        view, patch = self.view[~self.clipped].numpy(), self.patch[~self.clipped].numpy() + self.n_views
+        n = self.n_views + self.n_patches
+        links = coo_matrix((np.ones(len(view), np.int8), (view, patch)), shape=(n, n))
+        group = torch.from_numpy(connected_components(links, directed=False)[1][: self.n_views])[seen]
+        return [group == label for label in group.unique()]
 
     def _spread(self, curves: Curves, log_t: Tensor) -> float:
         """Median disagreement of views about a patch's log radiance under given log exposures (C, V)."""

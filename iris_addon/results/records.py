@@ -21,6 +21,7 @@ from ..base.untrusted import MEND, json_object, numbers, read_json
 from ..model.capture import Mesh
 from ..model.device import Device, device_of_photo
 from ..model.lamp_profile import EVEN_PROFILE, LampProfile
+from ..model.light_states import is_state_name
 from ..model.local_exposure import UNIFORM, LocalSettings
 from ..model.recovered import Backdrop, Emitter, LightState, OutsideLight, Sunlight
 from ..model.response import N_SAMPLES, Response
@@ -152,7 +153,7 @@ def _read_states(listed: object, n_emitters: int, path: Path) -> tuple[LightStat
         where = f"light_states[{number}]"
         content = json_object(entry, where, path)
         name, photos = content.get("name"), content.get("photos")
-        if not isinstance(name, str) or not name or name in [state.name for state in states]:
+        if not isinstance(name, str) or not is_state_name(name) or name in [state.name for state in states]:
             raise BadInput(f"'{where}' has no name of its own", MEND, path)
         if not isinstance(photos, list) or not all(isinstance(photo, str) for photo in photos):
             raise BadInput(f"'{where}.photos' is no list of names", MEND, path)

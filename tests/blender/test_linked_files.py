@@ -113,3 +113,15 @@ def test_what_is_missing_or_stays_is_named_and_an_export_again_copies_only_what_
     again = {path: path.stat().st_ino for path in copy.files}
     changed = {path.name for path, inode in again.items() if first[path] != inode}
     assert changed == {"wood.png"} and {path.name for path in first} - {path.name for path in again} == {"sh.1001.png"}
+
+
+def test_what_stays_where_it_lies_is_named_by_its_whole_path_in_the_copy(studio: Path) -> None:
+    """A path beside the scene would be one beside the copy, which is elsewhere."""
+    bpy.ops.wm.save_as_mainfile(filepath=str(studio / "room.blend"), relative_remap=False)
+    cache = bpy.context.scene.objects["wood"].modifiers.new("cache", "MESH_CACHE")
+    cache.filepath = "//wind.mdd"
+    copy = written(studio)
+    assert cache.filepath == "//wind.mdd", "the scene itself has another path now"
+    bpy.ops.wm.open_mainfile(filepath=str(copy.blend))
+    (kept,) = (thing for thing in bpy.data.objects if "cache" in thing.modifiers)
+    assert bpy.path.abspath(kept.modifiers["cache"].filepath) == str(studio / "wind.mdd")

@@ -363,3 +363,18 @@ def test_a_photo_that_clips_all_is_no_shorter_than_that_takes() -> None:
     unit = found[:-1].mean() / exposures[:-1].mean()
     least = np.quantile(1 / (unit * radiance.min(1)), 0.8)
     assert found[-1] > least
+
+
+def test_correcting_exposures_keeps_what_recorded_ones_say_between_photos_that_share_nothing() -> None:
+    """Two light states share no patch, and the second is an eighth as bright and exposed eight times as long;
+    recorded exposures are off by a third of a stop each."""
+    rng = np.random.default_rng(5)
+    recorded = np.concatenate([EXPOSURES, 8 * EXPOSURES]) * 2 ** rng.normal(0, 0.33, 2 * len(EXPOSURES))
+    first, _ = observations_of(response_of(srgb()), np.tile(EXPOSURES, 2), rng)
+    patch = np.where(first.view < len(EXPOSURES), first.patch, first.patch + 300).astype(np.int32)
+    apart = replace(doubled(first), patch=patch)
+    fit = fit_overlap(apart, recorded, len(recorded), rng, decisions=Decisions({"channel_curves": False}))
+    found, given = (np.log2(np.asarray(t).reshape(len(recorded), -1)[:, 0]) for t in (fit.exposures, recorded))
+    assert np.abs(found - given).max() > 0.2, "nothing was corrected"
+    n = len(EXPOSURES)
+    assert found[n:].mean() - found[:n].mean() == pytest.approx(given[n:].mean() - given[:n].mean(), abs=0.05)

@@ -78,7 +78,14 @@ def _lights(scene: bpy.types.Scene, to_capture: np.ndarray) -> dict[str, Any]:
     for material in lights.lamp_materials(scene.objects):
         if lights.is_plain(material) and RECOVERED in material:
             now = lights.strength(material) * np.array(lights.color(material), float) * lights.is_on(material)
-            job["recovered"][str(material[LAMP_ID])] = _change(now, np.array(material[RECOVERED], float))
+            recovered = np.array(material[RECOVERED], float)
+            if recovered.max() > 0:
+                job["recovered"][str(material[LAMP_ID])] = _change(now, recovered)
+            elif now.max() > 0:
+                raise BadInput(
+                    f"{material.name} shines, but is off in the light state whose lamps the farm scales",
+                    "export the frames of its light state as a job of `relight --light-state`, or turn the lamp off",
+                )
     background = outside_light(scene)
     if background is not None:
         job["outside"] = float(background.inputs["Strength"].default_value)

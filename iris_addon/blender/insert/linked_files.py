@@ -43,6 +43,10 @@ class PortableCopy:
     warnings: tuple[str, ...]
 
 
+_Named = tuple[bpy.types.bpy_struct, str, bpy.types.Library | None]
+"""What has a path, the name of the property, and the library that it comes from."""
+
+
 @dataclass
 class _Links:
     """Files of the datablocks of a scene.
@@ -74,11 +78,15 @@ def write_portable(scene: bpy.types.Scene, blend: Path) -> PortableCopy:
     for source, target in copied.items():
         _copy(source, target)
     relative = {thing: f"//{folder.name}/{placed[path].as_posix()}" for thing, path in links.direct.items()}
-    with _paths(relative):
+    others = _others(scene)
+    with _paths(relative, others):
         # Kept as they are: those below are relative to the copy, and others were made absolute.
         write_whole(blend, lambda part: bpy.data.libraries.write(str(part), {scene}, path_remap="NONE", compress=True))
     warnings = _said("are missing, and hosts will miss them", links.missing)
-    warnings += _said("are read where they lie: hosts must find them under the same path", links.fixed | _others(scene))
+    warnings += _said(
+        "are read where they lie: hosts must find them under the same path",
+        links.fixed | {_absolute(*each) for each in others},
+    )
     return PortableCopy(blend, tuple(copied.values()), tuple(warnings))
 
 
@@ -139,7 +147,7 @@ def _files_of(thing: bpy.types.ID, path: Path) -> set[Path]:
 
 
 def _numbered(folder: Path, before: str, after: str) -> set[Path]:
-    names = re.compile(rf"{re.escape(before)}\w+{re.escape(after)}")
+    names = re.compile(rf"{re.escape(before)}(\d+|u\d+_v\d+){re.escape(after)}")
     return {path for path in folder.iterdir() if names.fullmatch(path.name)} if folder.is_dir() else set()
 
 
@@ -165,9 +173,9 @@ def _copy(source: Path, target: Path) -> None:
 
 
 @contextmanager
-def _paths(relative: Mapping[bpy.types.ID, str]) -> Iterator[None]:
-    """Inside, datablocks have the paths ``relative``, and all others absolute ones."""
-    before: list[tuple[bpy.types.ID, str, str]] = []
+def _paths(relative: Mapping[bpy.types.ID, str], others: Iterable[_Named]) -> Iterator[None]:
+    """Inside, datablocks have the paths ``relative``, and all ``others`` absolute ones."""
+    before: list[tuple[bpy.types.bpy_struct, str, str]] = []
     try:
         for kind in KINDS:
             for thing in getattr(bpy.data, kind):
@@ -179,26 +187,37 @@ def _paths(relative: Mapping[bpy.types.ID, str]) -> Iterator[None]:
                 if wanted is not None and wanted != given:
                     before.append((thing, name, given))
                     setattr(thing, name, wanted)
+        for thing, name, library in others:
+            given = getattr(thing, name)
+            if library is None and given.startswith("//"):
+                before.append((thing, name, given))
+                setattr(thing, name, bpy.path.abspath(given))
         yield
     finally:
         for thing, name, given in before:
             setattr(thing, name, given)
 
 
-def _others(scene: bpy.types.Scene) -> set[Path]:
-    """Files that the scene's own datablocks name otherwise: caches of modifiers, lamps' photometric files."""
-    trees = [getattr(thing, "node_tree", None) or thing for thing in _used_by(scene)]
-    named = [
-        bpy.path.abspath(path, library=tree.library)
-        for tree in trees
-        for node in getattr(tree, "nodes", ())
-        if getattr(node, "mode", "") == "EXTERNAL" and (path := getattr(node, "filepath", ""))
-    ]
-    for thing in scene.objects:
-        for modifier in thing.modifiers:
-            path = getattr(modifier, "filepath", "")
-            named += [bpy.path.abspath(path, library=thing.library)] if path else []
-    return {Path(path) for path in named}
+def _others(scene: bpy.types.Scene) -> list[_Named]:
+    """What names files otherwise among all that the scene uses: caches of simulations and of modifiers, and
+    photometric files of lamps."""
+    named: list[_Named] = []
+    for thing in _used_by(scene):
+        tree = getattr(thing, "node_tree", None) or thing
+        named += [
+            (node, "filepath", tree.library)
+            for node in getattr(tree, "nodes", ())
+            if getattr(node, "mode", "") == "EXTERNAL"
+        ]
+        for modifier in getattr(thing, "modifiers", ()) if isinstance(thing, bpy.types.Object) else ():
+            domain = getattr(modifier, "domain_settings", None)
+            named += [(modifier, "filepath", thing.library), (modifier, "bake_directory", thing.library)]
+            named += [] if domain is None else [(domain, "cache_directory", thing.library)]
+    return [each for each in named if getattr(each[0], each[1], "")]
+
+
+def _absolute(thing: bpy.types.bpy_struct, name: str, library: bpy.types.Library | None) -> Path:
+    return Path(bpy.path.abspath(getattr(thing, name), library=library))
 
 
 def _said(what: str, paths: Iterable[Path]) -> list[str]:
