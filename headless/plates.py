@@ -55,7 +55,7 @@ def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
     from iris_addon.results.folder import load_result
 
     from .animation import moves
-    from .relighting import in_asked_state
+    from .asked_state import in_asked_state
 
     pictures = plate_files(args.plate)
     result = load_result(args.result)

@@ -98,7 +98,7 @@ def test_a_lamp_clipped_in_every_photo_keeps_the_radiance_of_its_light() -> None
     assert brightness(room, again, PANEL) == pytest.approx(4.0, rel=0.1)
 
 
-@pytest.mark.parametrize(("off_its_edge", "found"), [(0.0, 10.0), (0.1, 3.0)])
+@pytest.mark.parametrize(("off_its_edge", "found"), [(0.0, 10.0), (0.7, 3.0)])
 def test_a_lamp_whose_every_pixel_is_on_its_edge_is_brighter_than_it_looks(off_its_edge: float, found: float) -> None:
     """Blur makes the few pixels of a lamp of radiance 10 as dark as 3; further off its edge they would be believed."""
     room = light_room(*panels(CEILING_LAMP, albedo=0.85), {LAMP: 10.0}, shown={LAMP: 3.0}).on_edge(LAMP, off_its_edge)
