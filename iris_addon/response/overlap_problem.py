@@ -13,14 +13,13 @@ from functools import cached_property
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from ..base.group_by import group_means
 from ..base.minimise import gauss_newton, one_thread
 from ..base.segments import Segments
 from ..decide import Decisions
+from ..surface.topology import component_labels
 from . import family
 from .clipping import Clipping
 from .curve_table import Curves, DeviceCurves
@@ -368,9 +367,7 @@ class OverlapProblem:
     def _linked(self, seen: Tensor) -> list[Tensor]:
         """(k,) bool per group of the k photos ``seen`` (V,), those whose patches link them; all of them as a rule."""
         view, patch = self.view[~self.clipped].numpy(), self.patch[~self.clipped].numpy() + self.n_views
-        n = self.n_views + self.n_patches
-        links = coo_matrix((np.ones(len(view), np.int8), (view, patch)), shape=(n, n))
-        group = torch.from_numpy(connected_components(links, directed=False)[1][: self.n_views])[seen]
+        group = torch.from_numpy(component_labels(self.n_views + self.n_patches, view, patch)[: self.n_views])[seen]
         return [group == label for label in group.unique()]
 
     def _spread(self, curves: Curves, log_t: Tensor) -> float:

@@ -95,11 +95,11 @@ def mixed_pixels(samples: PixelSamples, regions: NDArray[np.integer], cameras: S
 def off_edges(samples: PixelSamples, mixed: NDArray[np.bool_], cameras: Sequence[Camera]) -> NDArray[np.bool_]:
     """(n,) pixels with no ``mixed`` (n,) one within INNER pixels."""
     lattice = Lattice.of(samples.view, samples.pixel, cameras, margin=INNER)
-    result = ~mixed
+    result, rows = ~mixed, np.flatnonzero(mixed)
     for down in range(-INNER, INNER + 1):
         for across in range(-INNER, INNER + 1):
-            near = lattice.pixel_at(slice(None), down, across)
-            result &= (near < 0) | ~mixed[near]
+            near = lattice.pixel_at(rows, down, across)
+            result[near[near >= 0]] = False
     return result
 
 
