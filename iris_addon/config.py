@@ -58,7 +58,7 @@ class SolveConfig:
         hdr: folder with one EXR of linear radiance per photo, in place of the photos.
         emitters: "search" finds the lamps; a path names an emitters.json with the faces of the only lamps.
         refinements: optional parts of the model that are forced or forbidden, for comparisons.
-        device: where torch runs.
+        device: where torch runs, and with "cuda" also rays, if Warp is installed.
         seed: of all random streams.
         max_patches: upper bound on surface patches; the patch size adapts to it.
         gather_rays: cosine-distributed rays per patch for light that arrives from other patches.

@@ -32,6 +32,7 @@ from .materials.rounds import solve_materials
 from .materials.solution import Solution
 from .model.capture import Capture
 from .model.light_states import LightStates, joined_arrays, split_arrays
+from .rays.engines import choose_engine
 from .rays.tracer import Tracer
 from .response.observations import Observations, observe
 from .response.photometry import Photometry, fixed_response, measure_photometry, shown_pixels
@@ -49,6 +50,7 @@ from .surface.traced_room import TracedRoom, trace_room
 from .textures.charts import atlas_for_photos
 from .textures.texel_density import density_warnings, describe_atlas
 from .transport.cache import cached_transport
+from .transport.transport import choose_device
 
 Made = TypeVar("Made")
 STAGE_SECONDS = {
@@ -70,7 +72,7 @@ def solve(
 
     Raises:
         BadInput: photos and mesh do not belong together, a photo cannot be read, all photos are clipped, another
-            process is solving into ``out``, or a link there leads elsewhere.
+            process is solving into ``out``, a link there leads elsewhere, or torch finds no GPU where one is requested.
         Cancelled: finished stages stay in ``out`` for ``resume``.
         IrisError: the disk is full.
     """
@@ -92,7 +94,10 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     progress.expect(STAGE_SECONDS)
     decisions = Decisions(asdict(config.refinements))
     fixed_response(config)  # an unusable file is an error of the first second
-    checkpoints = Checkpoints(out / "checkpoints", fingerprint(capture, config), resume, config.texture_size.words)
+    device = choose_device(config.device)
+    engine = choose_engine(device)
+    key = fingerprint(capture, config, engine.name)
+    checkpoints = Checkpoints(out / "checkpoints", key, resume, config.texture_size.words)
     unit = 1.0
     if config.hdr is None:
         views, unit = with_unit_mean(capture.views)
@@ -117,7 +122,9 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         return room, observe(*shown, stream(config.seed, "response.observations"))
 
     with progress.stage("photos"):
-        surface, tracer = choose_surface(capture, stream(config.seed, "surface.scan"), progress, decisions)
+        if engine.warning:
+            progress.update(0.0, engine.warning)
+        surface, tracer = choose_surface(capture, stream(config.seed, "surface.scan"), progress, decisions, engine)
         capture, cameras = fit_cameras(capture, tracer, stream(config.seed, "cameras.points"), progress, decisions)
         reduced = replace(capture, views=within_budget(capture.views))
         states = LightStates.of(reduced.views)
@@ -140,14 +147,15 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         photometry = Photometry.from_arrays(arrays)
     if len(panes):
         with progress.stage("surface"):  # once more, as one sees it through them
-            tracer = Tracer(surface.mesh, surface.normals, surface.noise, without=panes)
+            tracer = Tracer(surface.mesh, surface.normals, surface.noise, without=panes, engine=engine)
             room, observations = traced(tracer, sample_photos(reduced, tracer, config.hdr is not None, progress))
     # One core at most, and not needed before there are textures.
     reduction = np.array([view.reduction for view in reduced.views])
     size = config.texture_size
     atlas = aside(lambda: atlas_for_photos(capture.mesh, room.samples, reduction, size))
     with progress.stage("transport"):
-        transport = cached_transport(room, config, stream(config.seed, "transport.gather_rays"), progress)
+        gathered = cached_transport(room, config, stream(config.seed, "transport.gather_rays"), progress)
+        transport = replace(gathered, device=device)
 
         def find_unshown(own: TracedRoom) -> HiddenSources:
             """Sources that the photos of ``own`` do not show."""

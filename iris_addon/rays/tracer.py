@@ -1,7 +1,7 @@
 """Ray tracing behind one small interface: closest hit and visibility against a fixed triangle mesh.
 
-Rays are split over all cores (Embree releases the interpreter lock) and counted, because the number of rays is the
-cost of a method that does not depend on the machine.
+Rays run on an engine of :mod:`iris_addon.rays.engines` and are counted, because the number of rays is the cost of a
+method that does not depend on the machine.
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from ..base.parallel import over_blocks
 from ..model.capture import DEGENERATE_AREA, Mesh
+from .engines import EMBREE, RayEngine
 
-CHUNK = 1 << 18
-"""Rays that one call of Embree traces."""
 END_MARGIN = 0.25
 """Length by which shadow rays are shortened so as not to hit their own end, in epsilon. Small, because a lampshade may
 be close to its bulb."""
@@ -39,7 +38,7 @@ class Hits:
 
 
 class Tracer:
-    """Embree over the non-degenerate triangles of ``mesh``.
+    """Rays against the non-degenerate triangles of ``mesh``.
 
     Degenerate triangles have no normal, and one NaN ray slows Embree down a hundredfold: both are kept out here.
 
@@ -48,6 +47,7 @@ class Tracer:
         epsilon: metres to move an origin off its surface.
         normals: (F, 3) float32 unit normals, zero for degenerate faces.
         areas: (F,) square metres.
+        engine: what rays run on.
     """
 
     def __init__(
@@ -56,6 +56,7 @@ class Tracer:
         normals: NDArray[np.floating] | None = None,
         noise: float = 0.0,
         without: NDArray[np.integer] | None = None,
+        engine: RayEngine = EMBREE,
     ) -> None:
         """The tracer of ``mesh``.
 
@@ -63,10 +64,8 @@ class Tracer:
             normals: (F, 3) unit normals of the surface behind its faces, by default those of the faces themselves.
             noise: standard deviation of its places, metres: rays start above the bumps that it leaves.
             without: faces that rays pass, such as panes of glass; they count as degenerate.
+            engine: what rays run on; outside a solve, Embree.
         """
-        from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
-
         corners = mesh.vertices[mesh.faces]
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(cross, axis=1)
@@ -80,10 +79,9 @@ class Tracer:
         self.corners = corners
         self.epsilon = max(2e-5 * _size(corners[self._kept]), noise)
         self.rays_traced = 0
-        self._scene = EmbreeScene()
-        self._geometry = TriangleMesh(self._scene, corners[self._kept].astype(np.float32))
+        self.engine = engine
+        self._triangles = engine.intersector(corners[self._kept].astype(np.float32))
         self._counting = Lock()
-        self._scene.run(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32))  # builds the BVH
 
     def closest(self, origins: NDArray[np.floating], directions: NDArray[np.floating]) -> Hits:
         """Closest hit along each ray; origins and unit directions (n, 3), metres."""
@@ -93,11 +91,9 @@ class Tracer:
         barycentric = np.empty((n, 2), np.float32)
 
         def trace(part: slice, o: NDArray[np.float32], d: NDArray[np.float32]) -> None:
-            hit = self._scene.run(o, d, output=True)
-            missed = hit["primID"] < 0
-            face[part] = np.where(missed, -1, self._kept[np.where(missed, 0, hit["primID"])])
-            distance[part] = np.where(missed, np.inf, hit["tfar"])
-            barycentric[part, 0], barycentric[part, 1] = hit["u"], hit["v"]
+            primitive, length, barycentric[part] = self._triangles.closest(o, d)
+            face[part] = self._faces(primitive)
+            distance[part] = np.where(primitive < 0, np.inf, length)
 
         self._run(trace, origins, directions)
         return Hits(face, distance, barycentric)
@@ -107,11 +103,14 @@ class Tracer:
         face = np.empty(len(origins), np.int32)
 
         def trace(part: slice, o: NDArray[np.float32], d: NDArray[np.float32]) -> None:
-            primitive = self._scene.run(o, d)
-            face[part] = np.where(primitive < 0, -1, self._kept[np.maximum(primitive, 0)])
+            face[part] = self._faces(self._triangles.primitives(o, d))
 
         self._run(trace, origins, directions)
         return face
+
+    def _faces(self, primitive: NDArray[np.int32]) -> NDArray[np.int32]:
+        """(n,) face of the mesh as read of each triangle that is traced, -1 for -1."""
+        return np.where(primitive < 0, -1, self._kept[np.maximum(primitive, 0)])
 
     def visible(self, origins: NDArray[np.floating], targets: NDArray[np.floating]) -> NDArray[np.bool_]:
         """(n,) whether nothing lies between two points (n, 3), metres, both on surfaces."""
@@ -127,7 +126,7 @@ class Tracer:
         clear = np.empty(len(origins), bool)
 
         def trace(part: slice, o: NDArray[np.float32], d: NDArray[np.float32]) -> None:
-            clear[part] = self._scene.run(o, d, reach[part], query="OCCLUDED") < 0
+            clear[part] = ~self._triangles.occluded(o, d, reach[part])
 
         self._run(trace, origins, directions)
         return clear
@@ -144,7 +143,8 @@ class Tracer:
             raise FloatingPointError("a ray is not finite; the usual cause is the normal of a degenerate triangle")
         with self._counting:
             self.rays_traced += len(o)
-        over_blocks(len(o), CHUNK, lambda part: trace(part, o[part], d[part]))
+        chunk, at_once = self._triangles.chunk, self._triangles.at_once
+        over_blocks(len(o), chunk, lambda part: trace(part, o[part], d[part]), at_once=at_once)
 
 
 def _size(corners: NDArray[np.floating]) -> float:

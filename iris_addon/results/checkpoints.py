@@ -33,13 +33,13 @@ Stage = Literal["response", "lights", "materials"]
 Arrays = Mapping[str, NDArray]
 
 
-def fingerprint(capture: Capture, config: SolveConfig) -> str:
+def fingerprint(capture: Capture, config: SolveConfig, engine: str) -> str:
     """Hash of everything that lights and materials depend on; files by name, size and modification time.
 
-    They do not depend on the size of textures, which names the tables instead.
+    They do not depend on the size of textures, which names the tables instead. ``engine`` names what rays run on.
     """
     light = replace(config, atlas_size="auto", texels_per_metre="auto", max_atlas_size=0)
-    digest = hashlib.sha256(repr((FORMAT, light)).encode())
+    digest = hashlib.sha256(repr((FORMAT, engine, light)).encode())
     mesh = capture.mesh
     for array in (mesh.vertices, mesh.faces, mesh.uv, mesh.regions):
         digest.update(b"none" if array is None else repr(array.shape).encode() + np.ascontiguousarray(array).tobytes())

@@ -188,6 +188,7 @@ def _summary(result: Result, capture: Capture) -> str:
         "held-out PSNR": None if report.get("holdout_psnr") is None else f"{report['holdout_psnr']:.2f} dB",
         "seconds": None if total is None else f"{total:.0f}",
         "rays": None if report.get("rays_traced") is None else f"{report['rays_traced']:.2e}",
+        "rays on": report.get("rays_on"),
         "patches": report.get("n_patches"),
         "texels a side": (report.get("atlas") or {}).get("side"),
         "texels per metre": (report.get("atlas") or {}).get("texels_per_metre"),

@@ -29,6 +29,7 @@ from ..base.progress import Progress
 from ..cameras.registration import photo_disagreement
 from ..decide import Decisions
 from ..model.capture import DEGENERATE_AREA, Capture, Mesh
+from ..rays.engines import RayEngine
 from ..rays.tracer import Tracer
 from .topology import component_labels, edge_adjacency, smooth_components, smooth_edges, weld
 
@@ -141,21 +142,22 @@ def surface_behind(mesh: Mesh) -> ScanSurface:
 
 
 def choose_surface(
-    capture: Capture, rng: np.random.Generator, progress: Progress, decisions: Decisions
+    capture: Capture, rng: np.random.Generator, progress: Progress, decisions: Decisions, engine: RayEngine
 ) -> tuple[ScanSurface, Tracer]:
     """The surface behind the mesh of ``capture`` and its tracer; the mesh itself if photos agree less on the former.
 
     Args:
         rng: picks the points on which photos are compared, the same for both.
+        engine: what the rays of the tracer run on.
 
     Raises:
         BadInput: a photo cannot be read.
     """
     surface = surface_behind(capture.mesh)
-    tracer = Tracer(surface.mesh, surface.normals, surface.noise)
+    tracer = Tracer(surface.mesh, surface.normals, surface.noise, engine=engine)
     if not surface.scanned.any():
         return surface, tracer
-    given = Tracer(capture.mesh)
+    given = Tracer(capture.mesh, engine=engine)
     smaller, larger = photo_disagreement(capture, (given, tracer), rng, progress)
     if decisions.accept("scan_surface", smaller, larger):
         return surface, tracer

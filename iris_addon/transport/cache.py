@@ -6,7 +6,6 @@ import hashlib
 import os
 import time
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,7 @@ from ..rays.sampling import Origins
 from ..surface.patches import PatchGrid
 from ..surface.traced_room import TracedRoom
 from .gather import GatherRays
-from .transport import Transport, build_transport, choose_device
+from .transport import Transport, build_transport
 
 FORMAT = 5
 MAX_ENTRIES, MAX_BYTES = 6, 4 << 30
@@ -41,15 +40,7 @@ def cached_transport(room: TracedRoom, config: SolveConfig, rng: np.random.Gener
 
     Args:
         rng: a generator that follows from ``config.seed``, which stands for it in the key of the cache.
-
-    Raises:
-        BadInput: a GPU is requested and torch finds none.
     """
-    device = choose_device(config.device)
-    return replace(_cached(room, config, rng, progress), device=device)
-
-
-def _cached(room: TracedRoom, config: SolveConfig, rng: np.random.Generator, progress: Progress) -> Transport:
     path = cache_folder() / f"transport-{_key(room, config)}.npz"
     known = _read(path)
     if known is not None:
@@ -69,7 +60,7 @@ def _cached(room: TracedRoom, config: SolveConfig, rng: np.random.Generator, pro
 
 def _key(room: TracedRoom, config: SolveConfig) -> str:
     tracer, patches = room.tracer, room.patches
-    numbers = FORMAT, config.gather_rays, config.seed, len(patches.region), patches.pixels_per_patch
+    numbers = FORMAT, tracer.engine.name, config.gather_rays, config.seed, len(patches.region), patches.pixels_per_patch
     digest = hashlib.sha256(repr(numbers).encode())
     arrays = tracer.corners, tracer.normals, room.regions.of_face, patches.grid.cell_keys, patches.origins.position
     for array in arrays:

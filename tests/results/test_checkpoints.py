@@ -136,25 +136,27 @@ def test_the_fingerprint_depends_on_all_inputs_of_a_solve(capture: Capture) -> N
         with_mesh(uv=np.zeros((len(mesh.faces), 3, 2), np.float32)),
         replace(capture, views=capture.views[:1]),
     ]
-    prints = [fingerprint(c, config) for c in captures]
-    prints += [fingerprint(capture, replace(config, **change)) for change in ({"seed": 1}, {"max_patches": 7})]
+    prints = [fingerprint(c, config, "embree") for c in captures]
+    changes = {"seed": 1}, {"max_patches": 7}
+    prints += [fingerprint(capture, replace(config, **change), "embree") for change in changes]
+    prints.append(fingerprint(capture, config, "warp-cuda"))
     assert len(set(prints)) == len(prints)
-    assert fingerprint(replace(capture, warnings=("new",)), config) == prints[0]
+    assert fingerprint(replace(capture, warnings=("new",)), config, "embree") == prints[0]
     # Lights and materials are those of textures of every size.
     for change in ({"atlas_size": 512}, {"texels_per_metre": 50}, {"max_atlas_size": 64}):
-        assert fingerprint(capture, replace(config, **change)) == prints[0]
+        assert fingerprint(capture, replace(config, **change), "embree") == prints[0]
 
 
 def test_the_fingerprint_sees_a_photo_or_a_response_file_change(capture: Capture, tmp_path: Path) -> None:
     table = tmp_path / "curve.txt"
     table.write_text("0\n1\n")
     config = replace(preset("draft"), response=table)
-    before = fingerprint(capture, config)
-    assert fingerprint(capture, config) == before
+    before = fingerprint(capture, config, "embree")
+    assert fingerprint(capture, config, "embree") == before
     for path in (capture.views[1].photo, table):
         assert path is not None
         stat = path.stat()
         os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns + 1_000_000))
-        after = fingerprint(capture, config)
+        after = fingerprint(capture, config, "embree")
         assert after != before
         before = after

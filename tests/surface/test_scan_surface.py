@@ -12,6 +12,7 @@ import iris_addon.surface.scan_surface as scan_surface
 from iris_addon.base.progress import Progress
 from iris_addon.decide import Decisions
 from iris_addon.model.capture import Camera, Capture, Mesh, View
+from iris_addon.rays.engines import EMBREE
 from iris_addon.surface.scan_surface import SCAN_MIN_FACES, ScanSurface, choose_surface, face_normals, surface_behind
 
 SIDE, NOISE, RADIUS = 120, 0.002, 0.6
@@ -95,7 +96,7 @@ def test_photos_decide_whether_a_scan_is_smoothed(monkeypatch: pytest.MonkeyPatc
     view = View(name="0", camera=camera, photo=Path("unread.png"))
     capture = Capture(name="room", root=Path(), views=(view,), val_views=(), mesh=given)
     decisions = Decisions()
-    surface, tracer = choose_surface(capture, np.random.default_rng(0), Progress(), decisions)
+    surface, tracer = choose_surface(capture, np.random.default_rng(0), Progress(), decisions, EMBREE)
     assert isinstance(surface, ScanSurface) and surface.scanned.all()
     assert (surface.mesh is not given) == taken
     assert np.allclose(tracer.normals, surface.normals, atol=1e-6)
