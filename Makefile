@@ -46,7 +46,7 @@ $(STAMP): pyproject.toml
 		echo "error: $(VENV) has another Python than 3.11 or 3.13 — remove $(VENV) and run make setup again" >&2; exit 4; }
 	@echo "Installing Blender, torch and the rest into $(VENV); the first time takes some minutes."
 	@$(VENV)/bin/python -c 'import tomllib; p = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
-		o = p["optional-dependencies"]; print(*p["dependencies"], *o["formats"], *o["blender"], *o["dev"], sep="\n")' > $(VENV)/requirements.txt
+		o = p["optional-dependencies"]; print(*p["dependencies"], *o["formats"], *o["cuda"], *o["blender"], *o["dev"], sep="\n")' > $(VENV)/requirements.txt
 	@$(VENV)/bin/python -m pip install -qq --disable-pip-version-check -r $(VENV)/requirements.txt
 	@touch $@
 

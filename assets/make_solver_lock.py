@@ -14,7 +14,7 @@ from pathlib import Path
 HEADLESS = Path(__file__).resolve().parents[1] / "headless"
 LOCKS = {
     "solver_requirements.txt": ("solver_lock.txt", []),
-    # Decoders that the environment can do without: installed one by one, and what they need is in the other lock.
+    # What the environment can do without: installed one by one, and what they need is in the other lock.
     "optional_requirements.txt": ("optional_lock.txt", ["--no-deps"]),
 }
 OLDEST_PYTHON = "3.11"

@@ -24,7 +24,8 @@ HERE = Path(__file__).resolve().parent
 LOCK = HERE / "solver_lock.txt"
 """Every package with the hashes of its files, for all platforms; ``make lock`` writes it."""
 OPTIONAL = HERE / "optional_lock.txt"
-"""Decoders of single formats, which not every system has: what fails to install is missed when such a file is read."""
+"""Decoders of single formats and rays on a GPU, which not every system has: what fails to install is missed when it is
+needed."""
 LONGEST_MEMBER = 170
 """Characters of the longest path within site-packages that the pinned packages install (torch's licences)."""
 WINDOWS_PATH = 259
@@ -40,8 +41,10 @@ _stop = threading.Event()
 
 
 FOUND = """
-import platform, torch
+import importlib.util, platform, torch
 device = torch.cuda.get_device_name() if torch.cuda.is_available() else "CPU"
+if torch.cuda.is_available():
+    device += " with Warp" if importlib.util.find_spec("warp") else " without Warp, rays on the CPU"
 print(f"Python {platform.python_version()}, torch {torch.__version__.partition('+')[0]}, {device}")
 """
 """What a Python that has all packages says of itself."""

@@ -64,7 +64,7 @@ class Tracer:
             normals: (F, 3) unit normals of the surface behind its faces, by default those of the faces themselves.
             noise: standard deviation of its places, metres: rays start above the bumps that it leaves.
             without: faces that rays pass, such as panes of glass; they count as degenerate.
-            engine: what rays run on; outside a solve, Embree.
+            engine: what rays run on; outside a solve, and for the few faces of a shell around the mesh, Embree.
         """
         corners = mesh.vertices[mesh.faces]
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -94,9 +94,12 @@ def test_the_package_is_valid_and_has_nothing_else_in_it(package):
 
 def test_what_is_downloaded_is_what_is_pinned():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    pinned, formats = project["dependencies"], project["optional-dependencies"]["formats"]
+    pinned, extras = project["dependencies"], project["optional-dependencies"]
     optional = (ROOT / "headless" / "optional_requirements.txt").read_text().splitlines()
-    assert [line for line in optional if not line.startswith("#")] == formats
+    named = [line.partition(";")[0] for line in optional if not line.startswith("#")]
+    assert named == [*extras["formats"], *extras["cuda"]]
+    locked = (ROOT / "headless" / "optional_lock.txt").read_text().lower()
+    assert all(f"\n{pin.lower()} " in locked for pin in named)
     lines = (ROOT / "headless" / "solver_requirements.txt").read_text().splitlines()
     assert [line for line in lines if not line.startswith("#")] == [p for p in pinned if not p.startswith("bpy")]
 

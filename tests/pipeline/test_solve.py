@@ -22,6 +22,7 @@ from iris_addon.lighting.balance import MAX_ALBEDO
 from iris_addon.model.capture import Camera, Capture, Mesh
 from iris_addon.model.response import gamma, srgb
 from iris_addon.pipeline import solve
+from iris_addon.rays.engines import EMBREE, warp_engine
 from iris_addon.rays.tracer import Tracer
 from iris_addon.results.files import PREVIEWS, preview_path
 from iris_addon.results.folder import load_result
@@ -270,6 +271,39 @@ def test_the_same_seed_gives_the_same_result(shoot: Shoot, reference: Path, monk
     monkeypatch.setenv("IRIS_CACHE", str(shoot.folder / "another cache"))
     solve(shoot.capture(), FAST, shoot.folder / "again")
     assert same_results(reference, shoot.folder / "again")
+
+
+def test_a_solve_whose_rays_run_on_warp_repeats_to_the_byte_and_is_that_of_embree(
+    shoot: Shoot, reference: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Warp's CPU stands for a GPU. The first solve also reads back nothing that Embree traced."""
+    pytest.importorskip("warp", reason="Warp is not installed: the extra cuda of pyproject.toml")
+    monkeypatch.setattr("iris_addon.pipeline.choose_engine", lambda _device: warp_engine("cpu"))
+    result = solve(shoot.capture(), FAST, shoot.folder / "warp")
+    monkeypatch.setenv("IRIS_CACHE", str(shoot.folder / "cache of warp"))
+    solve(shoot.capture(), FAST, shoot.folder / "warp again")
+    assert same_results(shoot.folder / "warp", shoot.folder / "warp again")
+    assert result.report["rays_on"] == "warp-cpu"
+    embree = load_result(reference)
+    assert embree.report["rays_on"] == "embree"
+    assert lamp_regions(shoot.room, result) == lamp_regions(shoot.room, embree)
+    for ours, theirs in zip(result.emitters, embree.emitters, strict=True):
+        assert ours.radiance == pytest.approx(theirs.radiance, rel=1e-3)
+    assert result.report["holdout_psnr"] == pytest.approx(embree.report["holdout_psnr"], abs=0.1)
+    assert np.abs(result.textures.base_color - embree.textures.base_color).mean() < 1e-3
+
+
+def test_a_solve_on_a_gpu_without_warp_says_that_its_rays_ran_on_the_cpu(
+    shoot: Shoot, reference: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Here the result is that of Embree, with one sentence more."""
+    monkeypatch.setattr("iris_addon.pipeline.choose_engine", lambda _device: replace(EMBREE, warning="a word"))
+    said: list[str] = []
+    result = solve(shoot.capture(), FAST, shoot.folder / "no warp", Progress(lambda event: said.append(event.message)))
+    assert said.count("a word") == 1
+    assert result.report["warnings"].count("a word") == 1
+    textures = [load_result(folder).textures.base_color for folder in (shoot.folder / "no warp", reference)]
+    assert np.array_equal(*textures)
 
 
 def test_another_seed_gives_another_but_similar_result(shoot: Shoot, reference: Path) -> None:

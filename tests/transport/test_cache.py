@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
@@ -15,6 +15,7 @@ from iris_addon.base.errors import IrisError
 from iris_addon.base.progress import Progress
 from iris_addon.config import preset
 from iris_addon.model.capture import Capture
+from iris_addon.rays.engines import EMBREE
 from iris_addon.rays.tracer import Tracer
 from iris_addon.surface.patches import Surface, build_surface
 from iris_addon.surface.primary_rays import trace_pixels
@@ -70,6 +71,14 @@ def test_other_rays_or_seeds_are_other_entries(scene: Scene, folder: Path) -> No
     scene.transport(seed=1)
     scene.transport(n_rays=17)
     assert len(list(folder.glob("*.npz"))) == 3
+
+
+def test_rays_of_another_engine_are_another_entry(scene: Scene, folder: Path) -> None:
+    """Their last digits differ, and a solve repeats to the byte."""
+    scene.transport()
+    scene.tracer = Tracer(scene.room.mesh, engine=replace(EMBREE, name="other"))
+    scene.transport()
+    assert scene.tracer.rays_traced > 0 and len(list(folder.glob("*.npz"))) == 2
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 not an archive", None])
