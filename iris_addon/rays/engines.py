@@ -83,7 +83,7 @@ def warp_engine(device: str) -> RayEngine:
     """Warp on ``device``, "cuda" or "cpu"; Embree, with a warning that says why, where Warp does not work."""
 
     def instead(why: str) -> RayEngine:
-        return RayEngine(EMBREE.name, EMBREE.intersector, f"rays ran on the CPU: {why}")
+        return RayEngine(EMBREE.name, EMBREE.intersector, f"rays run on the CPU: {why}")
 
     try:
         from .warp_mesh import WarpTriangles, prepare

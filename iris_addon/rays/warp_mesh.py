@@ -6,6 +6,8 @@ cache (``WARP_CACHE_PATH`` names another). It can run them on one core of the CP
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
@@ -13,9 +15,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ..base.errors import IrisError
+
 # Warp announces itself and what it compiles on stdout, which belongs to the JSON lines of the worker.
 wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
-wp.set_module_options({"enable_backward": False})
+# Precompiled headers do not pay for one module, and some versions of CUDA's compiler write them to the current folder.
+wp.set_module_options({"enable_backward": False, "use_precompiled_headers": False})
 
 CHUNK = 1 << 22
 """Rays of one launch, each of which takes 40 bytes of the device."""
@@ -53,11 +58,12 @@ class WarpTriangles:
         self._device, self._launching = device, Lock()
         points = np.ascontiguousarray(corners.reshape(-1, 3))
         indices = np.arange(len(points), dtype=np.int32)
-        self._mesh = wp.Mesh(
-            wp.array(points, dtype=wp.vec3, device=device),
-            wp.array(indices, dtype=wp.int32, device=device),
-            bvh_constructor="sah",
-        )
+        with _device_errors():
+            self._mesh = wp.Mesh(
+                wp.array(points, dtype=wp.vec3, device=device),
+                wp.array(indices, dtype=wp.int32, device=device),
+                bvh_constructor="sah",
+            )
 
     def primitives(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.int32]:
         """(n,) triangle of the closest hit, -1 for none."""
@@ -79,11 +85,21 @@ class WarpTriangles:
     def _launch(self, kernel: Any, rays: tuple[NDArray[np.float32], ...], types: tuple[Any, ...]) -> list[NDArray]:
         """What ``kernel`` finds for ``rays``, arrays of n rows: one array per type, likewise."""
         n, device = len(rays[0]), self._device
-        with self._launching:
+        with self._launching, _device_errors():
             given = [wp.array(x, dtype=wp.vec3 if x.ndim == 2 else wp.float32, device=device) for x in rays]
             found = [wp.zeros(n, dtype=kind, device=device) for kind in types]
             wp.launch(kernel, dim=n, inputs=[self._mesh.id, *given], outputs=found, device=device)
             return [values.numpy() for values in found]
+
+
+@contextmanager
+def _device_errors() -> Iterator[None]:
+    """What Warp raises, mostly for want of memory, as an error of ours."""
+    try:
+        yield
+    except RuntimeError as error:
+        fix = "free memory of the card, or solve with --device cpu"
+        raise IrisError(f"rays failed on the device ({error})", fix) from error
 
 
 # ---- Kernels -------------------------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ def test_without_warp_rays_run_by_embree_and_the_user_is_told(monkeypatch: pytes
     monkeypatch.delitem(sys.modules, "iris_addon.rays.warp_mesh", raising=False)
     engine = choose_engine("cuda")
     assert (engine.name, engine.intersector) == (EMBREE.name, EMBREE.intersector)
-    assert "rays ran on the CPU" in engine.warning and "install warp-lang" in engine.warning
+    assert "rays run on the CPU" in engine.warning and "install warp-lang" in engine.warning
 
 
 def test_without_a_card_warp_is_not_used_for_one() -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from iris_addon.base.errors import IrisError
 from iris_addon.capture.reader import read_capture
 from iris_addon.model.capture import Mesh
 from iris_addon.rays.engines import RayEngine, warp_engine
@@ -203,16 +204,30 @@ def test_rays_are_the_same_in_pieces_from_many_threads(warp: RayEngine, monkeypa
     assert tracer.rays_traced == 2 * N
 
 
-def test_warp_leaves_stdout_to_the_worker(tmp_path: Path) -> None:
+def test_a_card_whose_memory_is_full_is_an_error_with_a_mend(warp: RayEngine, monkeypatch: pytest.MonkeyPatch) -> None:
+    tracer = Tracer(soup(), engine=warp)
+
+    def full(*_arguments: object, **_options: object) -> None:
+        raise RuntimeError("Failed to allocate 40 bytes on device 'cuda:0'")
+
+    monkeypatch.setattr("warp.zeros", full)
+    with pytest.raises(IrisError, match=r"Failed to allocate.*--device cpu"):
+        tracer.hit_faces(np.zeros((1, 3)), np.eye(3)[:1])
+
+
+def test_warp_leaves_stdout_to_the_worker_and_the_current_folder_alone(tmp_path: Path) -> None:
     """The worker speaks JSON lines there: no banner, and no word of kernels that are compiled."""
+    current = tmp_path / "current"
+    current.mkdir()
     script = (
         "from iris_addon.rays.engines import warp_engine; from iris_addon.rays.tracer import Tracer;"
         "from tests.rays.test_warp_mesh import soup; import numpy as np;"
         "t = Tracer(soup(), engine=warp_engine('cpu')); assert t.engine.name == 'warp-cpu', t.engine;"
         "t.hit_faces(np.zeros((1, 3)), np.eye(3)[:1])"
     )
-    ran = run(script, WARP_CACHE_PATH=tmp_path / "kernels")
+    ran = run(script, current, WARP_CACHE_PATH=tmp_path / "kernels")
     assert (ran.returncode, ran.stdout) == (0, ""), ran.stderr
+    assert not list(current.iterdir())
     assert list((tmp_path / "kernels").rglob("*.o")), "nothing was compiled"
 
 
@@ -222,16 +237,15 @@ def test_without_a_folder_for_kernels_rays_run_by_embree(tmp_path: Path) -> None
     script = (
         "from iris_addon.rays.engines import warp_engine; e = warp_engine('cpu'); print(e.name, e.warning, sep='; ')"
     )
-    ran = run(script, HOME=blocked, XDG_CACHE_HOME=blocked / "cache")
-    assert ran.stdout.startswith("embree; rays ran on the CPU: Warp does not start"), ran.stderr
+    ran = run(script, tmp_path, HOME=blocked, XDG_CACHE_HOME=blocked / "cache")
+    assert ran.stdout.startswith("embree; rays run on the CPU: Warp does not start"), ran.stderr
     assert "WARP_CACHE_PATH" in ran.stdout
 
 
-def run(script: str, **variables: Path) -> subprocess.CompletedProcess[str]:
+def run(script: str, current: Path, **variables: Path) -> subprocess.CompletedProcess[str]:
     """Run ``script`` in a Python of its own, with some environment variables and none of the user's for Warp."""
     kept = {name: value for name, value in os.environ.items() if name != "WARP_CACHE_PATH"}
     given = {name: str(value) for name, value in variables.items()}
-    root = Path(__file__).resolve().parents[2]
-    return subprocess.run(
-        [sys.executable, "-c", script], env=kept | given, cwd=root, capture_output=True, text=True, check=False
-    )
+    environment = kept | given | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+    command = [sys.executable, "-c", script]
+    return subprocess.run(command, env=environment, cwd=current, capture_output=True, text=True, check=False)
