@@ -306,6 +306,21 @@ def test_a_solve_on_a_gpu_without_warp_says_that_its_rays_ran_on_the_cpu(
     assert np.array_equal(*textures)
 
 
+def test_a_gpu_that_is_not_there_is_refused_before_the_first_stage(
+    shoot: Shoot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    stages: list[str] = []
+    with pytest.raises(BadInput, match=r"no CUDA device.*--device auto"):
+        solve(
+            shoot.capture(),
+            replace(FAST, device="cuda"),
+            shoot.folder / "no card",
+            Progress(lambda event: stages.append(event.stage)),
+        )
+    assert stages == []
+
+
 def test_another_seed_gives_another_but_similar_result(shoot: Shoot, reference: Path) -> None:
     result = solve(shoot.capture(), replace(FAST, seed=1), shoot.folder / "seed")
     assert not same_results(reference, shoot.folder / "seed")
