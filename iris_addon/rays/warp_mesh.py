@@ -24,6 +24,7 @@ wp.set_module_options({"enable_backward": False, "use_precompiled_headers": Fals
 
 CHUNK = 1 << 22
 """Rays of one launch, each of which takes 40 bytes of the device."""
+_WORKING = Lock()
 
 
 def prepare(device: str) -> str | None:
@@ -47,18 +48,17 @@ def prepare(device: str) -> str | None:
 class WarpTriangles:
     """The :class:`~iris_addon.rays.engines.Intersector` of triangles (F, 3, 3), float32 metres, none degenerate.
 
-    One launch at a time: threads would share the stream of the device, and a lock keeps Warp's own state whole. The
-    tree is built on the CPU for either device, by the surface area heuristic, so that a GPU traverses the tree that the
-    tests see.
+    The tree is built on the CPU for either device, by the surface area heuristic, so that a GPU traverses the tree that
+    the tests see.
     """
 
     chunk, at_once = CHUNK, 1
 
     def __init__(self, corners: NDArray[np.float32], device: str) -> None:
-        self._device, self._launching = device, Lock()
+        self._device = device
         points = np.ascontiguousarray(corners.reshape(-1, 3))
         indices = np.arange(len(points), dtype=np.int32)
-        with _device_errors():
+        with _device():
             self._mesh = wp.Mesh(
                 wp.array(points, dtype=wp.vec3, device=device),
                 wp.array(indices, dtype=wp.int32, device=device),
@@ -85,7 +85,7 @@ class WarpTriangles:
     def _launch(self, kernel: Any, rays: tuple[NDArray[np.float32], ...], types: tuple[Any, ...]) -> list[NDArray]:
         """What ``kernel`` finds for ``rays``, arrays of n rows: one array per type, likewise."""
         n, device = len(rays[0]), self._device
-        with self._launching, _device_errors():
+        with _device():
             given = [wp.array(x, dtype=wp.vec3 if x.ndim == 2 else wp.float32, device=device) for x in rays]
             found = [wp.zeros(n, dtype=kind, device=device) for kind in types]
             wp.launch(kernel, dim=n, inputs=[self._mesh.id, *given], outputs=found, device=device)
@@ -93,10 +93,14 @@ class WarpTriangles:
 
 
 @contextmanager
-def _device_errors() -> Iterator[None]:
-    """What Warp raises, mostly for want of memory, as an error of ours."""
+def _device() -> Iterator[None]:
+    """Work with Warp on one thread at a time; what it raises, mostly for want of memory, as an error of ours.
+
+    Threads would share the stream of the device, and nothing says that Warp's own state is safe from them.
+    """
     try:
-        yield
+        with _WORKING:
+            yield
     except RuntimeError as error:
         fix = "free memory of the card, or solve with --device cpu"
         raise IrisError(f"rays failed on the device ({error})", fix) from error
