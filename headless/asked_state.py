@@ -32,6 +32,13 @@ def in_asked_state(args: argparse.Namespace, result: Result, views: Sequence[Vie
     return result.in_state(args.light_state)
 
 
+def state_of_frames(args: argparse.Namespace, views: Sequence[View]) -> dict[str, str]:
+    """What tells frames of ``views`` in one light state from those in another, for the record beside them."""
+    named = {view.light_state for view in views}
+    state = args.light_state or (next(iter(named)) if len(named) == 1 else "")
+    return {"light_state": state} if state else {}
+
+
 def state_of_photo(args: argparse.Namespace) -> str | None:
     """The light state of the photo ``args.view`` that ``composite`` puts something onto; None in a room of one.
 

@@ -55,7 +55,7 @@ def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
     from iris_addon.results.folder import load_result
 
     from .animation import moves
-    from .asked_state import in_asked_state
+    from .asked_state import in_asked_state, state_of_frames
 
     pictures = plate_files(args.plate)
     result = load_result(args.result)
@@ -91,7 +91,7 @@ def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
             "plate": [first, *(path.name for path in pictures.values())],
             "job": job,
             "look": [args.samples, args.seed, *(["acescg"] if args.acescg else [])],
-            **({} if args.light_state is None else {"light_state": args.light_state}),
+            **state_of_frames(args, taken),
         },
         first,
     )
