@@ -93,7 +93,7 @@ def find_unlike_lights(
         if best is None or best.across < UNLIKE_LIGHT_LEAST_SCATTER:
             continue
         if decisions.accept("unlike_lights", best.across, best.within, subject=state_name):
-            one, other = (tuple(names[k] for k in photos[own]) for own in best.groups)
+            one, other = (tuple(names[int(k)] for k in photos[own]) for own in best.groups)
             found.append(UnlikeLights((one, other), best.across, best.within))
     return found
 
