@@ -258,6 +258,14 @@ TOO_BRIGHT_REFLECTANCE = 2.5
 UNLIKE_LIGHT_LEAST_SCATTER = 0.05
 """Scatter of log luminance between two groups of photos below which it is not asked whether they have one light."""
 
+MAX_NOISE = 0.04
+"""Noise of display values above which a report warns of it: photos by a phone have 0.007, three times as noisy ones,
+which lose 1 dB, 0.028 (experiment 0168)."""
+
+MAX_FLATTENED = 0.17
+"""Share of patches without any shading in a photo above which a report warns of compression: JPEG of quality 15, which
+loses 20 dB, leaves 0.24 to 0.34, of quality 40, which loses 2 dB, 0.12 (experiment 0168)."""
+
 PANE_LEAST_LOSS = 0.3
 """Loss of a flat part that shows the same in all photos below which it is not asked whether it is a pane."""
 

@@ -34,6 +34,7 @@ from .model.capture import Capture
 from .model.light_states import LightStates, joined_arrays, split_arrays
 from .rays.tracer import Tracer
 from .response.observations import Observations, observe
+from .response.photo_quality import PhotoQuality
 from .response.photometry import Photometry, fixed_response, measure_photometry, shown_pixels
 from .response.unlike_lights import find_unlike_lights
 from .results.assembly import make_result, with_figures
@@ -188,6 +189,10 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     names = [view.name for view in reduced.views]
     unlike = find_unlike_lights(observations, names, states, photometry.hdr, decisions)
     result.report["warnings"] += [lights.warning for lights in unlike]
+    if not photometry.hdr:
+        quality = PhotoQuality.of(observations)
+        result.report["photos"] = quality.report()
+        result.report["warnings"] += quality.warnings
     result.report["decisions"] = decisions.report()
     patterned = result.textures.lamp_pattern is not None
     result.report["atlas"] = reached = describe_atlas(result.mesh, texels, room.samples, patterned)

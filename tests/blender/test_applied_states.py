@@ -91,6 +91,8 @@ def test_sky_sun_and_lamps_are_those_of_the_state(first: str):
         for name, expected in truth.items():
             with in_light_state(scene, name):
                 np.testing.assert_allclose(light(scene), expected, rtol=0.04, atol=2e-3, err_msg=f"{name} in {shown}")
+            with in_light_state(scene, name, everything=True), as_photographed(scene):
+                np.testing.assert_allclose(light(scene), expected, rtol=0.04, atol=2e-3, err_msg=f"{name} alone")
         np.testing.assert_allclose(light(scene), before, rtol=1e-3, atol=1e-6)
 
 
