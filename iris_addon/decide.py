@@ -260,7 +260,7 @@ UNLIKE_LIGHT_LEAST_SCATTER = 0.05
 
 MAX_NOISE = 0.04
 """Noise of display values above which a report warns of it: photos by a phone have 0.007, three times as noisy ones,
-which lose 1 dB, 0.028 (experiment 0168)."""
+which lose 1 dB, 0.028, and eight times as noisy ones, which lose 15, 0.059 (experiment 0168)."""
 
 MAX_FLATTENED = 0.17
 """Share of patches without any shading in a photo above which a report warns of compression: JPEG of quality 15, which
