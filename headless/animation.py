@@ -16,6 +16,7 @@ from iris_addon.model.capture import Camera, View
 from iris_addon.model.render_settings import RenderSettings
 from iris_addon.results.result import Result
 
+from .asked_state import state_of_frames
 from .frame_folder import Frames, open_frames, result_digests, write_film
 from .onto_photos import PhotoInsertion
 from .outcome import Outcome
@@ -94,7 +95,7 @@ def _open(args: argparse.Namespace, views: Sequence[View], job: Mapping[str, Any
         "job": job,
         "onto_photos": getattr(args, "onto_photos", False),
         "look": [args.samples, args.seed, args.exposure, *(["acescg"] if args.acescg else [])],
-        **({} if args.light_state is None else {"light_state": args.light_state}),
+        **state_of_frames(args, views),
     }
     return open_frames(args.out, max(length, 1), ".exr" if args.linear or linear else ".png", made_of)
 

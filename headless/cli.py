@@ -336,7 +336,7 @@ def _add_rendering(add: Add) -> None:
     composite.add_argument("blend", type=Path, metavar="SCENE.blend", help="a solved room with additions")
     composite.add_argument("--result", type=Path, required=True, help="folder of the result that was applied")
     composite.add_argument("--photo", type=Path, metavar="FILE", help="undistorted, as the camera saw it")
-    composite.add_argument("--view", metavar="NAME", help="of the photo, for its exposure")
+    composite.add_argument("--view", metavar="NAME", help="of the photo, for its exposure and light state")
     composite.add_argument(
         "--frames", type=_plate_frames, metavar="1-120", help="of the plate behind the camera, in place of a photo"
     )
@@ -355,7 +355,7 @@ def _add_rendering(add: Add) -> None:
     _add_sampling(probe)
     probe.add_argument("--gpu", action="store_true", help="render on a GPU where Cycles finds one")
 
-    for lit in (render, relight, insert, plate, probe):
+    for lit in (render, relight, insert, plate, composite, probe):
         lit.add_argument("--light-state", metavar="NAME", help="of the room; else that of the views, or the first")
 
     camera = add("camera", "response, exposures and white balance as .cube tables and an OpenColorIO configuration")

@@ -54,7 +54,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 """Commands that render, and the keys of the files that each needs beside the views."""
 NEEDED = ("lights", "objects", "plate", "camera", "scene")
 NOT_FOR_PLATES = ("views", "exposure", "onto_photos")
-NOT_FOR_SCENES = ("views", "onto_photos", "linear", "acescg", "fps", "light_state")
+NOT_FOR_SCENES = ("views", "onto_photos", "linear", "acescg", "fps")
 """Of ``composite``, which has the rate of its scene; its ``exposure`` is that of the plate, or auto without one."""
 FRAME_PATHS = ("views", "out", *NEEDED)
 ONLY_FOR_PLATES = ("layers",)
@@ -221,7 +221,7 @@ def _frames(entry: Any, where: str, path: Path, located: Located, job: tuple[str
     options = [] if on_plate or own_scene else ["--views", str(views)]
     for key in () if own_scene else needed:
         options += [f"--{key}", str(located(entry[key]))]
-    for key in FRAME_NUMBERS if own_scene else (*FRAME_NUMBERS, *FRAME_WORDS):
+    for key in (*FRAME_NUMBERS, *(word for word in FRAME_WORDS if not own_scene or word != "exposure")):
         options += [f"--{key.replace('_', '-')}", str(entry[key])] if key in entry else []
     options += [f"--{key.replace('_', '-')}" for key in FRAME_SWITCHES if entry.get(key)]
     exposure = entry.get("exposure", "auto" if command == "relight" else "photo")

@@ -55,7 +55,7 @@ def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
     from iris_addon.results.folder import load_result
 
     from .animation import moves
-    from .asked_state import in_asked_state
+    from .asked_state import in_asked_state, state_of_frames
 
     pictures = plate_files(args.plate)
     result = load_result(args.result)
@@ -91,7 +91,7 @@ def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
             "plate": [first, *(path.name for path in pictures.values())],
             "job": job,
             "look": [args.samples, args.seed, *(["acescg"] if args.acescg else [])],
-            **({} if args.light_state is None else {"light_state": args.light_state}),
+            **state_of_frames(args, taken),
         },
         first,
     )
@@ -212,19 +212,25 @@ def composite_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
     from iris_addon.model.render_settings import RenderSettings
     from iris_addon.results.records import read_response
 
+    from .asked_state import state_of_plate
+
     device = read_response(args.result).device_of("")  # that of most photos: a plate is none of them
     scene = open_scene(args.blend)
     if not shows_plate(scene):
+        if args.light_state is not None:
+            what = "shows no plate behind its camera, so it is rendered in the light that it has"
+            raise BadInput(what, "leave out --light-state, and set its lights", args.blend)
         return _whole_scene(args, progress, scene, device)
+    light_state = state_of_plate(args)
     hdr = plate_picture(scene, args.frames.first).suffix.lower() == RADIANCE_SUFFIX
     if device.response.family == "identity" and not hdr:
         what, fix = "was solved from radiance, so the response of the plate is not known", "give the plate as EXR"
         raise BadInput(what, fix, args.result)
-    frames = _frames_of(args, scene, ".exr" if hdr else ".png")
+    frames = _frames_of(args, scene, ".exr" if hdr else ".png", light_state)
     settings = RenderSettings(samples=args.samples, seed=args.seed, gpu=args.gpu)
 
     def work(number: int) -> bool:
-        frame = composite_frame(scene, number, frames.path(number), device, settings)
+        frame = composite_frame(scene, number, frames.path(number), device, settings, light_state)
         _write_exposure(frames, number, frame.exposure, frame.picture)
         return frame.shows_added
 
@@ -258,8 +264,10 @@ def _whole_scene(args: argparse.Namespace, progress: Progress, scene: bpy.types.
     return _make_scene_frames(args, progress, scene, frames, work)
 
 
-def _frames_of(args: argparse.Namespace, scene: bpy.types.Scene, suffix: str) -> Frames:
+def _frames_of(args: argparse.Namespace, scene: bpy.types.Scene, suffix: str, light_state: str | None = None) -> Frames:
     made_of = {"command": "composite", "result": result_digests(args.result)}
+    if light_state is not None:
+        made_of["light_state"] = light_state
     whole = {"first": scene.frame_start, "length": scene.frame_end - scene.frame_start + 1}
     return replace(open_frames(args.out, 1, suffix, made_of), **whole)
 

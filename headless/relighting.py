@@ -24,7 +24,7 @@ from iris_addon.model.render_settings import RenderSettings
 from iris_addon.results.folder import load_result
 from iris_addon.results.result import Result
 
-from .asked_state import in_asked_state
+from .asked_state import in_asked_state, state_of_photo
 from .outcome import Outcome
 
 if TYPE_CHECKING:
@@ -71,6 +71,7 @@ def composite(args: argparse.Namespace, progress: Progress) -> Outcome:
             device,
             exposure_of(args.view, camera.exposures),
             _render_settings(args),
+            state_of_photo(args),
             on_step=lambda done: progress.update(done / RENDERS),
         )
     return Outcome.of("Composited", {"files": [args.out]})

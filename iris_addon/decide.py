@@ -99,6 +99,13 @@ REFINEMENTS: Mapping[str, Refinement] = {
         gain=0.1,
         experiment="0017-can-wrong-recorded-exposures-be-corrected",
     ),
+    # Photos of a room under three sets of lamps gain 50 %, of rooms under one light 20 % at most.
+    "unlike_lights": Refinement(
+        "a light of its own for a group of photos of one light state; nothing is solved so, but it is said",
+        "scatter of the ratio of two photos from place to place, over the half of the patches they are not grouped by",
+        gain=0.35,
+        experiment="0167-do-photos-without-names-show-one-light",
+    ),
     # ---- lighting
     "outside_light": Refinement(
         "light from beyond the mesh, constant, then by direction",
@@ -247,6 +254,17 @@ REFINEMENTS: Mapping[str, Refinement] = {
 
 TOO_BRIGHT_REFLECTANCE = 2.5
 """Reflectance that a lamp would need if it were none, above which it is judged as "bright_lamp", not as "lamp"."""
+
+UNLIKE_LIGHT_LEAST_SCATTER = 0.05
+"""Scatter of log luminance between two groups of photos below which it is not asked whether they have one light."""
+
+MAX_NOISE = 0.04
+"""Noise of display values above which a report warns of it: photos by a phone have 0.007, three times as noisy ones,
+which lose 1 dB, 0.028, and eight times as noisy ones, which lose 15, 0.059 (experiment 0168)."""
+
+MAX_FLATTENED = 0.17
+"""Share of patches without any shading in a photo above which a report warns of compression: JPEG of quality 15, which
+loses 20 dB, leaves 0.24 to 0.34, of quality 40, which loses 2 dB, 0.12 (experiment 0168)."""
 
 PANE_LEAST_LOSS = 0.3
 """Loss of a flat part that shows the same in all photos below which it is not asked whether it is a pane."""

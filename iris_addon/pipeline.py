@@ -35,7 +35,9 @@ from .model.light_states import LightStates, joined_arrays, split_arrays
 from .rays.engines import choose_engine
 from .rays.tracer import Tracer
 from .response.observations import Observations, observe
+from .response.photo_quality import PhotoQuality
 from .response.photometry import Photometry, fixed_response, measure_photometry, shown_pixels
+from .response.unlike_lights import find_unlike_lights
 from .results.assembly import make_result, with_figures
 from .results.checkpoints import Checkpoints, Stage, fingerprint, sole_writer
 from .results.files import REPORT_PAGE, require_no_links
@@ -192,6 +194,13 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         result = result.with_exposures_times(unit / room.photos.unit)
     result = replace(result, panes=panes)
     result = with_figures(result, room, config, cameras, problems, solution, progress)
+    names = [view.name for view in reduced.views]
+    unlike = find_unlike_lights(observations, names, states, photometry.hdr, decisions)
+    result.report["warnings"] += [lights.warning for lights in unlike]
+    if not photometry.hdr:
+        quality = PhotoQuality.of(observations)
+        result.report["photos"] = quality.report()
+        result.report["warnings"] += quality.warnings
     result.report["decisions"] = decisions.report()
     patterned = result.textures.lamp_pattern is not None
     result.report["atlas"] = reached = describe_atlas(result.mesh, texels, room.samples, patterned)

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..iris_addon.base.errors import BadInput, IrisError
 from ..iris_addon.base.files import atomic_write, digest_of, require_own_folder, write_json
+from ..iris_addon.blender.apply.applied_states import has_light_states
 from ..iris_addon.blender.apply.farm_frames import relit_frames
 from ..iris_addon.blender.apply.on_objects import APPLIED
 from ..iris_addon.blender.insert.linked_files import write_portable
@@ -102,7 +103,7 @@ class IRIS_OT_export_farm(bpy.types.Operator):  # noqa: N801 - Blender's naming
         of the ``job`` with other settings, are not taken for them."""
         if shows_plate(scene):
             own, made_of = self._own_scene(scene, bundle, name)
-            table = {"name": "plate", **own}
+            table = {"name": "plate", **own, **_light_state_of_plate(scene)}
         elif has_additions(scene):
             own, made_of = self._own_scene(scene, bundle, name)
             table = {"name": "scene", "exposure": "auto", **own}
@@ -150,6 +151,12 @@ class IRIS_OT_export_farm(bpy.types.Operator):  # noqa: N801 - Blender's naming
             "fps": max(1, round(scene.render.fps / scene.render.fps_base)),
         }
         return table, made_of
+
+
+def _light_state_of_plate(scene: bpy.types.Scene) -> dict[str, str]:
+    """The light state that the camera of ``scene`` names, in a room that was photographed in several."""
+    name = scene.camera.data.iris_light_state.strip() if has_light_states(scene) else ""
+    return {"light_state": name} if name else {}
 
 
 def _key(job: str, table: Mapping[str, str | int | bool], made_of: Iterable[Path]) -> str:

@@ -10,6 +10,7 @@ import bpy
 
 from ..iris_addon.base.errors import IrisError
 from ..iris_addon.base.files import require_own_folder
+from ..iris_addon.blender.apply.applied_states import has_light_states
 from ..iris_addon.blender.apply.scene_files import write_whole
 from ..iris_addon.blender.insert.photo_composite import write_copy
 from ..iris_addon.blender.scene_in.capture_objects import photo_of, show_instead
@@ -44,8 +45,9 @@ class IRIS_OT_onto_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
         """Write a copy of the scene and start the job."""
         scene, out = context.scene, folder(context.scene)
         view = scene.iris.views[scene.iris.view_index]
-        image = None if view.camera is None else photo_of(view.camera)
-        if image is None:
+        camera = view.camera
+        image = None if camera is None else photo_of(camera)
+        if camera is None or image is None:
             self.report({"ERROR"}, f"{view.name} has no camera with a photo in this scene — check the capture again")
             return {"CANCELLED"}
         look_at_photo(context, scene.iris.view_index)
@@ -68,7 +70,8 @@ class IRIS_OT_onto_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
             if shown is not None and folder(shown) == out:
                 _show(shown, view_name, picture)
 
-        command = composite_command(bpy.app.binary_path, copy, out, photo, view_name, picture, self.samples)
+        state = camera.data.iris_light_state.strip() if has_light_states(scene) else ""
+        command = composite_command(bpy.app.binary_path, copy, out, photo, view_name, picture, self.samples, state)
         return run(self, "composite", out, command, ended)
 
 

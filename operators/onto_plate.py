@@ -10,6 +10,7 @@ import bpy
 
 from ..iris_addon.base.errors import IrisError
 from ..iris_addon.base.files import require_own_folder
+from ..iris_addon.blender.apply.applied_states import has_light_states
 from ..iris_addon.blender.insert.photo_composite import write_copy
 from ..iris_addon.blender.insert.plate import shows_plate
 from ..iris_addon.blender.worker import jobs
@@ -28,6 +29,10 @@ class IRIS_OT_onto_plate(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
 
     directory: bpy.props.StringProperty(subtype="DIR_PATH")
     samples: bpy.props.IntProperty(name="Samples", description="Paths per pixel", default=64, min=2, soft_max=1024)
+    light_state: bpy.props.StringProperty(
+        name="Light State",
+        description="That of the room in which the plate was filmed, one of those of its photos; empty for the first",
+    )
     resume: bpy.props.BoolProperty(
         name="Keep Finished Frames", description="Go on after a stop. Frames that are there keep what they show"
     )
@@ -47,6 +52,8 @@ class IRIS_OT_onto_plate(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         """Ask for the folder of the frames."""
         self.directory = str(folder(context.scene) / "onto-plate")
+        camera = context.scene.camera
+        self.light_state = "" if camera is None or camera.type != "CAMERA" else camera.data.iris_light_state
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
@@ -65,5 +72,8 @@ class IRIS_OT_onto_plate(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         wanted = f"{scene.frame_start}-{scene.frame_end}"
-        command = plate_command(bpy.app.binary_path, copy, result, frames, wanted, self.samples, resume=self.resume)
+        state = self.light_state.strip() if has_light_states(scene) else ""
+        command = plate_command(
+            bpy.app.binary_path, copy, result, frames, wanted, self.samples, state, resume=self.resume
+        )
         return run(self, "plate", result, command, lambda _record: copy.unlink(missing_ok=True))

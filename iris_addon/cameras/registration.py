@@ -3,8 +3,9 @@
 Poses of a scan drift by pixels, and the content of a photo is then projected beside its place. After Zhou & Koltun 2014
 (Color Map Optimization for 3D Reconstruction with Consumer Depth Cameras): each point of the surface takes the mean of
 the photos, each photo is moved towards these means (Gauss-Newton over six numbers), in turns and from coarse to fine.
-The photos are compared by local contrast, which does not depend on exposure or smooth shading. On correct poses there
-is nothing to gain on held-out points, and the acceptance gain keeps them as they are.
+The photos are compared by local contrast, which does not depend on exposure or smooth shading, within each light state:
+shadows depend on which lamps are on. On correct poses there is nothing to gain on held-out points, and the acceptance
+gain keeps them as they are.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from ..capture.photos import load_photo, photos_at_once, shrink
 from ..decide import Decisions
 from ..model.capture import Camera, Capture, View
 from ..model.corrections import PoseCorrections, rigid, twist
+from ..model.light_states import LightStates
 from ..rays.tracer import Tracer, points_on_faces
 
 N_POINTS = 24_000
@@ -109,15 +111,15 @@ def register(
     decisions = decisions or Decisions()
     forced = decisions.forces("poses")
     small = [view.reduced_to(WIDTHS[-1]) for view in capture.views]
-    given = [view.camera for view in small]
+    given, states = [view.camera for view in small], LightStates.of(small)
     photos = _brightness(small, progress)
     fitted, held_out = SurfacePoints.of(given, tracer, N_POINTS, rng).halves()
-    seen, test = (_Sightings.of(points, given, tracer, rng) for points in (fitted, held_out))
+    seen, test = (_Sightings.of(points, given, states, tracer, rng) for points in (fitted, held_out))
     found, before = given, 0.0
     for level, (width, rounds) in enumerate(zip(WIDTHS, ROUNDS, strict=True)):
         pictures = _pictures(photos, width)
         if level:
-            seen = _Sightings.of(fitted, found, tracer, rng)
+            seen = _Sightings.of(fitted, found, states, tracer, rng)
         if level in (0, len(WIDTHS) - 1):  # the levels that end in a comparison
             before = test.disagreement(pictures, given)
         for turn in range(rounds):
@@ -140,6 +142,8 @@ def photo_disagreement(
 ) -> list[float]:
     """Mean Cauchy loss of the local contrast that photos show at points of a surface around their mean, per surface.
 
+    Photos of different light states, whose shadows differ, are not compared.
+
     Args:
         tracers: of the surfaces; ``rng`` puts points behind the same pixels of each.
 
@@ -153,7 +157,8 @@ def photo_disagreement(
     for tracer in tracers:
         same = deepcopy(rng)
         points = SurfacePoints.of(cameras, tracer, N_POINTS, same)
-        losses.append(_Sightings.of(points, cameras, tracer, same).disagreement(pictures, cameras))
+        seen = _Sightings.of(points, cameras, LightStates.of(views), tracer, same)
+        losses.append(seen.disagreement(pictures, cameras))
     return losses
 
 
@@ -194,7 +199,7 @@ def _pictures(photos: Sequence[NDArray[np.floating]], width: int) -> list[NDArra
 
 @dataclass(frozen=True)
 class _Sightings:
-    """Points of the surface in photos: m sightings, sorted by photo.
+    """Points of the surface in photos: m sightings, sorted by photo. Under another light a point is another point.
 
     Attributes:
         position: (n, 3) of the points.
@@ -207,17 +212,27 @@ class _Sightings:
     rows: Sequence[slice]
 
     @staticmethod
-    def of(points: SurfacePoints, cameras: Sequence[Camera], tracer: Tracer, rng: np.random.Generator) -> _Sightings:
-        """Sightings by ``cameras`` of those ``points`` that at least three of them see, MAX_SIGHTINGS at most."""
-        seen = [seen_points(points, camera, tracer) for camera in cameras]
-        often = np.bincount(np.concatenate(seen), minlength=len(points.position)) >= 3
+    def of(
+        points: SurfacePoints,
+        cameras: Sequence[Camera],
+        states: LightStates,
+        tracer: Tracer,
+        rng: np.random.Generator,
+    ) -> _Sightings:
+        """Sightings by ``cameras`` of those ``points`` that at least three of one light state see, MAX_SIGHTINGS at
+        most."""
+        n = len(states)
+        seen = [
+            seen_points(points, camera, tracer) * n + state for camera, state in zip(cameras, states.index, strict=True)
+        ]
+        often = np.bincount(np.concatenate(seen), minlength=n * len(points.position)) >= 3
         total = sum(int(often[index].sum()) for index in seen)
         often &= rng.random(len(often)) * total < MAX_SIGHTINGS
         seen = [index[often[index]] for index in seen]
         ends = np.cumsum([0, *map(len, seen)])
         rows = [slice(start, stop) for start, stop in pairwise(ends)]
         used, point = np.unique(np.concatenate(seen), return_inverse=True)
-        return _Sightings(points.position[used], point, rows)
+        return _Sightings(points.position[used // n], point, rows)
 
     def disagreement(self, pictures: Sequence[NDArray[np.float32]], cameras: Sequence[Camera]) -> float:
         """Mean Cauchy loss of the contrast that photos show at a point around their mean; 0 without sightings."""

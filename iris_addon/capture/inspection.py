@@ -116,6 +116,7 @@ def _inspect_view(view: View, tracer: Tracer, folder: Path) -> tuple[dict[str, A
         "photo": None if shown is None else shown.resolve(),
         "camera": asdict(camera),
         "exposure": view.exposure,
+        "light_state": view.light_state,
         "saturated": 0.0 if photo.hdr else float((values >= SATURATED).any(axis=1).mean()),
         "black": 0.0 if photo.hdr else float((values <= BLACK_VALUE).all(axis=1).mean()),
         "histogram": histogram / max(int(np.sum(histogram)), 1),

@@ -58,6 +58,8 @@ RELIGHT_KEYS = {"recovered", "lights", "outside", "sun", "camera", "length"}
 REFERENCE_KEYS = {"poses", "original_emitters", "kept_faces_of_scene_ply", "what", "note", "lighting"}
 """Keys of reference files that are accepted and not read."""
 INSERTION_KEYS = {"objects", "lights", "views", "camera", "length", "poses", "note", "lighting"}
+VIEW_KEYS = {"view", "objects", "lights", "light_state"}
+"""Of a view of an insertion job; the light state of a reference is for :mod:`iris_addon.evaluate` to read."""
 
 
 def new_lights_edit(result: Result, lights_json: Json) -> SceneEdit:
@@ -141,7 +143,7 @@ def insertion_edits(
     edits = []
     for k, view in enumerate(json_list(objects_json.get("views", [single]), "views")):
         view = json_map(view, f"views[{k}]")
-        known_keys(view, {"view", "objects", "lights"}, f"views[{k}]")
+        known_keys(view, VIEW_KEYS, f"views[{k}]")
         index = whole(view.get("view"), f"views[{k}].view")
         camera = cameras[index] if index < len(cameras) else None
         things = [
@@ -161,7 +163,9 @@ def _only_faces(result: Result, faces: NDArray[np.int64]) -> SceneEdit:
     recovered = result.face_emission()
     emission = np.zeros_like(recovered)
     emission[faces] = recovered[faces]
-    black = (recovered.max(axis=1) > 0) & (emission.max(axis=1) == 0)
+    lamp = np.zeros(len(emission), bool)  # also of a lamp that is off in this light state
+    lamp[[face for emitter in result.emitters for face in emitter.faces]] = True
+    black = lamp & (emission.max(axis=1) == 0)
     sun = None if result.sun is None else changed_sun(result, 0.0)
     return SceneEdit(emission, black, outside_scale=0.0, sun=sun)
 

@@ -21,6 +21,7 @@ from .ground_truth import GroundTruth, read_ground_truth, read_sun
 from .map_scores import score_maps
 from .pictures import (
     RenderViews,
+    incomparable,
     inserted_views,
     novel_views,
     relit_views,
@@ -94,6 +95,8 @@ def _against_truth(
     found = per_view.keys() | numbers.keys()
     missing = "the capture has no reference for it"
     left_out = {name: missing for name in (*MAPPED, *LIGHT_AND_CAMERA) if name not in found}
+    if render is not None:
+        left_out |= incomparable(result, truth)
     if sun is not None:
         left_out |= {name: "no sun was found" for name in SUN if name not in found}
     left_out |= {

@@ -6,9 +6,9 @@ Blender.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from ..base.progress import Progress
 from ..base.random_streams import stream
 from ..capture.photos import load_photo
 from ..edits.jobs import insertion_edits, new_lights_edit, one_emitter_edit
+from ..edits.parsing import json_map
 from ..edits.scene_edit import SceneEdit
 from ..model.capture import Camera, Photo, View
 from ..model.render_settings import RenderSettings
@@ -138,19 +139,23 @@ def novel_views(
 def relit_views(
     result: Result, truth: GroundTruth, render: RenderViews, samples: int, seed: int, progress: Progress
 ) -> list[Picture]:
-    """Both kinds of relighting references: new lights alone, and only the recorded faces on."""
-    lights = read_lights(truth)
+    """Both kinds of relighting references: new lights alone, and only the recorded faces on, as they shine in the light
+    state of the reference."""
+    lights = read_lights(truth) or {}
     pictures: list[Picture] = []
     for kind, make_edit in (("new_lights", new_lights_edit), ("one_emitter", one_emitter_edit)):
-        if lights is None or kind not in lights:
+        if kind not in lights:
+            continue
+        lit = _lit_as(result, json_map(lights[kind], kind)) if kind == "one_emitter" else result
+        if lit is None:
             continue
         found = [
             (view, read_rgb(path))
             for index, view in enumerate(truth.val_views)
             if (path := truth.path(f"relight/{kind}", index)) is not None
         ]
-        edit = make_edit(result, lights)
-        images = render_all(result, [view.camera for view, _ in found], edit, render, samples, seed, progress)
+        edit = make_edit(lit, lights)
+        images = render_all(lit, [view.camera for view, _ in found], edit, render, samples, seed, progress)
         for (view, reference), image in zip(found, images, strict=True):
             pictures.append(_beside("relight_psnr", f"{kind}/{view.name}", image, reference, truth))
     return pictures
@@ -159,19 +164,57 @@ def relit_views(
 def inserted_views(
     result: Result, truth: GroundTruth, render: RenderViews, samples: int, seed: int, progress: Progress
 ) -> list[Picture]:
-    """Inserted balls in the original light: within the object and 20 pixels around it, and that ring alone."""
+    """Inserted balls in the original light, that of the light state of the reference: within the object and 20 pixels
+    around it, and that ring alone."""
     objects = read_objects(truth)
     pictures: list[Picture] = []
     for index, edit in [] if objects is None else insertion_edits(result, objects):
+        lit = _lit_as(result, _reference_of(objects, index))
+        if lit is None:
+            continue
         path, mask_path = truth.path("insert/Image", index), truth.path("insert/mask", index, ".png")
         if path is None or mask_path is None or index >= len(truth.val_views):
             continue
         view, reference, inside = truth.val_views[index], read_rgb(path), read_mask(mask_path)
-        (image,) = render_all(result, [view.camera], edit, render, samples, seed, progress)
+        (image,) = render_all(lit, [view.camera], edit, render, samples, seed, progress)
         near = np.less_equal(np.asarray(distance_transform_edt(~inside)), RING_PIXELS)
         pictures.append(_beside("insert_psnr", view.name, image, reference, truth, near))
         pictures.append(_beside("insert_psnr_around", view.name, image, reference, truth, near & ~inside))
     return pictures
+
+
+def incomparable(result: Result, truth: GroundTruth) -> dict[str, str]:
+    """References that are left out because ``result`` does not have their light, and why, by what they are of.
+
+    Of a room that was photographed in several light states a reference has to say in which it was rendered.
+    """
+    lights, objects = read_lights(truth) or {}, read_objects(truth)
+    parts: dict[str, Mapping[str, Any]] = {}
+    if "one_emitter" in lights:
+        parts["relight_psnr of one_emitter"] = json_map(lights["one_emitter"], "one_emitter")
+    for index, _ in [] if objects is None else insertion_edits(result, objects):
+        parts[f"insert_psnr of view {index}"] = _reference_of(objects, index)
+    states = {name: part.get("light_state", "") for name, part in parts.items()}
+    states |= {f"nvs_psnr of {view.name}": view.light_state for view in truth.val_views}
+    return {
+        name: f"the light state {state!r} was not solved" if state else "it does not say in which light state it is"
+        for name, state in states.items()
+        if result.light_states and state not in {own.name for own in result.light_states}
+    }
+
+
+def _lit_as(result: Result, reference: Mapping[str, Any]) -> Result | None:
+    """The room in the light state of a reference; None where that is not said, or was not solved."""
+    if not result.light_states:
+        return result
+    name = reference.get("light_state")
+    return result.in_state(name) if name in {state.name for state in result.light_states} else None
+
+
+def _reference_of(objects: Mapping[str, Any] | None, index: int) -> Mapping[str, Any]:
+    """The part of an insertion job that is of view ``index``."""
+    views = [] if objects is None else objects.get("views", [])
+    return next((view for view in views if view.get("view") == index), {})
 
 
 def _beside(

@@ -139,7 +139,7 @@ def _solving(state: LitState, progress: Progress, warm_start: bool) -> Solving:
     """The light of one state, from one balance if that starts from a solution, else from two."""
     problem, observed, emitters, before = state.problem, state.observed, state.emitters, state.before
     if not emitters and not len(before.hidden_radiance):
-        return before
+        return _without_lamps(problem, observed, before)
     n_faces = len(problem.regions)
     mask = np.zeros(n_faces, bool)
     for faces in emitters:
@@ -166,7 +166,7 @@ def _solving(state: LitState, progress: Progress, warm_start: bool) -> Solving:
     n = problem.transport.n_seen
     fitted = fitted_shading(problem, observed, on_lamp, state.fit)
     if fitted is None:
-        return before
+        return before if emitters else _without_lamps(problem, observed, before)
     kernel, rows = fitted.kernel, fitted.rows
     smooth_factors = kernel @ all_factors[:n].astype(np.float32)
     albedo = before.region_albedo
@@ -207,6 +207,11 @@ def _solving(state: LitState, progress: Progress, warm_start: bool) -> Solving:
         losses=replace(balance.losses, observation=rows[balance.losses.observation]),
         profiles=before.profiles_of(emitters),
     )
+
+
+def _without_lamps(problem: LightProblem, observed: GroupRadiance, before: Lights) -> Lights:
+    """The light of a state that has no lamps, ``before`` where that has none either."""
+    return lights_without_lamps(problem, observed) if before.emitters else before
 
 
 @dataclass(frozen=True)

@@ -145,6 +145,21 @@ def read_emitters(folder: Path, mesh: Mesh) -> StoredLights:
     )
 
 
+def read_light_states(folder: Path) -> dict[str, tuple[str, ...]]:
+    """The photos of each light state of the result in ``folder`` by its name, that of most photos first; empty where
+    there is one state.
+
+    Raises:
+        BadInput: emitters.json is missing or damaged.
+    """
+    path = result_file(folder, EMITTERS)
+    content = read_json(path)
+    listed = content.get("emitters")
+    if not isinstance(listed, list):
+        raise BadInput("'emitters' is missing or not a list", MEND, path)
+    return {state.name: state.photos for state in _read_states(content.get("light_states", []), len(listed), path)}
+
+
 def _read_states(listed: object, n_emitters: int, path: Path) -> tuple[LightState, ...]:
     if not isinstance(listed, list):
         raise BadInput("'light_states' is no list", MEND, path)

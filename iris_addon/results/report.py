@@ -184,6 +184,7 @@ def _summary(result: Result, capture: Capture) -> str:
     facts = {
         "preset": report.get("preset"),
         "photos": report.get("n_views", len(capture.views)),
+        "noise of the photos": _share((report.get("photos") or {}).get("noise")),
         "lights": len(result.emitters),
         "held-out PSNR": None if report.get("holdout_psnr") is None else f"{report['holdout_psnr']:.2f} dB",
         "seconds": None if total is None else f"{total:.0f}",
@@ -206,6 +207,11 @@ def _summary(result: Result, capture: Capture) -> str:
         + (f'<ul class="warnings">{warnings}</ul>' if warnings else "")
         + stages
     )
+
+
+def _share(value: float | None) -> str | None:
+    """A share in per cent; None where it is not known."""
+    return None if value is None else f"{value:.1%}"
 
 
 def _bars(seconds: Mapping[str, float]) -> str:

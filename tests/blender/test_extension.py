@@ -1,6 +1,7 @@
 """The extension: built, validated, installed into a Blender of its own, used from import to export, disabled."""
 
 import ast
+import json
 import platform
 import re
 import sys
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from iris_addon.capture.reader import read_capture
+from iris_addon.model.recovered import LightState
 from iris_addon.model.response import gamma
 from iris_addon.results.folder import save_result
 from tests.blender_home import ROOT, blender_ext, build_package, fake_solver, in_blender
@@ -431,6 +433,49 @@ def test_objects_are_placed_on_the_surface_pointed_at(package, tmp_path, worker,
     scene.unit_settings.scale_length = 0.01
     anchor, ball = place((0, 0, -1), thing="GREY")
     assert abs(extent(ball)[2][1] - extent(ball)[2][0] - 30) < 0.1
+    """
+    in_blender(package, tmp_path, body)
+
+
+def test_a_photo_gets_what_was_added_under_the_lamps_of_its_light_state(
+    package, tmp_path, solved, worker, nerfstudio_room
+):
+    dark, green, red = np.zeros(3), np.array([1.0, 12.0, 1.0]), np.array([12.0, 1.0, 1.0])
+    states = (
+        LightState("evening", (), np.array([green, dark])),
+        LightState("night", (), np.array([dark, red])),
+    )
+    made = room(mesh=replace(box_mesh(), uv=box().uv), emission={3: green, 2: dark})
+    save_result(replace(made, response=gamma(), light_states=states), solved)
+    listed = nerfstudio_room.root / "transforms.json"
+    content = json.loads(listed.read_text())
+    for frame in content["frames"]:
+        frame["light_state"] = "night"
+    listed.write_text(json.dumps(content))
+    body = f"""
+    import numpy as np
+    from mathutils import Vector
+    preferences.python = {str(worker)!r}
+    bpy.ops.iris.import_capture(filepath={str(nerfstudio_room.root)!r})
+    bpy.ops.iris.solve()
+    bpy.ops.iris.apply()
+    for name in ("Cube", "Light"):
+        bpy.data.objects.remove(scene.objects[name])
+    view = scene.iris.views[scene.iris.view_index]
+    assert view.camera.data.iris_light_state == "night"
+    eye = view.camera.matrix_world
+    bpy.ops.iris.place(thing="GREY", origin=eye.translation, direction=eye.to_3x3() @ Vector((0, 0, -1)))
+    for state, channel in (("night", 0), ("evening", 1)):
+        view.camera.data.iris_light_state = state
+        assert bpy.ops.iris.onto_photo(samples=16) == {{"FINISHED"}}
+        shown = view.camera.data.background_images
+        width, height = shown[1].image.size
+        picture = np.empty(4 * width * height, np.float32)
+        shown[1].image.pixels.foreach_get(picture)
+        ball = picture.reshape(height, width, 4)[height // 2, width // 2]
+        assert ball[channel] > 1.2 * ball[1 - channel], (state, ball)
+    view.camera.data.iris_light_state = "noon"
+    fails(bpy.ops.iris.onto_photo, "was not solved in the light state 'noon'", samples=4)
     """
     in_blender(package, tmp_path, body)
 

@@ -26,6 +26,7 @@ def imported(tmp_path: Path):
     """A capture with two photos, Y up, as objects of an otherwise empty scene; and their names and cameras as read."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.types.Camera.iris_exposure = bpy.props.FloatProperty()  # of the add-on, which is not enabled here
+    bpy.types.Camera.iris_light_state = bpy.props.StringProperty()
     write_png(tmp_path / "photo.png", np.zeros((12, 16, 3), np.uint8))
     views = tuple(
         InspectedView(
@@ -47,7 +48,7 @@ def imported(tmp_path: Path):
     scene = bpy.context.scene
     thing, cameras = add_capture(inspected, scene)
     yield inspected, scene, thing, dict(zip("ab", cameras, strict=True))
-    del bpy.types.Camera.iris_exposure
+    del bpy.types.Camera.iris_exposure, bpy.types.Camera.iris_light_state
 
 
 def corrected(inspected: Inspected):

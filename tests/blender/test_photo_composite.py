@@ -9,7 +9,9 @@ import pytest
 from mathutils import Matrix
 
 from iris_addon.base.errors import BadInput
-from iris_addon.blender.apply.on_objects import apply_to_objects
+from iris_addon.blender.apply.applied_states import has_light_states
+from iris_addon.blender.apply.looks import keep_states, set_own_look
+from iris_addon.blender.apply.on_objects import apply_to_objects, restore
 from iris_addon.blender.camera import add_camera, look_through
 from iris_addon.blender.images import image_from_array, read_image
 from iris_addon.blender.insert.differential import insert_onto_photo
@@ -17,8 +19,9 @@ from iris_addon.blender.insert.photo_composite import composite, write_copy
 from iris_addon.blender.render.cycles import render_views
 from iris_addon.blender.scene_in.scene_capture import whole_object
 from iris_addon.blender.scene_out.build import add_sphere, plain_mesh
-from iris_addon.blender.scene_out.lights import lamp_materials, set_strength
+from iris_addon.blender.scene_out.lights import lamp_materials, lamp_setting, set_strength
 from iris_addon.edits.scene_edit import SceneEdit, Sphere
+from iris_addon.model.recovered import LightState
 from iris_addon.model.render_settings import RenderSettings
 from iris_addon.model.response import gamma
 from iris_addon.results.folder import save_result
@@ -90,6 +93,108 @@ def test_dimming_the_lamp_darkens_the_photo_by_the_same_factor():
     dark = (photo.max(-1) < 0.9) & (photo.min(-1) > 0.1)
     ratio = gamma().invert(seen[dark]) / gamma().invert(photo[dark])
     np.testing.assert_allclose(np.median(ratio), 0.25, rtol=0.03)
+
+
+# ---- light states --------------------------------------------------------------------------------------------------
+
+
+GREEN, RED, BOTH = np.array([2.0, 12.0, 2.0]), np.array([12.0, 3.0, 2.0]), np.array([6.0, 6.0, 6.0])
+
+
+def room_in_states() -> Result:
+    """A green lamp shines in the first state, a red one in the second, a white one in both."""
+    made, dark = lit_room(), np.zeros(3)
+    states = (
+        LightState("green", ("g",), np.array([GREEN, dark, BOTH])),
+        LightState("red", ("photo",), np.array([dark, RED, BOTH])),
+    )
+    lamps = room(emission={3: GREEN, 2: dark, 0: BOTH}).emitters
+    return replace(made, emitters=lamps, light_states=states)
+
+
+def lamp_of(scene: bpy.types.Scene, number: int) -> bpy.types.Material:
+    return lamp_materials(scene.objects)[number]
+
+
+@pytest.mark.parametrize("shown", ["green", "red"])
+def test_things_are_put_into_a_photo_under_its_own_lamps_whatever_the_scene_shows(shown: str):
+    result = room_in_states()
+    lit = result.in_state("red")
+    photo, quick = photo_of(lit), RenderSettings(samples=128)
+    expected = insert_onto_photo(lit, VIEW, photo, EXPOSURE, SceneEdit(spheres=(BALL,)), quick)
+    scene = applied(result)
+    keep_states(scene, result)
+    set_own_look(scene, shown)
+    before = [lamp_setting(lamp) for lamp in lamp_materials(scene.objects)]
+    add_sphere(BALL, "ball", scene.collection).matrix_world = Matrix.Translation(tuple(BALL.center))
+    seen = composite(scene, photo, gamma(), EXPOSURE, quick, "red")
+    changed = np.abs(expected - photo).max(-1) > 0.05
+    assert 0.02 < changed.mean() < 0.6
+    assert np.abs(seen - expected)[changed].mean() < 0.012
+    assert np.abs(seen - expected).mean() < 0.004
+    assert [lamp_setting(lamp) for lamp in lamp_materials(scene.objects)] == before
+
+
+def test_only_what_the_artist_changed_at_the_lamps_changes_a_photo_of_another_state():
+    result = room_in_states()
+    photo, scene = photo_of(result.in_state("red")), applied(result)
+    quick = RenderSettings(samples=128)
+    np.testing.assert_array_equal(composite(scene, photo, gamma(), EXPOSURE, quick, "red"), photo)
+    set_strength(lamp_of(scene, 2), 1.5)  # of 6
+    seen = composite(scene, photo, gamma(), EXPOSURE, quick, "red")
+    dimmed = replace(result.in_state("red"), emitters=room(emission={3: 0 * RED, 2: RED, 0: BOTH / 4}).emitters)
+    (expected,) = render_views(dimmed, [VIEW], settings=replace(quick, seed=4))
+    dark = (photo.max(-1) < 0.9) & (photo.min(-1) > 0.1)
+    ratio = gamma().invert(seen[dark]) / (expected[dark] * EXPOSURE)
+    np.testing.assert_allclose(np.median(ratio, axis=0), 1.0, rtol=0.05)
+
+
+def test_a_state_that_the_scene_does_not_keep_is_refused():
+    scene = applied(room_in_states())
+    with pytest.raises(BadInput, match="keeps no light state 'blue'"):
+        composite(scene, np.zeros((3, 4, 3)), gamma(), EXPOSURE, RenderSettings(samples=2), "blue")
+
+
+def test_a_scene_with_light_states_is_restored_without_a_trace():
+    scene = applied(room_in_states())
+    assert has_light_states(scene)
+    restore(scene)
+    assert not has_light_states(scene) and not [key for key in scene.keys() if key.startswith("iris")]  # noqa: SIM118
+    assert not bpy.data.worlds
+
+
+def test_the_command_works_in_the_light_state_of_the_photo(tmp_path: Path, capsys):
+    from headless.cli import main
+
+    result = room_in_states()
+    photo, scene = photo_of(result.in_state("red")), applied(result)
+    grey = replace(BALL, base_color=np.full(3, 0.8), roughness=1.0)
+    add_sphere(grey, "ball", scene.collection).matrix_world = Matrix.Translation(tuple(BALL.center))
+    save_result(result, tmp_path / "result")
+    image = image_from_array("photo", photo)
+    image.filepath_raw, image.file_format = str(tmp_path / "photo.png"), "PNG"
+    image.save()
+    write_copy(scene, tmp_path / "copy.blend")
+
+    def run(view: str, *more: str) -> int:
+        where = ["--result", str(tmp_path / "result"), "--photo", str(tmp_path / "photo.png"), "--view", view]
+        command = ["composite", str(tmp_path / "copy.blend"), *where, "--out", str(tmp_path / "out.png")]
+        return main([*command, "--samples", "16", *more])
+
+    for view, more, channel in (("photo", (), 0), ("g", (), 1), ("other", ("--light-state", "red"), 0)):
+        assert run(view, *more) == 0
+        ball = read_image(tmp_path / "out.png")[25:28, 18:23].mean((0, 1))
+        assert ball[channel] > 1.1 * ball[1 - channel]
+    for view, more, told in (
+        ("other", (), "light state is known"),
+        ("other", ("--light-state", "blue"), "not solved in the light state 'blue'"),
+        ("photo", ("--light-state", "green"), "in the light state 'red', not 'green'"),
+    ):
+        assert run(view, *more) == 3
+        assert told in capsys.readouterr().err
+
+
+# ---- what is refused -----------------------------------------------------------------------------------------------
 
 
 def test_a_scene_without_a_result_or_camera_is_refused():

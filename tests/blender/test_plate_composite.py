@@ -22,8 +22,9 @@ from iris_addon.blender.scene_out.build import add_sphere, plain_mesh
 from iris_addon.blender.synth.photos import develop
 from iris_addon.blender.version import compositor_output, own_compositor_tree
 from iris_addon.capture.photos import undistort
-from iris_addon.edits.scene_edit import Sphere
+from iris_addon.edits.scene_edit import SceneEdit, Sphere
 from iris_addon.model.capture import Distortion
+from iris_addon.model.recovered import LightState
 from iris_addon.model.render_settings import RenderSettings
 from iris_addon.model.response import gamma
 from iris_addon.results.folder import save_result
@@ -117,6 +118,40 @@ def test_each_frame_has_its_picture_its_exposure_and_what_was_added(shot, show):
         middle = np.flatnonzero(greener[HEIGHT // 2] > 0.1).mean()
         assert middle == pytest.approx(WIDTH / 2 - 24.0 * 0.2 * (frame - 12) - 0.5, abs=1.0)
         assert np.abs(seen - before)[0].max() < 0.1  # far from it the plate stays
+
+
+def test_a_plate_is_lit_by_the_lamps_of_its_light_state(shot, filmed, capsys):
+    """A white ball in a plate that was filmed under the red lamp, which is off in the first state, is as red as in a
+    render of the room in that state."""
+    plain, _ = filmed
+    dark, red, blue = np.zeros(3), np.array([12.0, 3.0, 2.0]), np.array([1.0, 3.0, 12.0])
+    states = (
+        LightState("evening", ("a",), np.array([blue, dark])),
+        LightState("night", ("b",), np.array([dark, red])),
+    )
+    result = replace(plain, emitters=room(emission={3: blue, 2: dark}).emitters, light_states=states)
+    save_result(result, shot / "result")
+    white = replace(GREEN, base_color=np.full(3, 0.8))
+    night = result.in_state("night")
+    quick = RenderSettings(samples=128, seed=5)
+    (empty,) = render_views(night, [CAMERAS[11]], settings=quick)
+    (truth,) = render_views(night, [CAMERAS[11]], edit=SceneEdit(spheres=(white,)), settings=quick)
+    write_png(shot / "plate" / f"sh.{FIRST_FILE}.png", develop(empty, EXPOSURES[11], gamma()))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    thing = bpy.data.objects.new("room", plain_mesh(replace(result.mesh, uv=None), "room"))
+    scene.collection.objects.link(thing)
+    apply_to_objects(result, whole_object(thing), scene, "key")
+    add_sphere(white, "ball", scene.collection)
+    look_through(scene, CAMERAS[11], add_camera(CAMERAS[11], "tracked", scene.collection))
+    show_clip(shot)
+    seen = read_image(run(shot, "--frames", "11", "--light-state", "night") / "frame_0011.png")
+    expected = develop(truth, EXPOSURES[11], gamma()) / 255
+    assert np.abs(seen - expected).mean() < 0.02
+    record = json.loads((shot / "out" / "exposures" / "frame_0011.json").read_text())
+    np.testing.assert_allclose(record["exposure"], EXPOSURES[11], rtol=0.03)
+    run(shot, "--frames", "11", "--light-state", "noon", code=3)
+    assert "not solved in the light state 'noon'" in capsys.readouterr().err
 
 
 def test_a_scene_without_a_plate_is_rendered_whole_at_one_exposure(shot):

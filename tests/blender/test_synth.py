@@ -325,6 +325,33 @@ def test_lamps_are_switched_from_photo_to_photo(tmp_path: Path):
                 assert lit or np.abs(gt(tmp_path / "capture", "BaseCol", k)[on] - PAINT).max() < 0.01
                 shown[state].add(lamp["name"])
     assert shown["evening"] == {"lamp", "wall lamp"}
+    kept = json.loads((tmp_path / "capture" / "relight" / "lights.json").read_text())["one_emitter"]
+    first = lamps[[lamp["faces"][0] for lamp in lamps].index(kept["kept_faces_of_scene_ply"][0])]["name"]
+    assert kept["light_state"] == {"lamp": "all", "wall lamp": "evening"}[first]
+    views = json.loads((tmp_path / "capture" / "insert" / "objects.json").read_text())["views"]
+    assert [view["light_state"] for view in views] == ["all"] * len(views)
+
+
+def test_balls_are_inserted_in_the_light_state_of_their_view(tmp_path: Path):
+    """With the brighter lamp off the reference is as dark as the view."""
+    mean = {}
+    for state in ("all", "evening"):
+        blend = build_room(tmp_path / f"{state}.blend")
+        bpy.data.objects["lamp"][ON_IN], bpy.data.objects["lamp"][UNLIT] = "all", material("unlit lamp", PAINT)
+        for thing in [thing for thing in bpy.data.objects if thing.type == "CAMERA"]:
+            thing[LIGHT_STATE] = state if thing.name.startswith("val") else "all"
+        bpy.ops.wm.save_as_mainfile(filepath=str(blend))
+        root, render = tmp_path / state, replace(TRUTH_RENDER, samples=8)
+        synth(blend, root, SynthConfig(resolution=(WIDTH, HEIGHT), render=render))
+        (view, *_) = json.loads((root / "insert" / "objects.json").read_text())["views"]
+        assert view["light_state"] == state
+        picture = f"{view['view']:03d}_0001"
+        outside = read_image(root / "gt" / "insert" / "mask" / f"{picture}.png").max(-1) == 0
+        inserted = read_exr(root / "gt" / "insert" / "Image" / f"{picture}.exr")[outside].mean()
+        without = read_exr(root / "gt" / "val" / "Image" / f"{picture}.exr")[outside].mean()
+        assert inserted == pytest.approx(without, rel=0.25)
+        mean[state] = inserted
+    assert mean["evening"] < 0.5 * mean["all"]
 
 
 def test_a_switched_lamp_needs_a_material_for_when_it_is_off(tmp_path: Path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,10 +12,11 @@ from scipy.spatial.transform import Rotation
 from iris_addon.base.images import write_png
 from iris_addon.base.progress import Cancelled, Progress
 from iris_addon.cameras import registration
-from iris_addon.cameras.registration import SurfacePoints, _Sightings, register, seen_points
+from iris_addon.cameras.registration import SurfacePoints, _Sightings, photo_disagreement, register, seen_points
 from iris_addon.decide import Decisions
 from iris_addon.model.capture import Camera, Capture, View
 from iris_addon.model.corrections import PoseCorrections, rigid, rotation, rotation_vector, twist
+from iris_addon.model.light_states import LightStates
 from iris_addon.rays.tracer import Tracer
 from tests.engine_room import cameras, furnished_room
 
@@ -84,6 +86,30 @@ def test_wrong_poses_are_corrected_one_by_one(painted: tuple[Capture, Tracer]) -
         assert np.allclose(found.corrections.camera(given.camera).c2w, view.camera.c2w, atol=1e-6)
 
 
+def test_photos_under_other_lamps_do_not_move_poses(tmp_path: Path, painted: tuple[Capture, Tracer]) -> None:
+    """Shadows of half of the photos lie 4 cm beside those of the others, which have other lamps on."""
+    capture, tracer = painted
+    views = []
+    for k, view in enumerate(capture.views):
+        origin, direction = view.camera.rays()
+        hits = tracer.closest(origin, direction)
+        beside = np.array([0.04, 0.0, 0.0]) * (k % 2)
+        value = waves(origin + direction * hits.distance[:, None] + beside)
+        path = tmp_path / f"{k:02d}.png"
+        write_png(path, (255 * np.repeat(value.reshape(HEIGHT, WIDTH, 1), 3, -1)).astype(np.uint8))
+        views.append(replace(view, photo=path, light_state=("left", "right")[k % 2]))
+    named = replace(capture, views=tuple(views))
+    unnamed = replace(capture, views=tuple(replace(view, light_state="") for view in views))
+    same = register(named, tracer, np.random.default_rng(0), Progress())[0]
+    assert same is named
+    moved = register(unnamed, tracer, np.random.default_rng(0), Progress())[0]
+    assert pixels_off(moved, capture, tracer) > 0.5  # as one light they disagree
+    (apart,), (together,) = (
+        photo_disagreement(room, [tracer], np.random.default_rng(0), Progress()) for room in (named, unnamed)
+    )
+    assert apart < 0.8 * together
+
+
 def test_the_same_seed_gives_the_same_poses(painted: tuple[Capture, Tracer]) -> None:
     wrong = shaken(painted[0], 2.0)
     first, second = (register(wrong, painted[1], np.random.default_rng(3), Progress())[0] for _ in range(2))
@@ -112,7 +138,7 @@ def test_derivatives_by_the_pose_match_finite_differences(painted: tuple[Capture
     capture, tracer = painted
     given = [view.camera for view in capture.views]
     points = SurfacePoints.of(given, tracer, 600, np.random.default_rng(0))
-    seen = _Sightings.of(points, given, tracer, np.random.default_rng(0))
+    seen = _Sightings.of(points, given, LightStates.of(capture.views), tracer, np.random.default_rng(0))
     photos = registration._brightness(capture.views, Progress())
     pictures = registration._pictures(photos, 100)
     slope = seen._look(pictures, given)[1]

@@ -14,7 +14,7 @@ from iris_addon.evaluate.evaluation import evaluate
 from iris_addon.evaluate.pictures import fit_gains, score_held_out
 from iris_addon.model.capture import Camera, Photo, View
 from iris_addon.model.device import Device
-from iris_addon.model.recovered import Backdrop, Sunlight, Textures
+from iris_addon.model.recovered import Backdrop, LightState, OutsideLight, Sunlight, Textures
 from iris_addon.model.response import Response, gamma
 from iris_addon.results.maps import MapRenderer, bilinear
 from tests.box_room import HEIGHT, WIDTH
@@ -147,6 +147,51 @@ def test_pictures_that_match_their_references_score_perfectly_and_edits_arrive(t
     assert np.array_equal(np.flatnonzero(one_emitter.face_emission.max(1)), LAMP_FACES)
     assert inserted.spheres[0].radius == 0.2
     assert set(scores["left_out"]) == {"lpips"}
+
+
+def test_references_are_compared_in_the_light_state_that_they_name(tmp_path):
+    root = write_truth_room(tmp_path / "room")
+    radiance = np.random.default_rng(0).random((HEIGHT, WIDTH, 3)).astype(np.float32)
+    write_references(root, radiance)
+    off = np.zeros((1, 3))
+    states = (
+        LightState("day", (), off, OutsideLight(np.ones((1, 3)))),
+        LightState("evening", (), np.array([LAMP_RADIANCE])),
+    )
+    first = replace(true_result().emitters[0], radiance=off[0])
+    result = replace(true_result(), emitters=(first,), outside=states[0].outside, light_states=states)
+    lights, objects = root / "relight" / "lights.json", root / "insert" / "objects.json"
+    rendered = []
+
+    def render(result, cameras, *, edit=None, **_):
+        rendered.append((result, edit))
+        return [radiance] * len(cameras)
+
+    unnamed = evaluate(result, root, render=render, samples=1)
+    assert unnamed["left_out"]["relight_psnr of one_emitter"] == "it does not say in which light state it is"
+    assert "insert_psnr of view 1" in unnamed["left_out"] and "insert_psnr" not in unnamed
+    assert {name.split("/")[0] for name in unnamed["per_view"]["relight_psnr"]} == {"new_lights"}
+    (new_lights,) = rendered  # the photos of this capture do not name theirs either
+    assert np.array_equal(np.flatnonzero(new_lights[1].black_faces), LAMP_FACES)
+
+    for state in ("evening", "night"):
+        content = json.loads(lights.read_text())
+        content["one_emitter"]["light_state"] = state
+        lights.write_text(json.dumps(content))
+        content = json.loads(objects.read_text())
+        content["views"][0]["light_state"] = state
+        objects.write_text(json.dumps(content))
+        rendered.clear()
+        scores = evaluate(result, root, render=render, samples=1)
+        if state == "evening":
+            _, one_emitter, inserted = rendered
+            np.testing.assert_array_equal(one_emitter[1].face_emission[LAMP_FACES[0]], LAMP_RADIANCE)
+            np.testing.assert_array_equal(inserted[0].emitters[0].radiance, LAMP_RADIANCE)
+            assert inserted[0].outside is None
+            assert scores["insert_psnr"] > 55 and "insert_psnr of view 1" not in scores["left_out"]
+        else:
+            assert scores["left_out"]["insert_psnr of view 1"] == "the light state 'night' was not solved"
+            assert "insert_psnr" not in scores
 
 
 def test_twice_the_light_leaves_only_si_scores_unchanged(tmp_path):

@@ -112,7 +112,7 @@ def test_paths_of_a_worker_are_absolute(foreign: Path) -> None:
     commands = [
         inspect_command("python", a, b),
         solve_command("python", a, b, "draft"),
-        composite_command("blender", a, b, Path("photo.png"), "view", Path("picture.png"), 4),
+        composite_command("blender", a, b, Path("photo.png"), "view", Path("picture.png"), 4, "evening"),
         probe_command("blender", a, (0.0, -1.0, 2.0), b, 64, 4),
         environment_command(a),
     ]

@@ -94,6 +94,20 @@ def test_things_are_put_onto_photos_of_one_light_state(in_states, capsys):
     assert "photos of several light states" in capsys.readouterr().err
 
 
+@pytest.mark.bpy
+def test_frames_of_another_light_state_are_another_job(in_states, capsys):
+    """Also where nobody asks for a state and the file of the views alone names another one."""
+    again = ("render", "--only", "b", "--frames", "1")
+    run(in_states, *again)
+    listed = in_states / "transforms.json"
+    as_it_was = listed.read_text()
+    listed.write_text(as_it_was.replace("red", "green"))
+    run(in_states, *again, code=3)
+    assert "frames of another job" in capsys.readouterr().err
+    listed.write_text(as_it_was)
+    run(in_states, *again, "--light-state", "red")
+
+
 # ---- frames --------------------------------------------------------------------------------------------------------
 
 

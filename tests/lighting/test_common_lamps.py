@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from iris_addon.base.progress import Progress
 from iris_addon.lighting.common_lamps import common_lamps
+from iris_addon.lighting.lamp_radiance import LitState, solve_together
+from tests.light_room import CEILING_LAMP, WALL_PANEL, light_room, panels
 
 AREAS = np.ones(40)
 
@@ -47,3 +50,14 @@ def test_a_room_without_lamps_has_none_in_any_state() -> None:
     lamps, on = common_lamps([[], []], AREAS)
     assert not lamps
     assert on.shape == (2, 0)
+
+
+def test_a_state_in_which_every_named_lamp_is_dark_has_none_in_a_closed_room() -> None:
+    """Its photos are lit by what nobody named; the lamp that the file of lamps gives must not stay on in it."""
+    room = light_room(*panels(CEILING_LAMP, WALL_PANEL, albedo=0.85), {7: 6.0})
+    named = room.lights({6: 4.0})
+    (dark,) = solve_together([LitState(room.problem, room.observed, [], named)], Progress())
+    assert not dark.emitters
+    assert not dark.mask.any() and not len(dark.radiance)
+    (lit,) = solve_together([LitState(room.problem, room.observed, [room.faces(7)], named)], Progress())
+    assert room.lamps(lit) == {7}

@@ -116,6 +116,21 @@ def test_the_report_names_the_states(found: Result) -> None:
     assert {name: figures["lamps_on"] for name, figures in told.items()} == {"both": 2, "large": 1, "small": 1}
 
 
+def test_photos_of_several_lights_that_pass_for_one_are_said_to_be(
+    capture: Capture, found: Result, tmp_path: Path
+) -> None:
+    unnamed = replace(capture, views=tuple(replace(view, light_state="") for view in capture.views))
+    told = solve(unnamed, CONFIG, tmp_path / "mixed").report["warnings"]
+    (warning,) = [text for text in told if "light_state" in text]
+    assert "show the room under several" in warning
+    assert not [text for text in found.report["warnings"] if "light_state" in text]
+
+
+def test_the_report_has_the_noise_of_the_photos(found: Result) -> None:
+    assert found.report["photos"]["noise"] < 0.01
+    assert not [text for text in found.report["warnings"] if "noisy" in text or "compress" in text]
+
+
 def test_a_lamp_that_is_dimmed_in_one_state_has_a_radiance_in_each(capture: Capture, tmp_path: Path) -> None:
     """The same photos under exposures twice as long, in one state, show half the light."""
     dimmed = [

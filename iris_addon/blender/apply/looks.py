@@ -9,21 +9,19 @@ import numpy as np
 from mathutils import Quaternion
 from numpy.typing import NDArray
 
-from ...model.response import LUMINANCE
 from ...results.result import Result
 from ..scene_out.lights import (
-    color,
     is_on,
     is_recovered_sun,
     lamp_materials,
+    lamp_setting,
     reset,
-    set_color,
-    set_strength,
+    set_lamp,
     set_sun,
-    strength,
     switch,
 )
 from ..scene_out.materials import LAMP_ID
+from .applied_states import TINY, show_state, shown_state, sky_level
 
 
 class Look(NamedTuple):
@@ -57,6 +55,7 @@ def set_look(scene: bpy.types.Scene, key: str) -> None:
     for thing in scene.objects:
         if is_recovered_sun(thing):
             set_sun(thing, look.outside)
+    show_state(scene, None)
 
 
 def outside_light(scene: bpy.types.Scene) -> bpy.types.Node | None:
@@ -78,15 +77,12 @@ def is_solo(scene: bpy.types.Scene, lamp: bpy.types.Material) -> bool:
     return [material for material in lamp_materials(scene.objects) if is_on(material)] == [lamp]
 
 
-TINY = 1e-9
-"""Light that stands for none."""
-
 # ---- looks of the artist's own -------------------------------------------------------------------------------------
 
 OWN_LOOKS = "iris_looks"
 """Custom property of a scene: what each look of the artist's own is, by name. "lamps" has by id whether each shines,
 its strength and colour; "outside" the strength of the light from outside; "sun" whether it shines, energy, colour and
-turn."""
+turn; "state" the light state that they stand in, "" for the first."""
 
 
 def own_looks(scene: bpy.types.Scene) -> list[str]:
@@ -96,11 +92,11 @@ def own_looks(scene: bpy.types.Scene) -> list[str]:
 
 def save_look(scene: bpy.types.Scene, name: str) -> None:
     """Keep how the lights of ``scene`` are set as a look of the artist's own, in place of one of that name."""
-    lamps = {
-        str(material[LAMP_ID]): [float(is_on(material)), strength(material), *color(material)]
-        for material in lamp_materials(scene.objects)
-    }
-    look: dict[str, Any] = {"lamps": lamps}
+    lamps = {}
+    for material in lamp_materials(scene.objects):
+        on, level, tint = lamp_setting(material)
+        lamps[str(material[LAMP_ID])] = [float(on), level, *tint]
+    look: dict[str, Any] = {"lamps": lamps, "state": shown_state(scene) or ""}
     background = outside_light(scene)
     if background is not None:
         look["outside"] = background.inputs["Strength"].default_value
@@ -119,11 +115,8 @@ def set_own_look(scene: bpy.types.Scene, name: str) -> None:
         state = look["lamps"].get(str(material[LAMP_ID]))
         if state is None:
             continue
-        on, level, *tint = state
-        switch(material, True)
-        set_strength(material, level)
-        set_color(material, tint)
-        switch(material, bool(on))
+        on, level, red, green, blue = state
+        set_lamp(material, (bool(on), level, (red, green, blue)))
     background = outside_light(scene)
     if background is not None and "outside" in look:
         background.inputs["Strength"].default_value = look["outside"]
@@ -132,6 +125,7 @@ def set_own_look(scene: bpy.types.Scene, name: str) -> None:
         sun.hide_render = sun.hide_viewport = not on
         sun.data.color = rest[:3]
         sun.matrix_basis = Quaternion(rest[3:]).to_matrix().to_4x4()
+    show_state(scene, look.get("state") or None)
 
 
 def keep_states(scene: bpy.types.Scene, result: Result) -> None:
@@ -146,10 +140,9 @@ def keep_states(scene: bpy.types.Scene, result: Result) -> None:
             str(emitter.id): _kept(radiance, most)
             for emitter, radiance, most in zip(result.emitters, state.radiance, brightest, strict=True)
         }
-        look: dict[str, Any] = {"lamps": lamps}
+        look: dict[str, Any] = {"lamps": lamps, "state": state.name}
         if result.outside is not None:
-            level = 0.0 if state.outside is None else state.outside.mean @ LUMINANCE
-            look["outside"] = float(level / max(result.outside.mean @ LUMINANCE, TINY))
+            look["outside"] = sky_level(state, result.outside)
         for thing in filter(is_recovered_sun, scene.objects):
             recovered = np.zeros(3) if state.sun is None else state.sun.irradiance
             energy = max(float(recovered.max()), TINY)

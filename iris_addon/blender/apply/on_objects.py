@@ -29,6 +29,7 @@ from ..scene_out.lights import RECOVERED_TURN, add_sun
 from ..scene_out.materials import UV_MAP, add_confidence
 from ..scene_out.scene_state import forget_scene, keep_scene, require_object_mode, restore_scene, show_like_the_photos
 from ..scene_out.world import make_world
+from .applied_states import forget_light_states, keep_light_states
 from .camera_look import LOOK, keep_look, stop_matching
 from .photo_cameras import restore_given_poses
 
@@ -94,10 +95,12 @@ def apply_to_objects(result: Result, runs: Sequence[FaceRun], scene: bpy.types.S
         sun[MADE] = sun.data[MADE] = True
     show_like_the_photos(result, scene)
     keep_look(scene, result.response, result.exposures, result.devices)
+    rotation = np.array(Matrix(to_blender.tolist()).to_quaternion().to_matrix())
+    skies = keep_light_states(scene, result, rotation, materials[0])
     images = set(bpy.data.images) - before
     for image in images:  # those of world and backdrop too: unpacked images are black after undo and reload
         image.pack()
-    for made in (*images, *(set(bpy.data.materials) - before), scene.world):
+    for made in (*images, *(set(bpy.data.materials) - before), scene.world, *skies):
         made[MADE] = key
     scene[APPLIED] = key
     return True
@@ -129,6 +132,7 @@ def restore(scene: bpy.types.Scene) -> int:
         forget_scene(scene)
         for name in (APPLIED, LOOK):
             scene.pop(name, None)
+        forget_light_states(scene)
     _remove_made(scene)
     return len(kept)
 

@@ -18,11 +18,13 @@ from ...base.errors import BadInput
 from ...model.device import Device
 from ...model.render_settings import RenderSettings
 from ...model.response import Response
+from ..apply.applied_states import in_light_state
 from ..apply.on_objects import APPLIED, MADE, ORIGINAL
 from ..apply.scene_files import write_whole
 from ..images import LINEAR, image_from_array, read_image
 from ..render.light_mixing import APART
 from ..scene_out.lights import as_recovered, lamp_materials
+from ..scene_out.world import sky_strength
 from ..version import single_layer_exr
 from .differential import Differential, change_photo, render_differential, render_halves
 
@@ -38,6 +40,7 @@ def composite(
     response: Response,
     exposure: NDArray[np.floating],
     settings: RenderSettings,
+    light_state: str | None = None,
     on_step: Callable[[int], None] = lambda done: None,
 ) -> NDArray[np.float64]:
     """(H, W, 3) display values of ``photo`` with the objects added to the room and the changes of its lamps.
@@ -47,12 +50,13 @@ def composite(
     Args:
         photo: (H, W, 3) display values in [0, 1].
         exposure: factor from radiance to the argument of the response, broadcastable to the photo.
+        light_state: of the photo, in a room that was photographed in several.
         on_step: called with the number of finished RENDERS; may raise to stop.
 
     Raises:
         BadInput: as :func:`additions`.
     """
-    changed = additions(scene, photo.shape, settings, on_step)
+    changed = additions(scene, photo.shape, settings, light_state, on_step)
     return change_photo(photo, changed, response, exposure)[0]
 
 
@@ -60,14 +64,19 @@ def additions(
     scene: bpy.types.Scene,
     shape: tuple[int, ...],
     settings: RenderSettings,
+    light_state: str | None = None,
     on_step: Callable[[int], None] = lambda done: None,
 ) -> Differential:
     """What the objects added to the room and the changes of its lamps do to a picture of ``shape`` (H, W, 3).
 
     Changes the render settings of ``scene``, whose active camera is that of the picture.
 
+    Args:
+        light_state: of the picture, in a room that was photographed in several: the lights of the room shine as they
+            did then, but for those that were changed.
+
     Raises:
-        BadInput: no result is applied to the objects of ``scene``, or it has no camera.
+        BadInput: no result is applied to the objects of ``scene``, or none of that light state, or it has no camera.
     """
     if APPLIED not in scene:
         raise BadInput("no result is applied to the scene", "apply one first")
@@ -76,11 +85,12 @@ def additions(
     render = scene.render
     render.resolution_y, render.resolution_x = shape[:2]
     render.resolution_percentage, render.use_border = 100, False
-    with as_photographed(scene):
+    with in_light_state(scene, light_state, everything=True), as_photographed(scene):
         without = render_halves(scene, settings)
     on_step(1)
     room = [thing for thing in scene.objects if _belongs_to_room(thing)]
-    changed = render_differential(scene, room, without, settings)
+    with in_light_state(scene, light_state):
+        changed = render_differential(scene, room, without, settings)
     on_step(2)
     return changed
 
@@ -89,20 +99,21 @@ def additions(
 def as_photographed(scene: bpy.types.Scene) -> Iterator[None]:
     """Inside, the room alone renders, with its lamps and the light from outside as they were recovered."""
     added = [thing for thing in scene.objects if not _belongs_to_room(thing) and not thing.hide_render]
-    background = _recovered_background(scene)
-    strength = None if background is None else background.inputs["Strength"].default_value
+    recovered = scene.world is not None and MADE in scene.world
+    sky = sky_strength(scene.world) if recovered else None  # the artist may use another world
+    strength = 1.0 if sky is None else sky.default_value
     try:
         for thing in added:
             thing.hide_render = True
-        if background is not None:
-            background.inputs["Strength"].default_value = 1.0
+        if sky is not None:
+            sky.default_value = 1.0
         with as_recovered(lamp_materials(scene.objects), scene.objects):
             yield
     finally:
         for thing in added:
             thing.hide_render = False
-        if background is not None:
-            background.inputs["Strength"].default_value = strength
+        if sky is not None:
+            sky.default_value = strength
 
 
 def has_additions(scene: bpy.types.Scene) -> bool:
@@ -117,14 +128,6 @@ def has_additions(scene: bpy.types.Scene) -> bool:
 
 def _belongs_to_room(thing: bpy.types.Object) -> bool:
     return ORIGINAL in thing or MADE in thing or APART in thing
-
-
-def _recovered_background(scene: bpy.types.Scene) -> bpy.types.Node | None:
-    """The node with the strength of the recovered world; None where the artist uses another world."""
-    world = scene.world
-    if world is None or MADE not in world or world.node_tree is None:
-        return None
-    return world.node_tree.nodes.get("Background")
 
 
 # ---- as a job ------------------------------------------------------------------------------------------------------
@@ -142,6 +145,7 @@ def composite_file(
     device: Device,
     exposure: NDArray[np.floating],
     settings: RenderSettings,
+    light_state: str | None = None,
     on_step: Callable[[int], None] = lambda done: None,
 ) -> None:
     """:func:`composite` of the scene in ``blend`` onto the file ``photo``, as the PNG ``out``. Opens ``blend``.
@@ -149,6 +153,7 @@ def composite_file(
     Args:
         device: the camera that took the photo.
         exposure: (3,) of the photo.
+        light_state: of the photo, as for :func:`composite`.
 
     Raises:
         BadInput: a file cannot be read, or for the reasons of :func:`composite`.
@@ -157,7 +162,7 @@ def composite_file(
     scene = open_scene(blend)
     pixels = read_image(photo)
     local_exposure = exposure * device.gain(pixels)
-    write_png(out, composite(scene, pixels, device.response, local_exposure, settings, on_step))
+    write_png(out, composite(scene, pixels, device.response, local_exposure, settings, light_state, on_step))
 
 
 def open_scene(blend: Path) -> bpy.types.Scene:

@@ -45,6 +45,7 @@ def composite_frame(
     out: Path,
     device: Device,
     settings: RenderSettings,
+    light_state: str | None = None,
 ) -> CompositedFrame:
     """Write the frame ``frame`` of the plate of ``scene`` with what was added to the room as ``out``.
 
@@ -53,16 +54,18 @@ def composite_frame(
     Args:
         device: the camera of the plate.
         out: .exr of radiance for plates of radiance, else .png.
+        light_state: in which the plate was filmed, of a room that was photographed in several.
 
     Raises:
-        BadInput: the plate has no such frame, or one of another shape than the scene renders.
+        BadInput: the plate has no such frame, or one of another shape than the scene renders, or the scene does not
+            keep that light state.
         IrisError: ``out`` cannot be written.
     """
     scene.frame_set(frame)
     picture, photo = plate_picture(scene, frame), read_plate(scene, frame)
     values = photo.values
     _check_shape(scene, values, picture)
-    changed = additions(scene, values.shape, settings)
+    changed = additions(scene, values.shape, settings, light_state)
     gain = np.ones(1) if photo.hdr else device.gain(values)
     exposure = match_exposure(changed.without, photo, device.response, gain)
     if photo.hdr:

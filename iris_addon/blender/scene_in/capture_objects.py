@@ -50,6 +50,7 @@ class InspectedView:
     shift: float
     verdict: str
     problem: str
+    light_state: str = ""
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,8 @@ def _view(row: dict[str, Any], path: Path) -> InspectedView:
             score=float(alignment["score"]),
             shift=float(alignment["shift"]),
             verdict=str(alignment["verdict"]),
-            problem=str(row.get("problem", "")),  # missing in checks of older versions
+            problem=str(row.get("problem", "")),  # missing in checks of older versions, as is "light_state"
+            light_state=str(row.get("light_state", "")),
         )
 
 
@@ -204,6 +206,7 @@ def refresh_capture(inspected: Inspected, scene: bpy.types.Scene, room: bpy.type
         set_lens(camera.data, view.camera)
         camera.matrix_basis = Matrix(view.camera.c2w.tolist())
         camera.data.iris_exposure = view.exposure or 0.0
+        camera.data.iris_light_state = view.light_state
         camera.data[METRES_PER_UNIT] = inspected.metres_per_unit
         cameras.append(camera)
     return cameras
@@ -225,6 +228,7 @@ def _add_view(
     camera.data.display_size = 0.1
     show_photo(camera, view.photo)
     camera.data.iris_exposure = view.exposure or 0.0
+    camera.data.iris_light_state = view.light_state
     return camera
 
 

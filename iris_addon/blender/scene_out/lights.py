@@ -64,14 +64,21 @@ def add_sun(
         return None
     thing = add_light(sun, SUN, collection)
     if recovered is not None:
-        thing[RECOVERED] = [float(value) for value in recovered.irradiance]
-        thing[RECOVERED_TURN] = [float(value) for value in _aimed(-recovered.direction).to_quaternion()]
+        recover_sun(thing, recovered)
     return thing
 
 
 def is_recovered_sun(thing: bpy.types.Object) -> bool:
     """Whether ``thing`` is the sun of a result, changed since or not."""
     return thing.type == "LIGHT" and RECOVERED in thing
+
+
+def recover_sun(thing: bpy.types.Object, sun: Sunlight | None) -> None:
+    """Keep ``sun``, in the axes of the scene, as what was recovered of the sun ``thing``; None is one that does not
+    shine, where it was."""
+    thing[RECOVERED] = [0.0] * 3 if sun is None else [float(value) for value in sun.irradiance]
+    if sun is not None:
+        thing[RECOVERED_TURN] = [float(value) for value in _aimed(-sun.direction).to_quaternion()]
 
 
 def set_sun(thing: bpy.types.Object, share: float) -> None:
@@ -205,6 +212,29 @@ def set_color(material: bpy.types.Material | None, value: Sequence[float]) -> No
     _take_from_stand_ins(material)
     emission_color(shader).default_value = (*value, 1.0)
     _let_stand_ins_follow(material)
+
+
+def emitted(material: bpy.types.Material | None) -> NDArray[np.float64]:
+    """(3,) radiance of the lamp; 0 where it is off."""
+    return strength(material) * np.array(color(material)) if is_on(material) else np.zeros(3)
+
+
+LampSetting = tuple[bool, float, tuple[float, float, float]]
+"""Whether a lamp shines, its strength and its colour."""
+
+
+def lamp_setting(material: bpy.types.Material) -> LampSetting:
+    """How the lamp is set."""
+    return is_on(material), strength(material), color(material)
+
+
+def set_lamp(material: bpy.types.Material, setting: LampSetting) -> None:
+    """Set the lamp; does nothing where the artist has rebuilt it."""
+    on, level, tint = setting
+    switch(material, True)
+    set_strength(material, level)
+    set_color(material, tint)
+    switch(material, on)
 
 
 def reset(material: bpy.types.Material) -> None:

@@ -54,6 +54,13 @@ def make_world(
     return world
 
 
+def sky_strength(world: bpy.types.World | None) -> bpy.types.NodeSocket | None:
+    """The input that dims the light from outside; None where the artist has rebuilt the world."""
+    nodes = world.node_tree.nodes if world is not None and world.node_tree is not None else {}
+    background = nodes.get("Background")
+    return None if background is None else background.inputs["Strength"]
+
+
 def _sky(
     tree: bpy.types.NodeTree, sh: NDArray[np.floating] | None, scale: float, to_blender: NDArray[np.floating]
 ) -> bpy.types.Node:

@@ -2,8 +2,8 @@
 
 A camera names the light state of its photo by the custom property ``iris_light_state``. A lamp whose object has the
 custom property ``iris_on_in``, names of states separated by commas, shines in these alone; in others its object has the
-material that its custom property ``iris_unlit`` is. References for relighting and insertion are rendered with every
-lamp on.
+material that its custom property ``iris_unlit`` is. A reference for insertion is rendered in the state of its view;
+that of one lamp alone says in which state the lamp shines so.
 """
 
 from __future__ import annotations
@@ -65,6 +65,10 @@ class LampSwitches:
     def unlit(self) -> list[bpy.types.Material]:
         """Materials of lamps that are off."""
         return [lamp.unlit for lamp in self.lamps]
+
+    def shines_in(self, emitter: SceneEmitter, state: str) -> bool:
+        """Whether ``emitter`` is on in the light state ``state``."""
+        return all(state in lamp.on_in for lamp in self.lamps if lamp.lit == emitter.material) if state else True
 
     @contextmanager
     def in_state(self, name: str) -> Iterator[None]:

@@ -21,8 +21,10 @@ from ...base.progress import Progress
 from ...edits.scene_edit import Quad, Sphere
 from ...model.capture import Camera
 from ...model.response import LUMINANCE
+from .lamp_switches import LampSwitches
 from .renders import Studio
 from .scene import SceneEmitter, SceneGeometry
+from .writer import Shot
 
 FloatArray = NDArray[np.floating]
 
@@ -220,12 +222,19 @@ def write_references(
     root: Path,
     studio: Studio,
     geometry: SceneGeometry,
-    cameras: Sequence[Camera],
+    train: Sequence[Shot],
+    val: Sequence[Shot],
+    switches: LampSwitches,
     *,
     lossy: bool,
     progress: Progress,
 ) -> None:
-    """Write relighting and insertion jobs of the capture ``root``, and renders of its validation views under them."""
+    """Write relighting and insertion jobs of the capture ``root``, and renders of its validation views under them.
+
+    Where photos have several light states, balls are inserted in that of their view, and the lamp that is kept names
+    one of the ``train`` photos in which it is on; new lights replace all others.
+    """
+    cameras = [shot.camera for shot in val]
     seen = VisiblePoints(geometry, cameras, studio.settings.seed)
     lights = choose_lights(seen)
     balls = {k: choose_spheres(seen, camera) for k, camera in enumerate(cameras)}
@@ -241,9 +250,10 @@ def write_references(
         facts = {"emitter": kept, "radiance": emitter.radiance.tolist(), "share_of_val_light": share}
         write_json(root / "gt" / "relight" / "one_emitter.json", facts)
         references["one_emitter"] = (emitter, [])
-        jobs["one_emitter"] = _one_emitter(list(range(emitter.first, emitter.last)))
+        on = next((shot.light_state for shot in train if switches.shines_in(emitter, shot.light_state)), "")
+        jobs["one_emitter"] = _one_emitter(list(range(emitter.first, emitter.last)), on)
     write_json(root / "relight" / "lights.json", jobs)
-    write_json(root / "insert" / "objects.json", _describe_spheres(balls))
+    write_json(root / "insert" / "objects.json", _describe_spheres(balls, [shot.light_state for shot in val]))
 
     total, done = len(references) * len(cameras) + len(balls), 0
 
@@ -258,7 +268,7 @@ def write_references(
             for k, camera in enumerate(cameras):
                 render(root / "gt" / "relight" / name / f"{k:03d}_0001.exr", camera)
     for k, spheres in balls.items():
-        with studio.with_spheres(spheres):
+        with switches.in_state(val[k].light_state), studio.with_spheres(spheres):
             mask = studio.maps(cameras[k]).object_index
             write_png(root / "gt" / "insert" / "mask" / f"{k:03d}_0001.png", mask.astype(np.uint8))
             render(root / "gt" / "insert" / "Image" / f"{k:03d}_0001.exr", cameras[k])
@@ -283,18 +293,20 @@ def _new_lights(lights: Sequence[tuple[str, Quad, float]]) -> dict[str, Any]:
     }
 
 
-def _one_emitter(kept_faces: list[int]) -> dict[str, Any]:
+def _one_emitter(kept_faces: list[int], light_state: str) -> dict[str, Any]:
     return {
+        **({"light_state": light_state} if light_state else {}),
         "poses": "val/transforms.json",
         "kept_faces_of_scene_ply": kept_faces,
         "what": "the faces listed keep their original (to be estimated) radiance; every other light is off",
     }
 
 
-def _describe_spheres(balls: dict[int, tuple[Sphere, ...]]) -> dict[str, Any]:
+def _describe_spheres(balls: dict[int, tuple[Sphere, ...]], states: Sequence[str]) -> dict[str, Any]:
     views = [
         {
             "view": k,
+            **({"light_state": states[k]} if states[k] else {}),
             "objects": [
                 {
                     "id": n + 1,

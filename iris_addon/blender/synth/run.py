@@ -108,8 +108,8 @@ def synth(scene_blend: Path, out: Path, config: SynthConfig | None = None, progr
     writer.meta(Path(scene_blend).stem, train, val, scene, scale, config.render)
     if val:
         with progress.stage("references"):
-            cameras = [shot.camera for shot in val]
-            write_references(partial, studio, geometry, cameras, lossy=config.compact, progress=progress)
+            shots = train, val, switches
+            write_references(partial, studio, geometry, *shots, lossy=config.compact, progress=progress)
     if out.exists():
         out.rmdir()
     partial.rename(out)

@@ -225,23 +225,32 @@ def _unit(metres_per_unit: float) -> list[str]:
 
 
 def composite_command(
-    blender: str, blend: Path, result: Path, photo: Path, view: str, out: Path, samples: int
+    blender: str, blend: Path, result: Path, photo: Path, view: str, out: Path, samples: int, light_state: str = ""
 ) -> list[str]:
     """Composite the additions to the room of ``blend`` onto ``photo``, as the picture ``out``.
 
     Args:
         blender: path of the program; empty where Blender is a module of this Python.
+        light_state: of the photo; "" where the room has one, or the result knows it.
     """
     files = _absolute(blend, "--result", result, "--photo", photo, "--view", view, "--out", out)
-    return [*_in_blender(blender), "composite", *files, "--samples", str(samples), *JSON_LINES]
+    return [*_in_blender(blender), "composite", *files, "--samples", str(samples), *_lit(light_state), *JSON_LINES]
 
 
 def plate_command(
-    blender: str, blend: Path, result: Path, out: Path, frames: str, samples: int, *, resume: bool
+    blender: str,
+    blend: Path,
+    result: Path,
+    out: Path,
+    frames: str,
+    samples: int,
+    light_state: str = "",
+    *,
+    resume: bool,
 ) -> list[str]:
     """Composite the additions to the room of ``blend`` onto ``frames`` of the plate behind its camera, into the folder
     ``out``; ``blender`` as above."""
-    options = ["--frames", frames, "--samples", str(samples), *(["--resume"] if resume else [])]
+    options = ["--frames", frames, "--samples", str(samples), *(["--resume"] if resume else []), *_lit(light_state)]
     return [
         *_in_blender(blender),
         "composite",
@@ -249,6 +258,10 @@ def plate_command(
         *options,
         *JSON_LINES,
     ]
+
+
+def _lit(light_state: str) -> list[str]:
+    return ["--light-state", light_state] if light_state else []
 
 
 def probe_command(
