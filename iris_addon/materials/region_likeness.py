@@ -30,8 +30,10 @@ POOL_NEIGHBOURS = 24
 SCAN_REGIONS = 64
 """Best observed regions of a room that tell of the regions of a scan, wherever they are."""
 SCAN_EVIDENCE = 2.0
-"""Weight of what those of like albedo tell in the mean. With one, treads a flight away stay matte; with four, walls of
-one scan turned glossy under one of three weightings by count."""
+"""Weight of what those of like albedo tell in the mean. With one, treads a flight away stay matte; with six, white walls
+of a scan turn glossy."""
+SCAN_MAX_EVIDENCE = 4.0
+"""What they tell at most: what is matte for certain by its own photos stays so."""
 SCAN_OBSERVATIONS = 1000
 """Observations with which one such region has the weight one; it grows with their square root."""
 
@@ -89,7 +91,8 @@ class RegionLikeness:
         alike = np.exp(-0.5 * unlike**2 / (POOL_ALBEDO**2 + self._texture_with(best)))
         alike[best, np.arange(len(best))] = 0.0  # itself
         weight = alike * np.sqrt(self.count[best] / SCAN_OBSERVATIONS)
-        return SCAN_EVIDENCE * (weight @ evidence[best]) / (1.0 + weight.sum(1, keepdims=True))
+        mean = (weight @ evidence[best]) / (1.0 + weight.sum(1, keepdims=True))
+        return np.clip(SCAN_EVIDENCE * mean, -SCAN_MAX_EVIDENCE, SCAN_MAX_EVIDENCE)
 
     def _texture_with(self, other: NDArray[np.integer]) -> NDArray[np.float64]:
         """(k, m) mean variance of the log albedo within each region and those listed in ``other``, (m,) or (k, m)."""

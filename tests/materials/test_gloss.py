@@ -29,7 +29,7 @@ from iris_addon.materials.gloss import (
 from iris_addon.materials.lobes import LampAim, trace_lobes
 from iris_addon.materials.lobes import Scene as LitScene
 from iris_addon.materials.region_fits import RegionFits
-from iris_addon.materials.shown_highlights import EXPECTED_SHARE, find_highlights
+from iris_addon.materials.shown_highlights import EXPECTED_SHARE, ShownHighlights, find_highlights
 from iris_addon.materials.specular import SPECULAR_ROUGH, rough_lobes
 from iris_addon.rays.tracer import Tracer
 from iris_addon.results.maps import bilinear
@@ -330,6 +330,42 @@ def test_treads_of_a_scan_that_differ_as_their_grain_share_their_gloss(scanned: 
     )
     roughness = fit_gloss(observed, 2, Decisions()).roughness
     assert roughness[0] < 0.6 and (roughness[1] < 0.6) == scanned
+
+
+@pytest.mark.parametrize("scanned", [True, False])
+def test_fragments_of_a_scan_take_the_gloss_of_like_ones_across_the_room(scanned: bool) -> None:
+    """Treads of which five mirror a window and the sixth, on the next floor, mirrors nothing bright; a seventh region of
+    their colour shows that it mirrors nothing."""
+    rng = np.random.default_rng(16)
+    patches, views = 60, 5
+    region = np.repeat(np.arange(7), patches * views)
+    n = len(region)
+    zero = np.zeros((n, 3))
+    window = (rng.random((n, 1)) < 0.3) * np.ones(3)
+    predicted = np.where(region == 5, 0.0, 0.1)[:, None] * window
+    shown = np.where(region == 6, 0.0, 1.0)[:, None] * predicted
+    observed = GlossObservations(
+        region=region,
+        patch=np.repeat(np.arange(7 * patches), views),
+        weight=np.ones(n),
+        position=10.0 * region[:, None] * np.ones(3),
+        radiance=0.4 * (1 + 0.01 * rng.normal(size=(n, 1))) + shown,
+        irradiance=np.ones((n, 3)),
+        diffuse=np.ones((len(GLOSS_LEVELS), n)),
+        lobes=[[(zero, predicted)] * 2] * len(GLOSS_LEVELS[:-2]) + [[(zero, zero)] * 2] * 2,
+        scanned=np.full(7, scanned),
+    )
+    glossy = fit_gloss(observed, 7, Decisions()).roughness < 0.6
+    assert glossy.tolist() == [True] * 5 + [scanned, False]
+
+
+def test_highlights_where_normals_are_unknown_tell_nothing() -> None:
+    """A bumpy surface of a scan that shows none of its predicted highlights may be glossy all the same."""
+    share, variance = np.array([[0.0], [0.0], [1.0], [1.0]]), np.full((4, 1), 0.1)
+    known = np.array([1.0, 0.01, 1.0, 0.01])
+    matte, bumpy, glossy, bumpy_glossy = ShownHighlights(share, variance, EXPECTED_SHARE * known).evidence[:, 0]
+    assert matte < -2 and glossy > 2
+    assert -0.01 < bumpy < 0 < bumpy_glossy < 0.1
 
 
 def test_gloss_by_chance_alone_is_rare() -> None:
