@@ -10,9 +10,9 @@ started as.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ..base.group_by import MAD, rank_in_group
 from ..base.parallel import over_each
 from ..brdf.ggx import DIELECTRIC_F0
-from ..decide import Decisions
+from ..decide import METAL_COLOURS, Decisions
 from .region_costs import RegionCosts
 from .region_fits import LobeHalves, RegionFits
 from .region_likeness import POOL_MAX_OBSERVATIONS, RegionLikeness
@@ -147,6 +147,7 @@ class GlossObservations:
             None where the diffuse lobe is Burley's, whose model has no such layer.
         in_file: (n_regions,) object of the mesh file that each region lies in; None if the file names none.
         scanned: (n_regions,) bool, regions of a scan; None without one.
+        known: (m,) from 0 to 1, how well the normal is known; None where a modeller gave it.
     """
 
     region: NDArray[np.integer]
@@ -160,6 +161,7 @@ class GlossObservations:
     layer: NDArray[np.floating] | None = None
     in_file: NDArray[np.integer] | None = None
     scanned: NDArray[np.bool_] | None = None
+    known: NDArray[np.floating] | None = None
 
     @staticmethod
     def joined(states: Sequence[GlossObservations], n_patches: int) -> GlossObservations:
@@ -185,6 +187,7 @@ class GlossObservations:
                 for halves in zip(*(own.lobes for own in states), strict=True)
             ],
             layer=None if first.layer is None else levels("layer"),
+            known=None if first.known is None else np.concatenate([np.asarray(own.known) for own in states]),
             **rows,
         )
 
@@ -202,13 +205,18 @@ def fit_gloss(observed: GlossObservations, n_regions: int, decisions: Decisions)
         return gloss
     costs, factor, layered = _layered_or_not(regions, observed)
     plastics, metals, errors = costs.pooled
-    highlights = find_highlights(regions.fits, regions.position, factor, regions.lobes, len(GLOSS_RAYS))
+    highlights = find_highlights(
+        regions.fits, regions.position, factor, regions.lobes, len(GLOSS_RAYS), regions.known
+    )
     evidence = regions.like.with_like(highlights.evidence).max(1)
     for k, (plastic, metal) in enumerate(zip(plastics, metals, strict=True)):
         label, level = int(regions.ids[k]), int(np.argmin(plastic[: len(GLOSS_RAYS)]))
         subject = f"region {label}"
-        if decisions.accept("metal", plastic.min(), metal.min(), share=float(not forced), subject=subject):
-            _make_metal(gloss, label, metal, costs.colour[k])
+        as_metal = _metal_costs(
+            costs, k, plastic, metal, partial(decisions.accept, share=float(not forced), subject=subject)
+        )
+        if as_metal is not None:
+            _make_metal(gloss, label, as_metal, costs.colour[k])
         elif forced:
             if decisions.accept("gloss", plastic[-1], plastic.min(), subject=subject):
                 gloss.roughness[label] = _interpolate_minimum(plastic, int(np.argmin(plastic)))
@@ -219,6 +227,28 @@ def fit_gloss(observed: GlossObservations, n_regions: int, decisions: Decisions)
             gloss.roughness[label] = _interpolate_minimum(plastic, level)
         gloss.decided[label] = True
     return replace(gloss, layered=layered)
+
+
+def _metal_costs(
+    costs: RegionCosts, k: int, plastic: NDArray[np.float64], metal: NDArray[np.float64], decide: Callable[..., bool]
+) -> NDArray[np.float64] | None:
+    """Costs (traced levels,) of region ``k`` as a metal, None if it is none.
+
+    It is one by the costs ``plastic`` and ``metal`` (levels,) pooled with its like, or for certain by its own: a mirror
+    in its frame, whose picture of the room passes for a texture like that of the wood. What as a metal would be darker
+    or brighter than any is none: black lacquer also shows no light but what it reflects. Nor is one looked for at levels
+    whose reflections are not traced.
+    """
+    traced, (darkest, brightest) = len(GLOSS_RAYS), METAL_COLOURS
+    for name, dielectric, cost, error in (
+        ("metal", plastic, metal, np.zeros(traced)),
+        ("metal_alone", costs.plastic[k], costs.metal[k], costs.metal_error[k]),
+    ):
+        level = int(np.argmin(cost[:traced]))
+        possible = darkest <= costs.colour[k, level].max() <= brightest
+        if possible and decide(name, dielectric.min(), cost[level], error[level]):
+            return cost[:traced]
+    return None
 
 
 def _layered_or_not(regions: _Regions, observed: GlossObservations) -> tuple[RegionCosts, NDArray[np.floating], bool]:
@@ -246,6 +276,7 @@ class _Regions:
         position: (m, 3) metres.
         lobes: per level, the specular lobes of both halves of the rays.
         like: which of the regions may be of one material.
+        known: (k,) from 0 to 1, how well their normals are known.
     """
 
     ids: NDArray[np.integer]
@@ -254,6 +285,7 @@ class _Regions:
     position: NDArray[np.floating]
     lobes: list[LobeHalves]
     like: RegionLikeness
+    known: NDArray[np.float64]
 
     @staticmethod
     def observed(o: GlossObservations) -> _Regions | None:
@@ -270,25 +302,30 @@ class _Regions:
         log_albedo = np.log(np.maximum(o.radiance, 1e-4) / np.maximum(o.irradiance, 1e-4))
         off = [np.abs(log_albedo[own] - np.median(log_albedo[own], axis=0)) for own in per_region]
         texture = MAD * np.array([np.median(each.max(1)) for each in off])
+        scanned = np.zeros(len(ids), bool) if o.scanned is None else o.scanned[ids]
+        known = np.ones(len(o.weight)) if o.known is None else o.known
+        known_of = np.array([known[own].mean() for own in per_region])
         return _Regions(
             ids=ids,
             rows=rows,
             fits=RegionFits(
                 patch=patch,
                 region=np.repeat(np.arange(len(ids)), count[enough])[one],
-                weight=o.weight[rows],
+                weight=o.weight[rows] * known[rows],
                 radiance=o.radiance[rows],
                 irradiance=np.maximum(o.irradiance[rows], 1e-5),
             ),
             position=o.position[rows],
             lobes=[[(s0[rows], s1[rows]) for s0, s1 in halves] for halves in o.lobes],
             like=RegionLikeness(
-                count=count[enough].astype(np.float64),
+                count=count[enough] * known_of,
                 centre=np.stack([o.position[own].mean(0) for own in per_region]),
                 log_albedo=np.stack([np.median(log_albedo[own], axis=0) for own in per_region]),
                 in_file=ids if o.in_file is None else o.in_file[ids],
-                texture=np.where(False if o.scanned is None else o.scanned[ids], texture, 0.0),
+                texture=np.where(scanned, texture, 0.0),
+                scanned=scanned,
             ),
+            known=known_of,
         )
 
     def costs(self, factor: NDArray[np.floating]) -> RegionCosts:
@@ -298,21 +335,22 @@ class _Regions:
         plastic = np.stack([fits.mean(cost) for cost in dielectric], 1)
         error = np.stack([fits.standard_error(dielectric[-1] - cost) for cost in dielectric], 1)
         null = np.maximum(plastic[:, -1:], COST_MIN_ROUGH)
-        metal, colour = self._metals
+        best = np.argmin(plastic, axis=1)[fits.region]
+        best_dielectric = np.stack(dielectric)[best, np.arange(len(best))]
         return RegionCosts(
             like=self.like,
             rough=null[:, 0],
             plastic=plastic / null,
-            metal=metal / null,
+            metal=np.stack([fits.mean(cost) for cost, _ in self._metals], 1) / null,
             error=error / null,
-            colour=colour,
+            metal_error=np.stack([fits.standard_error(best_dielectric - cost) for cost, _ in self._metals], 1) / null,
+            colour=np.stack([colour for _, colour in self._metals], 1),
         )
 
     @cached_property
-    def _metals(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Costs (k, levels) and specular colours (k, levels, 3) of metals, which have no diffuse part."""
-        each = over_each(range(len(GLOSS_LEVELS)), lambda k: self.fits.metal(GLOSS_LEVELS[k], self.lobes[k]))
-        return np.stack([self.fits.mean(cost) for cost, _ in each], 1), np.stack([colour for _, colour in each], 1)
+    def _metals(self) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """Per level the costs (n,) of patches as metals, which have no diffuse part, and specular colours (k, 3)."""
+        return over_each(range(len(GLOSS_LEVELS)), lambda k: self.fits.metal(GLOSS_LEVELS[k], self.lobes[k]))
 
 
 def _make_metal(gloss: Gloss, label: int, cost: NDArray[np.float64], colour: NDArray[np.float64]) -> None:

@@ -20,6 +20,7 @@ class RegionCosts:
         rough: (k,) cost of the rough dielectric.
         plastic, metal: (k, levels) costs relative to ``rough``.
         error: (k, levels) standard error of the difference between ``plastic`` and the rough dielectric.
+        metal_error: (k, levels) of the difference between ``metal`` and the best dielectric.
         colour: (k, levels, 3) specular colour of the metal.
     """
 
@@ -28,6 +29,7 @@ class RegionCosts:
     plastic: NDArray[np.float64]
     metal: NDArray[np.float64]
     error: NDArray[np.float64]
+    metal_error: NDArray[np.float64]
     colour: NDArray[np.float64]
 
     @cached_property

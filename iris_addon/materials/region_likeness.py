@@ -27,6 +27,15 @@ POOL_ALBEDO_IN_FILE = 0.1
 """The same for regions of one object of the file, at any distance; the albedo of small regions is off by as much."""
 POOL_NEIGHBOURS = 24
 """Nearest regions that are pooled, and best observed regions of the same object, at most."""
+SCAN_REGIONS = 64
+"""Best observed regions of a room that tell of the regions of a scan, wherever they are."""
+SCAN_EVIDENCE = 2.0
+"""Weight of what those of like albedo tell in the mean. With one, treads a flight away stay matte; with six, white walls
+of a scan turn glossy."""
+SCAN_MAX_EVIDENCE = 4.0
+"""What they tell at most: what is matte for certain by its own photos stays so."""
+SCAN_OBSERVATIONS = 1000
+"""Observations with which one such region has the weight one; it grows with their square root."""
 
 
 @dataclass(frozen=True)
@@ -34,11 +43,12 @@ class RegionLikeness:
     """What indicates which of k regions are of one material.
 
     Attributes:
-        count: (k,) observations.
+        count: (k,) observations, of which each counts as far as its normal is known.
         centre: (k, 3) metres.
         log_albedo: (k, 3).
         in_file: (k,) object of the mesh file that each region lies in.
         texture: (k,) standard deviation of the log albedo within a region of a scan; 0 of modelled ones.
+        scanned: (k,) bool, regions of a scan.
     """
 
     count: NDArray[np.float64]
@@ -46,6 +56,7 @@ class RegionLikeness:
     log_albedo: NDArray[np.float64]
     in_file: NDArray[np.integer]
     texture: NDArray[np.float64]
+    scanned: NDArray[np.bool_]
 
     @cached_property
     def pool(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -65,7 +76,27 @@ class RegionLikeness:
         """
         near, alike, own = self._alike
         of_like = np.einsum("kn,knl->kl", np.where(own, 0.0, alike), evidence[near])
-        return evidence + np.clip(of_like, -POOL_MAX_EVIDENCE, POOL_MAX_EVIDENCE)
+        beside = np.clip(of_like, -POOL_MAX_EVIDENCE, POOL_MAX_EVIDENCE)
+        return evidence + beside + np.where(self.scanned[:, None], self._in_room(evidence), 0.0)
+
+    def _in_room(self, evidence: NDArray[np.floating]) -> NDArray[np.float64]:
+        """(k, levels) what regions of like albedo anywhere in the room tell, in the mean.
+
+        A scan leaves hundreds of fragments, most of which have no normal good enough for a highlight of their own and
+        none beside them that has. In a model, where each object has its own, white walls would take the gloss of white
+        woodwork.
+        """
+        best = np.argsort(-self.count, kind="stable")[:SCAN_REGIONS]
+        unlike = np.abs(self.log_albedo[best] - self.log_albedo[:, None]).max(-1)
+        alike = np.exp(-0.5 * unlike**2 / (POOL_ALBEDO**2 + self._texture_with(best)))
+        alike[best, np.arange(len(best))] = 0.0  # itself
+        weight = alike * np.sqrt(self.count[best] / SCAN_OBSERVATIONS)
+        mean = (weight @ evidence[best]) / (1.0 + weight.sum(1, keepdims=True))
+        return np.clip(SCAN_EVIDENCE * mean, -SCAN_MAX_EVIDENCE, SCAN_MAX_EVIDENCE)
+
+    def _texture_with(self, other: NDArray[np.integer]) -> NDArray[np.float64]:
+        """(k, m) mean variance of the log albedo within each region and those listed in ``other``, (m,) or (k, m)."""
+        return 0.5 * (self.texture[other] ** 2 + self.texture[:, None] ** 2)
 
     @cached_property
     def _alike(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
@@ -77,7 +108,7 @@ class RegionLikeness:
         distance = np.linalg.norm(self.centre[near] - self.centre[:, None], axis=-1) / POOL_DISTANCE
         unlike = np.abs(self.log_albedo[near] - self.log_albedo[:, None]).max(-1)
         # A scan ends a region at the edge of a tread; the next tread differs from it as the grain of each does.
-        texture = 0.5 * (self.texture[near] ** 2 + self.texture[:, None] ** 2)
+        texture = self._texture_with(near)
         in_object, beside = (unlike**2 / (std**2 + texture) for std in (POOL_ALBEDO_IN_FILE, POOL_ALBEDO))
         apart = np.where(same_object, in_object, distance**2 + beside)
         return near, np.where(first, np.exp(-0.5 * apart), 0.0), own

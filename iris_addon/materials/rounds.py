@@ -45,6 +45,8 @@ BALANCE_GLOSSY_ROUGHNESS = 0.5
 """Roughness below which a region counts as glossy in the light balance."""
 BALANCE_GLOSSY_WEIGHT = 0.3
 """Factor on the weight of glossy regions in the light balance: their highlights leave a bias, not noise."""
+SCAN_KNOWN_SPREAD = 0.02
+"""Spread of normals on a scan at which half of their observations count: 1°."""
 
 
 @dataclass(frozen=True)
@@ -331,7 +333,19 @@ class _GlossFit:
             layer=None if lobe == "burley" else layered_factor(levels, samples.cosine[at]),
             in_file=problem.in_file,
             scanned=problem.scanned,
+            known=_known_normals(problem, o.patch[self.rows], problem.region[self.rows]),
         )
+
+
+def _known_normals(
+    problem: MaterialProblem, patch: NDArray[np.integer], region: NDArray[np.integer]
+) -> NDArray[np.float64] | None:
+    """(m,) from 0 to 1, how well the normals of observations are known. On a scan they are in its planes, to 0.2°;
+    where they turn they are off by 4° and more. None without a scan."""
+    if problem.scanned is None:
+        return None
+    spread = problem.light.surface.spread[patch]
+    return np.where(problem.scanned[region], 1 / (1 + (spread / SCAN_KNOWN_SPREAD) ** 2), 1.0)
 
 
 def _fitted_gloss(

@@ -20,7 +20,8 @@ from ..brdf.ggx import DIELECTRIC_F0
 from .region_fits import MIN_RADIANCE, LobeHalves, RegionFits
 
 EXPECTED_SHARE = 0.7
-"""Share that photos show of the highlights of glossy regions: meshes are not quite right, and patches average."""
+"""Share that photos show of the highlights of glossy regions whose normals are known: meshes are not quite right, and
+patches average."""
 MODEL_ERROR = 0.25
 """Standard deviation of a share however well it is observed: lobes lie between levels, and normals are off."""
 LIGHT_ERROR = 0.003
@@ -54,15 +55,18 @@ class ShownHighlights:
     Attributes:
         share: (k, levels) of each region; 1 is what the gloss predicts, 0 what a rough surface shows.
         variance: (k, levels), infinite where nothing is predicted.
+        expected: (k,) the share of a glossy region, less where its normals are badly known.
     """
 
     share: NDArray[np.float64]
     variance: NDArray[np.float64]
+    expected: NDArray[np.float64]
 
     @property
     def evidence(self) -> NDArray[np.float64]:
         """(k, levels) log of how much likelier the share is if the highlight exists than if it does not."""
-        ratio = EXPECTED_SHARE * (self.share - EXPECTED_SHARE / 2) / self.variance
+        expected = self.expected[:, None]
+        ratio = expected * (self.share - expected / 2) / self.variance
         return np.clip(ratio, -MAX_EVIDENCE, MAX_EVIDENCE)
 
 
@@ -72,6 +76,7 @@ def find_highlights(
     diffuse: NDArray[np.floating],
     lobes: Sequence[LobeHalves],
     traced: int,
+    known: NDArray[np.floating],
 ) -> ShownHighlights:
     """The share of its highlights that photos show, of every region and level.
 
@@ -84,6 +89,7 @@ def find_highlights(
         diffuse: (levels, m) view factor of the diffuse lobe.
         lobes: per level, the last of which is rough, the specular lobes of both halves of the rays.
         traced: the first levels, whose highlights are looked for.
+        known: (k,) from 0 to 1, how well the normals of each region are known: a highlight of others lies elsewhere.
     """
     n_regions = int(fits.region.max()) + 1
     patch, region = fits.patch, fits.region[fits.patch]
@@ -137,7 +143,8 @@ def find_highlights(
         return share, np.where(shines, error + MODEL_ERROR**2 + LIGHT_ERROR**2 * seen / power, np.inf)
 
     found = over_each(range(traced), share_of)
-    return ShownHighlights(*(np.stack(column, 1) for column in zip(*found, strict=True)))
+    share, variance = (np.stack(column, 1) for column in zip(*found, strict=True))
+    return ShownHighlights(share, variance, EXPECTED_SHARE * np.asarray(known, np.float64))
 
 
 class _Fit(NamedTuple):

@@ -29,7 +29,7 @@ from iris_addon.materials.gloss import (
 from iris_addon.materials.lobes import LampAim, trace_lobes
 from iris_addon.materials.lobes import Scene as LitScene
 from iris_addon.materials.region_fits import RegionFits
-from iris_addon.materials.shown_highlights import EXPECTED_SHARE, find_highlights
+from iris_addon.materials.shown_highlights import EXPECTED_SHARE, ShownHighlights, find_highlights
 from iris_addon.materials.specular import SPECULAR_ROUGH, rough_lobes
 from iris_addon.rays.tracer import Tracer
 from iris_addon.results.maps import bilinear
@@ -180,6 +180,58 @@ def test_a_metal_wall_is_metal(scene: Scene, roughness: float) -> None:
     assert gloss.roughness[WALL] == pytest.approx(roughness, abs=0.12)
 
 
+def mirrored_light(rng: np.random.Generator, n: int) -> np.ndarray:
+    """(n, 3) what n views of a mirror meet: a room of dim walls and a bright window."""
+    return np.where(rng.random((n, 1)) < 0.2, 2.0, 0.1 + 0.4 * rng.random((n, 1))) * np.ones(3)
+
+
+def test_a_mirror_is_not_outvoted_by_its_frame() -> None:
+    """The room in a mirror passes for a texture like the grain of the wood around it, so that the costs of the frame
+    count as much as its own."""
+    rng = np.random.default_rng(14)
+    patches, views = 40, 5
+    region, patch = np.repeat([0, 1, 1, 1], patches * views), np.repeat(np.arange(4 * patches), views)
+    n = len(region)
+    mirror = (region == 0)[:, None]
+    light = mirrored_light(rng, n)
+    wood = np.exp(rng.normal(np.log(0.35), 0.4, 4 * patches))[patch, None]
+    observed = GlossObservations(
+        region=region,
+        patch=patch,
+        weight=np.ones(n),
+        position=np.zeros((n, 3)),
+        radiance=np.where(mirror, 0.85 * light, wood) * (1 + 0.02 * rng.normal(size=(n, 1))),
+        irradiance=np.ones((n, 3)),
+        diffuse=np.ones((len(GLOSS_LEVELS), n)),
+        lobes=[[(light, 0.0 * light)] * 2] + [[(np.full((n, 3), 0.5), np.zeros((n, 3)))] * 2] * (len(GLOSS_LEVELS) - 1),
+        scanned=np.ones(2, bool),
+    )
+    gloss = fit_gloss(observed, 2, Decisions())
+    assert gloss.metallic.tolist() == [1, 0]
+    assert gloss.roughness[0] == GLOSS_LEVELS[0]
+    np.testing.assert_allclose(gloss.specular[0], 0.85, rtol=0.05)
+
+
+@pytest.mark.parametrize("reflectance, metal", [(0.06, False), (0.6, True)])
+def test_what_reflects_less_than_any_metal_is_none(reflectance: float, metal: bool) -> None:
+    """Black lacquer shows no light but what it reflects, as a metal does, and a little more than glass."""
+    rng = np.random.default_rng(15)
+    patches, views = 60, 5
+    n = patches * views
+    light = mirrored_light(rng, n)
+    observed = GlossObservations(
+        region=np.zeros(n, int),
+        patch=np.repeat(np.arange(patches), views),
+        weight=np.ones(n),
+        position=np.zeros((n, 3)),
+        radiance=reflectance * light * (1 + 0.02 * rng.normal(size=(n, 1))),
+        irradiance=np.ones((n, 3)),
+        diffuse=np.ones((len(GLOSS_LEVELS), n)),
+        lobes=[[(light, 0.0 * light)] * 2] + [[(np.full((n, 3), 0.5), np.zeros((n, 3)))] * 2] * (len(GLOSS_LEVELS) - 1),
+    )
+    assert (fit_gloss(observed, 1, Decisions()).metallic[0] == 1) == metal
+
+
 @pytest.mark.parametrize("highlight", [False, True])
 def test_sheen_alone_is_no_gloss(highlight: bool) -> None:
     """A wide lobe that fits is accepted only where a narrow one also fits better than none."""
@@ -280,6 +332,42 @@ def test_treads_of_a_scan_that_differ_as_their_grain_share_their_gloss(scanned: 
     assert roughness[0] < 0.6 and (roughness[1] < 0.6) == scanned
 
 
+@pytest.mark.parametrize("scanned", [True, False])
+def test_fragments_of_a_scan_take_the_gloss_of_like_ones_across_the_room(scanned: bool) -> None:
+    """Treads of which five mirror a window and the sixth, on the next floor, mirrors nothing bright; a seventh region of
+    their colour shows that it mirrors nothing."""
+    rng = np.random.default_rng(16)
+    patches, views = 60, 5
+    region = np.repeat(np.arange(7), patches * views)
+    n = len(region)
+    zero = np.zeros((n, 3))
+    window = (rng.random((n, 1)) < 0.3) * np.ones(3)
+    predicted = np.where(region == 5, 0.0, 0.1)[:, None] * window
+    shown = np.where(region == 6, 0.0, 1.0)[:, None] * predicted
+    observed = GlossObservations(
+        region=region,
+        patch=np.repeat(np.arange(7 * patches), views),
+        weight=np.ones(n),
+        position=10.0 * region[:, None] * np.ones(3),
+        radiance=0.4 * (1 + 0.01 * rng.normal(size=(n, 1))) + shown,
+        irradiance=np.ones((n, 3)),
+        diffuse=np.ones((len(GLOSS_LEVELS), n)),
+        lobes=[[(zero, predicted)] * 2] * len(GLOSS_LEVELS[:-2]) + [[(zero, zero)] * 2] * 2,
+        scanned=np.full(7, scanned),
+    )
+    glossy = fit_gloss(observed, 7, Decisions()).roughness < 0.6
+    assert glossy.tolist() == [True] * 5 + [scanned, False]
+
+
+def test_highlights_where_normals_are_unknown_tell_nothing() -> None:
+    """A bumpy surface of a scan that shows none of its predicted highlights may be glossy all the same."""
+    share, variance = np.array([[0.0], [0.0], [1.0], [1.0]]), np.full((4, 1), 0.1)
+    known = np.array([1.0, 0.01, 1.0, 0.01])
+    matte, bumpy, glossy, bumpy_glossy = ShownHighlights(share, variance, EXPECTED_SHARE * known).evidence[:, 0]
+    assert matte < -2 and glossy > 2
+    assert -0.01 < bumpy < 0 < bumpy_glossy < 0.1
+
+
 def test_gloss_by_chance_alone_is_rare() -> None:
     """Lobes that have nothing to do with what was seen, and are fainter than the noise of the photos, are found in
     fewer than one of thirty regions; by 1.5 standard errors of the cost, one in ten was."""
@@ -333,12 +421,12 @@ def test_the_share_of_a_highlight_that_photos_show_is_found(
     )
     rough = [(np.zeros((n, 3)), np.zeros((n, 3)))]
     position = np.stack([block * 1.0, *np.zeros((2, n))], 1)
-    found = find_highlights(fits, position, np.ones((2, n)), [halves, rough], 1)
+    found = find_highlights(fits, position, np.ones((2, n)), [halves, rough], 1, np.ones(1))
     assert found.share.mean() == pytest.approx(share, abs=0.03)
     assert ((found.evidence > 0) == (share > EXPECTED_SHARE / 2)).all()
     monkeypatch.setattr(shown_highlights, "MODEL_ERROR", 0.0)
     monkeypatch.setattr(shown_highlights, "LIGHT_ERROR", 0.0)
-    found = find_highlights(fits, position, np.ones((2, n)), [halves, rough], 1)
+    found = find_highlights(fits, position, np.ones((2, n)), [halves, rough], 1, np.ones(1))
     # Robust weights count as known, which makes it too small by a third to a half; errors of the model are larger.
     assert 0.4 < np.sqrt(found.variance.mean()) / found.share.std() < 1.2
 
@@ -353,7 +441,7 @@ def test_where_no_highlight_is_predicted_photos_tell_nothing_of_it() -> None:
         irradiance=np.ones((n, 3)),
     )
     nothing = [(np.zeros((n, 3)), np.zeros((n, 3)))]
-    found = find_highlights(fits, np.zeros((n, 3)), np.ones((2, n)), [nothing, nothing], 1)
+    found = find_highlights(fits, np.zeros((n, 3)), np.ones((2, n)), [nothing, nothing], 1, np.ones(1))
     assert found.evidence[0, 0] == 0
 
 
