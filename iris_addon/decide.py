@@ -241,7 +241,8 @@ REFINEMENTS: Mapping[str, Refinement] = {
         gain=0.1,
         experiment="0141-what-tells-a-metal",
     ),
-    # Metals whose neighbours say otherwise gain 4.1 errors and 0.2, what is none and has such a colour 0.08 or 3.1 errors.
+    # Metals whose neighbours say otherwise gain 0.2 and 4.1 errors, what has a metal's colour and is none 0.08 or less,
+    # or 3.1 errors.
     "metal_alone": Refinement(
         "a metal in place of the best dielectric, where regions that may be of one material with it disagree",
         "robust residual of view dependence of the region alone",
@@ -261,8 +262,8 @@ REFINEMENTS: Mapping[str, Refinement] = {
 """Every refinement that held-out losses decide, by name."""
 
 METAL_COLOURS = (0.3, 1.05)
-"""Reflectance at normal incidence of metals, of the brightest channel: from worn iron to silver, and what is left of the
-error of the light."""
+"""Reflectance at normal incidence of the brightest channel of metals, from worn iron to silver, with the error of the
+light."""
 
 TOO_BRIGHT_REFLECTANCE = 2.5
 """Reflectance that a lamp would need if it were none, above which it is judged as "bright_lamp", not as "lamp"."""

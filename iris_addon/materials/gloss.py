@@ -205,9 +205,7 @@ def fit_gloss(observed: GlossObservations, n_regions: int, decisions: Decisions)
         return gloss
     costs, factor, layered = _layered_or_not(regions, observed)
     plastics, metals, errors = costs.pooled
-    highlights = find_highlights(
-        regions.fits, regions.position, factor, regions.lobes, len(GLOSS_RAYS), regions.known
-    )
+    highlights = find_highlights(regions.fits, regions.position, factor, regions.lobes, len(GLOSS_RAYS), regions.known)
     evidence = regions.like.with_like(highlights.evidence).max(1)
     for k, (plastic, metal) in enumerate(zip(plastics, metals, strict=True)):
         label, level = int(regions.ids[k]), int(np.argmin(plastic[: len(GLOSS_RAYS)]))
@@ -236,8 +234,8 @@ def _metal_costs(
 
     It is one by the costs ``plastic`` and ``metal`` (levels,) pooled with its like, or for certain by its own: a mirror
     in its frame, whose picture of the room passes for a texture like that of the wood. What as a metal would be darker
-    or brighter than any is none: black lacquer also shows no light but what it reflects. Nor is one looked for at levels
-    whose reflections are not traced.
+    or brighter than any is none: black lacquer also shows no light but what it reflects. Nor is one looked for at
+    levels whose reflections are not traced.
     """
     traced, (darkest, brightest) = len(GLOSS_RAYS), METAL_COLOURS
     for name, dielectric, cost, error in (
@@ -318,7 +316,7 @@ class _Regions:
             position=o.position[rows],
             lobes=[[(s0[rows], s1[rows]) for s0, s1 in halves] for halves in o.lobes],
             like=RegionLikeness(
-                count=count[enough] * known_of,
+                count=np.asarray(count[enough] * known_of, np.float64),
                 centre=np.stack([o.position[own].mean(0) for own in per_region]),
                 log_albedo=np.stack([np.median(log_albedo[own], axis=0) for own in per_region]),
                 in_file=ids if o.in_file is None else o.in_file[ids],

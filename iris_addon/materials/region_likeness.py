@@ -30,8 +30,8 @@ POOL_NEIGHBOURS = 24
 SCAN_REGIONS = 64
 """Best observed regions of a room that tell of the regions of a scan, wherever they are."""
 SCAN_EVIDENCE = 2.0
-"""Weight of what those of like albedo tell in the mean. With one, treads a flight away stay matte; with six, white walls
-of a scan turn glossy."""
+"""Weight of what those of like albedo tell in the mean. With one, treads a flight away stay matte; with six, white
+walls of a scan turn glossy."""
 SCAN_MAX_EVIDENCE = 4.0
 """What they tell at most: what is matte for certain by its own photos stays so."""
 SCAN_OBSERVATIONS = 1000

@@ -334,7 +334,7 @@ def test_treads_of_a_scan_that_differ_as_their_grain_share_their_gloss(scanned: 
 
 @pytest.mark.parametrize("scanned", [True, False])
 def test_fragments_of_a_scan_take_the_gloss_of_like_ones_across_the_room(scanned: bool) -> None:
-    """Treads of which five mirror a window and the sixth, on the next floor, mirrors nothing bright; a seventh region of
+    """Treads of which five mirror a window and the sixth, on the next floor, mirrors nothing bright; a seventh of
     their colour shows that it mirrors nothing."""
     rng = np.random.default_rng(16)
     patches, views = 60, 5
