@@ -227,6 +227,7 @@ def main() -> None:
     """Make Blender quiet and start serving."""
     bpy.context.preferences.view.show_splash = False
     bpy.context.preferences.view.show_tooltips = False  # they would cover what is photographed
+    bpy.context.preferences.inputs.use_mouse_continuous = False  # a dragged slider would take the mouse back
     bpy.context.preferences.filepaths.save_version = 0
     monitor.start()
     bpy.app.timers.register(Server().tick, first_interval=0.5, persistent=True)

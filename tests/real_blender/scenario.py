@@ -58,7 +58,7 @@ def choose_solver(stage: Stage) -> str:
 
 
 def open_tab(stage: Stage) -> str:
-    """The sidebar, its tab IRIS, wide enough for its texts."""
+    """The sidebar, as wide as it opens, and its tab IRIS."""
     session = stage.session
     left, top, width, height = session.region("VIEW_3D", "WINDOW")
     session.display.move(left + width / 2, top + height / 2)
@@ -68,8 +68,6 @@ def open_tab(stage: Stage) -> str:
     left, top, width, height = session.region("VIEW_3D", "UI")
     for y in range(top + 20, top + height, 25):
         if session.ask("sidebar_tab()") == "IRIS":
-            stage.photograph("03_width_by_default")
-            session.display.drag((left, top + 0.8 * height), (left - 130, top + 0.8 * height))
             stage.photograph("03_tab")
             return f"{session.region('VIEW_3D', 'UI')[2]} pixels wide"
         session.display.click(left + width - 8, y)
