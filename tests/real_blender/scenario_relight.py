@@ -38,7 +38,7 @@ def wipe(stage: Stage) -> str:
     Then the line itself is dragged, and the slider turns it off."""
     session = stage.session
     slider = session.scroll_to("iris.wipe", columns=(0.3,))
-    before = _screen(stage)
+    before = _still(stage)
     left, right, rows = _frame(stage)
     session.display.drag(slider, (slider[0] + WIPE_PIXELS, slider[1]))
     share = until(lambda: stage.value("iris.wipe"), "the slider is dragged", 10)
@@ -46,7 +46,7 @@ def wipe(stage: Stage) -> str:
     ours, theirs = slice(int(left) + 4, int(line) - 4), slice(int(line) + 4, _last_column(stage, right))
     assert ours.stop - ours.start > 50 and theirs.stop - theirs.start > 20, "the frame is in view"
     until(lambda: np.abs(_screen(stage) - before)[rows, ours].mean() > 5, "the photo is drawn", 20)
-    half = _screen(stage)
+    half = _still(stage)
     stage.photograph("10_wipe")
     shown, photo = half[rows, ours].mean((0, 1)) / 255, np.array(session.ask(f"photo_mean({share})"))
     assert np.abs(shown - photo).max() < 0.02, (shown, photo)
@@ -66,7 +66,7 @@ def preview(stage: Stage) -> str:
     """Preview: Cycles renders in the 3D view, beside the photo by the wipe; pressed again, the view is as it was."""
     session = stage.session
     place = session.scroll_to("iris.preview", columns=(0.5,))
-    before = _screen(stage)
+    before = _still(stage)
     left, right, rows = _frame(stage)
     columns = slice(int(left) + 4, _last_column(stage, right))
     session.display.click(*place)
@@ -83,8 +83,13 @@ def preview(stage: Stage) -> str:
 
 
 def _screen(stage: Stage) -> np.ndarray:
-    """(H, W, 3) the screen, 0 to 255."""
+    """(H, W, 3) the screen as it is, 0 to 255."""
     return np.asarray(stage.session.display.look().convert("RGB")).astype(float)
+
+
+def _still(stage: Stage) -> np.ndarray:
+    """(H, W, 3) the screen once the view has smoothed its edges and stands still, 0 to 255."""
+    return np.asarray(stage.session.display.still().convert("RGB")).astype(float)
 
 
 def _grey(pixels: np.ndarray) -> float:

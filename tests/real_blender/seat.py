@@ -15,7 +15,7 @@ from pathlib import Path
 
 from .display import Display
 from .root import REPOSITORY, set_up
-from .scenario import choose_solver, install, open_tab
+from .scenario import open_tab
 from .session import Session, until
 from .stage import Stage
 
@@ -96,8 +96,14 @@ def work(stage: Stage, capture: Path | None) -> None:
     until(lambda: stage.value("iris.preset") == "draft", "the wheel sets the preset", 5)
     counted.job("solve", "iris.solve", "solve")
     session.scroll_to("iris.apply")
-    counted.step("apply", lambda: session.press("iris.apply"), lambda: stage.value("iris.lamps.keys()"))
-    counted.step("look", lambda: session.press("iris.look(look='BLACKOUT'", columns=(0.2, 0.6)))
+    counted.step("apply", lambda: session.press("iris.apply"), lambda: stage.value("get('iris_applied')"))
+
+    def looks() -> None:
+        for look in ("BLACKOUT", "PHOTOGRAPHED"):
+            session.press(f"iris.look(look='{look}'", columns=(0.2, 0.6))
+
+    session.scroll_to("iris.look", columns=(0.2, 0.6))
+    counted.step("a look and back", looks)
     counted.step("preview", lambda: session.press("iris.preview"), lambda: time.sleep(5) or True)
     counted.step("preview off", lambda: session.press("iris.preview"))
     left, top, width, height = session.region("VIEW_3D", "WINDOW")
@@ -125,8 +131,11 @@ def main() -> None:
     root.output("blender", "--command", "extension", "build", "--source-dir", root.REPOSITORY, *target)
     with Display(root, OUT / "xvfb.log") as display, Session(root, display, OUT / "blender.log") as session:
         stage = Stage(session, OUT)
-        for step in (install, choose_solver, open_tab):
-            step(stage)
+        package = f"filepath='{root.HOME}/iris.zip', repo='user_default', enable_on_install=True"
+        session.ask(f"bpy.ops.extensions.package_install_files({package}) and None")
+        session.ask(f"set_solver('{root.REPOSITORY}/.venv/bin/python')")
+        stage.open_every_section()
+        open_tab(stage)
         work(stage, capture)
 
 
