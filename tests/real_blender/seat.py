@@ -7,6 +7,7 @@ the extension. CAPTURE is the folder of a capture with a transforms.json; the bu
 from __future__ import annotations
 
 import shutil
+import signal
 import sys
 import time
 from collections.abc import Callable
@@ -122,6 +123,8 @@ def work(stage: Stage, capture: Path | None) -> None:
 def main() -> None:
     """Set up, install, and work."""
     suite = sys.argv[1] if len(sys.argv) > 1 else "trixie"
+    # Leave through the with statements, so that no Blender and no X server stays behind.
+    signal.signal(signal.SIGTERM, lambda *_ignored: sys.exit(128 + signal.SIGTERM))
     capture = Path(sys.argv[2]).resolve() if len(sys.argv) > 2 else None
     shutil.rmtree(OUT, ignore_errors=True)
     home = OUT / "home"
