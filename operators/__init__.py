@@ -24,7 +24,7 @@ from . import (
     solve,
     solved_demo,
 )
-from .ui import icons, lamp_highlight, panels, photo_list, preferences, settings, solve_preview, wipe
+from .ui import icons, lamp_highlight, panels, photo_list, preferences, settings, solve_preview, wipe, wipe_line
 
 CLASSES = (
     preferences.IrisPreferences,
@@ -80,6 +80,8 @@ CLASSES = (
     panels.IRIS_PT_relight,
     panels.IRIS_PT_insert,
     panels.IRIS_PT_export,
+    wipe_line.IRIS_GT_wipe_line,
+    wipe_line.IRIS_GGT_wipe,
 )
 
 

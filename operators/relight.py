@@ -74,7 +74,8 @@ class _OfOwnLook(NeedsApplied):
 
 
 class IRIS_OT_own_look(_OfOwnLook, bpy.types.Operator):  # noqa: N801 - Blender's naming
-    """Set lamps, sun and light from outside as they were when this look was saved"""
+    """Set lamps, sun and light from outside as they were when this look was saved, or in the photos of this light
+    state"""
 
     bl_idname = "iris.own_look"
     bl_label = "Own Look"

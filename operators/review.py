@@ -40,10 +40,13 @@ class IRIS_OT_review(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Load the picture and show it."""
         settings, out = context.scene.iris, folder(context.scene)
+        said = ""
         try:
             if self.kind == "curve":
                 photo = settings.views[settings.view_index].name if settings.views else ""
-                image = curve_image(read_response(out).device_of(photo).response.samples)
+                device = read_response(out).device_of(photo)
+                image = curve_image(device.response.samples)
+                said = f"Response of {device.name}" if device.name else ""
             elif self.kind == "photo" and (current := _current_photo(settings)) is not None:
                 camera, image = current
                 show_instead(camera, None)
@@ -60,7 +63,7 @@ class IRIS_OT_review(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's
             return {"CANCELLED"}
         # The curve belongs to no view and needs an editor; pictures use one only if it is open.
         show_in_editor(context, "IMAGE_EDITOR", "image", image, only_open=self.kind != "curve")
-        self.report({"INFO"}, image.name)
+        self.report({"INFO"}, said or image.name)
         return {"FINISHED"}
 
     def _show_in_view(self, settings: bpy.types.PropertyGroup, view: str, image: bpy.types.Image) -> None:

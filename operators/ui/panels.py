@@ -8,7 +8,7 @@ import bpy
 
 from ...iris_addon.base.errors import IrisError
 from ...iris_addon.blender.apply.camera_look import MATCHED
-from ...iris_addon.blender.apply.looks import LOOKS, is_solo, outside_light, own_looks
+from ...iris_addon.blender.apply.looks import has_outside, is_solo, offered_looks, outside_light, own_looks
 from ...iris_addon.blender.apply.on_objects import APPLIED
 from ...iris_addon.blender.apply.review import model_lines, shows_confidence
 from ...iris_addon.blender.apply.suggested_photos import suggested_groups
@@ -155,9 +155,9 @@ class IRIS_PT_check(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
             paragraph(layout, f"{view.name}: {view.problem}", context, "ERROR")
         column = layout.column(align=True)
         fits = {"aligned": "coincides with the mesh", "unclear": "too few common edges to decide"}
-        column.label(text=f"Alignment {view.score:.2f}: " + fits.get(view.verdict, f"{view.shift:.0f} px off the mesh"))
+        column.label(text=f"Fit {view.score:.2f}: " + fits.get(view.verdict, f"{view.shift:.0f} px off the mesh"))
         exposure = f"{view.exposure:.3g}" if view.exposure else "unknown"
-        column.label(text=f"Saturated {view.saturated:.0%}, exposure {exposure}")
+        column.label(text=f"Clipped {view.saturated:.0%}, exposure {exposure}")
         column.label(text=view.histogram)
         column.label(text=f"Mesh in {view.seen:.0%} of the picture")
         for warning in settings.warnings.splitlines():
@@ -284,7 +284,7 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         layout.operator("iris.preview", icon="SHADING_RENDERED", depress=shown)
         _wipe(layout, scene)
         grid = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
-        for key, look in LOOKS.items():
+        for key, look in offered_looks(scene).items():
             grid.operator("iris.look", text=look.label).look = key
         for name in own_looks(scene):
             row = grid.row(align=True)
@@ -294,7 +294,10 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         layout.template_list("IRIS_UL_lamps", "", settings, "lamps", settings, "lamp_index", rows=4)
         _chosen_lamp(layout, scene)
         background = outside_light(scene)
-        if background is not None:
+        if not has_outside(scene):
+            text = "No light from outside was recovered; a window that shines is a lamp"
+            paragraph(layout, text, context, "INFO")
+        elif background is not None:
             layout.prop(background.inputs["Strength"], "default_value", text="Light from Outside")
         sun = next((thing for thing in scene.objects if lamps.is_recovered_sun(thing)), None)
         if sun is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-COLUMNS = 0.5, 0.5
+COLUMNS = 0.58, 0.5
 """Share of the name in a row, and of the fit in what is left of it."""
 
 

@@ -94,11 +94,11 @@ class IrisView(bpy.types.PropertyGroup):
     aspect: bpy.props.FloatProperty(name="Pixel aspect", description="Focal length along x over along y", default=1)
     exposure: bpy.props.FloatProperty(name="Exposure", description="Relative exposure; 0 where it is unknown", min=0.0)
     saturated: bpy.props.FloatProperty(
-        name="Saturated", description="Share of clipped pixels, at the upper end of the display range", min=0, max=1
+        name="Clipped", description="Share of clipped pixels, at the upper end of the display range", min=0, max=1
     )
     histogram: bpy.props.StringProperty(name="Histogram", description="Display values from black to clipped")
     seen: bpy.props.FloatProperty(name="Mesh in view", min=0, max=1)
-    score: bpy.props.FloatProperty(name="Alignment", description="Correlation of the photo's edges with the mesh's")
+    score: bpy.props.FloatProperty(name="Fit", description="Correlation of the photo's edges with the mesh's")
     shift: bpy.props.FloatProperty(name="Shift", description="Offset of the photo from the mesh, pixels")
     verdict: bpy.props.EnumProperty(
         name="Verdict",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from textwrap import wrap
 
 import bpy
@@ -10,6 +11,9 @@ from ...iris_addon.blender.worker import jobs
 from ..folders import folder, job_folder
 from . import solve_preview
 from .steps import duration
+
+WROTE_FOLDER = ("plate", "farm")
+"""Jobs whose folder the artist has chosen: a button opens it afterwards."""
 
 
 def paragraph(layout: bpy.types.UILayout, text: str, context: bpy.types.Context, icon: str = "NONE") -> None:
@@ -23,7 +27,8 @@ def paragraph(layout: bpy.types.UILayout, text: str, context: bpy.types.Context,
 
 
 def job_box(layout: bpy.types.UILayout, name: jobs.JobName, context: bpy.types.Context) -> None:
-    """Progress bars and Cancel while a job runs; reason, fix, Copy and Log if it failed; nothing without a job."""
+    """Progress bars and Cancel while a job runs; reason, fix, Copy and Log if it failed; the folder of frames or
+    of a bundle that it wrote; nothing without a job."""
     where = job_folder(name, context)
     job, record = jobs.running(name, where), jobs.record(name, where)
     if job is not None:
@@ -48,6 +53,11 @@ def job_box(layout: bpy.types.UILayout, name: jobs.JobName, context: bpy.types.C
         layout.label(text=f"Cancelled{kept}", icon="INFO")
     elif record.state == "done" and name == "solve":
         layout.operator("iris.show_log", icon="TEXT").job = name
+    elif name in WROTE_FOLDER and (wrote := jobs.ended_here(name, where)).state == "done" and wrote.what:
+        if wrote.fix:
+            paragraph(layout, wrote.fix.capitalize(), context, "ERROR")
+        opened = layout.operator("wm.path_open", text=f"Open {Path(wrote.what).name}", icon="FILE_FOLDER")
+        opened.filepath = wrote.what
 
 
 def preview_box(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

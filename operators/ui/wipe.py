@@ -61,21 +61,27 @@ def redraw() -> None:
                 area.tag_redraw()
 
 
-def _draw() -> None:
-    context = bpy.context
+def shown_wipe(context: bpy.types.Context) -> tuple[bpy.types.Image, list[Point]] | None:
+    """The photo and the corners of the frame (:func:`camera_frame`) where this view shows a wipe; else None."""
     scene, view = context.scene, context.region_data
-    share = scene.iris.wipe
-    if share <= 0 or view is None or view.view_perspective != "CAMERA" or context.space_data.camera != scene.camera:
+    if scene.iris.wipe <= 0 or view is None or view.view_perspective != "CAMERA":
+        return None
+    photo = wiped_photo(scene) if context.space_data.camera == scene.camera else None
+    frame = None if photo is None else camera_frame(context)
+    return None if photo is None or frame is None else (photo, frame)
+
+
+def _draw() -> None:
+    shown = shown_wipe(bpy.context)
+    if shown is None:
         return
-    photo, frame = wiped_photo(scene), camera_frame(context)
-    if photo is None or frame is None:
-        return
+    (photo, frame), scene = shown, bpy.context.scene
     import gpu  # absent where Blender draws nothing
     from gpu_extras.batch import batch_for_shader
 
     if _Drawn.shader is None:
         _Drawn.shader = _compile()
-    positions, uvs, line = wiped(frame, share)
+    positions, uvs, line = wiped(frame, scene.iris.wipe)
     indices = ((0, 1, 2), (0, 2, 3))
     shader = _Drawn.shader
     batch = batch_for_shader(shader, "TRIS", {"pos": positions, "uv": uvs}, indices=indices)

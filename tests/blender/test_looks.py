@@ -9,6 +9,7 @@ import pytest
 from iris_addon.blender.apply.looks import (
     forget_look,
     keep_states,
+    offered_looks,
     outside_light,
     own_looks,
     save_look,
@@ -71,6 +72,17 @@ def test_every_look_sets_lamps_sun_and_sky():
     ):
         set_look(built.scene, look)
         np.testing.assert_allclose(floor(built), photographed * shares, rtol=0.05, atol=1e-4, err_msg=look)
+
+
+def test_without_light_from_outside_only_looks_that_differ_are_offered():
+    built = lit()
+    assert list(offered_looks(built.scene)) == ["PHOTOGRAPHED", "LAMPS", "EVENING", "DAY", "BLACKOUT"]
+    for thing in [thing for thing in built.scene.objects if thing.type == "LIGHT"]:
+        bpy.data.objects.remove(thing)
+    assert len(offered_looks(built.scene)) == 5, "the sky shines"
+    color = outside_light(built.scene).inputs["Color"]
+    color.default_value = (0, 0, 0, 1)
+    assert list(offered_looks(built.scene)) == ["PHOTOGRAPHED", "BLACKOUT"]
 
 
 def test_what_was_photographed_has_the_sun_even_while_a_look_hides_it():

@@ -70,6 +70,11 @@ def test_from_installing_to_the_relit_room_without_a_solver(package, tmp_path):
     quad, uv, line = wipe.wiped([(10, 20), (110, 20), (110, 70), (10, 70)], 0.25)
     assert quad == [(10, 20), (35, 20), (35, 70), (10, 70)] and line == [(35, 20), (35, 70)]
     assert uv == [(0, 0), (0.25, 0), (0.25, 1), (0, 1)]
+    line = sys.modules[KEY + ".operators.ui.wipe_line"]
+    corners = [(10, 20), (110, 20), (110, 70), (10, 70)]
+    assert [line.share_at(corners, x) for x in (35, 500, -500)] == [0.25, 1.0, line.LEAST_SHARE]
+    near = [line.is_near(corners, 0.25, at, 8) for at in ((42, 40), (44, 40), (35, 19), (35, 71))]
+    assert near == [True, False, False, False], near
     behind = scene.camera.data.background_images[0]
     behind.scale = 2  # it lies elsewhere then
     assert wipe.wiped_photo(scene) is None
@@ -118,6 +123,12 @@ def test_from_installing_to_the_relit_room_without_a_solver(package, tmp_path):
     bpy.ops.iris.export(format="GLB", filepath={str(tmp_path / "room.glb")!r})
     assert bpy.ops.iris.open_demo() == {{"FINISHED"}} and scene["iris_applied"] == key
     assert len([thing for thing in bpy.data.objects if thing.type == "CAMERA" and "iris_view" in thing.data]) == 28
+    shutil.copytree(settings.result, home / "another")
+    settings.result = str(home / "another")
+    bpy.ops.iris.apply()
+    assert scene["iris_applied"] != key
+    names = sorted(lamp.material.name for lamp in settings.lamps)
+    assert names == ["IRIS Lamp 00", "IRIS Lamp 01", "IRIS Lamp 02"], names
     bpy.ops.iris.restore()
     """
     print(in_blender(package, tmp_path, body))

@@ -127,6 +127,19 @@ def test_a_job_leaves_a_record_that_another_session_reads(tmp_path):
     assert jobs.record("inspect", tmp_path / "out").state == "missing"
 
 
+def test_a_job_tells_the_folder_it_wrote_and_what_to_look_at_and_no_record_on_disk_does(tmp_path):
+    written = {"frames": 3, "folder": "/shots/sh010", "warnings": ["nothing is seen", "it is dark"]}
+    done = json.dumps({"type": "done", "result": written})
+    out = tmp_path / "out"
+    job = jobs.start("plate", out, python(f"print({done!r})"), lambda record: None)
+    assert jobs.ended_here("plate", out) == jobs.MISSING
+    until(lambda: jobs.poll() and not job.worker.running)
+    assert jobs.ended_here("plate", out) == jobs.Record("done", "/shots/sh010", "nothing is seen; it is dark")
+    jobs._ended.clear()
+    assert jobs.record("plate", out).what == "/shots/sh010"
+    assert jobs.ended_here("plate", out) == jobs.MISSING
+
+
 def test_a_record_of_a_blender_that_was_killed_says_so(tmp_path):
     (tmp_path / "job-solve.json").write_text(json.dumps({"state": "running", "what": "", "fix": ""}))
     record = jobs.record("solve", tmp_path)

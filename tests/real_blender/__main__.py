@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from . import failures, scenario
+from . import failures, scenario, scenario_states
 from .display import Display
 from .root import REPOSITORY, SUITES, Root, Unavailable, set_up
 from .session import Session
@@ -109,7 +109,8 @@ def run_suite(suite: str, table: Table) -> None:
 
 
 def scenes(suite: str, table: Table, root: Root, display: Display, folder: Path) -> bool:
-    """The scenario in one Blender, and what goes wrong up to its violent end; then the rest in a second one."""
+    """The scenario in one Blender, and what goes wrong up to its violent end; the rest of that in a second one;
+    and in a third one what needs no solver."""
     with Session(root, display, folder / "blender_1.log") as session:
         stage = Stage(session, folder)
         passed = table.run(suite, scenario.STEPS, stage)
@@ -118,7 +119,10 @@ def scenes(suite: str, table: Table, root: Root, display: Display, folder: Path)
         if not passed or not table.run(suite, failures.BEFORE_KILL, stage):
             return False
     with Session(root, display, folder / "blender_2.log", f"{root.HOME}/{failures.BLEND}") as session:
-        return table.run(suite, failures.AFTER_KILL, Stage(session, folder))
+        if not table.run(suite, failures.AFTER_KILL, Stage(session, folder)):
+            return False
+    with Session(root, display, folder / "blender_3.log") as session:
+        return table.run(suite, scenario_states.STEPS, Stage(session, folder))
 
 
 def console(folder: Path) -> list[str]:

@@ -15,6 +15,7 @@ from scipy import ndimage
 from .root import Root
 
 WIDTH, HEIGHT = 1600, 1000
+DRAG_STEPS = 16
 MENU_GREY = 24  # behind menus in Blender's default theme
 MENU_PIXELS = 40  # a menu is higher, a button is not
 
@@ -95,8 +96,11 @@ class Display:
         """Press at ``start``, let go at ``end``."""
         self.move(*start)
         self._run("xdotool mousedown 1")
-        for part in (0.3, 0.6, 1.0):
-            self.move(start[0] + part * (end[0] - start[0]), start[1] + part * (end[1] - start[1]))
+        self.settle()
+        for part in np.linspace(0, 1, DRAG_STEPS + 1)[1:]:  # a button takes few long strides for a click
+            x, y = start[0] + part * (end[0] - start[0]), start[1] + part * (end[1] - start[1])
+            self._run(f"xdotool mousemove {x:.0f} {y:.0f}")
+            self.settle()
         self._run("xdotool mouseup 1")
         self.settle()
 

@@ -104,6 +104,14 @@ def photo_mean(share: float) -> list[float]:
     return [sum(sum(row[channel::4]) for row in rows) / (wide * height) for channel in range(3)]
 
 
+def show_clip(path: str) -> None:
+    """What adding a movie clip to the active camera's backgrounds does; the scene is its one frame long."""
+    scene = bpy.context.window_manager.windows[0].scene
+    behind = scene.camera.data.background_images.new()
+    behind.source, behind.clip = "MOVIE_CLIP", bpy.data.movieclips.load(path)
+    scene.frame_start = scene.frame_end = 1
+
+
 def job(name: str) -> dict:
     """How a job of the scene stands: state, what is wrong, its fix; process, stage and share done while it runs."""
     jobs = sys.modules[f"{ADDON}.iris_addon.blender.worker.jobs"]
@@ -219,6 +227,7 @@ def main() -> None:
     """Make Blender quiet and start serving."""
     bpy.context.preferences.view.show_splash = False
     bpy.context.preferences.view.show_tooltips = False  # they would cover what is photographed
+    bpy.context.preferences.inputs.use_mouse_continuous = False  # a dragged slider would take the mouse back
     bpy.context.preferences.filepaths.save_version = 0
     monitor.start()
     bpy.app.timers.register(Server().tick, first_interval=0.5, persistent=True)

@@ -44,6 +44,9 @@ class Root:
     def environment(self, **more: str) -> dict[str, str]:
         """Environment for :meth:`command`: nothing of this user's Python or desktop."""
         places = {REPOSITORY: self.REPOSITORY, self.home: self.HOME, sys.base_prefix: sys.base_prefix}
+        solver = REPOSITORY / ".venv"
+        if solver.is_symlink():  # shared with another working tree
+            places[solver.resolve()] = str(solver.resolve())
         bind = ":".join(f"{folder}={place}" for folder, place in places.items())
         kept = {name: os.environ[name] for name in ("PATH", "LANG", "LC_ALL") if name in os.environ}
         return kept | {"IRIS_BIND": bind, "IRIS_SMALL_DISK": self.SMALL_DISK, "HOME": self.HOME, **more}

@@ -5,7 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from .scenario_relight import add_object, apply, match_photo, mix_lights, onto_photo, place_object, switch_off, wipe
+from .scenario_relight import (
+    add_object,
+    apply,
+    match_photo,
+    mix_lights,
+    onto_photo,
+    place_object,
+    preview,
+    switch_off,
+    wipe,
+)
 from .session import MARGIN_PIXELS, PAGE_NOTCHES, until
 from .stage import ADDON, Stage
 
@@ -48,7 +58,7 @@ def choose_solver(stage: Stage) -> str:
 
 
 def open_tab(stage: Stage) -> str:
-    """The sidebar, its tab IRIS, wide enough for its texts."""
+    """The sidebar, as wide as it opens, and its tab IRIS."""
     session = stage.session
     left, top, width, height = session.region("VIEW_3D", "WINDOW")
     session.display.move(left + width / 2, top + height / 2)
@@ -58,7 +68,6 @@ def open_tab(stage: Stage) -> str:
     left, top, width, height = session.region("VIEW_3D", "UI")
     for y in range(top + 20, top + height, 25):
         if session.ask("sidebar_tab()") == "IRIS":
-            session.display.drag((left, top + 0.8 * height), (left - 130, top + 0.8 * height))
             stage.photograph("03_tab")
             return f"{session.region('VIEW_3D', 'UI')[2]} pixels wide"
         session.display.click(left + width - 8, y)
@@ -181,7 +190,10 @@ def use_scene(stage: Stage) -> str:
     assert session.ask("job('inspect')")["state"] == "done", session.ask("job('inspect')")
     until(lambda: stage.value("iris.views.keys()"), "the photos are listed", 20)
     assert len(stage.value("iris.views.keys()")) == len(photos)
+    session.type_into(session.scroll_to("iris_light_state", columns=(0.6,)), "evening")
+    until(lambda: stage.value("camera.data.iris_light_state") == "evening", "the light state is typed", 10)
     stage.photograph("19_use_scene")
+    session.ask("setattr(bpy.context.window_manager.windows[0].scene.camera.data, 'iris_light_state', '')")
     return f"{len(photos)} photos, {len(stage.value('iris.warnings').splitlines())} warnings"
 
 
@@ -196,6 +208,7 @@ STEPS: tuple[Callable[[Stage], str], ...] = (
     review,
     apply,
     wipe,
+    preview,
     switch_off,
     match_photo,
     add_object,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 
 from .session import until
@@ -9,6 +11,9 @@ from .stage import ADD_X, Stage
 
 LAMP_DIMMER = 0.98  # of the brightness with all lamps on
 COMPOSITE_SECONDS = 400.0
+WIPE_PIXELS = 95  # by which the slider is dragged
+PREVIEW_SECONDS = 60.0
+PREVIEW_GREY = 40.0  # of 255; a view that Cycles does not reach is black
 
 
 def apply(stage: Stage) -> str:
@@ -29,30 +34,80 @@ def apply(stage: Stage) -> str:
 
 
 def wipe(stage: Stage) -> str:
-    """The wipe: the photo left of the line, in its own colors; right of it what the view showed before."""
+    """The wipe by its slider: the photo left of the line, in its own colors; right of it what the view showed before.
+    Then the line itself is dragged, and the slider turns it off."""
     session = stage.session
-
-    def screen() -> np.ndarray:
-        return np.asarray(session.display.still().convert("RGB")).astype(float)
-
-    before = screen()
-    left, top, _width, height = session.region("VIEW_3D", "WINDOW")
-    corners = np.array(session.ask("camera_frame()")) * [1, -1] + [left, top + height]
-    (x0, y0), (x1, y1) = corners.min(0), corners.max(0)
-    rows, line = slice(int(y0) + 4, int(y1) - 4), int(0.5 * (x0 + x1))
-    ours, theirs = slice(int(x0) + 4, line - 4), slice(line + 4, int(min(x1, session.region("VIEW_3D", "UI")[0])) - 70)
+    slider = session.scroll_to("iris.wipe", columns=(0.3,))
+    before = _still(stage)
+    left, right, rows = _frame(stage)
+    session.display.drag(slider, (slider[0] + WIPE_PIXELS, slider[1]))
+    share = until(lambda: stage.value("iris.wipe"), "the slider is dragged", 10)
+    line = left + share * (right - left)
+    ours, theirs = slice(int(left) + 4, int(line) - 4), slice(int(line) + 4, _last_column(stage, right))
     assert ours.stop - ours.start > 50 and theirs.stop - theirs.start > 20, "the frame is in view"
-    session.ask("set_wipe(0.5)")
-    until(lambda: np.abs(screen() - before)[rows, ours].mean() > 5, "the photo is drawn", 20)
-    half = screen()
+    until(lambda: np.abs(_screen(stage) - before)[rows, ours].mean() > 5, "the photo is drawn", 20)
+    half = _still(stage)
     stage.photograph("10_wipe")
-    shown, photo = half[rows, ours].mean((0, 1)) / 255, np.array(session.ask("photo_mean(0.5)"))
+    shown, photo = half[rows, ours].mean((0, 1)) / 255, np.array(session.ask(f"photo_mean({share})"))
     assert np.abs(shown - photo).max() < 0.02, (shown, photo)
     changed = np.abs(half - before)[rows, theirs].mean()
     assert changed < 0.5, f"right of the line the view is another one by {changed:.2f}"
+    height = 0.5 * (rows.start + rows.stop)
+    target = left + 0.25 * (right - left)
+    session.display.drag((line, height), (target, height))
+    until(lambda: abs(stage.value("iris.wipe") - 0.25) < 0.02, "the line is dragged", 10)
+    stage.photograph("10_wipe_dragged")
     session.ask("set_wipe(0.0)")
-    until(lambda: np.abs(screen() - before)[rows, ours].mean() < 0.5, "the view is as it was", 20)
-    return f"photo {photo.mean():.3f}, shown {shown.mean():.3f}"
+    until(lambda: np.abs(_screen(stage) - before)[rows, ours].mean() < 0.5, "the view is as it was", 20)
+    return f"photo {photo.mean():.3f}, shown {shown.mean():.3f}; dragged to a quarter"
+
+
+def preview(stage: Stage) -> str:
+    """Preview: Cycles renders in the 3D view, beside the photo by the wipe; pressed again, the view is as it was."""
+    session = stage.session
+    place = session.scroll_to("iris.preview", columns=(0.5,))
+    before = _still(stage)
+    left, right, rows = _frame(stage)
+    columns = slice(int(left) + 4, _last_column(stage, right))
+    session.display.click(*place)
+    until(lambda: np.abs(_screen(stage) - before)[rows, columns].mean() > 5, "the room is rendered", PREVIEW_SECONDS)
+    until(lambda: _grey(_screen(stage)[rows, columns]) > PREVIEW_GREY, "the render is bright", PREVIEW_SECONDS)
+    session.ask("set_wipe(0.5)")
+    time.sleep(2.0)
+    stage.photograph_at_once("10_preview")
+    rendered = _grey(_screen(stage)[rows, int(0.5 * (left + right)) + 4 : columns.stop])
+    session.ask("set_wipe(0.0)")
+    session.press("iris.preview", columns=(0.5,))
+    until(lambda: np.abs(_screen(stage) - before)[rows, columns].mean() < 1.0, "the view is as it was", 20)
+    return f"grey {rendered:.0f} of 255"
+
+
+def _screen(stage: Stage) -> np.ndarray:
+    """(H, W, 3) the screen as it is, 0 to 255."""
+    return np.asarray(stage.session.display.look().convert("RGB")).astype(float)
+
+
+def _still(stage: Stage) -> np.ndarray:
+    """(H, W, 3) the screen once the view has smoothed its edges and stands still, 0 to 255."""
+    return np.asarray(stage.session.display.still().convert("RGB")).astype(float)
+
+
+def _grey(pixels: np.ndarray) -> float:
+    return float(pixels.mean())
+
+
+def _frame(stage: Stage) -> tuple[float, float, slice]:
+    """Left and right end of the camera's frame on the screen, and its rows."""
+    session = stage.session
+    left, top, _width, height = session.region("VIEW_3D", "WINDOW")
+    corners = np.array(session.ask("camera_frame()")) * [1, -1] + [left, top + height]
+    (x0, y0), (x1, y1) = corners.min(0), corners.max(0)
+    return float(x0), float(x1), slice(int(y0) + 4, int(y1) - 4)
+
+
+def _last_column(stage: Stage, right: float) -> int:
+    """The last column of the frame that ends at ``right``, free of the sidebar and of the buttons beside it."""
+    return int(min(right, stage.session.region("VIEW_3D", "UI")[0])) - 70
 
 
 def switch_off(stage: Stage) -> str:

@@ -211,14 +211,27 @@ class Session:
         """Fill in and confirm the file browser in the newest window."""
         newest, count = self.windows() - 1, self.windows()
         folder, _, name = path.rpartition("/")
-        place = self.find("params.directory", "FILE_BROWSER", "UI", newest, (0.4,))
-        assert place is not None, "no field for the folder in the file browser"
-        self.type_into(place, folder)
+        self._type_folder(folder, newest)
         # The field for the name is all there is beside the two buttons, and Blender 5 does not tell its path.
         left, top, width, height = self.region("FILE_BROWSER", "EXECUTE", newest)
         self.type_into((left + 0.3 * width, top + height / 2), name)
         before_confirming()
-        self.press("file.execute", "FILE_BROWSER", "EXECUTE", newest, (0.9,))
+        self._confirm(newest, count)
+
+    def choose_folder(self, path: str, before_confirming: Callable[[], None] = lambda: None) -> None:
+        """Fill in and confirm the file browser in the newest window, where it asks for a folder; that exists."""
+        newest, count = self.windows() - 1, self.windows()
+        self._type_folder(path, newest)
+        before_confirming()
+        self._confirm(newest, count)
+
+    def _type_folder(self, folder: str, window: int) -> None:
+        place = self.find("params.directory", "FILE_BROWSER", "UI", window, (0.4,))
+        assert place is not None, "no field for the folder in the file browser"
+        self.type_into(place, folder)
+
+    def _confirm(self, window: int, count: int) -> None:
+        self.press("file.execute", "FILE_BROWSER", "EXECUTE", window, (0.9,))
         until(lambda: self.windows() < count, "the file browser closes", 30)
 
 

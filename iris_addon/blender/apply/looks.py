@@ -10,6 +10,7 @@ from mathutils import Quaternion
 from numpy.typing import NDArray
 
 from ...results.result import Result
+from ..scene_out.backdrop import is_backdrop
 from ..scene_out.lights import (
     is_on,
     is_recovered_sun,
@@ -62,6 +63,23 @@ def outside_light(scene: bpy.types.Scene) -> bpy.types.Node | None:
     """The node whose input Strength dims the light from outside; None where the artist has rebuilt the world."""
     nodes = scene.world.node_tree.nodes if scene.world is not None and scene.world.node_tree is not None else {}
     return nodes.get("Background")
+
+
+def has_outside(scene: bpy.types.Scene) -> bool:
+    """Whether there is light from outside to be dimmed, the sun's and the backdrop's included; also taken for granted
+    where the artist has rebuilt the world."""
+    background = outside_light(scene)
+    if background is None:
+        return True
+    color = background.inputs["Color"]
+    shines = color.is_linked or any(color.default_value[:3])
+    return shines or any(is_recovered_sun(thing) or is_backdrop(thing) for thing in scene.objects)
+
+
+def offered_looks(scene: bpy.types.Scene) -> dict[str, Look]:
+    """The looks that differ from each other in the room of ``scene``."""
+    outside = has_outside(scene)
+    return {key: look for key, look in LOOKS.items() if outside or look.outside == look.lamps}
 
 
 def solo(scene: bpy.types.Scene, lamp: bpy.types.Material) -> None:

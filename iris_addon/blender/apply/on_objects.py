@@ -296,7 +296,17 @@ def _remove_made(scene: bpy.types.Scene) -> None:
     bpy.data.batch_remove([thing for thing in scene.objects if MADE in thing])
     bpy.data.batch_remove([group for group in scene.collection.children if MADE in group and not group.all_objects])
     for kind in ("meshes", "lights", "cameras", "worlds", "materials", "images"):  # users before what they use
-        bpy.data.batch_remove([block for block in getattr(bpy.data, kind) if MADE in block and not block.users])
+        made = [block for block in getattr(bpy.data, kind) if MADE in block]
+        if kind == "materials":  # the list of lamps, which a scene has, does not use its material for anything
+            users = bpy.data.user_map(subset=made)
+            unused = [
+                block
+                for block in made
+                if not block.use_fake_user and all(user.id_type == "SCENE" for user in users[block])
+            ]
+        else:
+            unused = [block for block in made if not block.users]
+        bpy.data.batch_remove(unused)
 
 
 # ---- materials -----------------------------------------------------------------------------------------------------

@@ -42,6 +42,7 @@ class DraggedObject:
         )
         self._unit = float(context.scene.unit_settings.scale_length)
         self._room = Room(Mesh(room.mesh.vertices * self._unit, room.mesh.faces), (0.0, 0.0, 1.0))
+        self._room.prepare()
         to_own = np.array(Matrix.Scale(self._unit, 4) @ self._before.inverted_safe())
         self._corners = corners_of(own) @ to_own[:3, :3].T + to_own[:3, 3]
 

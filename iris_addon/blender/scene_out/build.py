@@ -229,10 +229,9 @@ def _separate_invalid_faces(mesh: Mesh) -> tuple[NDArray[np.floating], NDArray[n
     faces = mesh.faces
     corners = np.sort(faces, axis=1)
     invalid = (corners[:, 0] == corners[:, 1]) | (corners[:, 1] == corners[:, 2])
-    _, first = np.unique(corners, axis=0, return_index=True)
-    duplicate = np.ones(len(faces), bool)
-    duplicate[first] = False
-    invalid |= duplicate
+    order = np.lexsort(corners.T)  # stable: of faces with the same corners the first one stays
+    ordered = corners[order]
+    invalid[order[1:][(ordered[1:] == ordered[:-1]).all(1)]] = True
     own = mesh.vertices[faces[invalid]].reshape(-1, 3)
     faces = faces.copy()
     faces[invalid] = len(mesh.vertices) + np.arange(len(own)).reshape(-1, 3)

@@ -48,6 +48,10 @@ class Room:
     def _tree(self) -> BVHTree:
         return BVHTree.FromPolygons(self.mesh.vertices.tolist(), self.mesh.faces.tolist())
 
+    def prepare(self) -> None:
+        """Build the search tree now, which takes seconds for a million triangles, and not with the first ray."""
+        _ = self._tree
+
     def along(self, origin: Vector, direction: Vector) -> tuple[Vector, Vector] | None:
         """Point and normal (towards ``origin``) of the first surface along a ray, or None."""
         point, normal, _face, _distance = self._tree.ray_cast(origin, direction)

@@ -29,7 +29,8 @@ State = Literal["missing", "running", "done", "failed", "cancelled", "interrupte
 
 @dataclass(frozen=True)
 class Record:
-    """The state of a job; ``what`` is wrong and its ``fix`` where it failed, or ``what`` it found where it is done."""
+    """The state of a job; ``what`` is wrong and its ``fix`` where it failed; where it is done, ``what`` it found or the
+    folder it wrote, and as ``fix`` what to look at."""
 
     state: State
     what: str = ""
@@ -106,6 +107,12 @@ def record(name: JobName, folder: Path) -> Record:
     return INTERRUPTED if found.state == "running" else found
 
 
+def ended_here(name: JobName, folder: Path) -> Record:
+    """How the job ``name`` of ``folder`` ended in this Blender: a record on disk may be a stranger's, and so is no
+    source of paths to open."""
+    return _ended.get((name, folder), MISSING)
+
+
 def poll() -> bool:
     """Read the messages of all jobs and finish those that have ended; call it on the main thread.
 
@@ -156,7 +163,7 @@ def _end(job: Job) -> Record:
     job.worker.close()
     try:
         job.worker.raise_if_failed()
-        ended = Record("done", job.worker.found)
+        ended = Record("done", job.worker.found, job.worker.warning)
     except Cancelled:
         ended = CANCELLED
     except IrisError as error:

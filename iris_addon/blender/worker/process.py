@@ -38,7 +38,8 @@ class Worker:
     Attributes:
         stage, fraction, overall, seconds_left: the latest progress (see
             :class:`iris_addon.base.progress.ProgressEvent`).
-        found: what it said in a line when it was done, or "".
+        found: what it said in a line when it was done, or the folder it wrote; "" without either.
+        warning: what to look at although it is done; "" where all is well.
         log: the last lines of its output, stages included.
 
     Args:
@@ -52,7 +53,7 @@ class Worker:
     def __init__(self, command: Sequence[str], log_file: Path | None = None) -> None:
         self.stage, self.fraction, self.overall = "", 0.0, 0.0
         self.seconds_left: float | None = None
-        self.found = ""
+        self.found = self.warning = ""
         self.log: deque[str] = deque(maxlen=LOG_LINES)
         self._error: IrisError | None = None
         self._kill_at = float("inf")
@@ -173,7 +174,10 @@ class Worker:
         elif kind == "error":
             self._error = IrisError(str(message.get("what")), str(message.get("fix")))
         elif kind == "done" and isinstance(message.get("result"), dict):
-            self.found = str(message["result"].get("found", ""))
+            result = message["result"]
+            self.found = str(result.get("found") or result.get("folder") or "")
+            warnings = result.get("warnings")
+            self.warning = "; ".join(map(str, warnings)) if isinstance(warnings, list) else ""
 
     def _read_messages(self, pipe: IO[str]) -> None:
         for line in pipe:
