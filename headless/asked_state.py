@@ -59,7 +59,7 @@ def state_of_photo(args: argparse.Namespace) -> str | None:
         raise BadInput(f"was not solved in the light state {taken_in!r}", fix, args.result)
     if args.light_state not in (None, taken_in):
         what = f"has the photo {args.view!r} in the light state {taken_in!r}, not {args.light_state!r}"
-        raise BadInput(what, "leave out --light-state", args.result)
+        raise BadInput(what, "leave out --light-state, or clear the camera's light state", args.result)
     return taken_in
 
 

@@ -179,7 +179,7 @@ def _add_solving(add: Add) -> None:
     solve.add_argument("capture", type=Path, help="folder of the capture, or its transforms.json")
     solve.add_argument("--out", type=Path, required=True, help="folder of the result")
     solve.add_argument("--preset", choices=list(PRESETS), default="balanced", help="time against accuracy")
-    solve.add_argument("--device", choices=["auto", "cpu", "cuda"], default="auto", help="where torch runs, and rays")
+    solve.add_argument("--device", choices=["auto", "cpu", "cuda"], default="auto", help="where torch and rays run")
     solve.add_argument(
         "--response",
         type=_word_or_path("auto", "gamma"),

@@ -194,7 +194,7 @@ def incomparable(result: Result, truth: GroundTruth) -> dict[str, str]:
         parts["relight_psnr of one_emitter"] = json_map(lights["one_emitter"], "one_emitter")
     for index, _ in [] if objects is None else insertion_edits(result, objects):
         parts[f"insert_psnr of view {index}"] = _reference_of(objects, index)
-    states = {name: part.get("light_state", "") for name, part in parts.items()}
+    states = {name: str(part.get("light_state", "")) for name, part in parts.items()}
     states |= {f"nvs_psnr of {view.name}": view.light_state for view in truth.val_views}
     return {
         name: f"the light state {state!r} was not solved" if state else "it does not say in which light state it is"
@@ -208,7 +208,7 @@ def _lit_as(result: Result, reference: Mapping[str, Any]) -> Result | None:
     if not result.light_states:
         return result
     name = reference.get("light_state")
-    return result.in_state(name) if name in {state.name for state in result.light_states} else None
+    return result.in_state(str(name)) if str(name) in {state.name for state in result.light_states} else None
 
 
 def _reference_of(objects: Mapping[str, Any] | None, index: int) -> Mapping[str, Any]:

@@ -18,7 +18,8 @@ from ..base.group_by import rank_in_group
 POOL_MAX_OBSERVATIONS = 2000
 """Observations that all other regions together contribute to the pooled cost of a region, at most."""
 POOL_MAX_EVIDENCE = 2.1
-"""Evidence for highlights that other regions give, at most: eight to one, less than row "highlights" asks for."""
+"""Evidence for highlights that other regions give, at most: eight to one, less than row "highlights" asks for. To
+fragments of a scan the room gives more, SCAN_MAX_EVIDENCE."""
 POOL_DISTANCE = 1.0
 """Standard deviation in metres of the weight by distance, for regions of like albedo."""
 POOL_ALBEDO = 0.05
@@ -36,6 +37,9 @@ SCAN_MAX_EVIDENCE = 4.0
 """What they tell at most: what is matte for certain by its own photos stays so."""
 SCAN_OBSERVATIONS = 1000
 """Observations with which one such region has the weight one; it grows with their square root."""
+SCAN_POOLED, SCAN_POOL_MAX_OBSERVATIONS = 0.1, 50
+"""Weight of their costs, and observations that they contribute at most: enough to tell which gloss a fragment has that
+shows none itself."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,12 @@ class RegionLikeness:
         # A region that is well observed itself must not be outvoted by the others, however many they are.
         weight *= np.minimum(1.0, POOL_MAX_OBSERVATIONS / np.maximum(weight.sum(1, keepdims=True), 1e-9))
         weight += own * self.count[:, None]
+        if self.scanned.any():
+            best, alike = self._in_room
+            far = SCAN_POOLED * self.count[best] * alike * self.scanned[:, None]
+            far *= np.minimum(1.0, SCAN_POOL_MAX_OBSERVATIONS / np.maximum(far.sum(1, keepdims=True), 1e-9))
+            near = np.concatenate([near, np.broadcast_to(best, far.shape)], 1)
+            weight = np.concatenate([weight, far], 1)
         return near, weight / weight.sum(1, keepdims=True)
 
     def with_like(self, evidence: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -77,10 +87,18 @@ class RegionLikeness:
         near, alike, own = self._alike
         of_like = np.einsum("kn,knl->kl", np.where(own, 0.0, alike), evidence[near])
         beside = np.clip(of_like, -POOL_MAX_EVIDENCE, POOL_MAX_EVIDENCE)
-        return evidence + beside + np.where(self.scanned[:, None], self._in_room(evidence), 0.0)
+        if not self.scanned.any():
+            return evidence + beside
+        best, alike = self._in_room
+        weight = alike * np.sqrt(self.count[best] / SCAN_OBSERVATIONS)
+        mean = (weight @ evidence[best]) / (1.0 + weight.sum(1, keepdims=True))
+        in_room = np.clip(SCAN_EVIDENCE * mean, -SCAN_MAX_EVIDENCE, SCAN_MAX_EVIDENCE)
+        return evidence + beside + np.where(self.scanned[:, None], in_room, 0.0)
 
-    def _in_room(self, evidence: NDArray[np.floating]) -> NDArray[np.float64]:
-        """(k, levels) what regions of like albedo anywhere in the room tell, in the mean.
+    @cached_property
+    def _in_room(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """The best observed regions (m,) of the room, those beside a region included, and how alike (k, m) each is in
+        albedo, itself not at all.
 
         A scan leaves hundreds of fragments, most of which have no normal good enough for a highlight of their own and
         none beside them that has. In a model, where each object has its own, white walls would take the gloss of white
@@ -89,10 +107,8 @@ class RegionLikeness:
         best = np.argsort(-self.count, kind="stable")[:SCAN_REGIONS]
         unlike = np.abs(self.log_albedo[best] - self.log_albedo[:, None]).max(-1)
         alike = np.exp(-0.5 * unlike**2 / (POOL_ALBEDO**2 + self._texture_with(best)))
-        alike[best, np.arange(len(best))] = 0.0  # itself
-        weight = alike * np.sqrt(self.count[best] / SCAN_OBSERVATIONS)
-        mean = (weight @ evidence[best]) / (1.0 + weight.sum(1, keepdims=True))
-        return np.clip(SCAN_EVIDENCE * mean, -SCAN_MAX_EVIDENCE, SCAN_MAX_EVIDENCE)
+        alike[best, np.arange(len(best))] = 0.0
+        return best, alike
 
     def _texture_with(self, other: NDArray[np.integer]) -> NDArray[np.float64]:
         """(k, m) mean variance of the log albedo within each region and those listed in ``other``, (m,) or (k, m)."""

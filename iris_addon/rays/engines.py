@@ -87,8 +87,8 @@ def warp_engine(device: str) -> RayEngine:
 
     try:
         from .warp_mesh import WarpTriangles, prepare
-    except ImportError as error:
-        return instead(f"Warp cannot be imported ({error}); install warp-lang into the solver's Python")
+    except Exception as error:  # missing, another version, another package of its name, a library that does not load
+        return instead(f"Warp cannot be imported ({error}); install warp-lang 1.19.0 into the solver's Python")
     problem = prepare(device)
     if problem is not None:
         return instead(problem)

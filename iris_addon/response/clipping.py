@@ -17,6 +17,8 @@ from .observations import Observations
 NOISE_LEVELS, NOISE_PIXELS, NOISE_QUANTILE = (0.7, 0.94), 9, 0.1
 """Display values, pixels and quantile of the spread of observations that tell noise: the smoothest tenth has neither
 texture nor shading in it."""
+MIN_NOISE_TOLD = 100
+"""Such observations below which nothing is told: the halo of a lamp alone is no noise."""
 CODE = 1 / 255
 """Spread that shading and rounding leave in the smoothest observations of photos without noise."""
 REACH = 9.0
@@ -58,7 +60,7 @@ def photo_noise(o: Observations) -> float:
     low, high = NOISE_LEVELS
     unclipped = (o.saturated.max(1) == 0) & (o.count >= NOISE_PIXELS)
     spread = o.spread[(o.z > low) & (o.z < high) & unclipped[:, None]]
-    if not len(spread):
+    if len(spread) < MIN_NOISE_TOLD:
         return 0.0
     smooth = float(np.quantile(spread, NOISE_QUANTILE))
     return max(smooth**2 - CODE**2, 0.0) ** 0.5

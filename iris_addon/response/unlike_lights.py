@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import squareform
 
+from ..base.group_by import MAD
 from ..decide import UNLIKE_LIGHT_LEAST_SCATTER, Decisions
 from ..model.light_states import LightStates
 from ..model.response import LUMINANCE
@@ -35,13 +36,14 @@ MIN_GROUPED = 0.75
 """Share of the photos that are in such groups; where others are left out, what lies between two groups may be."""
 MIN_PAIRS = 4
 """Compared pairs of photos that say something, across two groups; within a group each counts from both sides."""
+MIN_COMPARED = 0.6
+"""Share of the pairs across two groups that show enough in common: two ends of a room that hardly see each other differ
+by gloss and by what few patches they share."""
 ACROSS, WITHIN = 0.35, 0.65
 """Quantiles of the scatter of pairs: most photos of two lights disagree, also those that look from the same side, and
 most of one agree, also those that do not."""
 DISPLAY_RANGE = (0.02, 0.98)
 """Display values that are neither noise nor cut off."""
-TO_STANDARD_DEVIATION = 1.4826
-"""Of a median absolute deviation."""
 NAMED_PHOTOS = 3
 """Photos of a group that a warning names."""
 
@@ -68,9 +70,9 @@ class UnlikeLights:
             ", ".join(names[:NAMED_PHOTOS]) + (" …" if len(names) > NAMED_PHOTOS else "") for names in self.groups
         )
         return (
-            f"photos that are taken for one light show the room under several: {one} and {other} differ by "
-            f"{self.across:.0%} from place to place, photos of one light by {self.within:.0%}, and no set of lamps "
-            "explains both: give each photo its light_state (docs/formats.md, Light states) or solve those of one light"
+            f"photos that are taken for one light seem to show the room under several: {one} and {other} differ by "
+            f"{self.across:.0%} from place to place, photos of either group by {self.within:.0%}; if lamps or daylight "
+            "changed, give each photo its light_state (docs/formats.md, Light states) or solve those of one light"
         )
 
 
@@ -89,7 +91,7 @@ def find_unlike_lights(
         photos = np.flatnonzero(states.photos(state))
         photos = photos[np.unique(np.linspace(0, len(photos) - 1, MAX_PHOTOS).astype(int))]
         shown = _log_luminance(observations, photos, len(names), hdr)
-        best = max(_divisions(shown), key=lambda pair: pair.gain, default=None)
+        best = max(divisions(shown), key=lambda pair: pair.gain, default=None)
         if best is None or best.across < UNLIKE_LIGHT_LEAST_SCATTER:
             continue
         if decisions.accept("unlike_lights", best.across, best.within, subject=state_name):
@@ -126,10 +128,11 @@ class _Pair:
 
     @property
     def gain(self) -> float:
+        """How much of the scatter across is none within: 0 for one light."""
         return 1 - self.within / max(self.across, 1e-9)
 
 
-def _divisions(shown: Floats) -> Iterator[_Pair]:
+def divisions(shown: Floats) -> Iterator[_Pair]:
     """By every number of groups that photos are divided into, the two groups that are least apart."""
     scatter, held_out = (pair_scatter(shown[:, half::2]) for half in (0, 1))
     if np.isfinite(scatter).sum() < 2 * MIN_PAIRS:
@@ -143,7 +146,8 @@ def _divisions(shown: Floats) -> Iterator[_Pair]:
         pairs = []
         for one, other in combinations(groups, 2) if sum(map(len, groups)) >= MIN_GROUPED * len(shown) else ():
             across, *within = (_known(held_out[np.ix_(a, b)]) for a, b in ((one, other), (one, one), (other, other)))
-            if min(len(across), *map(len, within)) >= MIN_PAIRS:
+            compared = len(across) >= max(MIN_PAIRS, MIN_COMPARED * len(one) * len(other))
+            if compared and min(map(len, within)) >= MIN_PAIRS:
                 high = max(float(np.quantile(own, WITHIN)) for own in within)
                 pairs.append(_Pair((one, other), float(np.quantile(across, ACROSS)), high))
         if pairs:
@@ -169,5 +173,5 @@ def pair_scatter(shown: Floats) -> Floats:
         ratio, brightness = shown[a, both] - shown[b, both], shown[a, both] + shown[b, both]
         ratio = ratio[np.argsort(brightness, kind="stable")]
         off = np.concatenate([part - np.median(part) for part in np.array_split(ratio, BRIGHTNESS_BINS)])
-        scatter[a, b] = scatter[b, a] = TO_STANDARD_DEVIATION * np.median(np.abs(off))
+        scatter[a, b] = scatter[b, a] = MAD * np.median(np.abs(off))
     return scatter

@@ -159,7 +159,8 @@ def choose_surface(
         return surface, tracer
     given = Tracer(capture.mesh, engine=engine)
     smaller, larger = photo_disagreement(capture, (given, tracer), rng, progress)
-    if decisions.accept("scan_surface", smaller, larger):
+    told = smaller > 0 or larger > 0  # where no point lies in three photos of one light, photos do not decide
+    if not told or decisions.accept("scan_surface", smaller, larger):
         return surface, tracer
     return replace(surface, mesh=capture.mesh, normals=given.normals, noise=0.0), given
 

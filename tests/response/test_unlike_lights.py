@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from iris_addon.decide import Decisions
+from iris_addon.decide import REFINEMENTS, Decisions
 from iris_addon.model.light_states import LightStates
 from iris_addon.model.response import Response, gamma
 from iris_addon.response import unlike_lights
@@ -88,6 +88,18 @@ def test_photos_whose_light_states_are_named_are_compared_within_each() -> None:
     wrong[[0, 3, 6]] = 0  # three photos of the second light are named as of the first
     (found,) = found_in(o, wrong)
     assert {"photo 00", "photo 03", "photo 06"} in map(set, found.groups)
+
+
+def test_two_ends_of_a_room_that_hardly_see_each_other_are_not_two_lights() -> None:
+    """Of one light: three photos of either end see the glossy floor between them."""
+    rng = np.random.default_rng(3)
+    shown = np.full((PHOTOS, 1200), np.nan)
+    for k in range(PHOTOS):
+        shown[k, slice(0, 500) if k < PHOTOS // 2 else slice(700, 1200)] = 0.02 * rng.normal(size=500)
+        if k < 3 or k >= PHOTOS - 3:
+            shown[k, 500:700] = 0.2 * rng.normal(size=200)
+    gains = [pair.gain for pair in unlike_lights.divisions(shown)]
+    assert all(gain < REFINEMENTS["unlike_lights"].gain for gain in gains)
 
 
 def test_few_photos_or_none_in_common_say_nothing() -> None:

@@ -170,6 +170,9 @@ def _sun_in_state(
     """Inside, the sun that was recovered is ``own`` in place of ``was``, as the scene keeps them."""
     sun = None if own is None else Sunlight(np.array(own["direction"]), np.array(own["irradiance"]))
     thing = next(filter(is_recovered_sun, scene.objects), None)
+    if thing is None and was is not None and not everything:  # the artist has removed it
+        yield
+        return
     if thing is None:
         added = add_sun(sun, scene.collection)
         try:
@@ -179,7 +182,8 @@ def _sun_in_state(
                 bpy.data.lights.remove(added.data)  # and its object
         return
     recovered, turn = list(thing[RECOVERED]), list(thing[RECOVERED_TURN])
-    before = thing.hide_render, thing.data.energy, tuple(thing.data.color), thing.matrix_basis.copy()
+    before = thing.hide_render, thing.hide_viewport, thing.data.energy, tuple(thing.data.color)
+    matrix = thing.matrix_basis.copy()
     shining = np.zeros(3) if thing.hide_render else thing.data.energy * np.array(thing.data.color)
     unturned = abs(Quaternion(turn).dot(thing.matrix_basis.to_quaternion())) > 1 - SAME_LIGHT**2
     irradiance = np.zeros(3) if was is None else np.array(was["irradiance"])
@@ -192,9 +196,8 @@ def _sun_in_state(
         yield
     finally:
         thing[RECOVERED], thing[RECOVERED_TURN] = recovered, turn
-        thing.hide_render, thing.data.energy = before[:2]
-        thing.hide_viewport = before[0]
-        thing.data.color, thing.matrix_basis = before[2:]
+        thing.hide_render, thing.hide_viewport, thing.data.energy, thing.data.color = before
+        thing.matrix_basis = matrix
 
 
 @contextmanager

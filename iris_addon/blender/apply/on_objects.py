@@ -29,7 +29,7 @@ from ..scene_out.lights import RECOVERED_TURN, add_sun
 from ..scene_out.materials import UV_MAP, add_confidence
 from ..scene_out.scene_state import forget_scene, keep_scene, require_object_mode, restore_scene, show_like_the_photos
 from ..scene_out.world import make_world
-from .applied_states import forget_light_states, keep_light_states
+from .applied_states import forget_light_states, has_light_states, keep_light_states
 from .camera_look import LOOK, keep_look, stop_matching
 from .photo_cameras import restore_given_poses
 
@@ -67,7 +67,7 @@ def apply_to_objects(result: Result, runs: Sequence[FaceRun], scene: bpy.types.S
     Raises:
         BadInput: the scene has changed since it was solved. Nothing was changed then.
     """
-    if is_applied(scene, runs, key):
+    if is_applied(scene, runs, key) and has_light_states(scene) == bool(result.light_states):
         return False
     objects = [_find(run, scene) for run in runs]
     require_object_mode(objects)
