@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -22,6 +23,13 @@ def test_without_warp_rays_run_by_embree_and_the_user_is_told(monkeypatch: pytes
     engine = choose_engine("cuda")
     assert (engine.name, engine.intersector) == (EMBREE.name, EMBREE.intersector)
     assert "rays run on the CPU" in engine.warning and "install warp-lang" in engine.warning
+
+
+def test_another_package_of_that_name_is_not_warp(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "warp", ModuleType("warp"))
+    monkeypatch.delitem(sys.modules, "iris_addon.rays.warp_mesh", raising=False)
+    engine = choose_engine("cuda")
+    assert engine.name == EMBREE.name and "install warp-lang 1.19.0" in engine.warning
 
 
 def test_without_a_card_warp_is_not_used_for_one() -> None:

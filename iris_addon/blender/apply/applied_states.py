@@ -24,6 +24,7 @@ from ..scene_out.lights import (
     RECOVERED_TURN,
     add_sun,
     emitted,
+    is_on,
     is_plain,
     is_recovered_sun,
     lamp_materials,
@@ -121,13 +122,16 @@ def in_light_state(scene: bpy.types.Scene, name: str | None, *, everything: bool
         known = ", ".join(kept) or "none"
         what = f"the scene keeps no light state {name!r} of the room (it has: {known})"
         raise BadInput(what, "apply the result again", bpy.data.filepath or None)
-    shown, state = kept.get(scene.get(SHOWN, ""), next(iter(kept.values()))), kept[name]
+    first, state = next(iter(kept.values())), kept[name]
+    shown = kept.get(scene.get(SHOWN, ""), first)
     sky = scene[f"{SKY}{list(kept).index(name)}"]
     with ExitStack() as undo:
         for material in lamp_materials(scene.objects):
             was, own = (np.array(each["lamps"].get(str(material[LAMP_ID]), (0, 0, 0))) for each in (shown, state))
             undo.enter_context(_lamp_in_state(scene, material, was, own, everything=everything))
-        undo.enter_context(_sun_in_state(scene, shown["sun"], state["sun"], everything=everything))
+        removed = first["sun"] is not None and not any(map(is_recovered_sun, scene.objects))
+        if everything or not removed:
+            undo.enter_context(_sun_in_state(scene, shown["sun"], state["sun"], everything=everything))
         undo.enter_context(_sky_in_state(scene, sky, shown["sky"], state["sky"], everything=everything))
         yield
 
@@ -143,7 +147,9 @@ def _lamp_in_state(
 ) -> Iterator[None]:
     """Inside, the radiance (3,) that was recovered of a lamp is ``own`` in place of ``was``; off, it is a surface."""
     recovered, before = list(material[RECOVERED]), lamp_setting(material)
-    follows = everything or np.allclose(emitted(material), was, rtol=SAME_LIGHT, atol=TINY)
+    # The look of a state switches off what is dark in it; else the artist has, also what is dark anyway.
+    put_out = not is_on(material) and (bool(was.any()) or SHOWN not in scene)
+    follows = everything or (not put_out and np.allclose(emitted(material), was, rtol=SAME_LIGHT, atol=TINY))
     material[RECOVERED] = own.tolist()
     slots: list[bpy.types.MaterialSlot] = []
     if follows:
@@ -170,9 +176,6 @@ def _sun_in_state(
     """Inside, the sun that was recovered is ``own`` in place of ``was``, as the scene keeps them."""
     sun = None if own is None else Sunlight(np.array(own["direction"]), np.array(own["irradiance"]))
     thing = next(filter(is_recovered_sun, scene.objects), None)
-    if thing is None and was is not None and not everything:  # the artist has removed it
-        yield
-        return
     if thing is None:
         added = add_sun(sun, scene.collection)
         try:
