@@ -99,7 +99,7 @@ REFINEMENTS: Mapping[str, Refinement] = {
         gain=0.1,
         experiment="0017-can-wrong-recorded-exposures-be-corrected",
     ),
-    # Photos under three sets of lamps gain 50 %, of one light, with most pairs compared, 20 % at most.
+    # Photos under three sets of lamps gain 40 %, rooms under one light 16 % at most, few photos of one 20 to 50 %.
     "unlike_lights": Refinement(
         "a light of its own for a group of photos of one light state; nothing is solved so, but it is said",
         "scatter of the ratio of two photos from place to place, over the half of the patches they are not grouped by",

@@ -37,8 +37,8 @@ MIN_GROUPED = 0.75
 MIN_PAIRS = 4
 """Compared pairs of photos that say something, across two groups; within a group each counts from both sides."""
 MIN_COMPARED = 0.6
-"""Share of the pairs across two groups that show enough in common: two ends of a room that hardly see each other differ
-by gloss and by what few patches they share."""
+"""Share of the pairs across two groups that show enough in common, over that share within them: two ends of a room
+that hardly see each other differ by gloss and by what few patches they share."""
 ACROSS, WITHIN = 0.35, 0.65
 """Quantiles of the scatter of pairs: most photos of two lights disagree, also those that look from the same side, and
 most of one agree, also those that do not."""
@@ -146,7 +146,9 @@ def divisions(shown: Floats) -> Iterator[_Pair]:
         pairs = []
         for one, other in combinations(groups, 2) if sum(map(len, groups)) >= MIN_GROUPED * len(shown) else ():
             across, *within = (_known(held_out[np.ix_(a, b)]) for a, b in ((one, other), (one, one), (other, other)))
-            compared = len(across) >= max(MIN_PAIRS, MIN_COMPARED * len(one) * len(other))
+            possible = sum(len(own) * (len(own) - 1) for own in (one, other))
+            usual = sum(map(len, within)) / possible
+            compared = len(across) >= max(MIN_PAIRS, MIN_COMPARED * usual * len(one) * len(other))
             if compared and min(map(len, within)) >= MIN_PAIRS:
                 high = max(float(np.quantile(own, WITHIN)) for own in within)
                 pairs.append(_Pair((one, other), float(np.quantile(across, ACROSS)), high))
