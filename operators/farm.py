@@ -14,7 +14,7 @@ import numpy as np
 
 from ..iris_addon.base.errors import BadInput, IrisError
 from ..iris_addon.base.files import atomic_write, digest_of, require_own_folder, write_json
-from ..iris_addon.blender.apply.applied_states import has_light_states
+from ..iris_addon.blender.apply.applied_states import light_state_of
 from ..iris_addon.blender.apply.farm_frames import relit_frames
 from ..iris_addon.blender.apply.on_objects import APPLIED
 from ..iris_addon.blender.insert.linked_files import write_portable
@@ -155,7 +155,7 @@ class IRIS_OT_export_farm(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
 def _light_state_of_plate(scene: bpy.types.Scene) -> dict[str, str]:
     """The light state that the camera of ``scene`` names, in a room that was photographed in several."""
-    name = scene.camera.data.iris_light_state.strip() if has_light_states(scene) else ""
+    name = light_state_of(scene.camera, scene)
     return {"light_state": name} if name else {}
 
 

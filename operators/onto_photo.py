@@ -10,7 +10,7 @@ import bpy
 
 from ..iris_addon.base.errors import IrisError
 from ..iris_addon.base.files import require_own_folder
-from ..iris_addon.blender.apply.applied_states import has_light_states
+from ..iris_addon.blender.apply.applied_states import light_state_of
 from ..iris_addon.blender.apply.scene_files import write_whole
 from ..iris_addon.blender.insert.photo_composite import write_copy
 from ..iris_addon.blender.scene_in.capture_objects import photo_of, show_instead
@@ -70,7 +70,7 @@ class IRIS_OT_onto_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
             if shown is not None and folder(shown) == out:
                 _show(shown, view_name, picture)
 
-        state = camera.data.iris_light_state.strip() if has_light_states(scene) else ""
+        state = light_state_of(camera, scene)
         command = composite_command(bpy.app.binary_path, copy, out, photo, view_name, picture, self.samples, state)
         return run(self, "composite", out, command, ended)
 

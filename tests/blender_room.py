@@ -18,6 +18,13 @@ def box(size=2.0) -> Mesh:
     return Mesh(corners, faces, uv)
 
 
+def sides_of_box(*sides: int) -> Mesh:
+    """The box with these of its sides alone."""
+    whole = box()
+    faces = [triangle for side in sides for triangle in (2 * side, 2 * side + 1)]
+    return Mesh(whole.vertices, whole.faces[faces], whole.uv[faces])
+
+
 def room(albedo=0.5, emission=None, outside=None, mesh=None, roughness=1.0) -> Result:
     """A box of one colour in which the faces of ``emission`` {face pair: radiance} shine."""
     mesh = mesh or box()

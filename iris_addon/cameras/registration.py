@@ -152,12 +152,13 @@ def photo_disagreement(
     """
     views = [view.reduced_to(WIDTHS[-1]) for view in capture.views]
     cameras = [view.camera for view in views]
+    states = LightStates.of(views)
     pictures = _pictures(_brightness(views, progress), WIDTHS[-1])
     losses = []
     for tracer in tracers:
         same = deepcopy(rng)
         points = SurfacePoints.of(cameras, tracer, N_POINTS, same)
-        seen = _Sightings.of(points, cameras, LightStates.of(views), tracer, same)
+        seen = _Sightings.of(points, cameras, states, tracer, same)
         losses.append(seen.disagreement(pictures, cameras))
     return losses
 

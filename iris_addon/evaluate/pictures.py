@@ -188,6 +188,8 @@ def incomparable(result: Result, truth: GroundTruth) -> dict[str, str]:
 
     Of a room that was photographed in several light states a reference has to say in which it was rendered.
     """
+    if not result.light_states:
+        return {}
     lights, objects = read_lights(truth) or {}, read_objects(truth)
     parts: dict[str, Mapping[str, Any]] = {}
     if "one_emitter" in lights:
@@ -199,7 +201,7 @@ def incomparable(result: Result, truth: GroundTruth) -> dict[str, str]:
     return {
         name: f"the light state {state!r} was not solved" if state else "it does not say in which light state it is"
         for name, state in states.items()
-        if result.light_states and state not in {own.name for own in result.light_states}
+        if state not in _solved_states(result)
     }
 
 
@@ -207,8 +209,12 @@ def _lit_as(result: Result, reference: Mapping[str, Any]) -> Result | None:
     """The room in the light state of a reference; None where that is not said, or was not solved."""
     if not result.light_states:
         return result
-    name = reference.get("light_state")
-    return result.in_state(str(name)) if str(name) in {state.name for state in result.light_states} else None
+    name = str(reference.get("light_state", ""))
+    return result.in_state(name) if name in _solved_states(result) else None
+
+
+def _solved_states(result: Result) -> set[str]:
+    return {state.name for state in result.light_states}
 
 
 def _reference_of(objects: Mapping[str, Any] | None, index: int) -> Mapping[str, Any]:

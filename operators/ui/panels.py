@@ -8,7 +8,7 @@ import bpy
 
 from ...iris_addon.base.errors import IrisError
 from ...iris_addon.blender.apply.camera_look import MATCHED
-from ...iris_addon.blender.apply.looks import has_outside, is_solo, offered_looks, outside_light, own_looks
+from ...iris_addon.blender.apply.looks import has_outside, is_solo, offered_looks, own_looks
 from ...iris_addon.blender.apply.on_objects import APPLIED
 from ...iris_addon.blender.apply.review import model_lines, shows_confidence
 from ...iris_addon.blender.apply.suggested_photos import suggested_groups
@@ -16,6 +16,7 @@ from ...iris_addon.blender.insert.plate import shows_plate
 from ...iris_addon.blender.render import light_mixing
 from ...iris_addon.blender.scene_out import lights as lamps
 from ...iris_addon.blender.scene_out.lamp_profile_nodes import profile_of
+from ...iris_addon.blender.scene_out.world import sky_strength
 from ...iris_addon.blender.worker import jobs
 from ...iris_addon.edits.light_units import kelvin
 from ...iris_addon.model.seen_classes import SEEN_CLASSES
@@ -293,12 +294,12 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         grid.operator("iris.save_look", icon="ADD")
         layout.template_list("IRIS_UL_lamps", "", settings, "lamps", settings, "lamp_index", rows=4)
         _chosen_lamp(layout, scene)
-        background = outside_light(scene)
+        outside = sky_strength(scene.world)
         if not has_outside(scene):
             text = "No light from outside was recovered; a window that shines is a lamp"
             paragraph(layout, text, context, "INFO")
-        elif background is not None:
-            layout.prop(background.inputs["Strength"], "default_value", text="Light from Outside")
+        elif outside is not None:
+            layout.prop(outside, "default_value", text="Light from Outside")
         sun = next((thing for thing in scene.objects if lamps.is_recovered_sun(thing)), None)
         if sun is not None:
             row = layout.row(align=True)

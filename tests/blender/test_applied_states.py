@@ -15,11 +15,10 @@ from iris_addon.blender.insert.photo_composite import as_photographed
 from iris_addon.blender.render.cycles import render_linear, render_views, set_cycles
 from iris_addon.blender.scene_in.scene_capture import whole_object
 from iris_addon.blender.scene_out.build import plain_mesh
-from iris_addon.model.capture import Mesh
 from iris_addon.model.recovered import LightState, OutsideLight, Sunlight
 from iris_addon.model.render_settings import RenderSettings
 from iris_addon.results.result import Result
-from tests.blender_room import box, camera, room
+from tests.blender_room import camera, room, sides_of_box
 
 pytestmark = pytest.mark.bpy
 
@@ -38,8 +37,6 @@ def empty_blender():
 
 def house() -> Result:
     """A floor beside a wall that is a lamp, by day, at dusk and at night; the first has the sun, or not."""
-    whole = box()
-    part = Mesh(whole.vertices, whole.faces[[8, 9, 0, 1]], whole.uv[[8, 9, 0, 1]])
     off, on = np.zeros((1, 3)), np.array([[0.0, 0.0, 4.0]])
     states = (
         LightState("day", (), off, outside=SKY, sun=Sunlight(HIGH, np.array([2.0, 1.5, 1.0]))),
@@ -47,7 +44,7 @@ def house() -> Result:
         LightState("night", (), on),
     )
     first = states[0]
-    made = room(mesh=part, emission={1: off[0]}, outside=first.outside)
+    made = room(mesh=sides_of_box(4, 0), emission={1: off[0]}, outside=first.outside)
     return replace(made, sun=first.sun, light_states=states)
 
 

@@ -10,7 +10,6 @@ from iris_addon.blender.apply.looks import (
     forget_look,
     keep_states,
     offered_looks,
-    outside_light,
     own_looks,
     save_look,
     set_look,
@@ -28,10 +27,10 @@ from iris_addon.blender.scene_out.lights import (
     strength,
     switch,
 )
-from iris_addon.model.capture import Mesh
+from iris_addon.blender.scene_out.world import outside_light
 from iris_addon.model.recovered import LightState, OutsideLight, Sunlight
 from iris_addon.model.render_settings import RenderSettings
-from tests.blender_room import box, camera, room
+from tests.blender_room import camera, room, sides_of_box
 
 pytestmark = pytest.mark.bpy
 
@@ -46,10 +45,8 @@ def empty_blender():
 
 def lit() -> BuiltScene:
     """A floor under a green sky and a red sun, beside a wall that is a blue lamp."""
-    whole = box()
-    floor_and_lamp = Mesh(whole.vertices, whole.faces[[8, 9, 0, 1]], whole.uv[[8, 9, 0, 1]])
     sky = OutsideLight(np.array([[0.0, SKY, 0.0]]) / 0.28209479)
-    result = room(mesh=floor_and_lamp, emission={1: LAMP}, outside=sky)
+    result = room(mesh=sides_of_box(4, 0), emission={1: LAMP}, outside=sky)
     return build_scene(replace(result, sun=Sunlight(np.array([0.0, 0.0, 1.0]), SUN)))
 
 
@@ -80,7 +77,7 @@ def test_without_light_from_outside_only_looks_that_differ_are_offered():
     for thing in [thing for thing in built.scene.objects if thing.type == "LIGHT"]:
         bpy.data.objects.remove(thing)
     assert len(offered_looks(built.scene)) == 5, "the sky shines"
-    color = outside_light(built.scene).inputs["Color"]
+    color = outside_light(built.scene.world).inputs["Color"]
     color.default_value = (0, 0, 0, 1)
     assert list(offered_looks(built.scene)) == ["PHOTOGRAPHED", "BLACKOUT"]
 
@@ -100,7 +97,7 @@ def test_a_saved_look_brings_back_the_same_light():
     assert not own_looks(scene)
     set_strength(lamp, 2.0)
     set_color(lamp, (1.0, 0.5, 0.25))
-    background = outside_light(scene)
+    background = outside_light(scene.world)
     assert background is not None and built.sun is not None
     background.inputs["Strength"].default_value = 0.3
     built.sun.rotation_mode, built.sun.rotation_euler, built.sun.data.energy = "XYZ", (0.8, 0.1, 0.2), 3.0
@@ -122,11 +119,9 @@ def test_a_saved_look_brings_back_the_same_light():
 
 
 def test_each_light_state_of_the_photos_is_a_look():
-    whole = box()
-    parts = Mesh(whole.vertices, whole.faces[[8, 9, 0, 1, 2, 3]], whole.uv[[8, 9, 0, 1, 2, 3]])
     red, blue, dim = np.array([2.0, 0.0, 0.0]), LAMP, LAMP / 4
     sky = OutsideLight(np.array([[0.0, SKY, 0.0]]) / 0.28209479)
-    plain = room(mesh=parts, emission={1: blue, 2: np.zeros(3)}, outside=sky)
+    plain = room(mesh=sides_of_box(4, 0, 1), emission={1: blue, 2: np.zeros(3)}, outside=sky)
     states = (
         LightState("blue", (), np.array([blue, np.zeros(3)]), sky),
         LightState("red", (), np.array([np.zeros(3), red]), None),

@@ -94,6 +94,11 @@ def has_light_states(scene: bpy.types.Scene) -> bool:
     return STATES in scene
 
 
+def light_state_of(camera: bpy.types.Object, scene: bpy.types.Scene) -> str:
+    """The light state that ``camera`` names for its photo or plate; "" where the room of ``scene`` has one only."""
+    return camera.data.iris_light_state.strip() if has_light_states(scene) else ""
+
+
 def shown_state(scene: bpy.types.Scene) -> str | None:
     """The light state in which the lights of ``scene`` stand, but for what the artist changed; None for the first."""
     return scene.get(SHOWN)

@@ -16,7 +16,7 @@ from ...model.response import LUMINANCE
 from ..camera import read_camera
 from ..scene_out import lights
 from ..scene_out.materials import LAMP_ID, RECOVERED
-from .looks import outside_light
+from ..scene_out.world import sky_strength
 
 
 def relit_frames(scene: bpy.types.Scene, to_capture: np.ndarray) -> tuple[dict[str, Any], dict[str, Any], int]:
@@ -86,9 +86,9 @@ def _lights(scene: bpy.types.Scene, to_capture: np.ndarray) -> dict[str, Any]:
                     f"{material.name} shines, but is off in the light state whose lamps the farm scales",
                     "export the frames of its light state as a job of `relight --light-state`, or turn the lamp off",
                 )
-    background = outside_light(scene)
-    if background is not None:
-        job["outside"] = float(background.inputs["Strength"].default_value)
+    outside = sky_strength(scene.world)
+    if outside is not None:
+        job["outside"] = float(outside.default_value)
     sun = next((thing for thing in scene.objects if lights.is_recovered_sun(thing)), None)
     if sun is not None:
         now = sun.data.energy * np.array(sun.data.color, float) * (not sun.hide_render)

@@ -22,6 +22,7 @@ from ..scene_out.lights import (
     switch,
 )
 from ..scene_out.materials import LAMP_ID
+from ..scene_out.world import outside_light, sky_strength
 from .applied_states import TINY, show_state, shown_state, sky_level
 
 
@@ -50,25 +51,19 @@ def set_look(scene: bpy.types.Scene, key: str) -> None:
         switch(material, True)
         reset(material)
         switch(material, look.lamps)
-    background = outside_light(scene)
-    if background is not None:
-        background.inputs["Strength"].default_value = look.outside
+    level = sky_strength(scene.world)
+    if level is not None:
+        level.default_value = look.outside
     for thing in scene.objects:
         if is_recovered_sun(thing):
             set_sun(thing, look.outside)
     show_state(scene, None)
 
 
-def outside_light(scene: bpy.types.Scene) -> bpy.types.Node | None:
-    """The node whose input Strength dims the light from outside; None where the artist has rebuilt the world."""
-    nodes = scene.world.node_tree.nodes if scene.world is not None and scene.world.node_tree is not None else {}
-    return nodes.get("Background")
-
-
 def has_outside(scene: bpy.types.Scene) -> bool:
     """Whether there is light from outside to be dimmed, the sun's and the backdrop's included; also taken for granted
     where the artist has rebuilt the world."""
-    background = outside_light(scene)
+    background = outside_light(scene.world)
     if background is None:
         return True
     color = background.inputs["Color"]
@@ -115,9 +110,9 @@ def save_look(scene: bpy.types.Scene, name: str) -> None:
         on, level, tint = lamp_setting(material)
         lamps[str(material[LAMP_ID])] = [float(on), level, *tint]
     look: dict[str, Any] = {"lamps": lamps, "state": shown_state(scene) or ""}
-    background = outside_light(scene)
-    if background is not None:
-        look["outside"] = background.inputs["Strength"].default_value
+    outside = sky_strength(scene.world)
+    if outside is not None:
+        look["outside"] = outside.default_value
     for sun in filter(is_recovered_sun, scene.objects):
         turn = sun.matrix_basis.to_quaternion()
         look["sun"] = [float(not sun.hide_render), sun.data.energy, *sun.data.color, *turn]
@@ -135,9 +130,9 @@ def set_own_look(scene: bpy.types.Scene, name: str) -> None:
             continue
         on, level, red, green, blue = state
         set_lamp(material, (bool(on), level, (red, green, blue)))
-    background = outside_light(scene)
-    if background is not None and "outside" in look:
-        background.inputs["Strength"].default_value = look["outside"]
+    outside = sky_strength(scene.world)
+    if outside is not None and "outside" in look:
+        outside.default_value = look["outside"]
     for sun in filter(is_recovered_sun, scene.objects) if "sun" in look else ():
         on, sun.data.energy, *rest = look["sun"]
         sun.hide_render = sun.hide_viewport = not on

@@ -54,10 +54,15 @@ def make_world(
     return world
 
 
-def sky_strength(world: bpy.types.World | None) -> bpy.types.NodeSocket | None:
-    """The input that dims the light from outside; None where the artist has rebuilt the world."""
+def outside_light(world: bpy.types.World | None) -> bpy.types.Node | None:
+    """The node whose input Strength dims the light from outside; None where the artist has rebuilt the world."""
     nodes = world.node_tree.nodes if world is not None and world.node_tree is not None else {}
-    background = nodes.get("Background")
+    return nodes.get("Background")
+
+
+def sky_strength(world: bpy.types.World | None) -> bpy.types.NodeSocket | None:
+    """That input; None where the artist has rebuilt the world."""
+    background = outside_light(world)
     return None if background is None else background.inputs["Strength"]
 
 
