@@ -222,6 +222,9 @@ class Session:
         """Fill in and confirm the file browser in the newest window, where it asks for a folder; that exists."""
         newest, count = self.windows() - 1, self.windows()
         self._type_folder(path, newest)
+        # In Blender 5 Return took the completion of the name, and the field is still open: a click beside it ends that.
+        left, top, width, height = self.region("FILE_BROWSER", "WINDOW", newest)
+        self.display.click(left + 0.5 * width, top + 0.9 * height)
         before_confirming()
         self._confirm(newest, count)
 
