@@ -147,6 +147,9 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         arrays = stage("response", lambda: cancellable(measure))
         panes = arrays.pop("panes")
         photometry = Photometry.from_arrays(arrays)
+        names = [view.name for view in reduced.views]
+        unlike = cancellable(lambda: find_unlike_lights(observations, names, states, photometry.hdr, decisions))
+        quality = None if photometry.hdr else PhotoQuality.of(observations)
     if len(panes):
         with progress.stage("surface"):  # once more, as one sees it through them
             tracer = Tracer(surface.mesh, surface.normals, surface.noise, without=panes, engine=engine)
@@ -194,11 +197,8 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         result = result.with_exposures_times(unit / room.photos.unit)
     result = replace(result, panes=panes)
     result = with_figures(result, room, config, cameras, problems, solution, progress)
-    names = [view.name for view in reduced.views]
-    unlike = find_unlike_lights(observations, names, states, photometry.hdr, decisions)
     result.report["warnings"] += [lights.warning for lights in unlike]
-    if not photometry.hdr:
-        quality = PhotoQuality.of(observations)
+    if quality is not None:
         result.report["photos"] = quality.report()
         result.report["warnings"] += quality.warnings
     result.report["decisions"] = decisions.report()

@@ -1,4 +1,4 @@
-"""Do the photos show anything? Plain, black, clipped, noisy and copied ones are found, and bars around the picture.
+"""Do the photos show anything? Plain, black, clipped, noisy, copied and grey ones are found, and bars around pictures.
 
 A photo without contrast fits every mesh and every response, so that a solve runs to its end and means nothing. One
 picture under several poses is as bad, and bars would be painted onto the room.
@@ -40,6 +40,8 @@ MIN_VALID = 0.02
 """Share of pixels that must be picture."""
 SAME_PICTURE = 0.5 / 255
 """Largest difference of block means of two copies of one picture."""
+GREY_DEPARTURE = 0.5 / 255
+"""Largest difference of channels of a block mean in a photo without color; noise and white balance part them by more."""
 MIN_TURN, MIN_MOVE = np.radians(1.0), 0.02
 """Turn in radians, or movement over the extent of all cameras, from which two photos cannot be one picture."""
 MIN_BAR_PHOTOS = 4
@@ -65,12 +67,14 @@ class Content:
         nothing: why it shows nothing, "" where it does.
         means: (h, w, 3) float32 means of blocks of ``block`` x ``block`` pixels of the file, NaN without picture.
         flat: (h, w) blocks whose pixels all have one colour.
+        grey: whether the channels are one, as in a photo that was made black and white.
     """
 
     nothing: str
     means: NDArray[np.float32]
     flat: NDArray[np.bool_]
     block: int
+    grey: bool
 
 
 def showing_something(
@@ -107,6 +111,7 @@ def showing_something(
         warnings.append(f"{said}, and are left out: {_some(names)}")
         left = [k for rank, k in enumerate(left) if rank not in set(copies)]
     kept = [views[k] for k in left]
+    warnings += _grey(kept, [contents[k].grey for k in left])
     lossy = any(view.photo is not None and view.photo.suffix.lower() not in LOSSLESS for view in kept)
     margins = _bars([contents[k] for k in left], JPEG_BLOCK if lossy else 1, _narrowest(kept))
     if any(margins):
@@ -135,7 +140,9 @@ def content_of(view: View) -> Content:
     whole = np.ones((height, width), bool) if valid.all() else blocks(valid, np.logical_and)[..., 0]
     means = np.where(whole[..., None], blocks(values, np.add) / np.float32(side**2), np.float32(np.nan))
     flat = whole & (blocks(values, np.maximum) - blocks(values, np.minimum) < 1 / 255).all(-1)
-    return Content(_nothing(values, valid, means, side, pixels.hdr), means, flat, side * shrink)
+    grey = bool(np.nanmax(np.ptp(means, axis=-1), initial=0.0) < GREY_DEPARTURE)
+    nothing = _nothing(values, valid, means, side, pixels.hdr)
+    return Content(nothing=nothing, means=means, flat=flat, block=side * shrink, grey=grey)
 
 
 def _pixels(view: View) -> tuple[PhotoPixels, int]:
@@ -185,6 +192,19 @@ def _is_white_noise(values: NDArray[np.float32], means: NDArray[np.float32], sid
     grey -= grey.mean()
     along = float((grey[:, 1:] * grey[:, :-1]).mean()), float((grey[1:] * grey[:-1]).mean())
     return max(along) < WHITE_CORRELATION * float((grey**2).mean())
+
+
+def _grey(views: Sequence[View], grey: Sequence[bool]) -> list[str]:
+    """A warning where photos have no color."""
+    names = [view.name for view, one in zip(views, grey, strict=True) if one]
+    if not names:
+        return []
+    if len(names) == len(views):
+        return ["no photo has color, so that materials and lamps will be grey: export the photos in color"]
+    return [
+        f"{len(names)} of {len(views)} photos have no color and make materials and lamps paler than they are: "
+        f"export them in color, or leave them out: {_some(names)}"
+    ]
 
 
 def _copies(views: Sequence[View], contents: Sequence[Content]) -> list[int]:

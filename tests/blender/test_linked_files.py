@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 import pytest
 
+from iris_addon.base.errors import BadInput
 from iris_addon.base.images import write_png
 from iris_addon.blender.images import read_image
 from iris_addon.blender.insert.linked_files import PortableCopy, write_portable
@@ -125,3 +126,19 @@ def test_what_stays_where_it_lies_is_named_by_its_whole_path_in_the_copy(studio:
     bpy.ops.wm.open_mainfile(filepath=str(copy.blend))
     (kept,) = (thing for thing in bpy.data.objects if "cache" in thing.modifiers)
     assert bpy.path.abspath(kept.modifiers["cache"].filepath) == str(studio / "wind.mdd")
+
+
+def test_nothing_is_written_through_a_link_in_the_bundle(studio: Path) -> None:
+    """A bundle that came from elsewhere may hold links to folders and files of whoever exports into it."""
+    own = studio.parent / "own"
+    own.mkdir()
+    inside = studio.parent / "bundle" / "shot.files"
+    inside.mkdir(parents=True)
+    (inside / "plate").symlink_to(own, target_is_directory=True)
+    with pytest.raises(BadInput, match="is a link") as caught:
+        written(studio)
+    assert str(inside / "plate") in str(caught.value) and not list(own.iterdir())
+    (inside / "plate").unlink()
+    (inside / "wood.png").symlink_to(studio / "wood.png")
+    written(studio)
+    assert not (inside / "wood.png").is_symlink(), "the bundle has a link where a file belongs"

@@ -81,6 +81,20 @@ def test_photos_that_show_something_go_on_without_the_rest(tmp_path: Path) -> No
         read_capture(root, strict=True)
 
 
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_photos_without_color_are_named(suffix: str, tmp_path: Path) -> None:
+    def grey(pixels: np.ndarray, index: int, count: int) -> np.ndarray:
+        return np.repeat(pixels.mean(-1, keepdims=True).astype(np.uint8), 3, axis=-1) if index < count else pixels
+
+    all_grey = changed(tmp_path / "all", lambda pixels, index: grey(pixels, index, 8), suffix=suffix)
+    (said,) = [text for text in read_capture(all_grey).warnings if "color" in text]
+    assert said.startswith("no photo has color") and "export the photos in color" in said
+    some = changed(tmp_path / "some", lambda pixels, index: grey(pixels, index, 2), suffix=suffix)
+    (said,) = [text for text in read_capture(some).warnings if "color" in text]
+    assert said.startswith("2 of 8 photos have no color") and "000_0001" in said
+    assert not [text for text in read_capture(demo_capture(tmp_path / "as it is").save()).warnings if "color" in text]
+
+
 def test_two_copies_are_left_out(tmp_path: Path) -> None:
     kept: dict[int, np.ndarray] = {}
 

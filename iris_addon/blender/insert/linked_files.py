@@ -16,7 +16,7 @@ from pathlib import Path
 
 import bpy
 
-from ...base.files import atomic_write, files_beside, require_own_folder
+from ...base.files import atomic_write, files_beside, is_own_file, require_own_folder
 from ..apply.scene_files import write_whole
 
 KINDS = ("images", "movieclips", "sounds", "fonts", "volumes", "cache_files", "libraries")
@@ -68,12 +68,13 @@ def write_portable(scene: bpy.types.Scene, blend: Path) -> PortableCopy:
     """Write ``scene`` as ``blend`` for the command ``composite`` on another machine.
 
     Raises:
-        BadInput: the folder of its files is a link.
+        BadInput: the folder of its files, or one in it, is a link.
         IrisError: a file cannot be written.
     """
     links, folder = _links(scene), files_beside(blend)
-    require_own_folder(folder)
     placed = _mirrored(links.all | set(links.direct.values()))
+    for inside in sorted({folder, *(folder / above for path in placed.values() for above in path.parents)}):
+        require_own_folder(inside)
     copied = {source: folder / placed[source] for source in sorted(links.all)}
     for source, target in copied.items():
         _copy(source, target)
@@ -165,7 +166,7 @@ def _mirrored(files: Iterable[Path]) -> dict[Path, Path]:
 
 def _copy(source: Path, target: Path) -> None:
     """Copy a file, unless it is there already, of the same size and time."""
-    if target.is_file():
+    if is_own_file(target):
         given, there = source.stat(), target.stat()
         if given.st_size == there.st_size and abs(given.st_mtime - there.st_mtime) < SAME_TIME:
             return
