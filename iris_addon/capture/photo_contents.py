@@ -41,7 +41,7 @@ MIN_VALID = 0.02
 SAME_PICTURE = 0.5 / 255
 """Largest difference of block means of two copies of one picture."""
 GREY_DEPARTURE = 0.5 / 255
-"""Largest difference of channels of a block mean in a photo without color; noise and white balance part them by more."""
+"""Largest difference of channels of a block mean in a photo without color; noise and white balance make it larger."""
 MIN_TURN, MIN_MOVE = np.radians(1.0), 0.02
 """Turn in radians, or movement over the extent of all cameras, from which two photos cannot be one picture."""
 MIN_BAR_PHOTOS = 4
