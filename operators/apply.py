@@ -2,45 +2,41 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
 
 from ..iris_addon.base.errors import IrisError
 from ..iris_addon.blender.apply.looks import forget_looks, keep_states
-from ..iris_addon.blender.apply.on_objects import APPLIED, FaceRun, apply_to_objects, restore
+from ..iris_addon.blender.apply.on_objects import APPLIED, FaceRun, apply_steps, restore
 from ..iris_addon.blender.apply.photo_cameras import move_to_solved_poses
-from ..iris_addon.blender.images import read_image
+from ..iris_addon.blender.images import read_pixels
 from ..iris_addon.blender.scene_in.capture_objects import show_instead
 from ..iris_addon.blender.scene_in.scene_capture import read_face_runs, whole_object
 from ..iris_addon.blender.scene_out.lights import lamp_materials
 from ..iris_addon.blender.scene_out.materials import LAMP_ID
+from ..iris_addon.blender.stepwise import Steps, in_thread_asking
 from ..iris_addon.edits.light_units import flux
-from ..iris_addon.results.folder import load_result
+from ..iris_addon.results.folder import ReadImage, load_result
 from ..iris_addon.results.result import Result
 from .editors import view_shadings
 from .folders import folder, result_key
+from .modal_steps import InSteps
 from .polls import NeedsResult
-from .wait_cursor import wait_cursor
 
 
-class IRIS_OT_apply(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's naming
+class IRIS_OT_apply(NeedsResult, InSteps, bpy.types.Operator):  # noqa: N801 - Blender's naming
     """Give the objects the recovered materials and lights; what they have now is kept and can be restored"""
 
     bl_idname = "iris.apply"
     bl_label = "Apply"
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Apply the result."""
-        scene = context.scene
-        try:
-            with wait_cursor(context):  # decoding and packing large textures takes seconds
-                result = load_result(folder(scene), read_image=read_image)
-                runs = face_runs(scene)
-                changed = apply_to_objects(result, runs, scene, result_key(scene))
-        except IrisError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        if not changed:
+    def steps(self, context: bpy.types.Context) -> Steps[set[str]]:
+        """Read the result, make meshes and materials of it, and give them to the objects."""
+        scene, out, key = context.scene, folder(context.scene), result_key(context.scene)
+        result = yield from load_steps(out)
+        if not (yield from apply_steps(result, face_runs(scene), scene, key)):
             self.report({"INFO"}, "This result is applied already")
             return {"FINISHED"}
         list_lamps(scene, result)
@@ -73,6 +69,15 @@ class IRIS_OT_restore(bpy.types.Operator):  # noqa: N801 - Blender's naming
         context.scene.iris.lamps.clear()
         self.report({"INFO"}, f"Restored {count} objects")
         return {"FINISHED"}
+
+
+def load_steps(folder: Path) -> Steps[Result]:
+    """The result in ``folder``, read in a thread but for its images, which Blender reads; raises BadInput."""
+
+    def load(read: ReadImage) -> Result:
+        return load_result(folder, read_image=read)
+
+    return in_thread_asking(load, read_pixels, "reading the files")
 
 
 def face_runs(scene: bpy.types.Scene) -> list[FaceRun]:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import bpy
@@ -19,11 +19,12 @@ from ..iris_addon.blender.scene_in.capture_objects import (
     Inspected,
     add_capture,
     hide_startup_objects,
-    read_inspected,
+    inspected_steps,
     refresh_capture,
 )
 from ..iris_addon.blender.scene_in.scene_capture import read_view_cameras, write_scene_capture
 from ..iris_addon.blender.scene_in.solved_demo import CAPTURE as CAPTURE_OF_DEMO
+from ..iris_addon.blender.stepwise import Steps, finish
 from ..iris_addon.blender.worker import jobs
 from ..iris_addon.blender.worker.jobs import inspect_command
 from .editors import show_cameras
@@ -130,12 +131,15 @@ class IRIS_OT_add_capture(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Read the folder of the check and create its objects."""
-        scene = context.scene
+        scene, where = context.scene, inspection_folder(context.scene)
         settings = scene.iris
+        mesh = None
         try:
-            inspected = read_inspected(inspection_folder(scene))
-            cameras = self._cameras(scene, inspected)
+            inspected, mesh = _prepared.pop(where, None) or finish(_read_steps(scene, where))
+            cameras = self._cameras(scene, inspected, mesh)
         except IrisError as error:
+            if mesh is not None:
+                bpy.data.meshes.remove(mesh)
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         _fill(settings, inspected, cameras)
@@ -144,25 +148,37 @@ class IRIS_OT_add_capture(bpy.types.Operator):  # noqa: N801 - Blender's naming
         self.report({"INFO"}, f"{inspected.name}: {len(inspected.views)} photos")
         return {"FINISHED"}
 
-    def _cameras(self, scene: bpy.types.Scene, inspected: Inspected) -> list[bpy.types.Object | None]:
+    def _cameras(
+        self, scene: bpy.types.Scene, inspected: Inspected, mesh: bpy.types.Mesh | None
+    ) -> list[bpy.types.Object | None]:
         """The camera of each photo: the artist's own, that of the present room, or of a room that is added."""
         settings = scene.iris
         if settings.source == "SCENE":
             objects = read_view_cameras(folder(scene))
             return [scene.objects.get(objects.get(view.name, "")) for view in inspected.views]
+        assert mesh is not None
         if not _shows(settings.room, settings.capture, scene):
             if settings.room is not None:
                 _hide_capture(settings.room)
-            settings.room, cameras = add_capture(inspected, scene)
+            settings.room, cameras = add_capture(inspected, mesh, scene)
             settings.room[CAPTURE] = settings.capture
             hidden = hide_startup_objects(scene)
             if hidden:
                 self.report({"INFO"}, f"Hidden, they would stand in the room: {', '.join(hidden)} of the start-up file")
             return [*cameras]
-        cameras = refresh_capture(inspected, scene, settings.room)
+        cameras = refresh_capture(inspected, mesh, scene, settings.room)
         if APPLIED not in scene:  # a result of another mesh was removed
             settings.lamps.clear()
         return [*cameras]
+
+
+_prepared: dict[Path, tuple[Inspected, bpy.types.Mesh | None]] = {}
+"""What the next operator adds, by the folder of the check."""
+
+
+def _read_steps(scene: bpy.types.Scene, folder: Path) -> Steps[tuple[Inspected, bpy.types.Mesh | None]]:
+    """Read the check in ``folder``, and make a mesh of it unless the artist's own objects are the room."""
+    return inspected_steps(folder, with_mesh=bool(scene.iris.importing) or scene.iris.source != "SCENE")
 
 
 def import_from(operator: bpy.types.Operator, context: bpy.types.Context, path: Path, result: str = "") -> set[str]:
@@ -222,14 +238,27 @@ def _start_inspection(
     """Inspect ``capture`` into ``target``, then ``commit`` it to the settings of the scene and add it."""
     name, job = context.scene.name, check_folder(context.scene)
 
-    def ended(record: jobs.Record) -> None:
+    def checked() -> bpy.types.Scene | None:
         # Another file may be open by now; it finds the check by its folder.
-        scene = bpy.data.scenes.get(name) if record.state == "done" else None
-        if scene is None or check_folder(scene) != job:
+        scene = bpy.data.scenes.get(name)
+        return scene if scene is not None and check_folder(scene) == job else None
+
+    def ended(record: jobs.Record) -> Iterator[str]:
+        scene = checked() if record.state == "done" else None
+        if scene is None:
             return
+        try:
+            prepared = yield from _read_steps(scene, target)
+        except ReferenceError:  # what was made of it has been undone meanwhile
+            prepared = None
+        scene = checked()
+        if scene is None:
+            return
+        prepared = prepared or finish(_read_steps(scene, target))
         settings = scene.iris
         before = {name: getattr(settings, name) for name in ("source", "capture", "result", "importing")}
         commit(settings)
+        _prepared[inspection_folder(scene)] = prepared
         try:
             with bpy.context.temp_override(**_window_of(scene)):
                 bpy.ops.iris.add_capture("EXEC_DEFAULT", True)
@@ -237,6 +266,8 @@ def _start_inspection(
             for key, value in before.items():
                 setattr(settings, key, value)
             raise IrisError(str(error).strip().removeprefix("Error: "), "check the capture again") from error
+        finally:
+            _prepared.clear()
 
     try:
         require_own_folder(target)

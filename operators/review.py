@@ -5,20 +5,24 @@
 from __future__ import annotations
 
 import bpy
+import numpy as np
+from numpy.typing import NDArray
 
 from ..iris_addon.base.errors import IrisError
 from ..iris_addon.blender.apply.review import curve_image, review_image, reviewed_views, show_confidence
-from ..iris_addon.blender.apply.suggested_photos import forget_suggested, suggest_photos
+from ..iris_addon.blender.apply.suggested_photos import forget_suggested, suggest_steps
 from ..iris_addon.blender.camera import read_camera
-from ..iris_addon.blender.images import read_image
+from ..iris_addon.blender.images import read_pixels
 from ..iris_addon.blender.scene_in.capture_objects import photo_of, show_instead
-from ..iris_addon.results.folder import read_coverage
+from ..iris_addon.blender.stepwise import Steps, in_thread_asking
+from ..iris_addon.model.capture import Mesh
+from ..iris_addon.results.folder import ReadImage, read_coverage
 from ..iris_addon.results.records import read_response
 from .apply import face_runs
 from .editors import show_in_editor, view_shadings
 from .folders import folder
+from .modal_steps import InSteps
 from .polls import NeedsApplied, NeedsResult
-from .wait_cursor import wait_cursor
 
 
 class IRIS_OT_review(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -102,7 +106,7 @@ class IRIS_OT_confidence(bpy.types.Operator):  # noqa: N801 - Blender's naming
         return {"FINISHED"}
 
 
-class IRIS_OT_next_photos(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
+class IRIS_OT_next_photos(NeedsApplied, InSteps, bpy.types.Operator):  # noqa: N801 - Blender's naming
     """Place up to five cameras in the room, from where one sees most of what the photos show seldom or never. Take
     photos there, and solve again. Pressed again, the cameras go"""
 
@@ -114,20 +118,19 @@ class IRIS_OT_next_photos(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Ble
         name="Show", description="Place the cameras, or remove them", default=True, options={"SKIP_SAVE"}
     )
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def steps(self, context: bpy.types.Context) -> Steps[set[str]]:
         """Place the cameras, or remove them."""
-        scene = context.scene
+        scene, out = context.scene, folder(context.scene)
         if not self.on:
             forget_suggested(scene)
             return {"FINISHED"}
-        try:
-            taken = [read_camera(scene, view.camera) for view in scene.iris.views if view.camera is not None]
-            with wait_cursor(context):  # a search tree of the room is built, and some hundred thousand rays traced
-                room = read_coverage(folder(scene), read_image)
-                found = suggest_photos(room, face_runs(scene), scene, taken)
-        except IrisError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        taken = [read_camera(scene, view.camera) for view in scene.iris.views if view.camera is not None]
+
+        def read(read_image: ReadImage) -> tuple[Mesh, NDArray[np.float32], tuple[float, float, float]]:
+            return read_coverage(out, read_image)
+
+        room = yield from in_thread_asking(read, read_pixels, "reading the files")
+        found = yield from suggest_steps(room, face_runs(scene), scene, taken)
         if not found:
             self.report({"INFO"}, "The photos show all that can be seen from where people stand")
             return {"CANCELLED"}

@@ -5,7 +5,8 @@
 from __future__ import annotations
 
 import atexit
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Iterator
 from pathlib import Path
 from typing import get_args
 
@@ -17,8 +18,10 @@ from ..iris_addon.blender.worker import jobs
 from . import status_bar
 from .editors import show_in_editor
 from .folders import job_folder
+from .modal_steps import busy
 
-TICK_SECONDS = 0.1
+TICK_SECONDS, STEP_TICK_SECONDS = 0.1, 0.01
+"""Between two looks at the jobs; the second while one of them ends in steps."""
 MAX_LOG_BYTES, SHOWN_LOG_BYTES = 1 << 40, 1_000_000
 
 
@@ -27,20 +30,20 @@ def run(
     name: jobs.JobName,
     folder: Path,
     command: list[str],
-    on_end: Callable[[jobs.Record], None] = lambda record: None,
+    on_end: jobs.OnEnd = lambda record: None,
 ) -> set[str]:
     """Start a job for ``operator``; with a window return at once, in background wait for its end.
 
     Args:
-        on_end: called once in any case, also for a job that cannot start.
+        on_end: called once in any case, also for a job that cannot start; see :class:`jobs.Job`.
 
     Returns:
         The result of the operator.
     """
 
-    def ended(record: jobs.Record) -> None:
+    def ended(record: jobs.Record) -> Iterator[object]:
         try:
-            on_end(record)
+            yield from on_end(record) or ()
         except IrisError as error:
             status_bar.ended(job, jobs.Record("failed", error.what, error.fix))
             raise
@@ -49,7 +52,7 @@ def run(
     try:
         job = jobs.start(name, folder, command, ended)
     except IrisError as error:
-        on_end(jobs.Record("failed", error.what, error.fix))
+        deque(on_end(jobs.Record("failed", error.what, error.fix)) or (), maxlen=0)
         operator.report({"ERROR"}, str(error))
         return {"CANCELLED"}
     if not bpy.app.background:
@@ -67,10 +70,13 @@ def run(
 
 
 def _tick() -> float | None:
-    if jobs.poll():
+    if not busy() and jobs.poll():
         redraw_sidebars()
     changes = status_bar.redraw()
-    return TICK_SECONDS if changes or any(True for _ in jobs.all_running()) else None
+    running = list(jobs.all_running())
+    if any(job.ending is not None for job in running):
+        return STEP_TICK_SECONDS
+    return TICK_SECONDS if changes or running else None
 
 
 def redraw_sidebars() -> None:

@@ -77,12 +77,24 @@ def image_from_array(
 
     A byte image keeps [0, 1] to 1/510; a float image keeps half precision when it is packed into a .blend.
     """
-    height, width = values.shape[:2]
+    return image_from_pixels(name, pixels_of(values), colorspace=colorspace, float_buffer=float_buffer)
+
+
+def pixels_of(values: NDArray[np.floating]) -> NDArray[np.float32]:
+    """(H, W, 4) as Blender keeps them, row 0 at the bottom, of ``values`` (H, W) or (H, W, 3); does not use bpy."""
+    pixels = np.ones((*values.shape[:2], 4), np.float32)
+    pixels[..., :3] = values[::-1, :, None] if values.ndim == 2 else values[::-1]
+    return pixels
+
+
+def image_from_pixels(
+    name: str, pixels: NDArray[np.float32], *, colorspace: str = DATA, float_buffer: bool = False
+) -> bpy.types.Image:
+    """Like :func:`image_from_array`, from what :func:`pixels_of` gives."""
+    height, width = pixels.shape[:2]
     image = bpy.data.images.new(name, width, height, alpha=False, float_buffer=float_buffer)
     image.colorspace_settings.name = colorspace
     image.use_half_precision = True
-    pixels = np.ones((height, width, 4), np.float32)
-    pixels[..., :3] = values[::-1, :, None] if values.ndim == 2 else values[::-1]
     image.pixels.foreach_set(pixels.ravel())
     image.update()
     return image

@@ -47,7 +47,8 @@ class _Element:
 
 
 def read_ply(path: Path) -> Mesh:
-    """The triangles of a PLY file in file order, with per-corner UVs where its vertices or faces have them.
+    """The triangles of a PLY file in file order, with per-corner UVs where its vertices or faces have them; regions are
+    the "material_index" of its faces.
 
     Raises:
         BadInput: it has points and no faces.
@@ -66,7 +67,7 @@ def read_ply(path: Path) -> Mesh:
     if len(corners) and (corners.min() < 0 or corners.max() >= len(vertices)):
         raise IndexError("faces name vertices that it does not have")
     at = triangulate(vertices, corners, counts)
-    return Mesh(vertices, corners[at], _uv(vertex, face, corners, counts, at))
+    return Mesh(vertices, corners[at], _uv(vertex, face, corners, counts, at), _regions(face, counts))
 
 
 def _uv(vertex: dict, face: dict, corners: NDArray, counts: NDArray, at: NDArray) -> NDArray[np.float32] | None:
@@ -77,6 +78,15 @@ def _uv(vertex: dict, face: dict, corners: NDArray, counts: NDArray, at: NDArray
         if u in vertex and v in vertex:
             return texture_coordinates(np.stack([vertex[u], vertex[v]], -1))[corners[at]]
     return None
+
+
+def _regions(face: dict, counts: NDArray[np.int64]) -> NDArray[np.int32] | None:
+    """(F,) labels of the triangles, in order of first appearance; None where no material or one is named."""
+    if "material_index" not in face or isinstance(face["material_index"], tuple):
+        return None
+    named = np.repeat(np.asarray(face["material_index"]), np.maximum(counts - 2, 0))
+    _, first, label = np.unique(named, return_index=True, return_inverse=True)
+    return np.argsort(np.argsort(first))[label].astype(np.int32) if len(first) > 1 else None
 
 
 def _header(file: BinaryIO) -> tuple[str, list[_Element]]:

@@ -27,7 +27,7 @@ from . import steps
 from .icons import picture, swatch
 from .photo_list import draw_list
 from .steps import ICONS, Step
-from .widgets import job_box, paragraph, preview_box
+from .widgets import job_box, paragraph, preview_box, sentence
 from .wipe import wiped_photo
 
 UNSURE = 0.2
@@ -111,9 +111,11 @@ class IRIS_PT_data(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         column.operator("iris.import_demo", icon="HOME")
         if settings.views:
             known = sum(view.exposure > 0 for view in settings.views)
-            exposures = "all known" if known == len(settings.views) else f"{known} known, all are estimated"
+            exposures = {0: "estimated", len(settings.views): "all known"}.get(
+                known, f"{known} known, all are estimated"
+            )
             column = layout.column(align=True)
-            column.label(text=f"{len(settings.views)} photos; exposures: {exposures}")
+            paragraph(column, f"{len(settings.views)} photos; exposures: {exposures}", context)
             if settings.room is not None:
                 column.label(text=f"{len(settings.room.data.polygons)} faces in {settings.room.name}")
             if settings.source == "CAPTURE":
@@ -255,7 +257,7 @@ def _figures(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         paragraph(layout, str(error), context, "ERROR")
         return
     for warning in report.get("warnings") or ():
-        paragraph(layout, str(warning), context, "ERROR")
+        paragraph(layout, sentence(str(warning)), context, "ERROR")
     header, body = layout.panel("IRIS_PT_model", default_closed=True)
     psnr = report.get("holdout_psnr")
     header.label(text="Model" if psnr is None else f"Model: {psnr:.1f} dB on held-out pixels")
@@ -292,8 +294,11 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
             row.operator("iris.own_look", text=name).name = name
             row.operator("iris.forget_look", text="", icon="X").name = name
         grid.operator("iris.save_look", icon="ADD")
-        layout.template_list("IRIS_UL_lamps", "", settings, "lamps", settings, "lamp_index", rows=4)
-        _chosen_lamp(layout, scene)
+        if settings.lamps:
+            layout.template_list("IRIS_UL_lamps", "", settings, "lamps", settings, "lamp_index", rows=4)
+            _chosen_lamp(layout, scene)
+        else:
+            paragraph(layout, "No lamp was recovered", context, "INFO")
         outside = sky_strength(scene.world)
         if not has_outside(scene):
             text = "No light from outside was recovered; a window that shines is a lamp"

@@ -26,6 +26,11 @@ def paragraph(layout: bpy.types.UILayout, text: str, context: bpy.types.Context,
         column.label(text=line, icon=icon if number == 0 else "BLANK1" if icon != "NONE" else "NONE")
 
 
+def sentence(text: str) -> str:
+    """``text`` with a capital letter first, as the command line has none; names in it keep theirs."""
+    return text[:1].upper() + text[1:]
+
+
 def job_box(layout: bpy.types.UILayout, name: jobs.JobName, context: bpy.types.Context) -> None:
     """Progress bars and Cancel while a job runs; reason, fix, Copy and Log if it failed; the folder of frames or
     of a bundle that it wrote; nothing without a job."""
@@ -55,7 +60,7 @@ def job_box(layout: bpy.types.UILayout, name: jobs.JobName, context: bpy.types.C
         layout.operator("iris.show_log", icon="TEXT").job = name
     elif name in WROTE_FOLDER and (wrote := jobs.ended_here(name, where)).state == "done" and wrote.what:
         if wrote.fix:
-            paragraph(layout, wrote.fix.capitalize(), context, "ERROR")
+            paragraph(layout, sentence(wrote.fix), context, "ERROR")
         opened = layout.operator("wm.path_open", text=f"Open {Path(wrote.what).name}", icon="FILE_FOLDER")
         opened.filepath = wrote.what
 

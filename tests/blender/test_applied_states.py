@@ -106,6 +106,20 @@ def test_lights_that_were_changed_stay_and_the_photographed_room_has_none_of_it(
     assert light(scene).max() < 1e-3
 
 
+@pytest.mark.parametrize("look", ["BLACKOUT", "LAMPS"])
+def test_a_look_without_light_from_outside_keeps_the_sun_of_another_state_out(look: str):
+    result = house()
+    day, dusk, night = result.light_states
+    scene = applied(replace(result.in_state("night"), light_states=(night, day, dusk)))
+    with in_light_state(scene, "day"):
+        assert light(scene)[0] > 0.1
+    set_look(scene, look)
+    with in_light_state(scene, "day"):
+        assert light(scene).max() < 1e-3
+    with in_light_state(scene, "day", everything=True), as_photographed(scene):
+        assert light(scene)[0] > 0.1
+
+
 def test_a_sun_that_was_removed_does_not_rise_again():
     scene = applied(house())
     set_look(scene, "LAMPS")

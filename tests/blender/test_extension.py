@@ -377,9 +377,9 @@ def test_a_scene_is_solved_on_its_own_objects(package, tmp_path, worker, nerfstu
     bpy.ops.iris.apply()
     assert len(scene.iris.lamps) == 1 and room.data.name.endswith("IRIS")
     # Solved again as it was, not in its new dress.
-    written = (Path(scene.iris.result) / "capture" / "mesh.obj").read_bytes()
+    written = (Path(scene.iris.result) / "capture" / "mesh.ply").read_bytes()
     bpy.ops.iris.solve()
-    assert (Path(scene.iris.result) / "capture" / "mesh.obj").read_bytes() == written
+    assert (Path(scene.iris.result) / "capture" / "mesh.ply").read_bytes() == written
     bpy.ops.iris.apply()
     bpy.ops.iris.restore()
     """

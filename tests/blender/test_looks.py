@@ -82,6 +82,13 @@ def test_without_light_from_outside_only_looks_that_differ_are_offered():
     assert list(offered_looks(built.scene)) == ["PHOTOGRAPHED", "BLACKOUT"]
 
 
+def test_without_lamps_only_looks_that_differ_are_offered():
+    built = lit()
+    for material in lamp_materials(built.scene.objects):
+        bpy.data.materials.remove(material)
+    assert list(offered_looks(built.scene)) == ["PHOTOGRAPHED", "EVENING", "BLACKOUT"]
+
+
 def test_what_was_photographed_has_the_sun_even_while_a_look_hides_it():
     built = lit()
     photographed = floor(built)

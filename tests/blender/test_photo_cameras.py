@@ -11,7 +11,15 @@ from iris_addon.base.images import write_png
 from iris_addon.blender.apply.on_objects import FaceRun, apply_to_objects, restore
 from iris_addon.blender.apply.photo_cameras import move_to_solved_poses
 from iris_addon.blender.camera import read_camera
-from iris_addon.blender.scene_in.capture_objects import Inspected, InspectedView, add_capture, refresh_capture
+from iris_addon.blender.scene_in.capture_objects import (
+    Inspected,
+    InspectedView,
+    add_capture,
+    photo_of,
+    refresh_capture,
+    show_instead,
+)
+from iris_addon.blender.scene_out.build import plain_mesh
 from iris_addon.model.corrections import CameraCorrection, PoseCorrections, rigid
 from tests.blender_room import camera, room
 
@@ -46,7 +54,7 @@ def imported(tmp_path: Path):
     )
     inspected = Inspected(name="room", up=(0.0, 1.0, 0.0), warnings=(), views=views, mesh=room().mesh)
     scene = bpy.context.scene
-    thing, cameras = add_capture(inspected, scene)
+    thing, cameras = add_capture(inspected, plain_mesh(inspected.mesh, "room"), scene)
     yield inspected, scene, thing, dict(zip("ab", cameras, strict=True))
     del bpy.types.Camera.iris_exposure, bpy.types.Camera.iris_light_state
 
@@ -88,11 +96,32 @@ def test_a_result_without_corrected_poses_moves_no_camera(imported):
     assert [thing.matrix_basis for thing in cameras.values()] == places
 
 
+def test_backgrounds_of_the_artist_stay_whatever_is_shown_in_place_of_the_photo(imported):
+    camera = imported[3]["a"]
+    photo, backgrounds = photo_of(camera), camera.data.background_images
+    own = backgrounds.new()
+    own.image, own.alpha = bpy.data.images.new("a sketch", 4, 4), 0.25
+    render, error = (bpy.data.images.new(name, 4, 4) for name in ("render", "error"))
+    for image in (render, error):
+        show_instead(camera, image)
+        assert [behind.image for behind in backgrounds] == [photo, own.image, image]
+        assert [behind.show_background_image for behind in backgrounds] == [False, True, True]
+    for _ in range(2):
+        show_instead(camera, None)
+        assert [(behind.image, behind.show_background_image) for behind in backgrounds] == [
+            (photo, True),
+            (own.image, True),
+        ]
+    assert own.alpha == 0.25
+
+
 def test_cameras_read_again_forget_their_given_poses(imported):
     inspected, scene, thing, cameras = imported
     move_to_solved_poses(corrected(inspected)[0], cameras, scene)
     elsewhere = replace(inspected.views[0], camera=camera(position=(0.0, 0.2, 0.9)))
-    refresh_capture(replace(inspected, views=(elsewhere, inspected.views[1])), scene, thing)
+    refresh_capture(
+        replace(inspected, views=(elsewhere, inspected.views[1])), plain_mesh(inspected.mesh, "room"), scene, thing
+    )
     restore(scene)
     assert np.allclose(np.array(cameras["a"].matrix_basis)[:3, 3], (0.0, 0.2, 0.9))
 
@@ -100,7 +129,7 @@ def test_cameras_read_again_forget_their_given_poses(imported):
 def test_cameras_that_were_read_in_metres_are_not_scaled_again(imported) -> None:
     """Both the check and the solve had ``--metres-per-unit 2``."""
     inspected, scene, thing, cameras = imported
-    refresh_capture(replace(inspected, metres_per_unit=2.0), scene, thing)
+    refresh_capture(replace(inspected, metres_per_unit=2.0), plain_mesh(inspected.mesh, "room"), scene, thing)
     result = replace(room(), report={"metres_per_unit": 2.0})
     before = [np.array(thing.matrix_basis) for thing in cameras.values()]
     assert move_to_solved_poses(result, cameras, scene) == 0

@@ -249,7 +249,7 @@ def test_links_in_an_untrusted_folder_are_not_followed(tmp_path):
     victim.write_text("precious")
     job = tmp_path / "job"
     (job / "capture").mkdir(parents=True)
-    for name in ("scene_map.json", "capture/mesh.obj", "capture/transforms.json"):
+    for name in ("scene_map.json", "capture/mesh.ply", "capture/transforms.json"):
         (job / name).symlink_to(victim)
     write_scene_capture(bpy.context.scene, bpy.context.evaluated_depsgraph_get(), job)
     assert victim.read_text() == "precious"

@@ -9,8 +9,9 @@ from mathutils import Matrix
 
 from iris_addon.blender.apply.on_objects import apply_to_objects, restore
 from iris_addon.blender.apply.review import show_confidence, shows_confidence
-from iris_addon.blender.apply.suggested_photos import COLLECTION, forget_suggested, suggest_photos
+from iris_addon.blender.apply.suggested_photos import COLLECTION, forget_suggested, suggest_steps
 from iris_addon.blender.camera import add_camera, read_camera
+from iris_addon.blender.stepwise import finish
 from iris_addon.model.capture import Camera
 from iris_addon.model.seen_classes import SEEN_CLASSES, SEEN_NEVER, SEEN_OFTEN, seen_colors
 from tests.scene_snapshot import snapshot
@@ -76,7 +77,7 @@ def test_cameras_look_at_the_wall_that_no_photo_shows_wherever_the_room_stands(s
         camera = add_camera(Camera(64, 48, 32, 32, cx=32, cy=24, c2w=pose), "photo", scene.collection)
         bpy.context.view_layer.update()
         taken.append(read_camera(scene, camera))
-    found = suggest_photos((result.mesh, coverage, (0, 0, 1)), runs, scene, taken)
+    found = finish(suggest_steps((result.mesh, coverage, (0, 0, 1)), runs, scene, taken))
     group = bpy.data.collections[COLLECTION]
     assert len(found) == len(group.objects) >= 1
     bpy.context.view_layer.update()
@@ -86,7 +87,7 @@ def test_cameras_look_at_the_wall_that_no_photo_shows_wherever_the_room_stands(s
     look = inside.to_3x3() @ (first.matrix_world.to_3x3() @ Matrix.Identity(3).col[2])
     assert look.normalized()[0] > 0.7, "away from +x, at the side x = -1"
     assert first.hide_render and tuple(first.matrix_world.to_scale()) == pytest.approx((1, 1, 1), abs=1e-5)
-    again = suggest_photos((result.mesh, coverage, (0, 0, 1)), runs, scene, taken)
+    again = finish(suggest_steps((result.mesh, coverage, (0, 0, 1)), runs, scene, taken))
     assert len(again) == len(bpy.data.collections[COLLECTION].objects) == len(found)
     for camera in [thing for thing in scene.objects if thing.name.startswith("photo")]:
         bpy.data.objects.remove(camera)

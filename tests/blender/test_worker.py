@@ -140,6 +140,37 @@ def test_a_job_tells_the_folder_it_wrote_and_what_to_look_at_and_no_record_on_di
     assert jobs.ended_here("plate", out) == jobs.MISSING
 
 
+def test_a_job_whose_end_takes_steps_runs_until_the_last_of_them(tmp_path):
+    taken = []
+
+    def end(record):
+        for step in range(3):
+            taken.append((record.state, step))
+            yield step
+
+    job = jobs.start("inspect", tmp_path, python(SPEAK), end)
+    until(lambda: (jobs.poll(), bool(taken))[1])
+    assert taken == [("done", 0)] and jobs.record("inspect", tmp_path).state == "running"
+    assert jobs.running("inspect", tmp_path) is job
+    assert not jobs.poll() and not jobs.poll() and len(taken) == 3  # nothing that a panel shows has changed
+    assert jobs.poll() and not list(jobs.all_running()) and len(taken) == 3
+    assert jobs.record("inspect", tmp_path).state == "done"
+
+
+@pytest.mark.parametrize("waited", [False, True])
+def test_a_job_fails_by_any_step_of_its_end(tmp_path, waited):
+    def end(_record):
+        yield
+        raise IrisError("damaged", "mend it")
+
+    job = jobs.start("inspect", tmp_path, python(SPEAK), end)
+    if waited:
+        jobs.wait(job)
+    else:
+        until(lambda: (jobs.poll(), not list(jobs.all_running()))[1])
+    assert jobs.record("inspect", tmp_path) == jobs.Record("failed", "damaged", "mend it")
+
+
 def test_a_record_of_a_blender_that_was_killed_says_so(tmp_path):
     (tmp_path / "job-solve.json").write_text(json.dumps({"state": "running", "what": "", "fix": ""}))
     record = jobs.record("solve", tmp_path)

@@ -68,6 +68,31 @@ def test_concave_polygons_and_holes_keep_their_area(room_file: Path) -> None:
     assert areas[per_polygon[0] : per_polygon[0] + per_polygon[1]].sum() == pytest.approx(3)
 
 
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian"])
+def test_the_material_of_a_polygon_is_the_region_of_its_triangles(tmp_path: Path, form: str) -> None:
+    write_ply(tmp_path / "a.ply", form)
+    content = (tmp_path / "a.ply").read_bytes().replace(b"property uchar flag", b"property uchar material_index")
+    (tmp_path / "a.ply").write_bytes(content)
+    assert read_mesh(tmp_path / "a.ply")[0].regions is None  # one material
+    materials, per_polygon = [7, 3, 7, *(3 for _ in POLYGONS[3:])], [len(p) - 2 for p in POLYGONS]
+    if form == "ascii":
+        lines = content.decode().splitlines()
+        lines[-len(POLYGONS) :] = [
+            f"{line.rpartition(' ')[0]} {material}"
+            for line, material in zip(lines[-len(POLYGONS) :], materials, strict=True)
+        ]
+        (tmp_path / "a.ply").write_text("\n".join(lines) + "\n")
+    else:
+        data, end = bytearray(content), len(content)
+        for polygon, material in zip(reversed(POLYGONS), reversed(materials), strict=True):
+            data[end - 1] = material
+            end -= 1 + 4 * len(polygon) + 1
+        (tmp_path / "a.ply").write_bytes(data)
+    regions = read_mesh(tmp_path / "a.ply")[0].regions
+    assert regions is not None
+    assert regions.tolist() == np.repeat([0 if material == 7 else 1 for material in materials], per_polygon).tolist()
+
+
 def test_a_ray_through_a_window_leaves_the_room(room_file: Path) -> None:
     mesh, _ = read_mesh(room_file)
     hits = Tracer(mesh).closest(np.array([[1.5, -1, 1.5], [3.5, -1, 1.5]]), np.array([[0, 1.0, 0], [0, 1, 0]]))

@@ -134,8 +134,9 @@ def in_light_state(scene: bpy.types.Scene, name: str | None, *, everything: bool
         for material in lamp_materials(scene.objects):
             was, own = (np.array(each["lamps"].get(str(material[LAMP_ID]), (0, 0, 0))) for each in (shown, state))
             undo.enter_context(_lamp_in_state(scene, material, was, own, everything=everything))
-        removed = first["sun"] is not None and not any(map(is_recovered_sun, scene.objects))
-        if everything or not removed:
+        # Where no sun shines in the first state there is none to be dimmed: another state's is dimmed with the sky.
+        gone = first["sun"] is not None or _sky_is_changed(scene, shown["sky"])
+        if everything or not gone or any(map(is_recovered_sun, scene.objects)):
             undo.enter_context(_sun_in_state(scene, shown["sun"], state["sun"], everything=everything))
         undo.enter_context(_sky_in_state(scene, sky, shown["sky"], state["sky"], everything=everything))
         yield
@@ -208,6 +209,12 @@ def _sun_in_state(
         thing.matrix_basis = matrix
 
 
+def _sky_is_changed(scene: bpy.types.Scene, was: float) -> bool:
+    """Whether the artist has set the light from outside to another strength than ``was``."""
+    strength = sky_strength(scene[f"{SKY}0"])
+    return strength is not None and abs(strength.default_value - was) > SAME_LIGHT * max(was, TINY)
+
+
 @contextmanager
 def _sky_in_state(
     scene: bpy.types.Scene, sky: bpy.types.World, was: float, own: float, *, everything: bool
@@ -219,10 +226,10 @@ def _sky_in_state(
     if world != first or strength is None:
         yield
         return
-    before = strength.default_value
-    if not everything and abs(before - was) > SAME_LIGHT * max(was, TINY):
+    if not everything and _sky_is_changed(scene, was):
         yield
         return
+    before = strength.default_value
     strength.default_value = 1.0 if sky == first else own
     scene.world = sky
     try:

@@ -73,8 +73,12 @@ def has_outside(scene: bpy.types.Scene) -> bool:
 
 def offered_looks(scene: bpy.types.Scene) -> dict[str, Look]:
     """The looks that differ from each other in the room of ``scene``."""
-    outside = has_outside(scene)
-    return {key: look for key, look in LOOKS.items() if outside or look.outside == look.lamps}
+    outside, lamps = has_outside(scene), bool(lamp_materials(scene.objects))
+    return {
+        key: look
+        for key, look in LOOKS.items()
+        if (outside or look.outside == look.lamps) and (lamps or look.lamps == bool(look.outside))
+    }
 
 
 def solo(scene: bpy.types.Scene, lamp: bpy.types.Material) -> None:

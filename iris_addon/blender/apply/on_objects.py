@@ -9,6 +9,7 @@ Objects refer to it by custom properties, so that it is saved with the file and 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -24,11 +25,12 @@ from ...model.capture import Mesh
 from ...results.result import Result
 from ..render.light_mixing import has_separated_lamps, stop_mixing
 from ..scene_out.backdrop import add_backdrop, follow_world
-from ..scene_out.build import face_materials, plain_mesh
+from ..scene_out.build import MAKING_MESH, face_material_steps, mesh_steps, set_material_slots
 from ..scene_out.lights import RECOVERED_TURN, add_sun
-from ..scene_out.materials import UV_MAP, add_confidence
+from ..scene_out.materials import MAKING, UV_MAP, confidence_steps, discarded_on_failure, images_of
 from ..scene_out.scene_state import forget_scene, keep_scene, require_object_mode, restore_scene, show_like_the_photos
 from ..scene_out.world import make_world
+from ..stepwise import Steps, finish, in_thread
 from .applied_states import forget_light_states, has_light_states, keep_light_states
 from .camera_look import LOOK, keep_look, stop_matching
 from .photo_cameras import restore_given_poses
@@ -36,6 +38,8 @@ from .photo_cameras import restore_given_poses
 ORIGINAL_MESH, ORIGINAL, SLOT, MADE = "iris_original_mesh", "iris_original", "iris_slot_", "iris_made"
 APPLIED = "iris_applied"
 SAME_UV = 1e-5
+NUMBERED = re.compile(r"\.\d{3,}$")
+"""What Blender appends to a name that is taken."""
 
 
 @dataclass(frozen=True)
@@ -67,21 +71,54 @@ def apply_to_objects(result: Result, runs: Sequence[FaceRun], scene: bpy.types.S
     Raises:
         BadInput: the scene has changed since it was solved. Nothing was changed then.
     """
+    return finish(apply_steps(result, runs, scene, key))
+
+
+def apply_steps(result: Result, runs: Sequence[FaceRun], scene: bpy.types.Scene, key: str) -> Steps[bool]:
+    """:func:`apply_to_objects` in steps, of which only the last one changes what is in the scene."""
     if is_applied(scene, runs, key) and has_light_states(scene) == bool(result.light_states):
         return False
     objects = [_find(run, scene) for run in runs]
     require_object_mode(objects)
     if runs and runs[-1].stop != len(result.mesh.faces):
         raise BadInput("the result has other faces than the objects of this scene", "undo the edit, or solve again")
-    restore(scene)
     own_uv = _kept_uv_map(result, runs, objects)
+    yield MAKING
+    materials, slot_of_face = yield from face_material_steps(result, SceneEdit(), own_uv or UV_MAP)
+    made: list[bpy.types.ID] = [*materials]
+    with discarded_on_failure(made):
+        yield from confidence_steps(materials[0], result.textures)
+        pairs = sorted(zip(runs, objects, strict=True), key=lambda pair: pair[0].instance)
+        meshes = []
+        for run, thing in pairs:
+            data, as_solved = yield from _mesh_steps(result, run, thing, slot_of_face, own_uv)
+            made.append(data)
+            meshes.append((data, as_solved))
+            for index in np.unique(slot_of_face[run.start : run.stop]):
+                data.materials.append(materials[index])
+        for image in images_of(materials):  # unpacked images are black after undo and reload
+            image.pack()
+            yield "packing the textures"
+        restore(scene)
+    images = images_of(materials)
+    for block in (*made, *images):  # those of an earlier result, which had the names, are gone
+        block.name = NUMBERED.sub("", block.name)
+    for (run, thing), (data, as_solved) in zip(pairs, meshes, strict=True):
+        _use_mesh(run, thing, data, as_solved)
+    _light_up(result, runs, scene, key, materials)
+    for block in (*materials, *images):
+        block[MADE] = key
+    scene[APPLIED] = key
+    return True
+
+
+def _light_up(
+    result: Result, runs: Sequence[FaceRun], scene: bpy.types.Scene, key: str, materials: Sequence[bpy.types.Material]
+) -> None:
+    """World, backdrop, sun and view settings of ``scene``."""
     before = {*bpy.data.materials, *bpy.data.images}
-    materials, slot_of_face = face_materials(result, SceneEdit(), own_uv or UV_MAP)
-    add_confidence(materials[0], result.textures)
-    for run, thing in sorted(zip(runs, objects, strict=True), key=lambda pair: pair[0].instance):
-        _apply_run(result, run, thing, materials, slot_of_face, own_uv)
     keep_scene(scene)
-    to_blender = np.array(objects[0].matrix_world) @ np.linalg.inv(runs[0].to_capture)
+    to_blender = np.array(scene.objects[runs[0].object].matrix_world) @ np.linalg.inv(runs[0].to_capture)
     scene.world = make_world(result.outside, 1.0, to_blender[:3, :3] / np.cbrt(np.linalg.det(to_blender[:3, :3])))
     if result.backdrop is not None:
         shell = add_backdrop(result.backdrop, 1.0, scene.collection)
@@ -97,13 +134,11 @@ def apply_to_objects(result: Result, runs: Sequence[FaceRun], scene: bpy.types.S
     keep_look(scene, result.response, result.exposures, result.devices)
     rotation = np.array(Matrix(to_blender.tolist()).to_quaternion().to_matrix())
     skies = keep_light_states(scene, result, rotation, materials[0])
-    images = set(bpy.data.images) - before
-    for image in images:  # those of world and backdrop too: unpacked images are black after undo and reload
+    made = {*bpy.data.materials, *bpy.data.images} - before
+    for image in made.intersection(bpy.data.images):
         image.pack()
-    for made in (*images, *(set(bpy.data.materials) - before), scene.world, *skies):
-        made[MADE] = key
-    scene[APPLIED] = key
-    return True
+    for block in (*made, scene.world, *skies):
+        block[MADE] = key
 
 
 def is_applied(scene: bpy.types.Scene, runs: Sequence[FaceRun], key: str) -> bool:
@@ -151,38 +186,54 @@ def _find(run: FaceRun, scene: bpy.types.Scene) -> bpy.types.Object:
     return thing
 
 
-def _apply_run(
-    result: Result,
-    run: FaceRun,
-    thing: bpy.types.Object,
-    materials: Sequence[bpy.types.Material],
-    slot_of_face: NDArray[np.int32],
-    own_uv: str | None,
-) -> None:
+def _original_mesh(thing: bpy.types.Object) -> bpy.types.Mesh:
+    """The mesh of ``thing`` without a result."""
+    return thing.get(ORIGINAL_MESH, thing.data)
+
+
+def _has_modifiers(thing: bpy.types.Object) -> bool:
+    """Whether ``thing`` has modifiers that are on without a result."""
+    kept = json.loads(thing[ORIGINAL])["modifiers"] if ORIGINAL in thing else {}
+    return any(any(kept.get(m.name, (m.show_viewport, m.show_render))) for m in thing.modifiers)
+
+
+def _mesh_steps(
+    result: Result, run: FaceRun, thing: bpy.types.Object, slot_of_face: NDArray[np.int32], own_uv: str | None
+) -> Steps[tuple[bpy.types.Mesh, bool]]:
+    """The mesh that gives ``thing`` its share of ``result``, still without materials, and whether it has the triangles
+    that were solved in place of polygons."""
     faces = slice(run.start, run.stop)
-    used, slots = np.unique(slot_of_face[faces], return_inverse=True)
+    slots = np.zeros(slot_of_face.max(initial=0) + 1, np.int32)
+    used = np.flatnonzero(np.bincount(slot_of_face[faces]))
+    slots[used] = np.arange(len(used))
+    slots = slots[slot_of_face[faces]]
     assert result.mesh.uv is not None
     uv = result.mesh.uv[faces]
     if np.linalg.det(run.to_capture[:3, :3]) < 0:  # the winding of a mirrored object was reversed
         uv = uv[:, ::-1]
-    data = None if run.instance or thing.type != "MESH" else _textured_copy(thing, uv, slots.ravel(), own_uv)
-    as_solved = data is None
-    if data is None:
-        data = plain_mesh(_local_mesh(result.mesh, run), f"{thing.name} IRIS")
-        data.polygons.foreach_set("material_index", slots.ravel().astype(np.int32))
-    for index in used:
-        data.materials.append(materials[index])
+    data = None if run.instance or thing.type != "MESH" else _textured_copy(thing, uv, slots, own_uv)
+    yield MAKING_MESH
+    if data is not None:
+        return data, False
+    local = yield from in_thread(lambda: _local_mesh(result.mesh, run), MAKING_MESH)
+    data = yield from mesh_steps(local, f"{thing.name} IRIS")
+    set_material_slots(data, slots)
+    return data, True
+
+
+def _use_mesh(run: FaceRun, thing: bpy.types.Object, data: bpy.types.Mesh, as_solved: bool) -> None:
+    """Give ``thing`` the mesh ``data`` of :func:`_mesh_steps`."""
     data[MADE] = True
     if run.instance or thing.type != "MESH":
         _stand_in(thing, data, run)
-    else:
-        _keep_object(thing)
-        thing.data = data
-        for slot in thing.material_slots:
-            slot.link = "DATA"
-        if as_solved:
-            for modifier in thing.modifiers:
-                modifier.show_viewport = modifier.show_render = False
+        return
+    _keep_object(thing)
+    thing.data = data
+    for slot in thing.material_slots:
+        slot.link = "DATA"
+    if as_solved:
+        for modifier in thing.modifiers:
+            modifier.show_viewport = modifier.show_render = False
 
 
 def _textured_copy(
@@ -193,9 +244,9 @@ def _textured_copy(
     Returns:
         None where its polygons cannot hold them.
     """
-    if any(modifier.show_render or modifier.show_viewport for modifier in thing.modifiers):
+    if _has_modifiers(thing):
         return None
-    data = thing.data
+    data = _original_mesh(thing)
     polygon, loops = triangles_of(data)
     if len(polygon) != len(slots):
         return None
@@ -208,7 +259,7 @@ def _textured_copy(
     copy = data.copy()
     copy.name = f"{thing.name} IRIS"
     copy.materials.clear()
-    copy.polygons.foreach_set("material_index", slot_of_polygon)
+    set_material_slots(copy, slot_of_polygon)
     if own_uv is None:
         layer = copy.uv_layers.get(UV_MAP) or copy.uv_layers.new(name=UV_MAP, do_init=False)
         if layer is None:  # Blender allows eight UV maps
@@ -220,6 +271,8 @@ def _textured_copy(
 
 def triangles_of(data: bpy.types.Mesh) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Polygon (F,) and loops (F, 3) of the triangles into which Blender divides ``data``."""
+    if len(data.loops) == 3 * len(data.polygons):  # a polygon has three corners at least, so these are triangles
+        return np.arange(len(data.polygons), dtype=np.int32), np.arange(len(data.loops), dtype=np.int32).reshape(-1, 3)
     n = len(data.loop_triangles)
     polygon, loops = np.empty(n, np.int32), np.empty(3 * n, np.int32)
     data.loop_triangles.foreach_get("polygon_index", polygon)
@@ -318,12 +371,13 @@ def _kept_uv_map(result: Result, runs: Sequence[FaceRun], objects: Sequence[bpy.
     for run, thing in zip(runs, objects, strict=True):
         if run.instance or thing.type != "MESH":
             return None
-        layer = next((layer for layer in thing.data.uv_layers if layer.active_render), None)
-        _, loops = triangles_of(thing.data)
+        data = _original_mesh(thing)
+        layer = next((layer for layer in data.uv_layers if layer.active_render), None)
+        _, loops = triangles_of(data)
         assert result.mesh.uv is not None
         if layer is None or len(loops) != run.stop - run.start:
             return None
-        flat = np.empty(2 * len(thing.data.loops), np.float32)
+        flat = np.empty(2 * len(data.loops), np.float32)
         layer.uv.foreach_get("vector", flat)
         difference = flat.reshape(-1, 2)[loops] - result.mesh.uv[run.start : run.stop]
         if np.abs(difference).max(initial=0) > SAME_UV:

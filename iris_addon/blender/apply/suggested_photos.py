@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ...evaluate.next_photos import BadlySeen, SuggestedPhoto, next_photos
 from ...model.capture import Camera, HitDistance, Mesh
 from ..camera import add_camera
+from ..stepwise import Steps, in_thread
 from .on_objects import MADE, FaceRun
 
 COLLECTION = "IRIS Next Photos"
@@ -20,12 +21,12 @@ DRAWN_SIZE = 0.4
 """Meters, of the drawn frustum."""
 
 
-def suggest_photos(
+def suggest_steps(
     room: tuple[Mesh, NDArray[np.floating], Sequence[float]],
     runs: Sequence[FaceRun],
     scene: bpy.types.Scene,
     taken: Sequence[Camera],
-) -> list[SuggestedPhoto]:
+) -> Steps[list[SuggestedPhoto]]:
     """Add cameras from where one sees most of what photos show badly to ``scene``; earlier ones are removed.
 
     Args:
@@ -37,10 +38,12 @@ def suggest_photos(
         The photos, in the space of the result; none where none would show much.
     """
     mesh, coverage, up = room
-    forget_suggested(scene)
     to_scene = np.array(scene.objects[runs[0].object].matrix_world) @ np.linalg.inv(runs[0].to_capture)
     seen_from = [replace(camera, c2w=rigid(np.linalg.inv(to_scene) @ camera.c2w)) for camera in taken]
-    found = next_photos(BadlySeen.of(mesh, coverage), seen_from, up, hit_distance(mesh))
+    found = yield from in_thread(
+        lambda: next_photos(BadlySeen.of(mesh, coverage), seen_from, up, hit_distance(mesh)), "looking for places"
+    )
+    forget_suggested(scene)
     if not found:
         return []
     group = bpy.data.collections.new(COLLECTION)
@@ -70,7 +73,7 @@ def suggested_groups(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
 
 
 def hit_distance(mesh: Mesh) -> HitDistance:
-    """Distances along rays to ``mesh``, by Blender's search tree."""
+    """Distances along rays to ``mesh``, by Blender's search tree; does not use bpy."""
     return tree_distance(BVHTree.FromPolygons(mesh.vertices.tolist(), mesh.faces.tolist(), all_triangles=True))
 
 

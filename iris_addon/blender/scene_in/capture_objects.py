@@ -21,13 +21,15 @@ from ...model.capture import Camera, Mesh
 from ..apply.on_objects import APPLIED, ORIGINAL_MESH, restore
 from ..apply.photo_cameras import METRES_PER_UNIT, forget_given_pose
 from ..camera import add_camera, look_through, set_lens
-from ..scene_out.build import plain_mesh
+from ..scene_out.build import corner_vertices, mesh_steps
 from ..scene_out.scene_state import require_object_mode
+from ..stepwise import Steps, in_thread
 
 FIX = "check the capture again"
 COLLECTION = "IRIS Capture"
-VIEW = "iris_view"
-"""Custom property of the camera data of a photo: its name, which Blender may have numbered in that of the object."""
+VIEW, INSTEAD = "iris_view", "iris_instead"
+"""Custom properties of the camera data of a photo: its name, which Blender may have numbered in that of the object, and
+the image that is shown in its place."""
 
 
 @dataclass(frozen=True)
@@ -132,8 +134,16 @@ def _mesh(path: Path) -> Mesh:
     )
 
 
-def add_capture(inspected: Inspected, scene: bpy.types.Scene) -> tuple[bpy.types.Object, list[bpy.types.Object]]:
-    """Add mesh and cameras to ``scene``, children of an empty that turns the capture's up axis to +Z.
+def inspected_steps(folder: Path, *, with_mesh: bool) -> Steps[tuple[Inspected, bpy.types.Mesh | None]]:
+    """What ``inspect`` wrote into ``folder``, and ``with_mesh`` the mesh of its room; raises BadInput."""
+    inspected = yield from in_thread(lambda: read_inspected(folder), "reading the files")
+    return inspected, (yield from mesh_steps(inspected.mesh, f"{inspected.name} mesh")) if with_mesh else None
+
+
+def add_capture(
+    inspected: Inspected, mesh: bpy.types.Mesh, scene: bpy.types.Scene
+) -> tuple[bpy.types.Object, list[bpy.types.Object]]:
+    """Add ``mesh`` and cameras to ``scene``, children of an empty that turns the capture's up axis to +Z.
 
     Returns:
         The mesh object, and the camera of each photo.
@@ -143,7 +153,7 @@ def add_capture(inspected: Inspected, scene: bpy.types.Scene) -> tuple[bpy.types
     anchor = bpy.data.objects.new(inspected.name, None)
     anchor.matrix_world = Vector(inspected.up).rotation_difference(Vector((0.0, 0.0, 1.0))).to_matrix().to_4x4()
     collection.objects.link(anchor)
-    room = bpy.data.objects.new(f"{inspected.name} mesh", plain_mesh(inspected.mesh, f"{inspected.name} mesh"))
+    room = bpy.data.objects.new(f"{inspected.name} mesh", mesh)
     room.parent = anchor
     collection.objects.link(room)
     photos = bpy.data.collections.new("IRIS Photos")
@@ -178,23 +188,24 @@ def _as_at_startup(thing: bpy.types.Object) -> bool:
     return len(thing.data.vertices) == 8 and np.allclose(corners, 1.0)
 
 
-def refresh_capture(inspected: Inspected, scene: bpy.types.Scene, room: bpy.types.Object) -> list[bpy.types.Object]:
+def refresh_capture(
+    inspected: Inspected, mesh: bpy.types.Mesh, scene: bpy.types.Scene, room: bpy.types.Object
+) -> list[bpy.types.Object]:
     """Update the objects of :func:`add_capture` from a capture that was read again; returns the camera of each photo.
 
-    An applied result is removed if it belongs to another mesh. Missing cameras are created; that of a photo that is
-    left out stays until it comes back.
+    Of its ``mesh`` and that of ``room`` the one that is not needed is removed. An applied result is removed if it
+    belongs to another mesh. Missing cameras are created; that of a photo that is left out stays until it comes back.
 
     Raises:
         BadInput: the room is in edit mode.
     """
     require_object_mode([room])
-    spare = plain_mesh(inspected.mesh, room.name)
-    if _content(room.get(ORIGINAL_MESH, room.data)) != _content(spare):
+    if _content(room.get(ORIGINAL_MESH, room.data)) != _content(mesh):
         if APPLIED in scene:
             restore(scene)
-        room.data, spare = spare, room.data
-    if not spare.users:
-        bpy.data.meshes.remove(spare)
+        room.data, mesh = mesh, room.data
+    if not mesh.users:
+        bpy.data.meshes.remove(mesh)
     ours = [thing for thing in scene.objects if thing.type == "CAMERA" and thing.parent == room.parent]
     present = {thing.data[VIEW]: thing for thing in reversed(ours) if VIEW in thing.data}
     cameras = []
@@ -213,10 +224,9 @@ def refresh_capture(inspected: Inspected, scene: bpy.types.Scene, room: bpy.type
 
 
 def _content(data: bpy.types.Mesh) -> tuple[bytes, bytes]:
-    points, corners = np.empty(3 * len(data.vertices), np.float32), np.empty(len(data.loops), np.int32)
+    points = np.empty(3 * len(data.vertices), np.float32)
     data.vertices.foreach_get("co", points)
-    data.loops.foreach_get("vertex_index", corners)
-    return points.tobytes(), corners.tobytes()
+    return points.tobytes(), corner_vertices(data).tobytes()
 
 
 def _add_view(
@@ -242,16 +252,20 @@ def show_photo(camera: bpy.types.Object, photo: Path, alpha: float = 0.5) -> Non
 
 
 def show_instead(camera: bpy.types.Object, image: bpy.types.Image | None) -> None:
-    """Show ``image`` in place of the photo of ``camera``; None shows the photo again. The photo stays the first."""
-    shown = camera.data.background_images
-    while len(shown) > 1:
-        shown.remove(shown[-1])
+    """Show ``image`` in place of the photo of ``camera``; None shows the photo again; other pictures stay."""
+    photo, shown, before = background_of(camera), camera.data.background_images, camera.data.get(INSTEAD)
+    for behind in reversed(shown):
+        if before is not None and behind.image == before and behind != photo:
+            shown.remove(behind)
+            break
+    camera.data.pop(INSTEAD, None)
     if image is not None:
         instead = shown.new()
         instead.image, instead.alpha = image, 1.0
         instead.display_depth, instead.frame_method = "FRONT", "STRETCH"
-    if len(shown):
-        shown[0].show_background_image = image is None
+        camera.data[INSTEAD] = image
+    if photo is not None:
+        photo.show_background_image = image is None
 
 
 def photo_of(camera: bpy.types.Object) -> bpy.types.Image | None:

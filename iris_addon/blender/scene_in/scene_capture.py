@@ -3,7 +3,7 @@
 ::
 
     capture/transforms.json   nerfstudio's format: pinholes, poses in metres
-    capture/mesh.obj          the triangles, one material per object and slot
+    capture/mesh.ply          the triangles, one material index per object and slot
     capture/photos/           the photos, as links where the file system can
     scene_map.json            which faces came from which object
 
@@ -29,6 +29,7 @@ from ...model.capture import Camera, Mesh
 from ..apply.on_objects import ORIGINAL_MESH, FaceRun, triangles_of
 from ..camera import read_camera
 from ..scene_out.backdrop import is_backdrop
+from ..scene_out.build import corner_vertices, material_slots
 from ..version import compositor_tree
 from .capture_objects import background_of, photo_of
 from .rendered import as_rendered
@@ -80,11 +81,12 @@ def read_scene_mesh(depsgraph: bpy.types.Depsgraph, objects: Iterable[bpy.types.
             points = points @ matrix[:3, :3].T + matrix[:3, 3]
             if np.linalg.det(matrix[:3, :3]) < 0:  # keeps the outside of mirrored instances
                 corners, uv = corners[:, ::-1], None if uv is None else uv[:, ::-1]
-            used, region = np.unique(slot, return_inverse=True)
+            used = np.flatnonzero(np.bincount(slot))
+            region = np.searchsorted(used, slot)
             vertices.append(points)
             faces.append(corners + n_vertices)
             uvs.append(uv)
-            regions.append(region.ravel() + len(names))
+            regions.append(region + len(names))
             names += [f"{source.name} / {_slot_name(evaluated, index)}" for index in used]
             runs.append(
                 FaceRun(
@@ -107,20 +109,17 @@ def read_scene_mesh(depsgraph: bpy.types.Depsgraph, objects: Iterable[bpy.types.
 
 def read_triangles(data: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray]:
     """Vertices (V, 3), triangles (F, 3), UV per corner (F, 3, 2) or None, and material slot (F,), in object space."""
-    n = len(data.loop_triangles)
     points = np.empty(3 * len(data.vertices), np.float32)
     data.vertices.foreach_get("co", points)
-    corners, loops, slot = np.empty(3 * n, np.int32), np.empty(3 * n, np.int32), np.empty(n, np.int32)
-    data.loop_triangles.foreach_get("vertices", corners)
-    data.loop_triangles.foreach_get("loops", loops)
-    data.loop_triangles.foreach_get("material_index", slot)
+    polygon, loops = triangles_of(data)
+    corners, slot = corner_vertices(data)[loops], material_slots(data)[polygon]
     layer = next((layer for layer in data.uv_layers if layer.active_render), None)
     uv = None
     if layer is not None:
         flat = np.empty(2 * len(data.loops), np.float32)
         layer.uv.foreach_get("vector", flat)
-        uv = flat.reshape(-1, 2)[loops].reshape(n, 3, 2)
-    return points.reshape(-1, 3).astype(np.float64), corners.reshape(n, 3).astype(np.int64), uv, slot
+        uv = flat.reshape(-1, 2)[loops]
+    return points.reshape(-1, 3).astype(np.float64), corners.astype(np.int64), uv, slot
 
 
 def _slot_name(thing: bpy.types.Object, index: int) -> str:
@@ -165,9 +164,9 @@ def write_scene_capture(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, 
             stem = f"{number:04d}_{bpy.path.clean_name(view[0])}"  # cleaned names may coincide
             frames.append(_frame(target / "photos" / stem, *view))
             cameras[stem] = view[0]
-        atomic_write(target / "mesh.obj", lambda path: _write_obj(path, room, scale))
+        atomic_write(target / "mesh.ply", lambda path: _write_ply(path, room, scale))
         write_json(folder / "scene_map.json", {"runs": [_run_json(run) for run in runs], "cameras": cameras})
-        write_json(target / "transforms.json", {"mesh": "mesh.obj", "one_frame": True, "frames": frames})
+        write_json(target / "transforms.json", {"mesh": "mesh.ply", "one_frame": True, "frames": frames})
     except OSError as error:
         raise IrisError(
             f"cannot be written ({error.strerror})", "free some disk space, or choose another folder", folder
@@ -339,18 +338,23 @@ def _run_json(run: FaceRun) -> dict[str, Any]:
     }
 
 
-def _write_obj(path: Path, room: SceneMesh, scale: float) -> None:
+def _write_ply(path: Path, room: SceneMesh, scale: float) -> None:
+    """``room`` times ``scale`` as a binary PLY: the text of a million triangles takes a minute."""
     mesh: Mesh = room.mesh
     assert mesh.regions is not None
-    lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in (mesh.vertices * scale).tolist()]
-    corner = "{0}"
+    n, fields = len(mesh.faces), [("corners", "u1"), ("vertex_indices", "<i4", 3)]
+    lists = ["property list uchar int vertex_indices"]
     if mesh.uv is not None:
-        lines += [f"vt {u:.9g} {v:.9g}" for u, v in mesh.uv.reshape(-1, 2).tolist()]
-        corner = "{0}/{1}"
-    breaks = np.flatnonzero(np.diff(mesh.regions, prepend=-1))
-    for start, stop in zip(breaks, [*breaks[1:], len(mesh.faces)], strict=True):
-        lines.append(f"usemtl part{mesh.regions[start]}")
-        for face, (a, b, c) in enumerate((mesh.faces[start:stop] + 1).tolist(), int(start)):
-            at = 3 * face + 1
-            lines.append(f"f {corner.format(a, at)} {corner.format(b, at + 1)} {corner.format(c, at + 2)}")
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        fields += [("coordinates", "u1"), ("texcoord", "<f4", 6)]
+        lists.append("property list uchar float texcoord")
+    rows = np.empty(n, np.dtype([*fields, ("material_index", "<i4")]))
+    rows["corners"], rows["vertex_indices"], rows["material_index"] = 3, mesh.faces, mesh.regions
+    if mesh.uv is not None:
+        rows["coordinates"], rows["texcoord"] = 6, mesh.uv.reshape(n, 6)
+    header = [
+        *("ply", "format binary_little_endian 1.0", f"element vertex {len(mesh.vertices)}"),
+        *(f"property double {axis}" for axis in "xyz"),
+        *(f"element face {n}", *lists, "property int material_index", "end_header"),
+    ]
+    text = "".join(f"{line}\n" for line in header).encode("ascii")
+    path.write_bytes(text + (mesh.vertices * scale).astype("<f8").tobytes() + rows.tobytes())

@@ -19,18 +19,21 @@ from ...edits.scene_edit import SceneEdit, Sphere, lamp_name
 from ...model.capture import Mesh
 from ...results.result import Result
 from ..images import LINEAR, image_from_array
+from ..stepwise import Steps, finish, in_thread
 from .backdrop import add_backdrop
 from .lights import add_light, add_sun
 from .materials import (
     LAMP_ID,
+    MAKING,
     PATTERN,
     RECOVERED,
     UV_MAP,
     black_material,
+    discarded_on_failure,
     lamp_material,
     pane_material,
     sphere_material,
-    surface_material,
+    surface_steps,
 )
 from .placing import Room, add_object
 from .world import make_world
@@ -113,7 +116,7 @@ def add_room(
 
     With ``lamps_apart`` the recovered lamps are objects "IRIS Lamp 00" … of their own, children of that one.
     """
-    slots, slot_of_face = face_materials(result, edit)
+    slots, slot_of_face = finish(face_material_steps(result, edit))
     every_face = np.arange(len(slot_of_face))
     lamps = [(lamp_name(lamp.id), lamp.faces) for lamp in result.emitters] if lamps_apart else []
     rest = np.setdiff1d(every_face, np.concatenate([faces for _, faces in lamps])) if lamps else every_face
@@ -123,7 +126,7 @@ def add_room(
         used, own_slot = np.unique(slot_of_face[faces], return_inverse=True)
         for slot in used:
             data.materials.append(slots[slot])
-        data.polygons.foreach_set("material_index", own_slot.astype(np.int32))
+        set_material_slots(data, own_slot)
         made.append(bpy.data.objects.new(name, data))
         collection.objects.link(made[-1])
         if len(made) > 1:
@@ -148,25 +151,67 @@ def room_mesh(mesh: Mesh, name: str) -> bpy.types.Mesh:
 
 def plain_mesh(mesh: Mesh, name: str) -> bpy.types.Mesh:
     """Like :func:`room_mesh`, but without a UV map where ``mesh`` has none."""
-    vertices, faces = _separate_invalid_faces(mesh)
+    return finish(mesh_steps(mesh, name))
+
+
+def mesh_steps(mesh: Mesh, name: str) -> Steps[bpy.types.Mesh]:
+    """:func:`plain_mesh` in steps.
+
+    Attributes take an array at once; the properties of loops and polygons of the same meaning are copied one by one.
+    """
+    vertices, faces = yield from in_thread(lambda: _separate_invalid_faces(mesh), MAKING_MESH)
     n = len(faces)
     data = bpy.data.meshes.new(name)
-    data.vertices.add(len(vertices))
-    data.vertices.foreach_set("co", vertices.astype(np.float32).ravel())
-    data.loops.add(3 * n)
-    data.loops.foreach_set("vertex_index", faces.astype(np.int32).ravel())
-    data.polygons.add(n)
-    data.polygons.foreach_set("loop_start", np.arange(0, 3 * n, 3, dtype=np.int32))
-    if mesh.uv is not None:
-        layer = data.uv_layers.new(name=UV_MAP, do_init=False)
-        layer.uv.foreach_set("vector", np.ascontiguousarray(mesh.uv, np.float32).ravel())
-    data.update(calc_edges=True)
-    if mesh.normals is None:
-        data.shade_flat()
-    else:
-        data.shade_smooth()  # flat faces ignore normals of their own
-        data.normals_split_custom_set(np.repeat(mesh.normals, 3, axis=0))
+    with discarded_on_failure([data]):
+        data.vertices.add(len(vertices))
+        data.vertices.foreach_set("co", vertices.astype(np.float32).ravel())
+        data.loops.add(3 * n)
+        corners = data.attributes.get(CORNER_VERTEX) or data.attributes.new(CORNER_VERTEX, "INT", "CORNER")
+        corners.data.foreach_set("value", faces.astype(np.int32).ravel())
+        data.polygons.add(n)
+        data.polygons.foreach_set("loop_start", np.arange(0, 3 * n, 3, dtype=np.int32))
+        if mesh.uv is not None:
+            layer = data.uv_layers.new(name=UV_MAP, do_init=False)
+            layer.uv.foreach_set("vector", np.ascontiguousarray(mesh.uv, np.float32).ravel())
+        if mesh.normals is None:
+            flat = data.attributes.get(SHARP_FACE) or data.attributes.new(SHARP_FACE, "BOOLEAN", "FACE")
+            flat.data.foreach_set("value", np.ones(n, bool))
+        yield MAKING_MESH
+        data.update(calc_edges=True)
+        yield MAKING_MESH
+        if mesh.normals is not None:
+            data.shade_smooth()  # flat faces ignore normals of their own
+            data.normals_split_custom_set(np.repeat(mesh.normals, 3, axis=0))
+            yield MAKING_MESH
     return data
+
+
+MAKING_MESH = "making the mesh"
+CORNER_VERTEX, SHARP_FACE, MATERIAL_INDEX = ".corner_vert", "sharp_face", "material_index"
+"""Attributes in which Blender keeps the vertex of a corner, whether a face is shaded flat, and its material slot."""
+
+
+def corner_vertices(data: bpy.types.Mesh) -> NDArray[np.int32]:
+    """The vertex (L,) of each corner of ``data``."""
+    corners = np.empty(len(data.loops), np.int32)
+    if len(corners):
+        data.attributes[CORNER_VERTEX].data.foreach_get("value", corners)
+    return corners
+
+
+def material_slots(data: bpy.types.Mesh) -> NDArray[np.int32]:
+    """The material slot (P,) of each polygon of ``data``."""
+    slots, held = np.zeros(len(data.polygons), np.int32), data.attributes.get(MATERIAL_INDEX)
+    if held is not None and (held.data_type, held.domain) == ("INT", "FACE"):  # as Blender looks it up
+        held.data.foreach_get("value", slots)
+    return slots
+
+
+def set_material_slots(data: bpy.types.Mesh, slots: NDArray[np.integer]) -> None:
+    """Give the polygons of ``data`` the material ``slots`` (P,)."""
+    held = data.attributes.get(MATERIAL_INDEX) or data.attributes.new(MATERIAL_INDEX, "INT", "FACE")
+    held.data.foreach_set("value", slots.astype(np.int32))
+    data.update_tag()
 
 
 def add_sphere(sphere: Sphere, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
@@ -184,14 +229,35 @@ def add_sphere(sphere: Sphere, name: str, collection: bpy.types.Collection) -> b
     return ball
 
 
-def face_materials(
+def face_material_steps(
     result: Result, edit: SceneEdit, uv_map: str = UV_MAP
-) -> tuple[list[bpy.types.Material], NDArray[np.int32]]:
+) -> Steps[tuple[list[bpy.types.Material], NDArray[np.int32]]]:
     """The materials of the room's slots, and (F,) the slot of each face: 0 the surface, then lamps, panes, black."""
-    emission = result.face_emission() if edit.face_emission is None else np.asarray(edit.face_emission, float)
-    slot_of_face = np.zeros(len(emission), np.int32)
-    slots = [surface_material(result.textures, uv_map, result.diffuse_lobe)]
+    slot_of_face = np.zeros(len(result.mesh.faces), np.int32)
+    slots = [(yield from surface_steps(result.textures, uv_map, result.diffuse_lobe))]
+    with discarded_on_failure(slots):
+        _add_lamps(result, edit, uv_map, slots, slot_of_face)
+        if len(result.panes):
+            slot_of_face[result.panes] = len(slots)
+            slots.append(pane_material())
+        if edit.black_faces is not None:
+            black = edit.black_faces & (slot_of_face == 0)  # lamps are black already, panes invisible
+            if black.any():
+                slot_of_face[black] = len(slots)
+                slots.append(black_material())
+        yield MAKING
+    return slots, slot_of_face
 
+
+def _add_lamps(
+    result: Result,
+    edit: SceneEdit,
+    uv_map: str,
+    slots: list[bpy.types.Material],
+    slot_of_face: NDArray[np.int32],
+) -> None:
+    """Append the materials of lamps to ``slots`` and enter them in ``slot_of_face`` (F,)."""
+    emission = result.face_emission() if edit.face_emission is None else np.asarray(edit.face_emission, float)
     # A lamp that is off in the first light state is one that can be switched on; in an edited room it is a surface.
     switched = result.switched_faces & (edit.face_emission is None)
     lit = np.flatnonzero((emission.max(axis=1) > 0) | switched)
@@ -209,16 +275,6 @@ def face_materials(
         pattern, profile = image if emitter_id in patterned else None, profiles.get(int(emitter_id))
         slots.append(lamp_material(name, radiance, pattern, uv_map, profile))
         slots[-1][LAMP_ID], slots[-1][RECOVERED] = int(emitter_id), [float(value) for value in radiance]
-
-    if len(result.panes):
-        slot_of_face[result.panes] = len(slots)
-        slots.append(pane_material())
-    if edit.black_faces is not None:
-        black = edit.black_faces & (slot_of_face == 0)  # lamps are black already, panes invisible
-        if black.any():
-            slot_of_face[black] = len(slots)
-            slots.append(black_material())
-    return slots, slot_of_face
 
 
 def _separate_invalid_faces(mesh: Mesh) -> tuple[NDArray[np.floating], NDArray[np.int64]]:

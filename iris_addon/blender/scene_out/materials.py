@@ -17,7 +17,8 @@ for the layer, which attenuates more at grazing angles than the mean that :func:
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 
 import bpy
 import numpy as np
@@ -29,11 +30,13 @@ from ...edits.scene_edit import Material, Sphere
 from ...model.lamp_profile import LampProfile
 from ...model.recovered import DiffuseLobe, Textures
 from ...model.seen_classes import coverage_of, seen_colors
-from ..images import LINEAR, image_from_array
+from ..images import LINEAR, image_from_array, image_from_pixels, pixels_of
+from ..stepwise import Steps, in_thread
 from ..version import node_tree
 from .lamp_profile_nodes import is_profile, profile_output
 
 SURFACE = "IRIS Surface"
+MAKING = "making materials"
 UV_MAP = "IRIS"
 CONFIDENCE = "IRIS Confidence"
 LAMP_ID = "iris_lamp"
@@ -71,38 +74,76 @@ def layered_base_color(
     return np.minimum(base_color * gain[..., None], 1.0).astype(np.float32)
 
 
-def surface_material(textures: Textures, uv_map: str = UV_MAP, diffuse: DiffuseLobe = "lambert") -> bpy.types.Material:
+def surface_steps(
+    textures: Textures, uv_map: str = UV_MAP, diffuse: DiffuseLobe = "lambert"
+) -> Steps[bpy.types.Material]:
     """The material of everything that is not a lamp: base colour, roughness and metallic from the atlas."""
     material, shader = _principled(SURFACE)
-    tree = material.node_tree
-    uv = tree.nodes.new("ShaderNodeUVMap")
-    uv.uv_map, uv.location = uv_map, (-700, 0)
-    base_color = layered_base_color(textures.base_color, textures.roughness, textures.metallic)
-    maps = (
-        ("Base Color", image_from_array("IRIS Base Color", base_color, colorspace=LINEAR, float_buffer=True)),
-        ("Metallic", image_from_array("IRIS Metallic", textures.metallic)),
-        ("Roughness", image_from_array("IRIS Roughness", textures.roughness)),
-    )
-    for row, (socket, image) in enumerate(maps):
-        node = tree.nodes.new("ShaderNodeTexImage")
-        node.image, node.extension, node.location = image, "EXTEND", (-450, 300 - 300 * row)
-        tree.links.new(uv.outputs["UV"], node.inputs["Vector"])
-        tree.links.new(node.outputs["Color"], shader.inputs[socket])
-    if diffuse == "burley":
-        insert_burley(tree, shader)
+    with discarded_on_failure([material]):
+        tree = material.node_tree
+        uv = tree.nodes.new("ShaderNodeUVMap")
+        uv.uv_map, uv.location = uv_map, (-700, 0)
+
+        def base_color() -> NDArray[np.float32]:
+            return layered_base_color(textures.base_color, textures.roughness, textures.metallic)
+
+        maps = (
+            ("Base Color", base_color, {"colorspace": LINEAR, "float_buffer": True}),
+            ("Metallic", lambda: textures.metallic, {}),
+            ("Roughness", lambda: textures.roughness, {}),
+        )
+        for row, (socket, values, kind) in enumerate(maps):
+            pixels = yield from in_thread(lambda values=values: pixels_of(values()), MAKING)
+            node = tree.nodes.new("ShaderNodeTexImage")
+            node.image = image_from_pixels(f"IRIS {socket}", pixels, **kind)
+            node.extension, node.location = "EXTEND", (-450, 300 - 300 * row)
+            tree.links.new(uv.outputs["UV"], node.inputs["Vector"])
+            tree.links.new(node.outputs["Color"], shader.inputs[socket])
+            yield MAKING
+        if diffuse == "burley":
+            insert_burley(tree, shader)
     return material
 
 
-def add_confidence(material: bpy.types.Material, textures: Textures) -> None:
+def confidence_steps(material: bpy.types.Material, textures: Textures) -> Steps[None]:
     """An unlinked image node that maps how often photos show each place; the solid view shows it when it is active."""
-    levels = np.round(np.clip(coverage_of(textures), 0, 1) * 255).astype(np.uint8)
-    colors = seen_colors(np.arange(256) / 255)[levels]
+
+    def colors() -> NDArray[np.float32]:
+        levels = np.round(np.clip(coverage_of(textures), 0, 1) * 255).astype(np.uint8)
+        return pixels_of(seen_colors(np.arange(256) / 255)[levels])
+
+    pixels = yield from in_thread(colors, MAKING)
     node = material.node_tree.nodes.new("ShaderNodeTexImage")
     node.name = node.label = CONFIDENCE
-    node.image = image_from_array(CONFIDENCE, colors, colorspace="sRGB")
+    node.image = image_from_pixels(CONFIDENCE, pixels, colorspace="sRGB")
     node.extension, node.location = "EXTEND", (-450, -700)
     uv = next(node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeUVMap")
     material.node_tree.links.new(uv.outputs["UV"], node.inputs["Vector"])
+
+
+def images_of(materials: Iterable[bpy.types.Material]) -> list[bpy.types.Image]:
+    """The images that nodes of ``materials`` and of their groups have, each once."""
+    trees, found = [material.node_tree for material in materials if material.node_tree], {}
+    for tree in trees:  # which grows
+        for node in tree.nodes:
+            inside, image = getattr(node, "node_tree", None), getattr(node, "image", None)
+            if inside is not None and inside not in trees:
+                trees.append(inside)
+            if image is not None:
+                found[image] = None
+    return list(found)
+
+
+@contextmanager
+def discarded_on_failure(made: Sequence[bpy.types.ID]) -> Iterator[None]:
+    """Remove ``made``, materials with their images, where what is inside fails or is given up."""
+    try:
+        yield
+    except BaseException:
+        with suppress(ReferenceError):  # another file was opened, or they were undone
+            images = images_of(block for block in made if isinstance(block, bpy.types.Material))
+            bpy.data.batch_remove({*made, *images})
+        raise
 
 
 def lamp_material(

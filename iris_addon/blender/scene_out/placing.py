@@ -46,7 +46,7 @@ class Room:
 
     @cached_property
     def _tree(self) -> BVHTree:
-        return BVHTree.FromPolygons(self.mesh.vertices.tolist(), self.mesh.faces.tolist())
+        return BVHTree.FromPolygons(self.mesh.vertices.tolist(), self.mesh.faces.tolist(), all_triangles=True)
 
     def prepare(self) -> None:
         """Build the search tree now, which takes seconds for a million triangles, and not with the first ray."""

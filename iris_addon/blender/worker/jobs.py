@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -42,18 +43,26 @@ INTERRUPTED = Record("interrupted", "Blender ended while this ran", "start it ag
 CANCELLED = Record("cancelled")
 
 
+OnEnd = Callable[[Record], Iterable[object] | None]
+
+
 @dataclass
 class Job:
     """A process that writes into ``folder``; ``began`` is when, on the monotonic clock.
 
-    ``on_end`` is called once, on the thread that polls. If it raises IrisError, the job has failed.
+    ``on_end`` is called once, on the thread that polls. What it returns is gone through there too, an item per poll,
+    and until its end the job runs. If it raises IrisError, the job has failed.
+
+    Attributes:
+        ending: what is left of the end of a job whose process has ended.
     """
 
     name: JobName
     folder: Path
     worker: Worker
-    on_end: Callable[[Record], None]
+    on_end: OnEnd
     began: float = field(default_factory=time.monotonic)
+    ending: Generator[object, None, None] | None = None
 
 
 _running: dict[tuple[JobName, Path], Job] = {}
@@ -61,7 +70,7 @@ _ended: dict[tuple[JobName, Path], Record] = {}
 """Jobs that ended in this process, in case a full disk prevents writing their records."""
 
 
-def start(name: JobName, folder: Path, command: list[str], on_end: Callable[[Record], None]) -> Job:
+def start(name: JobName, folder: Path, command: list[str], on_end: OnEnd) -> Job:
     """Start ``command`` as the job ``name`` of ``folder``.
 
     Raises:
@@ -121,19 +130,25 @@ def poll() -> bool:
     """
     changed = False
     for key, job in list(_running.items()):
-        changed |= job.worker.poll()
-        if not job.worker.running:
+        if job.ending is None:
+            changed |= job.worker.poll()
+            if job.worker.running:
+                continue
+            job.ending = _finish(job)
+        if next(job.ending, _END) is _END:
             del _running[key]
-            _finish(job)
             changed = True
     return changed
+
+
+_END = object()
 
 
 def wait(job: Job) -> None:
     """Block until ``job`` has ended, and finish it."""
     job.worker.wait()
     if _running.pop((job.name, job.folder), None) is not None:
-        _finish(job)
+        deque(job.ending or _finish(job), maxlen=0)
 
 
 def stop_all() -> None:
@@ -142,17 +157,20 @@ def stop_all() -> None:
         job.worker.interrupt()
     for key, job in list(_running.items()):
         del _running[key]
+        if job.ending is not None:
+            job.ending.close()
+            continue
         _end(job)
-        _notify(job, CANCELLED)
+        deque(_notify(job, CANCELLED), maxlen=0)
 
 
-def _finish(job: Job) -> None:
-    _notify(job, _end(job))
+def _finish(job: Job) -> Generator[object, None, None]:
+    yield from _notify(job, _end(job))
 
 
-def _notify(job: Job, ended: Record) -> None:
+def _notify(job: Job, ended: Record) -> Generator[object, None, None]:
     try:
-        job.on_end(ended)
+        yield from job.on_end(ended) or ()
     except IrisError as error:
         _keep(job, Record("failed", error.what, error.fix))
     except Exception as error:  # an exception would remove the timer that polls all jobs
