@@ -63,6 +63,7 @@ STAGE_SECONDS = {
     "lights": 15,
     "materials": 20,
     "textures": 20,
+    "report": 5,
 }
 """Expected seconds per stage, for the overall progress bar."""
 
@@ -195,23 +196,26 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
             lambda: make_result(room, capture.views, config, texels, problems, solution, checkpoints, progress)
         )
         result = result.with_exposures_times(unit / room.photos.unit)
-    result = replace(result, panes=panes)
-    result = with_figures(result, room, config, cameras, problems, solution, progress)
-    result.report["warnings"] += [lights.warning for lights in unlike]
-    if quality is not None:
-        result.report["photos"] = quality.report()
-        result.report["warnings"] += quality.warnings
-    result.report["decisions"] = decisions.report()
-    patterned = result.textures.lamp_pattern is not None
-    result.report["atlas"] = reached = describe_atlas(result.mesh, texels, room.samples, patterned)
-    result.report["warnings"] += density_warnings(reached, size)
-    if capture.poses_to_mesh is not None:
-        result.report["poses_to_mesh"] = capture.poses_to_mesh.tolist()
-    if capture.mended_poses is not None:
-        result.report["mended_poses"] = dict(capture.mended_poses)
-    if capture.map_origin is not None:
-        result.report["map_origin"] = dict(capture.map_origin)
-    save_result(result, out)
-    write_report(result, capture, out, rerenders)
+    with progress.stage("report"):
+        result = replace(result, panes=panes)
+        result = cancellable(lambda: with_figures(result, room, config, cameras, problems, solution, progress))
+        result.report["warnings"] += [lights.warning for lights in unlike]
+        if quality is not None:
+            result.report["photos"] = quality.report()
+            result.report["warnings"] += quality.warnings
+        result.report["decisions"] = decisions.report()
+        patterned = result.textures.lamp_pattern is not None
+        result.report["atlas"] = reached = describe_atlas(result.mesh, texels, room.samples, patterned)
+        result.report["warnings"] += density_warnings(reached, size)
+        if capture.poses_to_mesh is not None:
+            result.report["poses_to_mesh"] = capture.poses_to_mesh.tolist()
+        if capture.mended_poses is not None:
+            result.report["mended_poses"] = dict(capture.mended_poses)
+        if capture.map_origin is not None:
+            result.report["map_origin"] = dict(capture.map_origin)
+        progress.update(0.5, force=True)
+        save_result(result, out)
+        progress.update(0.7, force=True)
+        write_report(result, capture, out, rerenders)
     checkpoints.clear()
     return result

@@ -9,6 +9,8 @@ from importlib import import_module
 from types import ModuleType
 
 import bpy
+import numpy as np
+from numpy.typing import NDArray
 
 from ..base.errors import IrisError
 
@@ -19,6 +21,23 @@ def node_tree(owner: bpy.types.Material | bpy.types.World) -> bpy.types.NodeTree
         owner.use_nodes = True
     owner.node_tree.nodes.clear()
     return owner.node_tree
+
+
+def set_corner_normals(data: bpy.types.Mesh, normals: NDArray[np.floating]) -> None:
+    """Shade the corners of ``data`` by unit ``normals`` (L, 3) in its own space.
+
+    Since 4.5 they are kept as they are; before, and for a million faces in three seconds, as angles to Blender's own.
+    """
+    data.shade_smooth()  # flat faces ignore normals of their own
+    if bpy.app.version < (4, 5, 0):
+        data.normals_split_custom_set(normals)
+        return
+    held = data.attributes.get("custom_normal")
+    if held is not None:
+        data.attributes.remove(held)
+    held = data.attributes.new("custom_normal", "FLOAT_VECTOR", "CORNER")
+    held.data.foreach_set("vector", np.ascontiguousarray(normals, np.float32).ravel())
+    data.update()
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from mathutils import Matrix
 from iris_addon.base.errors import BadInput
 from iris_addon.base.images import read_exr
 from iris_addon.blender.apply.camera_look import LOOK, kept_look
-from iris_addon.blender.apply.on_objects import apply_to_objects, restore
+from iris_addon.blender.apply.on_objects import apply_to_objects, restore, triangles_of
 from iris_addon.blender.apply.review import show_confidence
 from iris_addon.blender.scene_in.scene_capture import read_scene_mesh, whole_object
 from iris_addon.blender.scene_out.lights import color, is_on, lamp_materials, set_color, set_strength, strength, switch
@@ -53,6 +53,30 @@ def test_a_plain_object_keeps_its_polygons_and_gets_the_materials():
     assert scene.view_settings.exposure == pytest.approx(-2)
     background = next(node for node in scene.world.node_tree.nodes if node.bl_idname == "ShaderNodeBackground")
     np.testing.assert_allclose(background.inputs["Color"].default_value[:3], 0.5 * 0.2820948, rtol=1e-5)
+
+
+def test_a_scan_is_shaded_by_the_surface_that_was_solved():
+    """Imported faces are flat; reflections in a scan's noise are not what was solved, nor what the photos show."""
+    cube("straight", location=(1, 2, 3), rotation_euler=(0.3, 0.2, 0.1))
+    cube("mirrored", location=(0, 5, 0), scale=(-1, 2, 1))
+    changed = cube("changed", None, location=(0, 0, 5))
+    changed.modifiers.new("copies", "ARRAY").count = 2
+    result, runs = solve(lamp_faces=[])
+    corners = result.mesh.vertices[result.mesh.faces]
+    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = flat / np.linalg.norm(flat, axis=1, keepdims=True) + (0.2, 0.1, 0.3)
+    normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
+    apply_to_objects(replace(result, mesh=replace(result.mesh, normals=normals)), runs, bpy.context.scene, "key")
+    for run in runs:
+        thing = bpy.context.scene.objects[run.object]
+        shown = np.array([normal.vector for normal in thing.data.corner_normals])
+        _, loops = triangles_of(thing.data)
+        to_world = np.linalg.inv(np.array(thing.matrix_world)[:3, :3]).T
+        world = shown[loops] @ to_world.T
+        world /= np.linalg.norm(world, axis=2, keepdims=True)
+        np.testing.assert_allclose(world, np.repeat(normals[run.start : run.stop, None], 3, axis=1), atol=2e-3)
+    restore(bpy.context.scene)
+    assert not any(thing.data.has_custom_normals for thing in bpy.context.scene.objects)
 
 
 def test_the_images_of_the_textures_take_the_memory_that_is_said():

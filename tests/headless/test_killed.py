@@ -26,7 +26,7 @@ from tests.result_room import room
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 
 RUN = Path(__file__).resolve().parents[2] / "headless" / "run.py"
-STAGES = ("photos", "surface", "transport", "response", "lights", "materials", "textures")
+STAGES = ("photos", "surface", "transport", "response", "lights", "materials", "textures", "report")
 KILL_AT_FILE = """
 import os, runpy, signal, sys
 event, pattern, run = sys.argv[1:4]

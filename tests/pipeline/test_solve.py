@@ -397,7 +397,7 @@ def solve_of(shoot: Shoot, config: SolveConfig, name: str) -> Result:
     return solve(shoot.capture(), config, shoot.folder / name)
 
 
-@pytest.mark.parametrize("stage", ["photos", "surface", "transport", "response", "lights", "textures"])
+@pytest.mark.parametrize("stage", ["photos", "surface", "transport", "response", "lights", "textures", "report"])
 def test_cancelling_stops_at_the_next_update(shoot: Shoot, reference: Path, stage: str) -> None:
     """Into a folder with a finished result, which stays as it was."""
     before = (reference / "report.json").read_text()

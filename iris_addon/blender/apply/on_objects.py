@@ -31,6 +31,7 @@ from ..scene_out.materials import MAKING, UV_MAP, confidence_steps, discarded_on
 from ..scene_out.scene_state import forget_scene, keep_scene, require_object_mode, restore_scene, show_like_the_photos
 from ..scene_out.world import make_world
 from ..stepwise import Steps, finish, in_thread
+from ..version import set_corner_normals
 from .applied_states import forget_light_states, has_light_states, keep_light_states
 from .camera_look import LOOK, keep_look, stop_matching
 from .photo_cameras import restore_given_poses
@@ -214,6 +215,13 @@ def _mesh_steps(
     data = None if run.instance or thing.type != "MESH" else _textured_copy(thing, uv, slots, own_uv)
     yield MAKING_MESH
     if data is not None:
+        normals = _local_normals(result.mesh, run)
+        if normals is not None:  # a scan is shaded by the surface behind its noise, as it was solved
+            _, loops = triangles_of(data)
+            of_loop = np.zeros((len(data.loops), 3), np.float32)
+            of_loop[loops] = normals[:, None]
+            set_corner_normals(data, of_loop)
+            yield MAKING_MESH
         return data, False
     local = yield from in_thread(lambda: _local_mesh(result.mesh, run), MAKING_MESH)
     data = yield from mesh_steps(local, f"{thing.name} IRIS")
@@ -290,7 +298,16 @@ def _local_mesh(mesh: Mesh, run: FaceRun) -> Mesh:
     uv = None if mesh.uv is None else mesh.uv[run.start : run.stop]
     if np.linalg.det(to_object[:3, :3]) < 0:
         corners, uv = corners[:, ::-1], None if uv is None else uv[:, ::-1]
-    return Mesh(points, corners, uv)
+    return Mesh(points, corners, uv, normals=_local_normals(mesh, run))
+
+
+def _local_normals(mesh: Mesh, run: FaceRun) -> NDArray[np.float32] | None:
+    """(n, 3) unit normals by which the faces of ``run`` are shaded, in the space of its object; None where by their
+    own."""
+    if mesh.normals is None:
+        return None
+    normals = mesh.normals[run.start : run.stop] @ run.to_capture[:3, :3]  # the transposed matrix, as for planes
+    return (normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)).astype(np.float32)
 
 
 def _stand_in(thing: bpy.types.Object, data: bpy.types.Mesh, run: FaceRun) -> None:

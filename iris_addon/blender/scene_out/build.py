@@ -20,6 +20,7 @@ from ...model.capture import Mesh
 from ...results.result import Result
 from ..images import LINEAR, image_from_array
 from ..stepwise import Steps, finish, in_thread
+from ..version import set_corner_normals
 from .backdrop import add_backdrop
 from .lights import add_light, add_sun
 from .materials import (
@@ -180,8 +181,7 @@ def mesh_steps(mesh: Mesh, name: str) -> Steps[bpy.types.Mesh]:
         data.update(calc_edges=True)
         yield MAKING_MESH
         if mesh.normals is not None:
-            data.shade_smooth()  # flat faces ignore normals of their own
-            data.normals_split_custom_set(np.repeat(mesh.normals, 3, axis=0))
+            set_corner_normals(data, np.repeat(mesh.normals, 3, axis=0))
             yield MAKING_MESH
     return data
 
