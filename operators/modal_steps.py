@@ -8,7 +8,7 @@ from ..iris_addon.base.errors import IrisError
 from ..iris_addon.blender.stepwise import Steps, advance, finish
 from .wait_cursor import wait_cursor
 
-TICK_SECONDS, STEP_SECONDS = 0.01, 0.05
+TICK_SECONDS, STEP_SECONDS = 0.01, 0.1
 """Between two turns of the operator, and for how long one goes on taking steps."""
 PASSED_ON = ("MOUSEMOVE", "INBETWEEN_MOUSEMOVE", "WINDOW_DEACTIVATE")
 """Events that reach the rest of Blender meanwhile. Others could change the scene that the steps are about."""
