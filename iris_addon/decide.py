@@ -203,6 +203,15 @@ REFINEMENTS: Mapping[str, Refinement] = {
         errors=3.0,
         experiment="0136-does-a-lamp-shine-alike-in-all-directions",
     ),
+    # Globes at a half of the other gain 25 %, panels of little light 6 to 8 % and two errors; equal lamps, which take
+    # over errors of the light, 1.4 % and two errors at most.
+    "unlike_copies": Refinement(
+        "a radiance of each of several lamps of one model in place of one that they share",
+        BALANCE,
+        gain=0.03,
+        errors=1.0,
+        experiment="0171-do-lamps-of-one-model-shine-alike",
+    ),
     # A lamp at half its radiance in one state gains 95 %, lamps that are only switched -2 to 1 %.
     "dimmed_lamps": Refinement(
         "a radiance of each lamp in each light state in place of one in all states in which it is on",

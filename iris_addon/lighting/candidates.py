@@ -342,14 +342,24 @@ def _gaps(
     return np.array(one, np.int64), np.array(other, np.int64), np.array(gap)
 
 
-def tie_fixtures(emitters: Sequence[NDArray[np.int64]], areas: NDArray[np.floating]) -> NDArray[np.int64]:
-    """(E,) label per emitter, the same for lamps of equal face count and total area, which are copies of one model."""
+def tie_fixtures(
+    emitters: Sequence[NDArray[np.int64]], areas: NDArray[np.floating], apart: NDArray[np.bool_] | None = None
+) -> NDArray[np.int64]:
+    """(E,) label per emitter, the same for lamps of equal face count and total area, which are copies of one model.
+
+    Args:
+        apart: (E,) bool, lamps that are like no other although they are copies; by default none.
+    """
     if not emitters:
         return np.zeros(0, np.int64)
     keys = [(len(faces), float(areas[faces].sum())) for faces in emitters]
+    alone = np.zeros(len(keys), bool) if apart is None else apart
     label = np.full(len(keys), -1, np.int64)
     for index, (n, area) in enumerate(keys):
-        twins = [j for j in range(index) if keys[j][0] == n and n > 2 and abs(keys[j][1] / area - 1) < 0.01]
+        copied = n > 2 and not alone[index]
+        twins = [
+            j for j in range(index) if copied and not alone[j] and keys[j][0] == n and abs(keys[j][1] / area - 1) < 0.01
+        ]
         label[index] = label[twins[0]] if twins else label.max() + 1
     return label
 

@@ -40,11 +40,14 @@ def solve_states(states: Sequence[LitState], progress: Progress) -> list[Lights]
     """
     areas = states[0].problem.tracer.areas
     lamps, on = common_lamps([_lit(state) for state in states], areas)
+    # Copies that one state tells apart are two lamps in all: a state that takes them for one has no say.
+    apart = [faces for state in states for faces in state.before.emitters_apart]
     posed = []
     for state, lit in zip(states, on, strict=True):
         emitters = [lamps[k] for k in np.flatnonzero(lit)]
         factors = form_factors_of(state.problem, emitters, progress, known=state.before)
-        posed.append(replace(state, emitters=emitters, form_factors=factors))
+        before = state.before.told_apart(apart)
+        posed.append(replace(state, emitters=emitters, form_factors=factors, before=before))
     # Not from the lights of each state: what their unseen patches pass on would speak for a radiance in each state.
     dimmed = solve_together(posed, progress)
     if not (on.sum(0) > 1).any():

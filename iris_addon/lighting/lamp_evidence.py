@@ -27,9 +27,10 @@ def lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]], befo
     """Bounds and measurements per lamp from the pixels on it.
 
     Args:
-        before: lights that know the profiles of lamps. Of these, and of those that are asked for one, nothing is
-            measured: photos show them from some angles, which the fit of a profile accounts for. What they show is a
-            bound, since no angle is brighter than the brightest of the profile.
+        before: lights that know which copies of one model are unlike, and the profiles of lamps. Of lamps with a
+            profile, and of those that are asked for one, nothing is measured: photos show them from some angles, which
+            the fit of a profile accounts for. What they show is a bound, since no angle is brighter than the brightest
+            of the profile.
     """
     seen, face, cell = problem.brightness, problem.samples.face, problem.cells.of_pixel
     label = emitter_of_face(emitters, len(problem.regions))
@@ -57,7 +58,7 @@ def lamp_evidence(problem: LightProblem, emitters: list[NDArray[np.int64]], befo
         shown, measured[index] = np.fmax(bound[index], measured[index]), np.nan
         bound[index] = 0.0 if profile is None else shown / profile.values.max()
         expected[index] = before.radiance[columns_of([faces], before.emitters)[0]]
-    return Evidence(bound, measured, _tied(problem, emitters), expected)
+    return Evidence(bound, measured, _tied(problem, emitters, before.apart_of(emitters)), expected)
 
 
 def _seen_of(seen: Brightness, cells: NDArray[np.integer]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -85,9 +86,11 @@ def _seen_beside_edges(seen: Brightness, cells: NDArray[np.integer]) -> tuple[ND
     return bound, np.where(clips, CLIPPED_LAMP_FACTOR, 1.0) * bound
 
 
-def _tied(problem: LightProblem, emitters: list[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """(E,) label of lamps that share one radiance; one with a pattern has its own."""
-    tie = tie_fixtures(emitters, problem.tracer.areas)
+def _tied(
+    problem: LightProblem, emitters: list[NDArray[np.int64]], apart: NDArray[np.bool_] | None = None
+) -> NDArray[np.int64]:
+    """(E,) label of lamps that share one radiance; one with a pattern or ``apart`` (E,) has its own."""
+    tie = tie_fixtures(emitters, problem.tracer.areas, apart)
     own = [k for k, faces in enumerate(emitters) if problem.pattern_of(faces) is not None]
     tie[own] = len(emitters) + np.arange(len(own))
     return np.unique(tie, return_inverse=True)[1]

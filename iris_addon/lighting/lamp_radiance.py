@@ -206,6 +206,7 @@ def _solving(state: LitState, progress: Progress, warm_start: bool) -> Solving:
         held_out=balance.held_out,
         losses=replace(balance.losses, observation=rows[balance.losses.observation]),
         profiles=before.profiles_of(emitters),
+        apart=before.apart_of(emitters),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Protocol
@@ -45,6 +45,7 @@ class Lights:
         patterned: (k,) numbers of the emitters that have a pattern, of which ``radiance`` is the mean.
         lamp_share: (N,) luminance of each patch on one of these over the mean, 1 elsewhere; None without any.
         profiles: (E, 6) radiance of each emitter at PROFILE_DEGREES over ``radiance``; None where all are even.
+        apart: (E,) bool, emitters that are copies of one model and have a radiance of their own; None without any.
     """
 
     emitters: list[NDArray[np.int64]]
@@ -61,6 +62,7 @@ class Lights:
     patterned: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     lamp_share: NDArray[np.float32] | None = None
     profiles: NDArray[np.float64] | None = None
+    apart: NDArray[np.bool_] | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -79,6 +81,7 @@ class Lights:
             **{f"lights.{name}": getattr(self, name) for name in names},
             **({} if self.lamp_share is None else {"lights.lamp_share": self.lamp_share}),
             **({} if self.profiles is None else {"lights.profiles": self.profiles}),
+            **({} if self.apart is None else {"lights.apart": self.apart}),
             "lights.sizes": np.array([len(faces) for faces in self.emitters], np.int64),
             "lights.faces": np.concatenate([*self.emitters, np.zeros(0, np.int64)]),
             "lights.region_ids": ids,
@@ -109,6 +112,23 @@ class Lights:
         if not any(found):
             return None
         return np.stack([EVEN_PROFILE if each is None else each.values for each in found])
+
+    @property
+    def emitters_apart(self) -> list[NDArray[np.int64]]:
+        """Faces of each emitter that is told apart from its copies."""
+        return [] if self.apart is None else [self.emitters[k] for k in np.flatnonzero(self.apart)]
+
+    def apart_of(self, emitters: list[NDArray[np.int64]]) -> NDArray[np.bool_] | None:
+        """(E,) bool, which of ``emitters`` are told apart from their copies here; None where none is."""
+        told = {faces.tobytes() for faces in self.emitters_apart}
+        found = np.array([faces.tobytes() in told for faces in emitters], bool)
+        return found if found.any() else None
+
+    def told_apart(self, emitters: Iterable[NDArray[np.int64]]) -> Lights:
+        """The same lights, with those of ``emitters`` that are among them told apart from their copies as well."""
+        told = {faces.tobytes() for faces in emitters}
+        more = np.array([faces.tobytes() in told for faces in self.emitters], bool)
+        return replace(self, apart=more if self.apart is None else self.apart | more) if more.any() else self
 
     @property
     def profiled(self) -> list[tuple[NDArray[np.int64], LampProfile]]:

@@ -44,6 +44,7 @@ from .lamp_radiance import (
 )
 from .problem import LightProblem, Lights
 from .selection import certainty, needed_lamps, same_emitters, solved, with_all_rays, with_unconstrained
+from .unlike_copies import with_unlike_copies
 
 OPEN_MESH_SHARE = 0.15
 """Share of escaping rays above which a mesh is no closed room."""
@@ -70,7 +71,8 @@ def find_lights(problem: LightProblem, observed: GroupRadiance, progress: Progre
     """
     lights = lights_without_lamps(problem, observed)
     if problem.given_emitters is not None:
-        return solve_lights(problem, observed, problem.given_emitters, lights, progress)
+        lights = solve_lights(problem, observed, problem.given_emitters, lights, progress)
+        return with_unlike_copies(problem, observed, lights, PatchFit(), progress)
     # The first light takes what clips at its bound. What such a lamp lights seems to emit until it is solved for: on a
     # modelled mesh only in part of a region, which is no candidate, on a scan all the same.
     if problem.scanned.any():
@@ -86,7 +88,8 @@ def find_lights(problem: LightProblem, observed: GroupRadiance, progress: Progre
         if len(emitters) == len(lights.emitters):
             break
         lights = solved(problem, observed, emitters, lights, progress)
-    return with_all_rays(problem, observed, emitters, lights, progress)
+    lights = with_all_rays(problem, observed, emitters, lights, progress)
+    return with_unlike_copies(problem, observed, lights, PatchFit(), progress)
 
 
 def choose_outside(
@@ -187,7 +190,9 @@ def reconsider_lamps(
         unseen = [lamp for lamp in lights.emitters if not seen[lamp].any()]
         emitters = [*_candidates(problem, lights, CERTAIN_REFLECTANCE, LAMP_THRESHOLDS[-1], lights.mask), *unseen]
     factors = form_factors_of(problem, emitters, progress, known=lights)
-    return solve_lights(problem, observed, emitters, lights, progress, factors, PatchFit(weight, diffuse))
+    fit = PatchFit(weight, diffuse)
+    lights = solve_lights(problem, observed, emitters, lights, progress, factors, fit)
+    return with_unlike_copies(problem, observed, lights, fit, progress)
 
 
 def _candidates(

@@ -185,6 +185,7 @@ def _without_idle(
     room lacked its light; it must not be compared while a bright surface still stands in for some of that light.
     """
     lights, left = solved(problem, observed, [*sure, *undecided], lights, progress, weight), list(undecided)
+    seen = problem.samples.seen_faces(len(problem.regions))
 
     def without(lamps: list[NDArray[np.int64]]) -> Lights:
         kept = [lamp for lamp in left if all(lamp is not other for other in lamps)]
@@ -195,13 +196,14 @@ def _without_idle(
         needed = certainty(problem, tried, lamp_of_cell(problem, lamps), len(lamps))
         bright = (needed * (1 - _share_beside_brighter(problem, lamps)) > TOO_BRIGHT_REFLECTANCE).any()
         name, share = ("bright_lamp", 1.0) if bright else ("lamp", share_of_rise("lamp", stops))
+        if not any(seen[lamp].any() for lamp in lamps):  # photos cannot show it darker than it is
+            name, share = "unconstrained_lamp", share_of_rise("unconstrained_lamp")
         return not problem.decisions.accept(
             name, tried.held_out, lights.held_out, tried.paired_error(lights), share, subject
         )
 
     if sure and left and idle(tried := without(left), left, f"{len(left)} together"):
         return tried
-    seen = problem.samples.seen_faces(len(problem.regions))
     for lamp in sorted(left, key=lambda lamp: (not seen[lamp].any(), problem.tracer.areas[lamp].sum())):
         if len(sure) + len(left) == 1 and not len(problem.hidden.directions):
             break  # the last light of a closed room
