@@ -31,6 +31,7 @@ ALLOWED_OPS = (
     "render.",
     "object.bake",
     "wm.open_mainfile",
+    "wm.window_new",
     "import_scene.",
     "export_scene.",
     "scene.view_layer_remove_lightgroup",
@@ -174,6 +175,25 @@ def test_every_operator_of_an_artist_stands_in_a_menu():
     assert every - menus == {f"iris.{name}" for name in of_panels | of_preferences}
 
 
+def test_every_setting_says_what_it_is(package, tmp_path):
+    """A tooltip for each property of a scene, and for each choice of those that have choices."""
+    in_blender(
+        package,
+        tmp_path,
+        """
+        settings = sys.modules[KEY + ".operators.ui.settings"]
+        groups = [thing for name, thing in vars(settings).items() if name.startswith("Iris")]
+        assert len(groups) == 3, groups
+        for group in groups:
+            for name in group.__annotations__:
+                found = group.bl_rna.properties[name]
+                assert found.name and found.name != name and len(found.description) > 8, (group, name)
+                items = found.enum_items if found.type == "ENUM" else ()
+                assert all(item.description for item in items), (group, name)
+        """,
+    )
+
+
 # ---- in use --------------------------------------------------------------------------------------------------------
 
 
@@ -281,6 +301,36 @@ def test_from_capture_to_files_and_back(package, tmp_path, worker, nerfstudio_ro
     said = in_blender(package, tmp_path, body)
     assert "Traceback" not in said
     assert not [line for line in said.splitlines() if "Warning: " in line or "rna_uiItemO" in line]
+
+
+def test_what_is_shown_takes_no_editor_that_an_artist_works_with(package, tmp_path, solved, nerfstudio_room):
+    """Response, Mix Lights and Log in Blender's own layout, and beside an editor that may be changed."""
+    (solved / "inspection").mkdir()
+    in_blender(
+        package,
+        tmp_path,
+        f"""
+        from importlib import import_module
+        from types import SimpleNamespace as N
+        editors = import_module(KEY + ".operators.editors")
+        bpy.context.scene.iris.result = {str(solved)!r}
+        layout = lambda: sorted(area.type for area in bpy.context.screen.areas)
+        before = layout()
+        assert before == ["DOPESHEET_EDITOR", "OUTLINER", "PROPERTIES", "VIEW_3D"], before
+        assert bpy.ops.iris.review(kind="curve") == {{"FINISHED"}}
+        assert bpy.ops.iris.show_log(job="solve") == {{"FINISHED"}}
+        editors.show_in_editor(bpy.context, "NODE_EDITOR", "tree_type", "CompositorNodeTree")  # as Mix Lights does
+        assert layout() == before, layout()
+
+        spare = next(area for area in bpy.context.screen.areas if area.type == "DOPESHEET_EDITOR")
+        spare.type = "INFO"  # nobody works in it
+        assert bpy.ops.iris.show_log(job="solve") == {{"FINISHED"}}
+        assert spare.type == "TEXT_EDITOR" and spare.spaces.active.text.name == "IRIS solve log"
+        assert bpy.ops.iris.review(kind="curve") == {{"FINISHED"}}
+        assert spare.type == "IMAGE_EDITOR" and spare.spaces.active.image.name == "IRIS Response"
+        assert layout() == ["IMAGE_EDITOR", "OUTLINER", "PROPERTIES", "VIEW_3D"], layout()
+        """,
+    )
 
 
 def test_captures_are_imported_by_menu_and_by_drag_and_drop(package, tmp_path, worker, nerfstudio_room):
