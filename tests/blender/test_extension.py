@@ -852,6 +852,32 @@ def test_the_plot_of_a_response_goes_from_corner_to_corner():
     assert not (colored == 1.0).all(axis=-1).any()
 
 
+def test_a_result_is_described_in_sentences():
+    from iris_addon.blender.apply.review import model_sentences
+
+    report = json.loads((ROOT / "assets" / "demo_solved" / "report.json").read_text())
+    assert model_sentences(report) == [
+        "3 lamps found. No light comes in from outside.",
+        "265 surfaces: 156 glossy and 5 metal, the others matte.",
+        "Matte surfaces look duller at grazing angles, as under a coat of varnish.",
+        "Exposures are as recorded.",
+        "Typical error on pixels that the solve was not shown: 3.6 % of white (29.0 dB).",
+        "Solved from 28 photos.",
+    ]
+    model = report["model"]
+    model |= {"lamps": 1, "unseen_lamps": 1, "outside_directions": 12, "light_states": {"day": {}, "night": {}}}
+    model |= {"mirrors": 1, "faces_of_panes": 2, "diffuse": {"lobe": "burley"}}
+    model["response"] = {"family": "identity", "exposures": "estimated"}
+    light, materials, lobe, exposures, quality, photos = model_sentences({**report, "excluded": ["blurred", "dark"]})
+    assert light == ("1 lamp found, in no photo. Light comes in from outside. Photographed in 2 light states.")
+    assert materials.endswith("the others matte. 1 is a mirror. Panes of glass are seen through.")
+    assert "plaster" in lobe and exposures == "Exposures were estimated from the photos."
+    assert quality.endswith(": 29.0 dB.") and photos == "Solved from 28 photos; left out: blurred, dark."
+    model |= {"lamps": 0, "sun": True}
+    assert model_sentences(report)[0].startswith("No lamp was found. The sun shines in.")
+    assert model_sentences({"model": [], "holdout_psnr": "good"}) == []  # of another version, or damaged
+
+
 def test_a_histogram_becomes_a_line_of_blocks():
     from iris_addon.blender.apply.review import sparkline
 
