@@ -2,35 +2,74 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
+
 import bpy
 
 from ..iris_addon.blender.apply.camera_look import follow_photo
 from ..iris_addon.blender.camera import set_frame
 from ..iris_addon.blender.scene_in.capture_objects import photo_of
 
-KEPT_AREAS = ("VIEW_3D", "OUTLINER", "PREFERENCES")
-"""Editors that are never changed into others."""
+KEPT_AREAS = ("VIEW_3D", "OUTLINER", "PROPERTIES", "DOPESHEET_EDITOR", "PREFERENCES")
+"""Editors that are never changed into others: artists work with them. The timeline is too low to show anything else."""
+OWN_WINDOW = "iris_shows"
+"""Custom property of the screen of the window that was opened to show data."""
 
 
 def show_in_editor(
     context: bpy.types.Context, area_type: str, attribute: str, shown: bpy.types.ID | str, *, only_open: bool = False
 ) -> None:
-    """Show ``shown`` in an editor of ``area_type``: an open one, else the largest editor beside the 3D view is changed.
+    """Show ``shown`` in an editor of ``area_type``: an open one, else another that may be changed, else a new window.
 
-    Does nothing in background.
+    The new window is opened once: later calls show what they have in it, before any other editor is changed. In
+    background no window is opened.
+
+    Args:
+        attribute: of the editor's space, to which ``shown`` is assigned.
+        only_open: do nothing unless an editor of ``area_type`` is open.
     """
     if context.screen is None:
         return
-    areas = [area for area in context.screen.areas if area.type == area_type]
-    others = [] if only_open else [area for area in context.screen.areas if area.type not in KEPT_AREAS]
-    candidates = areas or others
-    if not candidates:
-        return
-    area = max(
-        candidates, key=lambda area: min(area.width, area.height)
-    )  # by the shorter side: timelines are wide but low
+    here, own = list(context.screen.areas), _areas_of_own_window(context)
+    areas = [area for area in (*here, *own) if area.type == area_type]
+    for others in () if only_open else (own, here):
+        areas = areas or [area for area in others if area.type not in KEPT_AREAS]
+    if areas:
+        _show(areas, area_type, attribute, shown)
+    elif not only_open and not bpy.app.background:
+        # Blender 4.3 crashes where the operator of a button opens a window, so that this waits until it has ended.
+        bpy.app.timers.register(partial(_show_in_new_window, context.window, area_type, attribute, shown))
+
+
+def _show(areas: Sequence[bpy.types.Area], area_type: str, attribute: str, shown: bpy.types.ID | str) -> None:
+    """Show ``shown`` in the largest of ``areas``, by the shorter side: some editors are wide but low."""
+    area = max(areas, key=lambda area: min(area.width, area.height))
     area.type = area_type
     setattr(area.spaces.active, attribute, shown)
+
+
+def _show_in_new_window(window: bpy.types.Window, area_type: str, attribute: str, shown: bpy.types.ID | str) -> None:
+    """Open a window with one editor, from ``window``, and show ``shown`` there."""
+    manager = bpy.context.window_manager
+    before = set(manager.windows)
+    with bpy.context.temp_override(window=window):
+        bpy.ops.wm.window_new()
+    (opened,) = set(manager.windows) - before
+    opened.screen[OWN_WINDOW] = True
+    _show(opened.screen.areas, area_type, attribute, shown)
+
+
+def is_in_editor(context: bpy.types.Context, area_type: str, attribute: str, shown: bpy.types.ID) -> bool:
+    """Whether an editor of ``area_type`` in any window shows ``shown``; see :func:`show_in_editor`."""
+    areas = [area for window in context.window_manager.windows for area in window.screen.areas]
+    return any(area.type == area_type and getattr(area.spaces.active, attribute) == shown for area in areas)
+
+
+def _areas_of_own_window(context: bpy.types.Context) -> list[bpy.types.Area]:
+    """Editors in the window that :func:`_show_in_new_window` opened, as long as it is open."""
+    screens = [window.screen for window in context.window_manager.windows]
+    return [area for screen in screens if OWN_WINDOW in screen for area in screen.areas]
 
 
 def look_at_photo(context: bpy.types.Context, index: int) -> None:

@@ -9,17 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..iris_addon.base.errors import IrisError
-from ..iris_addon.blender.apply.review import curve_image, review_image, reviewed_views, show_confidence
+from ..iris_addon.blender.apply.review import (
+    CURVE_NAME,
+    KIND,
+    curve_image,
+    review_image,
+    reviewed_views,
+    show_confidence,
+)
 from ..iris_addon.blender.apply.suggested_photos import forget_suggested, suggest_steps
 from ..iris_addon.blender.camera import read_camera
 from ..iris_addon.blender.images import read_pixels
-from ..iris_addon.blender.scene_in.capture_objects import photo_of, show_instead
+from ..iris_addon.blender.scene_in.capture_objects import INSTEAD, background_of, photo_of, show_instead
 from ..iris_addon.blender.stepwise import Steps, in_thread_asking
 from ..iris_addon.model.capture import Mesh
 from ..iris_addon.results.folder import ReadImage, read_coverage
 from ..iris_addon.results.records import read_response
 from .apply import face_runs
-from .editors import show_in_editor, view_shadings
+from .editors import is_in_editor, show_in_editor, view_shadings
 from .folders import folder
 from .modal_steps import InSteps
 from .polls import NeedsApplied, NeedsResult
@@ -55,6 +62,7 @@ class IRIS_OT_review(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's
                 camera, image = current
                 show_instead(camera, None)
                 settings.overlay = 1.0
+                settings.view_index = settings.view_index  # looks through its camera, as the other pictures do
             else:
                 shown = reviewed_views(out)
                 name = settings.views[settings.view_index].name if settings.views else ""
@@ -84,6 +92,21 @@ def _current_photo(settings: bpy.types.PropertyGroup) -> tuple[bpy.types.Object,
     camera = settings.views[settings.view_index].camera if settings.views else None
     image = None if camera is None else photo_of(camera)
     return None if image is None else (camera, image)
+
+
+def shown_kinds(context: bpy.types.Context) -> set[str]:
+    """Which pictures of :class:`IRIS_OT_review` are seen: one over this 3D view, and the curve in an editor."""
+    curve = bpy.data.images.get(CURVE_NAME)
+    kinds = {"curve"} if curve is not None and is_in_editor(context, "IMAGE_EDITOR", "image", curve) else set()
+    settings, view = context.scene.iris, getattr(context.space_data, "region_3d", None)
+    camera = settings.views[settings.view_index].camera if settings.views else None
+    if camera is None or camera != context.scene.camera or view is None or view.view_perspective != "CAMERA":
+        return kinds
+    behind, instead = background_of(camera), camera.data.get(INSTEAD)
+    if instead is not None:
+        return kinds | {instead.get(KIND, "")} - {""}
+    seen = behind is not None and behind.show_background_image and behind.alpha > 0
+    return kinds | {"photo"} if seen else kinds
 
 
 class IRIS_OT_confidence(bpy.types.Operator):  # noqa: N801 - Blender's naming

@@ -10,7 +10,7 @@ from ...iris_addon.base.errors import IrisError
 from ...iris_addon.blender.apply.camera_look import MATCHED
 from ...iris_addon.blender.apply.looks import has_outside, is_solo, offered_looks, own_looks
 from ...iris_addon.blender.apply.on_objects import APPLIED
-from ...iris_addon.blender.apply.review import model_lines, shows_confidence
+from ...iris_addon.blender.apply.review import model_sentences, shows_confidence
 from ...iris_addon.blender.apply.suggested_photos import suggested_groups
 from ...iris_addon.blender.insert.plate import shows_plate
 from ...iris_addon.blender.render import light_mixing
@@ -20,9 +20,10 @@ from ...iris_addon.blender.scene_out.world import sky_strength
 from ...iris_addon.blender.worker import jobs
 from ...iris_addon.edits.light_units import kelvin
 from ...iris_addon.model.seen_classes import SEEN_CLASSES
-from ...iris_addon.results.files import lamp_picture
+from ...iris_addon.results.files import REPORT_PAGE, lamp_picture
 from ..folders import ROOT_PACKAGE, folder, result_key, solver_python
 from ..relight import BEFORE_PREVIEW, chosen_lamp, lamp_flux, other_lights
+from ..review import shown_kinds
 from . import steps
 from .icons import picture, swatch
 from .photo_list import draw_list
@@ -219,8 +220,9 @@ class IRIS_PT_review(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
             layout.label(text="No result yet", icon="INFO")
         else:
             grid = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
+            seen = shown_kinds(context)
             for kind, text in (("photo", "Photo"), ("render", "Re-render"), ("error", "Error"), ("curve", "Response")):
-                grid.operator("iris.review", text=text).kind = kind
+                grid.operator("iris.review", text=text, depress=kind in seen).kind = kind
             _wipe(layout, scene)
             layout.operator("iris.apply", icon="MATERIAL")
         if APPLIED in scene:
@@ -250,7 +252,7 @@ def _seen_map(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
 
 
 def _figures(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw what the report says of the model, and its warnings."""
+    """Draw the warnings of the report, what it says of the model in words, and a button that opens it."""
     try:
         report = steps.report_of(folder(context.scene))
     except IrisError as error:
@@ -262,11 +264,11 @@ def _figures(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     psnr = report.get("holdout_psnr")
     header.label(text="Model" if psnr is None else f"Model: {psnr:.1f} dB on held-out pixels")
     if body is not None:
-        column = body.column(align=True)
-        for label, text in model_lines(report):
-            split = column.split(factor=0.6)
-            split.label(text=label)
-            split.label(text=text)
+        for text in model_sentences(report):
+            paragraph(body, text, context)
+        page = folder(context.scene) / REPORT_PAGE
+        if page.is_file():
+            body.operator("wm.url_open", text="Open Report", icon="URL").url = page.as_uri()
 
 
 class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming

@@ -89,19 +89,28 @@ class IrisView(bpy.types.PropertyGroup):
     """The check of one photo; ``name`` is that of the view."""
 
     use: bpy.props.BoolProperty(name="Use", description="Solve with this photo, or leave it out", default=True)
-    problem: bpy.props.StringProperty(description="Why the photo should be looked at; empty where it need not be")
-    camera: bpy.props.PointerProperty(type=bpy.types.Object)
+    problem: bpy.props.StringProperty(
+        name="Problem", description="Why the photo should be looked at; empty where it need not be"
+    )
+    camera: bpy.props.PointerProperty(
+        type=bpy.types.Object,
+        name="Camera",
+        description="Where the photo was taken; it has the photo as its background",
+    )
     aspect: bpy.props.FloatProperty(name="Pixel aspect", description="Focal length along x over along y", default=1)
     exposure: bpy.props.FloatProperty(name="Exposure", description="Relative exposure; 0 where it is unknown", min=0.0)
     saturated: bpy.props.FloatProperty(
         name="Clipped", description="Share of clipped pixels, at the upper end of the display range", min=0, max=1
     )
     histogram: bpy.props.StringProperty(name="Histogram", description="Display values from black to clipped")
-    seen: bpy.props.FloatProperty(name="Mesh in view", min=0, max=1)
+    seen: bpy.props.FloatProperty(
+        name="Mesh in view", description="Share of the picture in which the mesh is seen", min=0, max=1
+    )
     score: bpy.props.FloatProperty(name="Fit", description="Correlation of the photo's edges with the mesh's")
     shift: bpy.props.FloatProperty(name="Shift", description="Offset of the photo from the mesh, pixels")
     verdict: bpy.props.EnumProperty(
         name="Verdict",
+        description="Whether the photo lies on the mesh",
         items=(
             ("aligned", "Aligned", "Edges of photo and mesh coincide"),
             ("shifted", "Shifted", "Edges of photo and mesh are offset"),
@@ -114,9 +123,16 @@ class IrisView(bpy.types.PropertyGroup):
 class IrisLamp(bpy.types.PropertyGroup):
     """A recovered lamp; reads and writes the values of its material."""
 
-    material: bpy.props.PointerProperty(type=bpy.types.Material)
-    area: bpy.props.FloatProperty(name="Area", description="Square meters")
-    confidence: bpy.props.FloatProperty(name="Confidence", min=0.0, max=1.0)
+    material: bpy.props.PointerProperty(
+        type=bpy.types.Material, name="Material", description="The emissive material of the lamp's faces"
+    )
+    area: bpy.props.FloatProperty(name="Area", description="Surface that shines, square meters")
+    confidence: bpy.props.FloatProperty(
+        name="Confidence",
+        description="How sure it is that this is a lamp: how much of what the photos show its light explains",
+        min=0.0,
+        max=1.0,
+    )
     on: bpy.props.BoolProperty(
         name="On",
         description="Whether the lamp is on",
@@ -133,6 +149,7 @@ class IrisLamp(bpy.types.PropertyGroup):
     )
     color: bpy.props.FloatVectorProperty(
         name="Color",
+        description="Color of the lamp's light, scene-linear; its brightest channel is 1",
         subtype="COLOR",
         size=3,
         min=0.0,
@@ -147,6 +164,7 @@ class IrisSettings(bpy.types.PropertyGroup):
 
     source: bpy.props.EnumProperty(
         name="Source",
+        description="What is solved",
         items=(
             ("CAPTURE", "Capture", "A folder with photos, poses and mesh"),
             ("SCENE", "This scene", "The cameras of this scene that have a background image, and its mesh objects"),
@@ -174,16 +192,31 @@ class IrisSettings(bpy.types.PropertyGroup):
     )
     preset: bpy.props.EnumProperty(
         name="Preset",
+        description="How fine the solve is, and how long it takes. Times are those of small rooms, about 30 photos of "
+        "320 x 240 pixels, on two processor cores; a scanned kitchen took one to four minutes",
         items=(
-            ("draft", "Draft", "Coarse patches, small textures: a first look"),
-            ("balanced", "Balanced", "For most rooms"),
-            ("final", "Final", "Fine patches, many rays, large textures"),
+            (
+                "draft",
+                "Draft",
+                "A first look: up to 50 000 patches, textures up to 1024 x 1024. Small rooms take 20 to 40 seconds",
+            ),
+            (
+                "balanced",
+                "Balanced",
+                "For most rooms: up to 100 000 patches, textures up to 2048 x 2048. Small rooms take 30 to 50 seconds",
+            ),
+            (
+                "final",
+                "Final",
+                "Fine patches, many rays: up to 250 000 patches, textures up to 4096 x 4096. Small rooms take 50 to "
+                "95 seconds",
+            ),
         ),
         default="balanced",
     )
     atlas_size: bpy.props.EnumProperty(
         name="Atlas Size",
-        description="Texels along a side of the textures",
+        description="Texels along a side of the textures. Twice the side takes four times the memory",
         items=ATLAS_SIZES,
         default="auto",
     )
@@ -196,6 +229,7 @@ class IrisSettings(bpy.types.PropertyGroup):
     )
     device: bpy.props.EnumProperty(
         name="Device",
+        description="What the solve runs on. No graphics card is needed",
         items=(
             ("auto", "Automatic", "A CUDA card where there is one"),
             ("cpu", "CPU", "Processor only"),
@@ -216,11 +250,15 @@ class IrisSettings(bpy.types.PropertyGroup):
             ),
         ),
     )
-    seed: bpy.props.IntProperty(name="Seed", description="Same seed, same result", min=0)
+    seed: bpy.props.IntProperty(
+        name="Seed", description="Of the random rays: the same seed gives the same result", min=0
+    )
     room: bpy.props.PointerProperty(type=bpy.types.Object, name="Room", description="The mesh of the capture")
-    warnings: bpy.props.StringProperty(description="Warnings of the check, one per line")
-    views: bpy.props.CollectionProperty(type=IrisView)
-    view_index: bpy.props.IntProperty(update=_look)
+    warnings: bpy.props.StringProperty(name="Warnings", description="Warnings of the check, one per line")
+    views: bpy.props.CollectionProperty(type=IrisView, name="Photos", description="The photos of the capture")
+    view_index: bpy.props.IntProperty(
+        name="Photo", description="The photo that is looked at: its camera is the active one", update=_look
+    )
     photo_order: bpy.props.EnumProperty(
         name="Order",
         description="Order of the list of photos",
@@ -239,7 +277,9 @@ class IrisSettings(bpy.types.PropertyGroup):
         description="Show the cameras of all photos in 3D views, not only that of the current one",
         update=_show_cameras,
     )
-    folds: bpy.props.StringProperty(description="Sections that the artist has folded or unfolded", options={"HIDDEN"})
+    folds: bpy.props.StringProperty(
+        name="Folds", description="Sections that the artist has folded or unfolded", options={"HIDDEN"}
+    )
     open_data: _open("data")
     open_check: _open("check")
     open_solve: _open("solve")
@@ -247,13 +287,17 @@ class IrisSettings(bpy.types.PropertyGroup):
     open_relight: _open("relight")
     open_insert: _open("insert")
     open_export: _open("export")
-    lamps: bpy.props.CollectionProperty(type=IrisLamp)
-    lamp_index: bpy.props.IntProperty(name="Lamp", update=_show_lamp)
+    lamps: bpy.props.CollectionProperty(type=IrisLamp, name="Lamps", description="The recovered lamps")
+    lamp_index: bpy.props.IntProperty(
+        name="Lamp", description="The chosen lamp; a click shows for two seconds where it is", update=_show_lamp
+    )
     show_unsure: bpy.props.BoolProperty(
         name="Unsure Lamps", description="List lamps too whose light explains little of what the photos show"
     )
     lumens_per_unit: bpy.props.FloatProperty(
-        description="Lumens per unit of radiance times square meter; 0 while no lamp's lumens are known", min=0.0
+        name="Lumens per Unit",
+        description="Lumens per unit of radiance times square meter; 0 while no lamp's lumens are known",
+        min=0.0,
     )
     wipe: bpy.props.FloatProperty(
         name="Wipe",

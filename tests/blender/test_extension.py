@@ -31,6 +31,7 @@ ALLOWED_OPS = (
     "render.",
     "object.bake",
     "wm.open_mainfile",
+    "wm.window_new",
     "import_scene.",
     "export_scene.",
     "scene.view_layer_remove_lightgroup",
@@ -174,6 +175,25 @@ def test_every_operator_of_an_artist_stands_in_a_menu():
     assert every - menus == {f"iris.{name}" for name in of_panels | of_preferences}
 
 
+def test_every_setting_says_what_it_is(package, tmp_path):
+    """A tooltip for each property of a scene, and for each choice of those that have choices."""
+    in_blender(
+        package,
+        tmp_path,
+        """
+        settings = sys.modules[KEY + ".operators.ui.settings"]
+        groups = [thing for name, thing in vars(settings).items() if name.startswith("Iris")]
+        assert len(groups) == 3, groups
+        for group in groups:
+            for name in group.__annotations__:
+                found = group.bl_rna.properties[name]
+                assert found.name and found.name != name and len(found.description) > 8, (group, name)
+                items = found.enum_items if found.type == "ENUM" else ()
+                assert all(item.description for item in items), (group, name)
+        """,
+    )
+
+
 # ---- in use --------------------------------------------------------------------------------------------------------
 
 
@@ -281,6 +301,36 @@ def test_from_capture_to_files_and_back(package, tmp_path, worker, nerfstudio_ro
     said = in_blender(package, tmp_path, body)
     assert "Traceback" not in said
     assert not [line for line in said.splitlines() if "Warning: " in line or "rna_uiItemO" in line]
+
+
+def test_what_is_shown_takes_no_editor_that_an_artist_works_with(package, tmp_path, solved, nerfstudio_room):
+    """Response, Mix Lights and Log in Blender's own layout, and beside an editor that may be changed."""
+    (solved / "inspection").mkdir()
+    in_blender(
+        package,
+        tmp_path,
+        f"""
+        from importlib import import_module
+        from types import SimpleNamespace as N
+        editors = import_module(KEY + ".operators.editors")
+        bpy.context.scene.iris.result = {str(solved)!r}
+        layout = lambda: sorted(area.type for area in bpy.context.screen.areas)
+        before = layout()
+        assert before == ["DOPESHEET_EDITOR", "OUTLINER", "PROPERTIES", "VIEW_3D"], before
+        assert bpy.ops.iris.review(kind="curve") == {{"FINISHED"}}
+        assert bpy.ops.iris.show_log(job="solve") == {{"FINISHED"}}
+        editors.show_in_editor(bpy.context, "NODE_EDITOR", "tree_type", "CompositorNodeTree")  # as Mix Lights does
+        assert layout() == before, layout()
+
+        spare = next(area for area in bpy.context.screen.areas if area.type == "DOPESHEET_EDITOR")
+        spare.type = "INFO"  # nobody works in it
+        assert bpy.ops.iris.show_log(job="solve") == {{"FINISHED"}}
+        assert spare.type == "TEXT_EDITOR" and spare.spaces.active.text.name == "IRIS solve log"
+        assert bpy.ops.iris.review(kind="curve") == {{"FINISHED"}}
+        assert spare.type == "IMAGE_EDITOR" and spare.spaces.active.image.name == "IRIS Response"
+        assert layout() == ["IMAGE_EDITOR", "OUTLINER", "PROPERTIES", "VIEW_3D"], layout()
+        """,
+    )
 
 
 def test_captures_are_imported_by_menu_and_by_drag_and_drop(package, tmp_path, worker, nerfstudio_room):
@@ -800,6 +850,32 @@ def test_the_plot_of_a_response_goes_from_corner_to_corner():
     assert np.flatnonzero(white[:, 128])[0] == pytest.approx(256 * (1 - 0.5 ** (1 / 2.2)), abs=2)
     colored = curve_plot(np.stack([np.linspace(0, 1, 1024) ** g for g in (0.4, 0.5, 0.6)]))
     assert not (colored == 1.0).all(axis=-1).any()
+
+
+def test_a_result_is_described_in_sentences():
+    from iris_addon.blender.apply.review import model_sentences
+
+    report = json.loads((ROOT / "assets" / "demo_solved" / "report.json").read_text())
+    assert model_sentences(report) == [
+        "3 lamps found. No light comes in from outside.",
+        "265 surfaces: 156 glossy and 5 metal, the others matte.",
+        "Matte surfaces look duller at grazing angles, as under a coat of varnish.",
+        "Exposures are as recorded.",
+        "Typical error on pixels that the solve was not shown: 3.6 % of white (29.0 dB).",
+        "Solved from 28 photos.",
+    ]
+    model = report["model"]
+    model |= {"lamps": 1, "unseen_lamps": 1, "outside_directions": 12, "light_states": {"day": {}, "night": {}}}
+    model |= {"mirrors": 1, "faces_of_panes": 2, "diffuse": {"lobe": "burley"}}
+    model["response"] = {"family": "identity", "exposures": "estimated"}
+    light, materials, lobe, exposures, quality, photos = model_sentences({**report, "excluded": ["blurred", "dark"]})
+    assert light == ("1 lamp found, in no photo. Light comes in from outside. Photographed in 2 light states.")
+    assert materials.endswith("the others matte. 1 is a mirror. Panes of glass are seen through.")
+    assert "plaster" in lobe and exposures == "Exposures were estimated from the photos."
+    assert quality.endswith(": 29.0 dB.") and photos == "Solved from 28 photos; left out: blurred, dark."
+    model |= {"lamps": 0, "sun": True}
+    assert model_sentences(report)[0].startswith("No lamp was found. The sun shines in.")
+    assert model_sentences({"model": [], "holdout_psnr": "good"}) == []  # of another version, or damaged
 
 
 def test_a_histogram_becomes_a_line_of_blocks():

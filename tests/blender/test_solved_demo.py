@@ -51,8 +51,24 @@ def test_from_installing_to_the_relit_room_without_a_solver(package, tmp_path):
     assert all(view.camera is not None for view in settings.views)
     images = [view.camera.data.background_images[0].image for view in settings.views]
     assert all(tuple(image.size) == (320, 240) for image in images)
-    for kind in ("photo", "render", "error", "curve"):
-        assert bpy.ops.iris.review(kind=kind) == {{"FINISHED"}}, kind
+    shown_kinds = sys.modules[KEY + ".operators.review"].shown_kinds
+    view = next(area for area in bpy.context.screen.areas if area.type == "VIEW_3D")
+    with bpy.context.temp_override(area=view):
+        for kind in ("photo", "render", "error", "curve"):
+            assert bpy.ops.iris.review(kind=kind) == {{"FINISHED"}}, kind
+            if kind != "curve":
+                assert shown_kinds(bpy.context) == {{kind}}, (kind, shown_kinds(bpy.context))
+        spare = next(area for area in bpy.context.screen.areas if area.type == "DOPESHEET_EDITOR")
+        spare.type = "IMAGE_EDITOR"
+        bpy.ops.iris.review(kind="curve")
+        assert shown_kinds(bpy.context) == {{"error", "curve"}}
+        spare.type = "DOPESHEET_EDITOR"
+        view.spaces.active.region_3d.view_perspective = "PERSP"
+        assert shown_kinds(bpy.context) == set()
+        bpy.ops.iris.review(kind="photo")  # looks through its camera
+        assert shown_kinds(bpy.context) == {{"photo"}}
+        settings.overlay = 0
+        assert shown_kinds(bpy.context) == set()
     room = [thing for thing in scene.objects if thing.type == "MESH" and "iris_original" in thing]
     assert len(room) == 1
 

@@ -149,11 +149,13 @@ def resume(stage: Stage) -> str:
 
 
 def review(stage: Stage) -> str:
-    """Photo, re-render, error and response in the image editor."""
+    """Photo, re-render and error over the view, each with its button pressed, and the response in a window."""
     session = stage.session
-    for kind in ("render", "error", "curve", "photo"):
-        session.press(f"iris.review(kind='{kind}'", columns=(0.15, 0.4, 0.6, 0.85))
+    columns = (0.15, 0.4, 0.6, 0.85)
+    for kind in ("render", "error", "photo"):
+        session.press(f"iris.review(kind='{kind}'", columns=columns)
         stage.photograph(f"08_review_{kind}")
+    stage.press_for_window("iris.review(kind='curve'", "Image Editor", "08_review_curve", columns)
     images = session.ask("[i.name for i in bpy.data.images]")
     return f"{len(images)} images"
 

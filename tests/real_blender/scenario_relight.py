@@ -202,9 +202,14 @@ def mix_lights(stage: Stage) -> str:
     """Mix Lights: a slider per light; the render is what it was, and switched off nothing is left of it."""
     session = stage.session
     before = session.ask("content()")
-    plain = stage.render("18_not_mixed")
+    plain, editors = stage.render("18_not_mixed"), stage.editors()
+    count = session.windows()
     session.press("iris.mix_lights")
     until(lambda: stage.value("get('iris_mixed')"), "the lights are mixed", 20)
+    until(lambda: session.windows() > count, "the compositor has a window", 20)
+    stage.photograph("18_compositor")
+    assert stage.editors() == editors, f"{editors} became {stage.editors()}"
+    session.close_newest_window()
     mixed = stage.render("18_mixed")
     stage.photograph("18_sliders")
     assert max(abs(a - b) for a, b in zip(plain, mixed, strict=True)) < 0.02, (plain, mixed)

@@ -108,8 +108,8 @@ def two_responses(stage: Stage) -> str:
     curves = []
     for index in (0, len(stage.value("iris.views.keys()")) - 1):
         session.ask(f"setattr(bpy.data.scenes[0].iris, 'view_index', {index})")
-        session.press("iris.review(kind='curve'", columns=(0.15, 0.4, 0.6, 0.85))
-        stage.photograph(f"35_response_{index}")
+        columns = (0.15, 0.4, 0.6, 0.85)
+        stage.press_for_window("iris.review(kind='curve'", "Image Editor", f"35_response_{index}", columns)
         curves.append(session.ask("list(next(i for i in bpy.data.images if 'esponse' in i.name).pixels)"))
     moved = np.abs(np.subtract(*curves)).mean()
     assert moved > 1e-3, "both photos have one curve"

@@ -104,6 +104,23 @@ class Stage:
         for name in ("Cube", "Light"):
             self.session.ask(f"bpy.data.objects.remove(bpy.data.objects[{name!r}])")
 
+    def press_for_window(self, name: str, title: str, picture: str, columns: tuple[float, ...] = (0.5,)) -> None:
+        """Press twice a button that shows something in the editor called ``title``: a window opens for it, once, and
+        the editors of the first window stay what they were. Then that window is closed."""
+        session = self.session
+        before, count = self.editors(), session.windows()
+        session.new_window(lambda: session.press(name, columns=columns), title, (0, 560, 560, 400))
+        self.photograph(picture)
+        session.press(name, columns=columns)
+        session.display.still()
+        assert session.windows() == count + 1, f"{name} opened another window"
+        assert self.editors() == before, f"{name} made {before} into {self.editors()}"
+        session.close_newest_window()
+
+    def editors(self) -> list[str]:
+        """Types of the editors in the first window."""
+        return [area["type"] for area in self.session.ask("windows()")[0]["areas"]]
+
     def render(self, name: str) -> list[float]:
         """Render > Render Image, small, through the camera that is looked through; means of its channels."""
         session = self.session

@@ -14,11 +14,25 @@ from ...base.errors import BadInput
 from ..images import image_from_array
 from ..scene_out.materials import CONFIDENCE
 
-KINDS = ("photo", "render", "error")
+KIND = "iris_kind"
+"""Custom property of a picture of :func:`review_image`: which it is."""
+CURVE_NAME = "IRIS Response"
 CURVE_SIDE = 256
 SPARKS = 16
 BLOCKS = "▁▂▃▄▅▆▇█"
 CHANNEL_COLORS = ((0.9, 0.25, 0.2), (0.2, 0.7, 0.25), (0.25, 0.45, 0.95))
+
+
+LOBES = {
+    "lambert": "Matte surfaces look equally bright from all sides.",
+    "layered": "Matte surfaces look duller at grazing angles, as under a coat of varnish.",
+    "burley": "Matte surfaces look brighter at grazing angles, as plaster and cloth do.",
+}
+EXPOSURES = {
+    "known": "Exposures are as recorded.",
+    "corrected": "Recorded exposures were corrected.",
+    "estimated": "Exposures were estimated from the photos.",
+}
 
 
 def reviewed_views(folder: Path) -> list[str]:
@@ -33,10 +47,11 @@ def review_image(folder: Path, view: str, kind: str) -> bpy.types.Image:
         raise BadInput("is not there", "solve again, or choose a photo that the report shows", path)
     image = bpy.data.images.load(str(path), check_existing=True)
     image.reload()  # an earlier result may have had this name
+    image[KIND] = kind
     return image
 
 
-def curve_image(samples: NDArray[np.floating], name: str = "IRIS Response") -> bpy.types.Image:
+def curve_image(samples: NDArray[np.floating], name: str = CURVE_NAME) -> bpy.types.Image:
     """A plot of the response: display value over radiance times exposure, both 0 to 1, a line per channel (3, n)."""
     old = bpy.data.images.get(name)
     if old is not None:
@@ -75,25 +90,87 @@ def sparkline(histogram: Sequence[float]) -> str:
     return "".join(BLOCKS[level] for level in levels)
 
 
-def model_lines(report: dict[str, Any]) -> list[tuple[str, str]]:
-    """The refinements of the model, as (label, value) for the panel."""
-    model = report.get("model")
-    lines = []
-    for name, value in model.items() if isinstance(model, dict) else ():
-        label = str(name).replace("_", " ").capitalize()
-        if isinstance(value, dict):
-            lines += [(f"{label}: {str(key).replace('_', ' ')}", _short(item)) for key, item in value.items()]
-        else:
-            lines.append((label, _short(value)))
-    return [(label, text) for label, text in lines if text]
+def model_sentences(report: dict[str, Any]) -> list[str]:
+    """What a result is, in words for the panel: its light, its materials, how well it predicts, what was left out.
+
+    Args:
+        report: content of report.json; what it lacks, as those of earlier versions do, is passed over.
+    """
+    model = _part(report, "model")
+    found = [_light(model), _materials(model), _diffuse(model), _exposures(model), _quality(report), _photos(report)]
+    return [text for text in found if text]
 
 
-def _short(value: object) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, float):
-        return f"{value:.3g}"
-    return str(value) if isinstance(value, int | str) else ""
+def _light(model: dict[str, Any]) -> str:
+    count, unseen, states = _count(model, "lamps"), _count(model, "unseen_lamps"), _part(model, "light_states")
+    if count is None:
+        return ""
+    text = f"{_several(count, 'lamp')} found" if count else "No lamp was found"
+    if count and unseen:
+        text += ", in no photo" if count == 1 else f", {unseen} of them in no photo"
+    if model.get("sun") is True:
+        text += ". The sun shines in"
+    elif _count(model, "outside_directions") or model.get("light_through_holes") is True:
+        text += ". Light comes in from outside"
+    else:
+        text += ". No light comes in from outside"
+    return f"{text}. Photographed in {_several(len(states), 'light state')}." if states else f"{text}."
+
+
+def _materials(model: dict[str, Any]) -> str:
+    regions = _count(model, "regions")
+    if not regions:
+        return ""
+    words = {"glossy_regions": "glossy", "metallic_regions": "metal"}
+    kinds = [f"{count} {word}" for name, word in words.items() if (count := _count(model, name))]
+    text = (
+        f"{_several(regions, 'surface')}: {' and '.join(kinds)}, the others matte"
+        if kinds
+        else "All surfaces are matte"
+    )
+    mirrors = _count(model, "mirrors")
+    if mirrors:
+        text += f". {mirrors} {'is a mirror' if mirrors == 1 else 'are mirrors'}"
+    return f"{text}. Panes of glass are seen through." if _count(model, "faces_of_panes") else f"{text}."
+
+
+def _diffuse(model: dict[str, Any]) -> str:
+    return LOBES.get(str(_part(model, "diffuse").get("lobe")), "")
+
+
+def _exposures(model: dict[str, Any]) -> str:
+    return EXPOSURES.get(str(_part(model, "response").get("exposures")), "")
+
+
+def _quality(report: dict[str, Any]) -> str:
+    psnr = report.get("holdout_psnr")
+    if not isinstance(psnr, int | float):
+        return ""
+    of_radiance = _part(_part(report, "model"), "response").get("family") == "identity"
+    error = f"{psnr:.1f} dB" if of_radiance else f"{100 * 10 ** (-psnr / 20):.2g} % of white ({psnr:.1f} dB)"
+    return f"Typical error on pixels that the solve was not shown: {error}."
+
+
+def _photos(report: dict[str, Any]) -> str:
+    used, excluded = _count(report, "n_views"), report.get("excluded")
+    if used is None:
+        return ""
+    names = ", ".join(str(name) for name in excluded) if isinstance(excluded, list) else ""
+    return f"Solved from {_several(used, 'photo')}" + (f"; left out: {names}." if names else ".")
+
+
+def _part(found: dict[str, Any], key: str) -> dict[str, Any]:
+    value = found.get(key)
+    return value if isinstance(value, dict) else {}
+
+
+def _count(found: dict[str, Any], key: str) -> int | None:
+    value = found.get(key)
+    return value if isinstance(value, int) and not isinstance(value, bool) else None
+
+
+def _several(count: int, one: str) -> str:
+    return f"{count} {one}" if count == 1 else f"{count} {one}s"
 
 
 def show_confidence(objects: list[bpy.types.Object], on: bool) -> bool:
