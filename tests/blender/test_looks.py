@@ -6,6 +6,8 @@ import bpy
 import numpy as np
 import pytest
 
+from iris_addon.base.errors import BadInput
+from iris_addon.blender.apply.farm_frames import relit_frames
 from iris_addon.blender.apply.looks import (
     forget_look,
     keep_states,
@@ -15,7 +17,10 @@ from iris_addon.blender.apply.looks import (
     set_look,
     set_own_look,
 )
+from iris_addon.blender.apply.on_objects import MADE
 from iris_addon.blender.apply.scene_files import apply_to_scene
+from iris_addon.blender.camera import add_camera, look_through
+from iris_addon.blender.insert.photo_composite import as_photographed
 from iris_addon.blender.render.cycles import render_camera, set_cycles
 from iris_addon.blender.scene_out.build import BuiltScene, build_scene
 from iris_addon.blender.scene_out.lights import (
@@ -30,6 +35,7 @@ from iris_addon.blender.scene_out.lights import (
 from iris_addon.blender.scene_out.world import outside_light
 from iris_addon.model.recovered import LightState, OutsideLight, Sunlight
 from iris_addon.model.render_settings import RenderSettings
+from iris_addon.model.response import LUMINANCE
 from tests.blender_room import camera, room, sides_of_box
 
 pytestmark = pytest.mark.bpy
@@ -59,12 +65,15 @@ def floor(built: BuiltScene) -> np.ndarray:
 def test_every_look_sets_lamps_sun_and_sky():
     built = lit()
     photographed = floor(built)
+    gray = photographed[1] * 0.7152  # the luminance of a green sky, in every channel
     assert (photographed > 0.01).all()  # red by the sun, green by the sky, blue by the lamp
     for look, shares in (
         ("LAMPS", (0, 0, 1)),
         ("EVENING", (0.05, 0.05, 1)),
         ("DAY", (1, 1, 0)),
+        ("OVERCAST", gray / photographed),
         ("BLACKOUT", (0, 0, 0)),
+        ("OVERCAST", gray / photographed),
         ("PHOTOGRAPHED", (1, 1, 1)),
     ):
         set_look(built.scene, look)
@@ -73,10 +82,10 @@ def test_every_look_sets_lamps_sun_and_sky():
 
 def test_without_light_from_outside_only_looks_that_differ_are_offered():
     built = lit()
-    assert list(offered_looks(built.scene)) == ["PHOTOGRAPHED", "LAMPS", "EVENING", "DAY", "BLACKOUT"]
+    assert list(offered_looks(built.scene)) == ["PHOTOGRAPHED", "LAMPS", "EVENING", "DAY", "OVERCAST", "BLACKOUT"]
     for thing in [thing for thing in built.scene.objects if thing.type == "LIGHT"]:
         bpy.data.objects.remove(thing)
-    assert len(offered_looks(built.scene)) == 5, "the sky shines"
+    assert len(offered_looks(built.scene)) == 6, "the sky shines"
     color = outside_light(built.scene.world).inputs["Color"]
     color.default_value = (0, 0, 0, 1)
     assert list(offered_looks(built.scene)) == ["PHOTOGRAPHED", "BLACKOUT"]
@@ -86,7 +95,35 @@ def test_without_lamps_only_looks_that_differ_are_offered():
     built = lit()
     for material in lamp_materials(built.scene.objects):
         bpy.data.materials.remove(material)
-    assert list(offered_looks(built.scene)) == ["PHOTOGRAPHED", "EVENING", "BLACKOUT"]
+    assert list(offered_looks(built.scene)) == ["PHOTOGRAPHED", "EVENING", "OVERCAST", "BLACKOUT"]
+
+
+def test_the_colors_of_the_sky_come_back_after_overcast():
+    """Of a sky that is the same in all directions and of one that is not."""
+    for sh in ([[0.0, 1.0, 0.0]], [[0.0, 1.0, 0.0], [0, 0, 0], [0, 0, 0.3], [0, 0, 0]]):
+        result = room(mesh=sides_of_box(4), outside=OutsideLight(np.array(sh) / 0.28209479))
+        built = build_scene(result)
+        photographed = floor(built)
+        set_look(built.scene, "OVERCAST")
+        overcast = floor(built)
+        np.testing.assert_allclose(overcast, photographed @ LUMINANCE, rtol=0.02)
+        for made in (built.scene.world, *built.scene.objects):
+            made[MADE] = True
+        with as_photographed(built.scene):
+            np.testing.assert_allclose(floor(built), photographed, rtol=0.02, atol=1e-5)
+        np.testing.assert_allclose(floor(built), overcast, rtol=0.02)
+        set_look(built.scene, "EVENING")
+        np.testing.assert_allclose(floor(built), photographed * 0.05, rtol=0.02, atol=1e-5)
+
+
+def test_a_gray_sky_is_not_exported_to_a_farm_as_if_it_had_its_colors():
+    built = lit()
+    view = camera(fx=40.0, fy=40.0)
+    look_through(built.scene, view, add_camera(view, "photo", built.scene.collection))
+    assert relit_frames(built.scene, np.eye(4))[1]["outside"] == 1.0
+    set_look(built.scene, "OVERCAST")
+    with pytest.raises(BadInput, match="is gray"):
+        relit_frames(built.scene, np.eye(4))
 
 
 def test_what_was_photographed_has_the_sun_even_while_a_look_hides_it():

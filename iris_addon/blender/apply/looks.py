@@ -22,17 +22,23 @@ from ..scene_out.lights import (
     switch,
 )
 from ..scene_out.materials import LAMP_ID
-from ..scene_out.world import outside_light, sky_strength
+from ..scene_out.world import outside_light, set_gray, shines, sky_strength
 from .applied_states import TINY, show_state, shown_state, sky_level
 
 
 class Look(NamedTuple):
-    """``lamps`` and ``outside``, sun and sky, are shares of what was recovered."""
+    """``lamps`` and ``outside``, sun and sky, are shares of what was recovered.
+
+    Where ``overcast`` the sun is off and the sky gray. Its luminance stays: clouds take the sun and spread its light,
+    and outdoors the light of the sky alone, blue or overcast, is of one order (10 to 20 klx by day), so that what
+    enters a room without sun becomes colorless before it becomes more or less.
+    """
 
     label: str
     tooltip: str
     lamps: bool
     outside: float
+    overcast: bool = False
 
 
 LOOKS = {
@@ -40,6 +46,7 @@ LOOKS = {
     "LAMPS": Look("Lamps Only", "The lamps, without any light from outside", True, 0.0),
     "EVENING": Look("Evening", "The lamps, with a twentieth of the light from outside", True, 0.05),
     "DAY": Look("Daylight", "The light from outside, without the lamps", False, 1.0),
+    "OVERCAST": Look("Overcast", "A gray sky as bright as the recovered one, without sun and lamps", False, 1.0, True),
     "BLACKOUT": Look("Blackout", "Neither lamps nor light from outside, for lights of your own", False, 0.0),
 }
 
@@ -54,30 +61,30 @@ def set_look(scene: bpy.types.Scene, key: str) -> None:
     level = sky_strength(scene.world)
     if level is not None:
         level.default_value = look.outside
-    for thing in scene.objects:
-        if is_recovered_sun(thing):
-            set_sun(thing, look.outside)
+    set_gray(scene.world, look.overcast)
+    for thing in filter(is_recovered_sun, scene.objects):
+        set_sun(thing, 0.0 if look.overcast else look.outside)
     show_state(scene, None)
 
 
 def has_outside(scene: bpy.types.Scene) -> bool:
     """Whether there is light from outside to be dimmed, the sun's and the backdrop's included; also taken for granted
     where the artist has rebuilt the world."""
-    background = outside_light(scene.world)
-    if background is None:
+    if outside_light(scene.world) is None or shines(scene.world):
         return True
-    color = background.inputs["Color"]
-    shines = color.is_linked or any(color.default_value[:3])
-    return shines or any(is_recovered_sun(thing) or is_backdrop(thing) for thing in scene.objects)
+    return any(is_recovered_sun(thing) or is_backdrop(thing) for thing in scene.objects)
 
 
 def offered_looks(scene: bpy.types.Scene) -> dict[str, Look]:
     """The looks that differ from each other in the room of ``scene``."""
     outside, lamps = has_outside(scene), bool(lamp_materials(scene.objects))
+    sky = shines(scene.world)
     return {
         key: look
         for key, look in LOOKS.items()
-        if (outside or look.outside == look.lamps) and (lamps or look.lamps == bool(look.outside))
+        if (sky or not look.overcast)
+        and (outside or look.outside == look.lamps)
+        and (lamps or look.overcast or look.lamps == bool(look.outside))
     }
 
 
