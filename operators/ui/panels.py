@@ -8,7 +8,7 @@ import bpy
 
 from ...iris_addon.base.errors import IrisError
 from ...iris_addon.blender.apply.camera_look import MATCHED
-from ...iris_addon.blender.apply.looks import has_outside, is_solo, offered_looks, own_looks
+from ...iris_addon.blender.apply.looks import has_outside, is_solo, offered_looks
 from ...iris_addon.blender.apply.on_objects import APPLIED
 from ...iris_addon.blender.apply.review import model_lines, shows_confidence
 from ...iris_addon.blender.apply.suggested_photos import suggested_groups
@@ -22,7 +22,7 @@ from ...iris_addon.edits.light_units import kelvin
 from ...iris_addon.model.seen_classes import SEEN_CLASSES
 from ...iris_addon.results.files import lamp_picture
 from ..folders import ROOT_PACKAGE, folder, result_key, solver_python
-from ..relight import BEFORE_PREVIEW, chosen_lamp, lamp_flux, other_lights
+from ..relight import BEFORE_PREVIEW, all_looks, chosen_lamp, lamp_flux, other_lights
 from . import steps
 from .icons import picture, swatch
 from .photo_list import draw_list
@@ -289,7 +289,7 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         grid = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
         for key, look in offered_looks(scene).items():
             grid.operator("iris.look", text=look.label).look = key
-        for name in own_looks(scene):
+        for name in all_looks(scene):
             row = grid.row(align=True)
             row.operator("iris.own_look", text=name).name = name
             row.operator("iris.forget_look", text="", icon="X").name = name

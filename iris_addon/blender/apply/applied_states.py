@@ -94,6 +94,11 @@ def has_light_states(scene: bpy.types.Scene) -> bool:
     return STATES in scene
 
 
+def state_names(scene: bpy.types.Scene) -> list[str]:
+    """Names of the light states that ``scene`` keeps."""
+    return list(json.loads(scene.get(STATES, "{}")))
+
+
 def light_state_of(camera: bpy.types.Object, scene: bpy.types.Scene) -> str:
     """The light state that ``camera`` names for its photo or plate; "" where the room of ``scene`` has one only."""
     return camera.data.iris_light_state.strip() if has_light_states(scene) else ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any, NamedTuple
 
 import bpy
@@ -15,7 +16,6 @@ from ..scene_out.lights import (
     is_on,
     is_recovered_sun,
     lamp_materials,
-    lamp_setting,
     reset,
     set_lamp,
     set_sun,
@@ -23,7 +23,8 @@ from ..scene_out.lights import (
 )
 from ..scene_out.materials import LAMP_ID
 from ..scene_out.world import outside_light, set_gray, shines, sky_strength
-from .applied_states import TINY, show_state, shown_state, sky_level
+from .applied_states import TINY, show_state, sky_level
+from .saved_looks import SavedLook, look_of, show_look
 
 
 class Look(NamedTuple):
@@ -103,38 +104,34 @@ def is_solo(scene: bpy.types.Scene, lamp: bpy.types.Material) -> bool:
 
 # ---- looks of the artist's own -------------------------------------------------------------------------------------
 
-OWN_LOOKS = "iris_looks"
-"""Custom property of a scene: what each look of the artist's own is, by name. "lamps" has by id whether each shines,
-its strength and colour; "outside" the strength of the light from outside; "sun" whether it shines, energy, colour and
-turn; "state" the light state that they stand in, "" for the first."""
+OWN_LOOKS, STATE_LOOKS = "iris_own_looks", "iris_looks"
+"""Custom properties of a scene: the artist's looks by name, JSON text of :mod:`.saved_looks`; and those of the light
+states of the photos, which go with the result. The latter have by name "lamps", by id whether each shines, its
+strength and colour; "outside", the strength of the light from outside; "sun", whether it shines, energy, colour and
+turn; "state", the light state."""
 
 
 def own_looks(scene: bpy.types.Scene) -> list[str]:
-    """Names of the artist's own looks, in the order in which they were saved."""
-    return list(scene[OWN_LOOKS].keys()) if OWN_LOOKS in scene else []
+    """Names of the looks of light states, and of the artist's own in the order in which they were saved."""
+    return list(dict.fromkeys(name for kind in (STATE_LOOKS, OWN_LOOKS) for name in (scene.get(kind) or {}).keys()))  # noqa: SIM118 - Blender's
 
 
-def save_look(scene: bpy.types.Scene, name: str) -> None:
+def save_look(scene: bpy.types.Scene, name: str) -> SavedLook:
     """Keep how the lights of ``scene`` are set as a look of the artist's own, in place of one of that name."""
-    lamps = {}
-    for material in lamp_materials(scene.objects):
-        on, level, tint = lamp_setting(material)
-        lamps[str(material[LAMP_ID])] = [float(on), level, *tint]
-    look: dict[str, Any] = {"lamps": lamps, "state": shown_state(scene) or ""}
-    outside = sky_strength(scene.world)
-    if outside is not None:
-        look["outside"] = outside.default_value
-    for sun in filter(is_recovered_sun, scene.objects):
-        turn = sun.matrix_basis.to_quaternion()
-        look["sun"] = [float(not sun.hide_render), sun.data.energy, *sun.data.color, *turn]
+    look = look_of(scene)
+    forget_look(scene, name)
     if OWN_LOOKS not in scene:
         scene[OWN_LOOKS] = {}
-    scene[OWN_LOOKS][name] = look
+    scene[OWN_LOOKS][name] = json.dumps(look)
+    return look
 
 
 def set_own_look(scene: bpy.types.Scene, name: str) -> None:
-    """Set the lights of ``scene`` as they were when the look was saved; what the artist has rebuilt stays as it is."""
-    look = scene[OWN_LOOKS][name]
+    """Set the lights of ``scene`` as in a look of :func:`own_looks`; what the artist has rebuilt stays as it is."""
+    if name in (scene.get(OWN_LOOKS) or {}):
+        show_look(scene, json.loads(scene[OWN_LOOKS][name]))
+        return
+    look = scene[STATE_LOOKS][name]
     for material in lamp_materials(scene.objects):
         state = look["lamps"].get(str(material[LAMP_ID]))
         if state is None:
@@ -144,6 +141,7 @@ def set_own_look(scene: bpy.types.Scene, name: str) -> None:
     outside = sky_strength(scene.world)
     if outside is not None and "outside" in look:
         outside.default_value = look["outside"]
+    set_gray(scene.world, False)
     for sun in filter(is_recovered_sun, scene.objects) if "sun" in look else ():
         on, sun.data.energy, *rest = look["sun"]
         sun.hide_render = sun.hide_viewport = not on
@@ -172,9 +170,9 @@ def keep_states(scene: bpy.types.Scene, result: Result) -> None:
             energy = max(float(recovered.max()), TINY)
             turn = thing.matrix_basis.to_quaternion()
             look["sun"] = [float(state.sun is not None), energy, *(recovered / energy).tolist(), *turn]
-        if OWN_LOOKS not in scene:
-            scene[OWN_LOOKS] = {}
-        scene[OWN_LOOKS][state.name] = look
+        if STATE_LOOKS not in scene:
+            scene[STATE_LOOKS] = {}
+        scene[STATE_LOOKS][state.name] = look
 
 
 def _kept(radiance: NDArray[np.floating], otherwise: NDArray[np.floating]) -> list[float]:
@@ -186,11 +184,12 @@ def _kept(radiance: NDArray[np.floating], otherwise: NDArray[np.floating]) -> li
 
 
 def forget_look(scene: bpy.types.Scene, name: str) -> None:
-    """Remove a look of the artist's own."""
-    del scene[OWN_LOOKS][name]
+    """Remove a look of :func:`own_looks`, if there is one of that name."""
+    for kind in (STATE_LOOKS, OWN_LOOKS):
+        if name in (scene.get(kind) or {}):
+            del scene[kind][name]
 
 
-def forget_looks(scene: bpy.types.Scene) -> None:
-    """Remove all of them: the lamps of another result are others."""
-    if OWN_LOOKS in scene:
-        del scene[OWN_LOOKS]
+def forget_states(scene: bpy.types.Scene) -> None:
+    """Remove the looks of light states: those of another result are others. The artist's own stay."""
+    scene.pop(STATE_LOOKS, None)
