@@ -325,7 +325,7 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
 
 
 def _chosen_lamp(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
-    """Draw what the chosen lamp is: its share of the light or its lumens, color temperature, area, confidence."""
+    """Draw what the chosen lamp is: its share of the light or its lumens, kelvin, watts, area and confidence."""
     lamp, settings = chosen_lamp(scene), scene.iris
     unsure = sum(other.confidence < UNSURE for other in settings.lamps)
     if unsure:
@@ -346,7 +346,9 @@ def _chosen_lamp(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     share = f"{scale * own:.0f} lm" if scale else f"{own / total:.0%} of the light"
     temperature = kelvin(lamp.color)
     tint = "" if temperature is None else f", {round(temperature, -1):.0f} K"
-    layout.label(text=f"{share}{tint}")
+    split = layout.split(factor=0.6, align=True)
+    split.label(text=f"{share}{tint}")
+    split.prop(lamp, "watts", text="")
     split = layout.split(factor=0.6, align=True)
     split.label(text=f"{lamp.area:.2g} m², {lamp.confidence:.0%} sure")
     split.operator("iris.anchor")

@@ -689,6 +689,10 @@ def test_looks_solo_and_known_lumens(package, tmp_path, worker, nerfstudio_room)
     fails(bpy.ops.iris.own_look, "no look 'Dim'", name="Dim")
     bpy.ops.iris.look(look="PHOTOGRAPHED")
     bpy.ops.iris.anchor(lumens=800)
+    assert abs(lamp.watts / (math.pi * 4 * 12) - 1) < 1e-5
+    lamp.strength = 6
+    assert abs(lamp.watts / (math.pi * 4 * 6) - 1) < 1e-5
+    lamp.strength = 12
     flux = math.pi * 4 * (0.2126 * 12 + 0.7152 * 10 + 0.0722 * 8)
     assert abs(scene.iris.lumens_per_unit * flux / 800 - 1) < 1e-5
     sun = bpy.data.objects.new("my sun", bpy.data.lights.new("my sun", "SUN"))
