@@ -12,12 +12,14 @@ from iris_addon.blender.apply.farm_frames import relit_frames
 from iris_addon.blender.apply.looks import (
     forget_look,
     forget_states,
+    is_solo,
     keep_states,
     offered_looks,
     own_looks,
     save_look,
     set_look,
     set_own_look,
+    solo,
 )
 from iris_addon.blender.apply.on_objects import MADE
 from iris_addon.blender.apply.saved_looks import preset_names, read_preset, remove_preset, show_look, write_preset
@@ -247,6 +249,16 @@ def test_a_preset_that_is_no_look_is_refused(tmp_path: Path, content: str):
     (tmp_path / "x.json").write_text(content)
     with pytest.raises(BadInput):
         read_preset(tmp_path, "x")
+
+
+def test_solo_leaves_one_of_two_lamps_on_and_pressed_again_both():
+    built = two_lamps(LAMP, LAMP)
+    first, second = lamp_materials(built.scene.objects)
+    for pressed, shining in ((first, [first]), (second, [second]), (second, [first, second]), (second, [second])):
+        solo(built.scene, pressed)
+        assert [lamp for lamp in (first, second) if is_on(lamp)] == shining
+        assert [is_solo(built.scene, lamp) for lamp in (first, second)] == [shining == [first], shining == [second]]
+    assert (strength(first), strength(second)) == (4.0, 4.0)
 
 
 def test_each_light_state_of_the_photos_is_a_look():
