@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 
 from ..iris_addon.base.errors import IrisError
-from ..iris_addon.blender.apply.looks import forget_looks, keep_states
+from ..iris_addon.blender.apply.looks import forget_states, keep_states
 from ..iris_addon.blender.apply.on_objects import APPLIED, FaceRun, apply_steps, restore
 from ..iris_addon.blender.apply.photo_cameras import move_to_solved_poses
 from ..iris_addon.blender.images import read_pixels
@@ -124,5 +124,5 @@ def list_lamps(scene: bpy.types.Scene, result: Result) -> None:
             item.area, item.confidence = emitter.area, emitter.confidence
     scene.iris.lamp_index = 0
     scene.iris.lumens_per_unit = 0.0
-    forget_looks(scene)
+    forget_states(scene)
     keep_states(scene, result)

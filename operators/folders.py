@@ -52,6 +52,11 @@ def own_folder(scene: bpy.types.Scene) -> Path:
     return where.with_name(f"{where.name}-{time.time_ns():x}") if unsaved else where
 
 
+def look_presets() -> Path:
+    """Where the artist's looks are kept for other files, among Blender's presets; made by who writes there."""
+    return Path(bpy.utils.user_resource("SCRIPTS", path="presets/iris_looks"))
+
+
 def inspection_folder(scene: bpy.types.Scene) -> Path:
     """Where the check of the capture lies, with the photos that the cameras show."""
     return folder(scene) / "inspection"

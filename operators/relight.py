@@ -6,9 +6,12 @@ from __future__ import annotations
 
 import bpy
 
+from ..iris_addon.base.errors import IrisError
 from ..iris_addon.blender.apply.looks import LOOKS, forget_look, own_looks, save_look, set_look, set_own_look, solo
 from ..iris_addon.blender.apply.on_objects import MADE
+from ..iris_addon.blender.apply.saved_looks import preset_names, read_preset, remove_preset, show_look, write_preset
 from ..iris_addon.edits.light_units import flux
+from .folders import look_presets
 from .polls import NeedsApplied
 
 PREVIEW_SAMPLES = 64
@@ -37,7 +40,8 @@ class IRIS_OT_look(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's 
 
 
 class IRIS_OT_save_look(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
-    """Keep how lamps, sun and light from outside are set now as a look of your own, stored in this file"""
+    """Keep how lamps, sun and light from outside are set now as a look of your own, in this file and as a preset for
+    other rooms, in shares of what was recovered"""
 
     bl_idname = "iris.save_look"
     bl_label = "Save Look"
@@ -55,7 +59,11 @@ class IRIS_OT_save_look(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blend
         if not self.name.strip():
             self.report({"ERROR"}, "the look has no name — give it one")
             return {"CANCELLED"}
-        save_look(context.scene, self.name.strip())
+        look = save_look(context.scene, self.name.strip())
+        try:
+            write_preset(look_presets(), self.name.strip(), look)
+        except IrisError as error:
+            self.report({"WARNING"}, f"the look is kept in this file alone: {error}")
         return {"FINISHED"}
 
 
@@ -66,28 +74,44 @@ class _OfOwnLook(NeedsApplied):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Do it, where there is such a look."""
-        if self.name not in own_looks(context.scene):
-            self.report({"ERROR"}, f"this file has no look {self.name!r} — save one first")
+        if self.name not in all_looks(context.scene):
+            self.report({"ERROR"}, f"there is no look {self.name!r} — save one first")
             return {"CANCELLED"}
-        self.change(context.scene, self.name)  # type: ignore[attr-defined]
+        try:
+            self.change(context.scene, self.name)  # type: ignore[attr-defined]
+        except (IrisError, OSError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
         return {"FINISHED"}
 
 
 class IRIS_OT_own_look(_OfOwnLook, bpy.types.Operator):  # noqa: N801 - Blender's naming
-    """Set lamps, sun and light from outside as they were when this look was saved, or in the photos of this light
-    state"""
+    """Set lamps, sun and light from outside as they were when this look was saved, here or as a preset in
+    another room, or in the photos of this light state"""
 
     bl_idname = "iris.own_look"
     bl_label = "Own Look"
-    change = staticmethod(set_own_look)
+
+    @staticmethod
+    def change(scene: bpy.types.Scene, name: str) -> None:
+        """Set what this file keeps, else the preset."""
+        if name in own_looks(scene):
+            set_own_look(scene, name)
+        else:
+            show_look(scene, read_preset(look_presets(), name))
 
 
 class IRIS_OT_forget_look(_OfOwnLook, bpy.types.Operator):  # noqa: N801 - Blender's naming
-    """Remove this look; the lights stay as they are"""
+    """Remove this look from this file and from the presets; the lights stay as they are"""
 
     bl_idname = "iris.forget_look"
     bl_label = "Remove Look"
-    change = staticmethod(forget_look)
+
+    @staticmethod
+    def change(scene: bpy.types.Scene, name: str) -> None:
+        """Remove it in both places."""
+        forget_look(scene, name)
+        remove_preset(look_presets(), name)
 
 
 class _OfLamp(NeedsApplied):
@@ -184,6 +208,11 @@ def chosen_lamp(scene: bpy.types.Scene) -> bpy.types.PropertyGroup | None:
     lamps = scene.iris.lamps
     lamp = lamps[scene.iris.lamp_index] if 0 <= scene.iris.lamp_index < len(lamps) else None
     return None if lamp is None or lamp.material is None else lamp
+
+
+def all_looks(scene: bpy.types.Scene) -> list[str]:
+    """Names of the looks that ``scene`` keeps, and of the presets."""
+    return list(dict.fromkeys([*own_looks(scene), *preset_names(look_presets())]))
 
 
 def lamp_flux(lamp: bpy.types.PropertyGroup) -> float:

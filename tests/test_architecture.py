@@ -273,6 +273,7 @@ MAY_OPEN = {
     "iris_addon/base/images.py": "an open file whose header was read, and writing",
     "iris_addon/blender/apply/applied_states.py": "its own note in the scene",
     "iris_addon/blender/apply/camera_look.py": "its own note in the scene",
+    "iris_addon/blender/apply/looks.py": "its own note in the scene",
     "iris_addon/blender/apply/on_objects.py": "its own note in the scene",
     "iris_addon/blender/apply/photo_cameras.py": "its own note in the scene",
     "iris_addon/blender/apply/review.py": "Blender shows a picture of the report",

@@ -30,6 +30,14 @@ def flux(radiance: ArrayLike, area: float) -> float:
     return float(np.pi * area * (LUMINANCE @ np.asarray(radiance, float)))
 
 
+def area_light_energy(area: float) -> float:
+    """Power of Blender's area light of ``area`` square metres whose radiance is 1 in the scene's unit: π · area watts.
+
+    Lumens do not follow from it: the efficacy of light depends on its spectrum, of which three channels are known.
+    """
+    return float(np.pi * area)
+
+
 def kelvin(color: ArrayLike) -> float | None:
     """Correlated colour temperature of linear Rec.709 ``color`` (3,) by McCamy's formula (1992).
 

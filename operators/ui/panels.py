@@ -8,7 +8,7 @@ import bpy
 
 from ...iris_addon.base.errors import IrisError
 from ...iris_addon.blender.apply.camera_look import MATCHED
-from ...iris_addon.blender.apply.looks import has_outside, is_solo, offered_looks, own_looks
+from ...iris_addon.blender.apply.looks import has_outside, is_solo, offered_looks
 from ...iris_addon.blender.apply.on_objects import APPLIED
 from ...iris_addon.blender.apply.review import model_sentences, shows_confidence
 from ...iris_addon.blender.apply.suggested_photos import suggested_groups
@@ -22,7 +22,7 @@ from ...iris_addon.edits.light_units import kelvin
 from ...iris_addon.model.seen_classes import SEEN_CLASSES
 from ...iris_addon.results.files import REPORT_PAGE, lamp_picture
 from ..folders import ROOT_PACKAGE, folder, result_key, solver_python
-from ..relight import BEFORE_PREVIEW, chosen_lamp, lamp_flux, other_lights
+from ..relight import BEFORE_PREVIEW, all_looks, chosen_lamp, lamp_flux, other_lights
 from ..review import shown_kinds
 from . import steps
 from .icons import picture, swatch
@@ -291,7 +291,7 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         grid = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
         for key, look in offered_looks(scene).items():
             grid.operator("iris.look", text=look.label).look = key
-        for name in own_looks(scene):
+        for name in all_looks(scene):
             row = grid.row(align=True)
             row.operator("iris.own_look", text=name).name = name
             row.operator("iris.forget_look", text="", icon="X").name = name
@@ -327,7 +327,7 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
 
 
 def _chosen_lamp(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
-    """Draw what the chosen lamp is: its share of the light or its lumens, color temperature, area, confidence."""
+    """Draw what the chosen lamp is: its share of the light or its lumens, kelvin, watts, area and confidence."""
     lamp, settings = chosen_lamp(scene), scene.iris
     unsure = sum(other.confidence < UNSURE for other in settings.lamps)
     if unsure:
@@ -348,7 +348,9 @@ def _chosen_lamp(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     share = f"{scale * own:.0f} lm" if scale else f"{own / total:.0%} of the light"
     temperature = kelvin(lamp.color)
     tint = "" if temperature is None else f", {round(temperature, -1):.0f} K"
-    layout.label(text=f"{share}{tint}")
+    split = layout.split(factor=0.6, align=True)
+    split.label(text=f"{share}{tint}")
+    split.prop(lamp, "watts", text="")
     split = layout.split(factor=0.6, align=True)
     split.label(text=f"{lamp.area:.2g} m², {lamp.confidence:.0%} sure")
     split.operator("iris.anchor")

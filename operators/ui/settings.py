@@ -10,6 +10,7 @@ from typing import Any
 import bpy
 
 from ...iris_addon.blender.scene_out import lights as lamps
+from ...iris_addon.edits.light_units import area_light_energy
 from ...iris_addon.model.texture_size import HIGHEST_DENSITY, blender_bytes, in_blender
 from ..editors import look_at_photo, show_cameras
 from ..place import PLACEABLE
@@ -31,6 +32,10 @@ def _get(read: Callable[[bpy.types.Material | None], Any]) -> Callable[[bpy.type
 
 def _set(write: Callable[[bpy.types.Material | None, Any], None]) -> Callable[[bpy.types.PropertyGroup, Any], None]:
     return lambda lamp, value: write(lamp.material, value)
+
+
+def _watts(lamp: bpy.types.PropertyGroup) -> float:
+    return lamps.strength(lamp.material) * area_light_energy(lamp.area)
 
 
 def _look(settings: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
@@ -132,6 +137,15 @@ class IrisLamp(bpy.types.PropertyGroup):
         description="How sure it is that this is a lamp: how much of what the photos show its light explains",
         min=0.0,
         max=1.0,
+    )
+    watts: bpy.props.FloatProperty(
+        name="Watts",
+        description="Power that an area light of Blender has with this lamp's area and radiance, in the scale of this "
+        "scene. Not what the lamp takes from the socket, nor its lumens, which depend on a spectrum that photos do not "
+        "show",
+        unit="POWER",
+        precision=1,
+        get=_watts,
     )
     on: bpy.props.BoolProperty(
         name="On",

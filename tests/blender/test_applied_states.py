@@ -120,6 +120,19 @@ def test_a_look_without_light_from_outside_keeps_the_sun_of_another_state_out(lo
         assert light(scene)[0] > 0.1
 
 
+def test_a_gray_sky_stays_in_another_state_and_the_photographed_room_has_its_colors():
+    result = house()
+    scene = applied(result)
+    set_look(scene, "OVERCAST")
+    overcast = light(scene)
+    (dusk,) = render_views(result.in_state("dusk"), [EYE], settings=QUICK)
+    with in_light_state(scene, "dusk"):
+        np.testing.assert_allclose(light(scene), overcast, rtol=0.04, atol=2e-3)
+    with in_light_state(scene, "dusk", everything=True), as_photographed(scene):
+        np.testing.assert_allclose(light(scene), dusk.mean((0, 1)), rtol=0.04, atol=2e-3)
+    np.testing.assert_allclose(light(scene), overcast, rtol=1e-3, atol=1e-6)
+
+
 def test_a_sun_that_was_removed_does_not_rise_again():
     scene = applied(house())
     set_look(scene, "LAMPS")

@@ -721,10 +721,28 @@ def test_looks_solo_and_known_lumens(package, tmp_path, worker, nerfstudio_room)
     bpy.ops.iris.look(look="PHOTOGRAPHED")
     bpy.ops.iris.own_look(name="Dim")
     assert lamp.strength == 5
+    bpy.ops.iris.restore()
+    bpy.ops.iris.apply()
+    lamp = scene.iris.lamps[0]
+    assert lamp.strength == 12
+    bpy.ops.iris.own_look(name="Dim")
+    assert lamp.strength == 5
+    (preset,) = Path(bpy.utils.user_resource("SCRIPTS", path="presets/iris_looks")).iterdir()
+    assert preset.name == "Dim.json" and home in preset.parents
+    del scene["iris_own_looks"]  # as in another file
+    lamp.strength = 3
+    bpy.ops.iris.own_look(name="Dim")
+    assert abs(lamp.strength - 5) < 1e-5
+    preset.write_text('{{"lamps": 7}}')
+    fails(bpy.ops.iris.own_look, "'lamps' is int", name="Dim")
     bpy.ops.iris.forget_look(name="Dim")
     fails(bpy.ops.iris.own_look, "no look 'Dim'", name="Dim")
     bpy.ops.iris.look(look="PHOTOGRAPHED")
     bpy.ops.iris.anchor(lumens=800)
+    assert abs(lamp.watts / (math.pi * 4 * 12) - 1) < 1e-5
+    lamp.strength = 6
+    assert abs(lamp.watts / (math.pi * 4 * 6) - 1) < 1e-5
+    lamp.strength = 12
     flux = math.pi * 4 * (0.2126 * 12 + 0.7152 * 10 + 0.0722 * 8)
     assert abs(scene.iris.lumens_per_unit * flux / 800 - 1) < 1e-5
     sun = bpy.data.objects.new("my sun", bpy.data.lights.new("my sun", "SUN"))

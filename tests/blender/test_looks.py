@@ -1,35 +1,47 @@
 """Looks set lamps, sun and sky together; a saved look brings back the same light."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
 
+from iris_addon.base.errors import BadInput
+from iris_addon.blender.apply.farm_frames import relit_frames
 from iris_addon.blender.apply.looks import (
     forget_look,
+    forget_states,
+    is_solo,
     keep_states,
     offered_looks,
     own_looks,
     save_look,
     set_look,
     set_own_look,
+    solo,
 )
+from iris_addon.blender.apply.on_objects import MADE
+from iris_addon.blender.apply.saved_looks import preset_names, read_preset, remove_preset, show_look, write_preset
 from iris_addon.blender.apply.scene_files import apply_to_scene
+from iris_addon.blender.camera import add_camera, look_through
+from iris_addon.blender.insert.photo_composite import as_photographed
 from iris_addon.blender.render.cycles import render_camera, set_cycles
 from iris_addon.blender.scene_out.build import BuiltScene, build_scene
 from iris_addon.blender.scene_out.lights import (
     as_recovered,
     is_on,
     lamp_materials,
+    lamp_setting,
     set_color,
     set_strength,
     strength,
     switch,
 )
-from iris_addon.blender.scene_out.world import outside_light
+from iris_addon.blender.scene_out.world import outside_light, sky_strength
 from iris_addon.model.recovered import LightState, OutsideLight, Sunlight
 from iris_addon.model.render_settings import RenderSettings
+from iris_addon.model.response import LUMINANCE
 from tests.blender_room import camera, room, sides_of_box
 
 pytestmark = pytest.mark.bpy
@@ -59,12 +71,15 @@ def floor(built: BuiltScene) -> np.ndarray:
 def test_every_look_sets_lamps_sun_and_sky():
     built = lit()
     photographed = floor(built)
+    gray = photographed[1] * 0.7152  # the luminance of a green sky, in every channel
     assert (photographed > 0.01).all()  # red by the sun, green by the sky, blue by the lamp
     for look, shares in (
         ("LAMPS", (0, 0, 1)),
         ("EVENING", (0.05, 0.05, 1)),
         ("DAY", (1, 1, 0)),
+        ("OVERCAST", gray / photographed),
         ("BLACKOUT", (0, 0, 0)),
+        ("OVERCAST", gray / photographed),
         ("PHOTOGRAPHED", (1, 1, 1)),
     ):
         set_look(built.scene, look)
@@ -73,10 +88,10 @@ def test_every_look_sets_lamps_sun_and_sky():
 
 def test_without_light_from_outside_only_looks_that_differ_are_offered():
     built = lit()
-    assert list(offered_looks(built.scene)) == ["PHOTOGRAPHED", "LAMPS", "EVENING", "DAY", "BLACKOUT"]
+    assert list(offered_looks(built.scene)) == ["PHOTOGRAPHED", "LAMPS", "EVENING", "DAY", "OVERCAST", "BLACKOUT"]
     for thing in [thing for thing in built.scene.objects if thing.type == "LIGHT"]:
         bpy.data.objects.remove(thing)
-    assert len(offered_looks(built.scene)) == 5, "the sky shines"
+    assert len(offered_looks(built.scene)) == 6, "the sky shines"
     color = outside_light(built.scene.world).inputs["Color"]
     color.default_value = (0, 0, 0, 1)
     assert list(offered_looks(built.scene)) == ["PHOTOGRAPHED", "BLACKOUT"]
@@ -86,7 +101,35 @@ def test_without_lamps_only_looks_that_differ_are_offered():
     built = lit()
     for material in lamp_materials(built.scene.objects):
         bpy.data.materials.remove(material)
-    assert list(offered_looks(built.scene)) == ["PHOTOGRAPHED", "EVENING", "BLACKOUT"]
+    assert list(offered_looks(built.scene)) == ["PHOTOGRAPHED", "EVENING", "OVERCAST", "BLACKOUT"]
+
+
+def test_the_colors_of_the_sky_come_back_after_overcast():
+    """Of a sky that is the same in all directions and of one that is not."""
+    for sh in ([[0.0, 1.0, 0.0]], [[0.0, 1.0, 0.0], [0, 0, 0], [0, 0, 0.3], [0, 0, 0]]):
+        result = room(mesh=sides_of_box(4), outside=OutsideLight(np.array(sh) / 0.28209479))
+        built = build_scene(result)
+        photographed = floor(built)
+        set_look(built.scene, "OVERCAST")
+        overcast = floor(built)
+        np.testing.assert_allclose(overcast, photographed @ LUMINANCE, rtol=0.02)
+        for made in (built.scene.world, *built.scene.objects):
+            made[MADE] = True
+        with as_photographed(built.scene):
+            np.testing.assert_allclose(floor(built), photographed, rtol=0.02, atol=1e-5)
+        np.testing.assert_allclose(floor(built), overcast, rtol=0.02)
+        set_look(built.scene, "EVENING")
+        np.testing.assert_allclose(floor(built), photographed * 0.05, rtol=0.02, atol=1e-5)
+
+
+def test_a_gray_sky_is_not_exported_to_a_farm_as_if_it_had_its_colors():
+    built = lit()
+    view = camera(fx=40.0, fy=40.0)
+    look_through(built.scene, view, add_camera(view, "photo", built.scene.collection))
+    assert relit_frames(built.scene, np.eye(4))[1]["outside"] == 1.0
+    set_look(built.scene, "OVERCAST")
+    with pytest.raises(BadInput, match="is gray"):
+        relit_frames(built.scene, np.eye(4))
 
 
 def test_what_was_photographed_has_the_sun_even_while_a_look_hides_it():
@@ -125,6 +168,99 @@ def test_a_saved_look_brings_back_the_same_light():
     assert own_looks(scene) == ["Dusk, lamp off"]
 
 
+def two_lamps(first: np.ndarray, second: np.ndarray, sky: float = SKY) -> BuiltScene:
+    """A floor under a green sky and a red sun, between two walls that are lamps."""
+    outside = OutsideLight(np.array([[0.0, sky, 0.0]]) / 0.28209479)
+    result = room(mesh=sides_of_box(4, 0, 1), emission={1: first, 2: second}, outside=outside)
+    return build_scene(replace(result, sun=Sunlight(np.array([0.0, 0.0, 1.0]), SUN)))
+
+
+def test_a_look_is_a_share_of_what_another_result_recovered(tmp_path: Path):
+    built = two_lamps(LAMP, LAMP / 2)
+    first, second = lamp_materials(built.scene.objects)
+    set_strength(first, 2.0)  # of 4
+    switch(second, False)
+    sky_strength(built.scene.world).default_value = 0.25
+    built.sun.data.energy = 1.0  # of 2
+    dim = floor(built)
+    write_preset(tmp_path, "Dim", save_look(built.scene, "Dim"))
+    kept = built.scene["iris_own_looks"]["Dim"]
+    brighter = two_lamps(LAMP * 3, LAMP)
+    brighter.scene["iris_own_looks"] = {"Dim": kept}
+    for name, material in zip("ab", lamp_materials(brighter.scene.objects), strict=True):
+        material.name = name  # as of a result that names its lamps in another way: the ids tell
+    set_own_look(brighter.scene, "Dim")
+    np.testing.assert_allclose(floor(brighter), dim * (1, 1, 3), rtol=0.02, atol=1e-4)
+
+
+def test_a_preset_sets_the_lamps_that_it_names_and_others_as_most_were(tmp_path: Path):
+    built = two_lamps(LAMP, LAMP)
+    first, second = lamp_materials(built.scene.objects)
+    first.name = "Desk Lamp"
+    switch(first, False)
+    set_strength(second, 1.0)  # of 4
+    set_color(second, (1.0, 0.5, 0.25))
+    sky_strength(built.scene.world).default_value = 0.0
+    built.sun.rotation_mode, built.sun.rotation_euler, built.sun.hide_render = "XYZ", (0.8, 0.1, 0.2), True
+    write_preset(tmp_path, "Late", save_look(built.scene, "Late"))
+    other = two_lamps(LAMP * 2, LAMP * 2)
+    where = other.sun.matrix_basis.copy()
+    third, fourth = lamp_materials(other.scene.objects)
+    third.name, fourth.name = "Ceiling", "Reading Lamp"
+    show_look(other.scene, read_preset(tmp_path, "Late"))
+    for lamp in (third, fourth):  # nothing here is called as the lamps there
+        assert lamp_setting(lamp) == (True, pytest.approx(2.0), pytest.approx((1.0, 0.5, 0.25)))
+    assert sky_strength(other.scene.world).default_value == 0.0 and other.sun.hide_render
+    np.testing.assert_allclose(np.array(other.sun.matrix_basis), np.array(where), atol=1e-6)
+    third.name = "Desk Lamp.001"
+    first.name, third.name = "Gone", "Desk Lamp"
+    show_look(other.scene, read_preset(tmp_path, "Late"))
+    assert not is_on(third) and is_on(fourth)
+
+
+def test_presets_have_any_name_and_stay_in_their_folder(tmp_path: Path):
+    folder = tmp_path / "presets"
+    assert preset_names(folder) == []
+    names = ["..", ".", "../out", "50 %", "Dämmerung", "a/b", "a.b"]
+    for name in names:
+        write_preset(folder, name, {"named": [], "outside": 0.5})
+    assert preset_names(folder) == sorted(names) and list(tmp_path.iterdir()) == [folder]
+    for name in names:
+        assert read_preset(folder, name) == {"named": [], "outside": 0.5}
+        remove_preset(folder, name)
+    assert preset_names(folder) == []
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "[]",
+        '{"outside": -1}',
+        '{"outside": "__import__(1)"}',
+        '{"lamps": {"on": 1}}',
+        '{"sun": {"strength": 1e99}}',
+        '{"lamps": {"color": [1, 2]}}',
+        '{"named": [{"on": true}]}',
+        '{"named": 3}',
+        '{"script": "x"}',
+    ],
+)
+def test_a_preset_that_is_no_look_is_refused(tmp_path: Path, content: str):
+    (tmp_path / "x.json").write_text(content)
+    with pytest.raises(BadInput):
+        read_preset(tmp_path, "x")
+
+
+def test_solo_leaves_one_of_two_lamps_on_and_pressed_again_both():
+    built = two_lamps(LAMP, LAMP)
+    first, second = lamp_materials(built.scene.objects)
+    for pressed, shining in ((first, [first]), (second, [second]), (second, [first, second]), (second, [second])):
+        solo(built.scene, pressed)
+        assert [lamp for lamp in (first, second) if is_on(lamp)] == shining
+        assert [is_solo(built.scene, lamp) for lamp in (first, second)] == [shining == [first], shining == [second]]
+    assert (strength(first), strength(second)) == (4.0, 4.0)
+
+
 def test_each_light_state_of_the_photos_is_a_look():
     red, blue, dim = np.array([2.0, 0.0, 0.0]), LAMP, LAMP / 4
     sky = OutsideLight(np.array([[0.0, SKY, 0.0]]) / 0.28209479)
@@ -141,6 +277,11 @@ def test_each_light_state_of_the_photos_is_a_look():
     for state in ("red", "dim", "blue"):
         set_own_look(built.scene, state)
         light[state] = floor(built)
+    set_look(built.scene, "BLACKOUT")
+    save_look(built.scene, "mine")
+    assert own_looks(built.scene) == ["blue", "red", "dim", "mine"]
+    forget_states(built.scene)  # as another result does
+    assert own_looks(built.scene) == ["mine"]
     assert light["blue"][0] < 1e-4 < min(light["blue"][1:])
     assert light["red"][0] > 1e-2 and max(light["red"][1:]) < 1e-4
     np.testing.assert_allclose(light["dim"], light["red"] + light["blue"] * (0, 0.5, 0.25), rtol=0.05, atol=1e-4)

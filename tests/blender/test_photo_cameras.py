@@ -135,3 +135,28 @@ def test_cameras_that_were_read_in_metres_are_not_scaled_again(imported) -> None
     assert move_to_solved_poses(result, cameras, scene) == 0
     for pose, thing in zip(before, cameras.values(), strict=True):
         np.testing.assert_allclose(np.array(thing.matrix_basis), pose)
+
+
+def test_drawn_sizes_fit_the_room_and_those_of_the_artist_stay_until_it_changes(imported) -> None:
+    inspected, scene, thing, cameras = imported
+    sizes = [each.data.display_size for each in cameras.values()]
+    extent = np.ptp(inspected.mesh.vertices, axis=0).max()
+    assert sizes == pytest.approx([0.02 * extent] * 2)
+    assert thing.parent.empty_display_size == pytest.approx(0.05 * extent)
+    cameras["a"].data.display_size = thing.parent.empty_display_size = 0.7
+    bpy.data.objects.remove(cameras["b"])
+    _, again = refresh_capture(inspected, plain_mesh(inspected.mesh, "room"), scene, thing)
+    assert [cameras["a"].data.display_size, again.data.display_size] == pytest.approx([0.7, 0.02 * extent])
+    assert thing.parent.empty_display_size == pytest.approx(0.7)
+    larger = replace(inspected.mesh, vertices=inspected.mesh.vertices * 10)
+    both = refresh_capture(replace(inspected, mesh=larger), plain_mesh(larger, "room"), scene, thing)
+    assert [each.data.display_size for each in both] == pytest.approx([0.2 * extent] * 2)
+    assert thing.parent.empty_display_size == pytest.approx(0.5 * extent)
+
+
+def test_points_far_outside_do_not_blow_up_the_cameras(imported) -> None:
+    inspected, scene, thing, cameras = imported
+    many = np.concatenate([np.tile(inspected.mesh.vertices, (100, 1)), [[1e3, 1e3, 1e3]]])
+    stray = replace(inspected.mesh, vertices=many)
+    refresh_capture(replace(inspected, mesh=stray), plain_mesh(stray, "room"), scene, thing)
+    assert cameras["a"].data.display_size == pytest.approx(0.02 * np.ptp(inspected.mesh.vertices, axis=0).max())

@@ -36,7 +36,7 @@ from ..scene_out.lights import (
     switch,
 )
 from ..scene_out.materials import LAMP_ID, RECOVERED
-from ..scene_out.world import make_world, sky_strength
+from ..scene_out.world import is_gray, make_world, sky_strength
 
 STATES, SHOWN, SURFACE, SKY = "iris_light_states", "iris_shown_state", "iris_surface", "iris_sky_"
 """Custom properties of a scene: its light states as JSON text, the name of that in which its lights stand (missing for
@@ -92,6 +92,11 @@ def sky_level(state: LightState, first: OutsideLight | None) -> float:
 def has_light_states(scene: bpy.types.Scene) -> bool:
     """Whether the room that is applied to ``scene`` was photographed in several light states."""
     return STATES in scene
+
+
+def state_names(scene: bpy.types.Scene) -> list[str]:
+    """Names of the light states that ``scene`` keeps."""
+    return list(json.loads(scene.get(STATES, "{}")))
 
 
 def light_state_of(camera: bpy.types.Object, scene: bpy.types.Scene) -> str:
@@ -210,8 +215,10 @@ def _sun_in_state(
 
 
 def _sky_is_changed(scene: bpy.types.Scene, was: float) -> bool:
-    """Whether the artist has set the light from outside to another strength than ``was``."""
+    """Whether the artist has set the light from outside to another strength than ``was``, or to gray."""
     strength = sky_strength(scene[f"{SKY}0"])
+    if is_gray(scene[f"{SKY}0"]):
+        return True
     return strength is not None and abs(strength.default_value - was) > SAME_LIGHT * max(was, TINY)
 
 

@@ -16,6 +16,7 @@ from mathutils import Matrix, Vector
 from numpy.typing import NDArray
 
 from ...base.errors import BadInput
+from ...edits.light_units import area_light_energy
 from ..render.light_mixing import MIXED
 from ..scene_out.lights import (
     ENERGY_PER_RADIANCE,
@@ -256,7 +257,7 @@ def _area_light(name: str, frame: _Frame, side: int, samples: _Samples, share: f
     turned = np.eye(4)
     turned[:3, :3] = np.stack([x, -side * y, -side * z], 1)  # Blender's lights shine along their -Z
     turned[:3, 3] = middle @ frame.axes
-    return data, Matrix(turned.tolist()), float(np.pi * samples.area * share)
+    return data, Matrix(turned.tolist()), area_light_energy(samples.area * share)
 
 
 def _ball_light(name: str, samples: _Samples) -> _Light:
@@ -265,7 +266,7 @@ def _ball_light(name: str, samples: _Samples) -> _Light:
     data.shadow_soft_size = float(np.sqrt(samples.area / (4 * np.pi)))
     points = samples.corners.reshape(-1, 3)
     matrix = Matrix.Translation(((points.min(0) + points.max(0)) / 2).tolist())
-    return data, matrix, float(np.pi * samples.area)
+    return data, matrix, area_light_energy(samples.area)
 
 
 # ---- which side of a lamp is seen ----------------------------------------------------------------------------------

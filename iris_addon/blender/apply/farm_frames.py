@@ -16,7 +16,7 @@ from ...model.response import LUMINANCE
 from ..camera import read_camera
 from ..scene_out import lights
 from ..scene_out.materials import LAMP_ID, RECOVERED
-from ..scene_out.world import sky_strength
+from ..scene_out.world import is_gray, sky_strength
 
 
 def relit_frames(scene: bpy.types.Scene, to_capture: np.ndarray) -> tuple[dict[str, Any], dict[str, Any], int]:
@@ -88,6 +88,10 @@ def _lights(scene: bpy.types.Scene, to_capture: np.ndarray) -> dict[str, Any]:
                 )
     outside = sky_strength(scene.world)
     if outside is not None:
+        if is_gray(scene.world):
+            raise BadInput(
+                "the light from outside is gray, which the farm's jobs cannot say", "choose another look than Overcast"
+            )
         job["outside"] = float(outside.default_value)
     sun = next((thing for thing in scene.objects if lights.is_recovered_sun(thing)), None)
     if sun is not None:

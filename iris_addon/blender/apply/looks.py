@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any, NamedTuple
 
 import bpy
@@ -15,24 +16,30 @@ from ..scene_out.lights import (
     is_on,
     is_recovered_sun,
     lamp_materials,
-    lamp_setting,
     reset,
     set_lamp,
     set_sun,
     switch,
 )
 from ..scene_out.materials import LAMP_ID
-from ..scene_out.world import outside_light, sky_strength
-from .applied_states import TINY, show_state, shown_state, sky_level
+from ..scene_out.world import outside_light, set_gray, shines, sky_strength
+from .applied_states import TINY, show_state, sky_level
+from .saved_looks import SavedLook, look_of, show_look
 
 
 class Look(NamedTuple):
-    """``lamps`` and ``outside``, sun and sky, are shares of what was recovered."""
+    """``lamps`` and ``outside``, sun and sky, are shares of what was recovered.
+
+    Where ``overcast`` the sun is off and the sky gray. Its luminance stays: clouds take the sun and spread its light,
+    and outdoors the light of the sky alone, blue or overcast, is of one order (10 to 20 klx by day), so that what
+    enters a room without sun becomes colorless before it becomes more or less.
+    """
 
     label: str
     tooltip: str
     lamps: bool
     outside: float
+    overcast: bool = False
 
 
 LOOKS = {
@@ -40,6 +47,7 @@ LOOKS = {
     "LAMPS": Look("Lamps Only", "The lamps, without any light from outside", True, 0.0),
     "EVENING": Look("Evening", "The lamps, with a twentieth of the light from outside", True, 0.05),
     "DAY": Look("Daylight", "The light from outside, without the lamps", False, 1.0),
+    "OVERCAST": Look("Overcast", "A gray sky as bright as the recovered one, without sun and lamps", False, 1.0, True),
     "BLACKOUT": Look("Blackout", "Neither lamps nor light from outside, for lights of your own", False, 0.0),
 }
 
@@ -54,30 +62,30 @@ def set_look(scene: bpy.types.Scene, key: str) -> None:
     level = sky_strength(scene.world)
     if level is not None:
         level.default_value = look.outside
-    for thing in scene.objects:
-        if is_recovered_sun(thing):
-            set_sun(thing, look.outside)
+    set_gray(scene.world, look.overcast)
+    for thing in filter(is_recovered_sun, scene.objects):
+        set_sun(thing, 0.0 if look.overcast else look.outside)
     show_state(scene, None)
 
 
 def has_outside(scene: bpy.types.Scene) -> bool:
     """Whether there is light from outside to be dimmed, the sun's and the backdrop's included; also taken for granted
     where the artist has rebuilt the world."""
-    background = outside_light(scene.world)
-    if background is None:
+    if outside_light(scene.world) is None or shines(scene.world):
         return True
-    color = background.inputs["Color"]
-    shines = color.is_linked or any(color.default_value[:3])
-    return shines or any(is_recovered_sun(thing) or is_backdrop(thing) for thing in scene.objects)
+    return any(is_recovered_sun(thing) or is_backdrop(thing) for thing in scene.objects)
 
 
 def offered_looks(scene: bpy.types.Scene) -> dict[str, Look]:
     """The looks that differ from each other in the room of ``scene``."""
     outside, lamps = has_outside(scene), bool(lamp_materials(scene.objects))
+    sky = shines(scene.world)
     return {
         key: look
         for key, look in LOOKS.items()
-        if (outside or look.outside == look.lamps) and (lamps or look.lamps == bool(look.outside))
+        if (sky or not look.overcast)
+        and (outside or look.outside == look.lamps)
+        and (lamps or look.overcast or look.lamps == bool(look.outside))
     }
 
 
@@ -96,38 +104,34 @@ def is_solo(scene: bpy.types.Scene, lamp: bpy.types.Material) -> bool:
 
 # ---- looks of the artist's own -------------------------------------------------------------------------------------
 
-OWN_LOOKS = "iris_looks"
-"""Custom property of a scene: what each look of the artist's own is, by name. "lamps" has by id whether each shines,
-its strength and colour; "outside" the strength of the light from outside; "sun" whether it shines, energy, colour and
-turn; "state" the light state that they stand in, "" for the first."""
+OWN_LOOKS, STATE_LOOKS = "iris_own_looks", "iris_looks"
+"""Custom properties of a scene: the artist's looks by name, JSON text of :mod:`.saved_looks`; and those of the light
+states of the photos, which go with the result. The latter have by name "lamps", by id whether each shines, its
+strength and colour; "outside", the strength of the light from outside; "sun", whether it shines, energy, colour and
+turn; "state", the light state."""
 
 
 def own_looks(scene: bpy.types.Scene) -> list[str]:
-    """Names of the artist's own looks, in the order in which they were saved."""
-    return list(scene[OWN_LOOKS].keys()) if OWN_LOOKS in scene else []
+    """Names of the looks of light states, and of the artist's own in the order in which they were saved."""
+    return list(dict.fromkeys(name for kind in (STATE_LOOKS, OWN_LOOKS) for name in (scene.get(kind) or {}).keys()))  # noqa: SIM118 - Blender's
 
 
-def save_look(scene: bpy.types.Scene, name: str) -> None:
+def save_look(scene: bpy.types.Scene, name: str) -> SavedLook:
     """Keep how the lights of ``scene`` are set as a look of the artist's own, in place of one of that name."""
-    lamps = {}
-    for material in lamp_materials(scene.objects):
-        on, level, tint = lamp_setting(material)
-        lamps[str(material[LAMP_ID])] = [float(on), level, *tint]
-    look: dict[str, Any] = {"lamps": lamps, "state": shown_state(scene) or ""}
-    outside = sky_strength(scene.world)
-    if outside is not None:
-        look["outside"] = outside.default_value
-    for sun in filter(is_recovered_sun, scene.objects):
-        turn = sun.matrix_basis.to_quaternion()
-        look["sun"] = [float(not sun.hide_render), sun.data.energy, *sun.data.color, *turn]
+    look = look_of(scene)
+    forget_look(scene, name)
     if OWN_LOOKS not in scene:
         scene[OWN_LOOKS] = {}
-    scene[OWN_LOOKS][name] = look
+    scene[OWN_LOOKS][name] = json.dumps(look)
+    return look
 
 
 def set_own_look(scene: bpy.types.Scene, name: str) -> None:
-    """Set the lights of ``scene`` as they were when the look was saved; what the artist has rebuilt stays as it is."""
-    look = scene[OWN_LOOKS][name]
+    """Set the lights of ``scene`` as in a look of :func:`own_looks`; what the artist has rebuilt stays as it is."""
+    if name in (scene.get(OWN_LOOKS) or {}):
+        show_look(scene, json.loads(scene[OWN_LOOKS][name]))
+        return
+    look = scene[STATE_LOOKS][name]
     for material in lamp_materials(scene.objects):
         state = look["lamps"].get(str(material[LAMP_ID]))
         if state is None:
@@ -137,6 +141,7 @@ def set_own_look(scene: bpy.types.Scene, name: str) -> None:
     outside = sky_strength(scene.world)
     if outside is not None and "outside" in look:
         outside.default_value = look["outside"]
+    set_gray(scene.world, False)
     for sun in filter(is_recovered_sun, scene.objects) if "sun" in look else ():
         on, sun.data.energy, *rest = look["sun"]
         sun.hide_render = sun.hide_viewport = not on
@@ -165,9 +170,9 @@ def keep_states(scene: bpy.types.Scene, result: Result) -> None:
             energy = max(float(recovered.max()), TINY)
             turn = thing.matrix_basis.to_quaternion()
             look["sun"] = [float(state.sun is not None), energy, *(recovered / energy).tolist(), *turn]
-        if OWN_LOOKS not in scene:
-            scene[OWN_LOOKS] = {}
-        scene[OWN_LOOKS][state.name] = look
+        if STATE_LOOKS not in scene:
+            scene[STATE_LOOKS] = {}
+        scene[STATE_LOOKS][state.name] = look
 
 
 def _kept(radiance: NDArray[np.floating], otherwise: NDArray[np.floating]) -> list[float]:
@@ -179,11 +184,12 @@ def _kept(radiance: NDArray[np.floating], otherwise: NDArray[np.floating]) -> li
 
 
 def forget_look(scene: bpy.types.Scene, name: str) -> None:
-    """Remove a look of the artist's own."""
-    del scene[OWN_LOOKS][name]
+    """Remove a look of :func:`own_looks`, if there is one of that name."""
+    for kind in (STATE_LOOKS, OWN_LOOKS):
+        if name in (scene.get(kind) or {}):
+            del scene[kind][name]
 
 
-def forget_looks(scene: bpy.types.Scene) -> None:
-    """Remove all of them: the lamps of another result are others."""
-    if OWN_LOOKS in scene:
-        del scene[OWN_LOOKS]
+def forget_states(scene: bpy.types.Scene) -> None:
+    """Remove the looks of light states: those of another result are others. The artist's own stay."""
+    scene.pop(STATE_LOOKS, None)

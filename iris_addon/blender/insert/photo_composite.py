@@ -24,7 +24,7 @@ from ..apply.scene_files import write_whole
 from ..images import LINEAR, image_from_array, read_image
 from ..render.light_mixing import APART
 from ..scene_out.lights import as_recovered, lamp_materials
-from ..scene_out.world import sky_strength
+from ..scene_out.world import is_gray, set_gray, sky_strength
 from ..version import single_layer_exr
 from .differential import Differential, change_photo, render_differential, render_halves
 
@@ -101,12 +101,13 @@ def as_photographed(scene: bpy.types.Scene) -> Iterator[None]:
     added = [thing for thing in scene.objects if not _belongs_to_room(thing) and not thing.hide_render]
     recovered = scene.world is not None and MADE in scene.world
     sky = sky_strength(scene.world) if recovered else None  # the artist may use another world
-    strength = 1.0 if sky is None else sky.default_value
+    strength, gray = 1.0 if sky is None else sky.default_value, is_gray(scene.world)
     try:
         for thing in added:
             thing.hide_render = True
         if sky is not None:
             sky.default_value = 1.0
+            set_gray(scene.world, False)
         with as_recovered(lamp_materials(scene.objects), scene.objects):
             yield
     finally:
@@ -114,6 +115,7 @@ def as_photographed(scene: bpy.types.Scene) -> Iterator[None]:
             thing.hide_render = False
         if sky is not None:
             sky.default_value = strength
+            set_gray(scene.world, gray)
 
 
 def has_additions(scene: bpy.types.Scene) -> bool:

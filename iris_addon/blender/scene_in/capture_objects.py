@@ -31,6 +31,10 @@ VIEW, INSTEAD = "iris_view", "iris_instead"
 """Custom properties of the camera data of a photo: its name, which Blender may have numbered in that of the object, and
 the image that is shown in its place."""
 
+CAMERA_SHARE, ANCHOR_SHARE = 0.02, 0.05
+"""Size of a drawn camera, and of the axes of the capture, as shares of the room's longest side: of five metres, 0.1 and
+0.25 m."""
+
 
 @dataclass(frozen=True)
 class InspectedView:
@@ -161,8 +165,19 @@ def add_capture(
     cameras = [_add_view(view, anchor, photos) for view in inspected.views]
     for camera in cameras:
         camera.data[METRES_PER_UNIT] = inspected.metres_per_unit
+    _fit_sizes(inspected.mesh, anchor, cameras)
     look_through(scene, inspected.views[0].camera, cameras[0])
     return room, cameras
+
+
+def _fit_sizes(mesh: Mesh, anchor: bpy.types.Object | None, cameras: Sequence[bpy.types.Object]) -> None:
+    """Draw cameras and axes in sizes that fit the room ``mesh``, whose stray points do not count."""
+    low, high = np.percentile(mesh.vertices, (1, 99), axis=0) if len(mesh.vertices) else np.zeros((2, 3))
+    extent = max(float((high - low).max()), 1e-3)
+    if anchor is not None:
+        anchor.empty_display_size = ANCHOR_SHARE * extent
+    for camera in cameras:
+        camera.data.display_size = CAMERA_SHARE * extent
 
 
 STARTUP_LIGHT = (4.076245, 1.005454, 5.903862)
@@ -200,7 +215,8 @@ def refresh_capture(
         BadInput: the room is in edit mode.
     """
     require_object_mode([room])
-    if _content(room.get(ORIGINAL_MESH, room.data)) != _content(mesh):
+    changed = _content(room.get(ORIGINAL_MESH, room.data)) != _content(mesh)
+    if changed:
         if APPLIED in scene:
             restore(scene)
         room.data, mesh = mesh, room.data
@@ -208,11 +224,12 @@ def refresh_capture(
         bpy.data.meshes.remove(mesh)
     ours = [thing for thing in scene.objects if thing.type == "CAMERA" and thing.parent == room.parent]
     present = {thing.data[VIEW]: thing for thing in reversed(ours) if VIEW in thing.data}
-    cameras = []
+    cameras, added = [], []
     for view in inspected.views:
         camera = present.get(view.name)
         if camera is None:
             camera = _add_view(view, room.parent, room.users_collection[0])
+            added.append(camera)
         forget_given_pose(camera)
         set_lens(camera.data, view.camera)
         camera.matrix_basis = Matrix(view.camera.c2w.tolist())
@@ -220,6 +237,8 @@ def refresh_capture(
         camera.data.iris_light_state = view.light_state
         camera.data[METRES_PER_UNIT] = inspected.metres_per_unit
         cameras.append(camera)
+    # The artist may have chosen sizes; those of the cameras that were there change with the room alone.
+    _fit_sizes(inspected.mesh, room.parent if changed else None, cameras if changed else added)
     return cameras
 
 
@@ -235,7 +254,6 @@ def _add_view(
     camera = add_camera(view.camera, view.name, collection)
     camera.parent = anchor
     camera.data[VIEW] = view.name
-    camera.data.display_size = 0.1
     show_photo(camera, view.photo)
     camera.data.iris_exposure = view.exposure or 0.0
     camera.data.iris_light_state = view.light_state

@@ -66,6 +66,52 @@ def sky_strength(world: bpy.types.World | None) -> bpy.types.NodeSocket | None:
     return None if background is None else background.inputs["Strength"]
 
 
+GRAY, UNGRAYED = "IRIS Gray", "IRIS Color From Outside"
+"""Names of the nodes of :func:`set_gray`."""
+
+
+def shines(world: bpy.types.World | None) -> bool:
+    """Whether the light from outside has a color other than black; False where the artist has rebuilt the world."""
+    background = outside_light(world)
+    if background is None:
+        return False
+    color = background.inputs["Color"]
+    return bool(color.is_linked or any(color.default_value[:3]))
+
+
+def is_gray(world: bpy.types.World | None) -> bool:
+    """Whether :func:`set_gray` has taken the color from the light from outside."""
+    return world is not None and world.node_tree is not None and GRAY in world.node_tree.nodes
+
+
+def set_gray(world: bpy.types.World | None, on: bool) -> None:
+    """Let the light from outside keep its luminance in every direction and lose its color; off gives it back.
+
+    Does nothing to a world that the artist has rebuilt, and to a black one.
+    """
+    background = outside_light(world)
+    if world is None or background is None or on == is_gray(world) or not shines(world):
+        return
+    tree, color = world.node_tree, background.inputs["Color"]
+    if not on:
+        for link in [link for link in tree.nodes[GRAY].inputs[0].links if link.from_node.name != UNGRAYED]:
+            tree.links.new(link.from_socket, color)
+        for node in [node for node in tree.nodes if node.name in (GRAY, UNGRAYED)]:
+            tree.nodes.remove(node)
+        return
+    gray = tree.nodes.new("ShaderNodeRGBToBW")
+    gray.name, gray.location = GRAY, (-40, 60)
+    if color.is_linked:
+        source = color.links[0].from_socket
+    else:
+        constant = tree.nodes.new("ShaderNodeRGB")
+        constant.name, constant.location = UNGRAYED, (-260, 60)
+        source = constant.outputs[0]
+        source.default_value = color.default_value
+    tree.links.new(source, gray.inputs[0])
+    tree.links.new(gray.outputs[0], color)
+
+
 def _sky(
     tree: bpy.types.NodeTree, sh: NDArray[np.floating] | None, scale: float, to_blender: NDArray[np.floating]
 ) -> bpy.types.Node:
