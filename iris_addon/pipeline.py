@@ -148,9 +148,6 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
         arrays = stage("response", lambda: cancellable(measure))
         panes = arrays.pop("panes")
         photometry = Photometry.from_arrays(arrays)
-        names = [view.name for view in reduced.views]
-        unlike = cancellable(lambda: find_unlike_lights(observations, names, states, photometry.hdr, decisions))
-        quality = None if photometry.hdr else PhotoQuality.of(observations)
     if len(panes):
         with progress.stage("surface"):  # once more, as one sees it through them
             tracer = Tracer(surface.mesh, surface.normals, surface.noise, without=panes, engine=engine)
@@ -199,8 +196,11 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
     with progress.stage("report"):
         result = replace(result, panes=panes)
         result = cancellable(lambda: with_figures(result, room, config, cameras, problems, solution, progress))
+        names = [view.name for view in reduced.views]
+        unlike = cancellable(lambda: find_unlike_lights(observations, names, states, photometry.hdr, decisions))
         result.report["warnings"] += [lights.warning for lights in unlike]
-        if quality is not None:
+        if not photometry.hdr:
+            quality = PhotoQuality.of(observations)
             result.report["photos"] = quality.report()
             result.report["warnings"] += quality.warnings
         result.report["decisions"] = decisions.report()
@@ -215,7 +215,6 @@ def _solve(capture: Capture, config: SolveConfig, out: Path, progress: Progress,
             result.report["map_origin"] = dict(capture.map_origin)
         progress.update(0.5, force=True)
         save_result(result, out)
-        progress.update(0.7, force=True)
         write_report(result, capture, out, rerenders)
     checkpoints.clear()
     return result

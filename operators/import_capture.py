@@ -249,6 +249,8 @@ def _start_inspection(
             return
         try:
             prepared = yield from _read_steps(scene, target)
+            if prepared[1] is not None:
+                prepared[1].update_tag()  # is it still there?
         except ReferenceError:  # what was made of it has been undone meanwhile
             prepared = None
         scene = checked()

@@ -120,14 +120,12 @@ class Lights:
 
     def apart_of(self, emitters: list[NDArray[np.int64]]) -> NDArray[np.bool_] | None:
         """(E,) bool, which of ``emitters`` are told apart from their copies here; None where none is."""
-        told = {faces.tobytes() for faces in self.emitters_apart}
-        found = np.array([faces.tobytes() in told for faces in emitters], bool)
+        found = _overlapping(emitters, self.emitters_apart)
         return found if found.any() else None
 
     def told_apart(self, emitters: Iterable[NDArray[np.int64]]) -> Lights:
         """The same lights, with those of ``emitters`` that are among them told apart from their copies as well."""
-        told = {faces.tobytes() for faces in emitters}
-        more = np.array([faces.tobytes() in told for faces in self.emitters], bool)
+        more = _overlapping(self.emitters, emitters)
         return replace(self, apart=more if self.apart is None else self.apart | more) if more.any() else self
 
     @property
@@ -151,6 +149,12 @@ class Lights:
         for faces, radiance in zip(self.emitters, self.radiance, strict=True):
             emission[faces] = radiance
         return emission
+
+
+def _overlapping(emitters: Iterable[NDArray[np.int64]], others: Iterable[NDArray[np.int64]]) -> NDArray[np.bool_]:
+    """(E,) bool, which of ``emitters`` share a face with ``others``: found anew, a lamp has some faces more or less."""
+    faces = np.concatenate([*others, np.zeros(0, np.int64)])
+    return np.array([np.isin(own, faces).any() for own in emitters], bool)
 
 
 @dataclass(frozen=True)

@@ -44,5 +44,6 @@ def _sets(problem: LightProblem, lights: Lights) -> list[NDArray[np.int64]]:
     areas = problem.tracer.areas
     label = tie_fixtures(lights.emitters, areas, lights.apart)
     power = np.array([areas[faces].sum() for faces in lights.emitters]) * lights.radiance.mean(1)
-    sets = [np.flatnonzero(label == k) for k in np.unique(label)]
+    shared = np.array([problem.pattern_of(faces) is None for faces in lights.emitters], bool)
+    sets = [np.flatnonzero((label == k) & shared) for k in np.unique(label)]
     return sorted((own for own in sets if len(own) > 1), key=lambda own: -power[own].sum())

@@ -10,10 +10,11 @@ from mathutils import Matrix
 from iris_addon.base.errors import BadInput
 from iris_addon.base.images import read_exr
 from iris_addon.blender.apply.camera_look import LOOK, kept_look
-from iris_addon.blender.apply.on_objects import apply_to_objects, restore, triangles_of
+from iris_addon.blender.apply.on_objects import apply_steps, apply_to_objects, restore, triangles_of
 from iris_addon.blender.apply.review import show_confidence
 from iris_addon.blender.scene_in.scene_capture import read_scene_mesh, whole_object
 from iris_addon.blender.scene_out.lights import color, is_on, lamp_materials, set_color, set_strength, strength, switch
+from iris_addon.blender.stepwise import finish
 from iris_addon.model.recovered import Backdrop, OutsideLight
 from iris_addon.model.texture_size import blender_bytes
 from iris_addon.results.result import Result
@@ -77,6 +78,32 @@ def test_a_scan_is_shaded_by_the_surface_that_was_solved():
         np.testing.assert_allclose(world, np.repeat(normals[run.start : run.stop, None], 3, axis=1), atol=2e-3)
     restore(bpy.context.scene)
     assert not any(thing.data.has_custom_normals for thing in bpy.context.scene.objects)
+
+
+def test_modelled_objects_beside_a_scan_keep_the_shading_that_the_artist_gave_them():
+    thing = cube("smooth")
+    thing.data.shade_smooth()
+    before = np.array([normal.vector for normal in thing.data.corner_normals])
+    result, runs = solve(lamp_faces=[])
+    corners = result.mesh.vertices[result.mesh.faces]
+    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = (flat / np.linalg.norm(flat, axis=1, keepdims=True)).astype(np.float32)
+    apply_to_objects(replace(result, mesh=replace(result.mesh, normals=normals)), runs, bpy.context.scene, "key")
+    np.testing.assert_allclose([normal.vector for normal in thing.data.corner_normals], before, atol=1e-3)
+
+
+def test_an_object_that_goes_between_the_steps_leaves_the_scene_as_it_was():
+    thing, other = cube("goes"), cube("stays", location=(3, 0, 0))
+    result, runs = solve(lamp_faces=[])
+    steps = apply_steps(result, runs, bpy.context.scene, "key")
+    own = other.data
+    for said in steps:
+        if said == "packing the textures":
+            break
+    bpy.data.objects.remove(thing)
+    with pytest.raises(BadInput):
+        finish(steps)
+    assert other.data == own and "iris_applied" not in bpy.context.scene
 
 
 def test_the_images_of_the_textures_take_the_memory_that_is_said():

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
@@ -72,3 +74,15 @@ def test_copies_that_one_light_state_tells_apart_are_apart_in_all() -> None:
     for solved in solve_states(states, Progress()):
         assert radiance(room, solved) == pytest.approx([14.0, 5.0], rel=0.15)
         assert len(solved.emitters_apart) == 2
+
+
+def test_a_lamp_that_is_found_with_other_faces_stays_told_apart() -> None:
+    """Another light state, or another round, finds some faces more or less, or both copies as one lamp."""
+    lights = found(two_lamps(14.0, 5.0))
+    first, second = lights.emitters
+    apart = lights.apart_of([first[:1], np.array([10**6])])
+    assert apart is not None and apart.tolist() == [True, False]
+    both = replace(lights, emitters=[np.concatenate([first, second])], apart=None)
+    assert both.apart_of([first, second]) is None
+    told = both.told_apart(lights.emitters_apart).apart_of([first, second])
+    assert told is not None and told.all()

@@ -39,6 +39,8 @@ from .photo_cameras import restore_given_poses
 ORIGINAL_MESH, ORIGINAL, SLOT, MADE = "iris_original_mesh", "iris_original", "iris_slot_", "iris_made"
 APPLIED = "iris_applied"
 SAME_UV = 1e-5
+OWN_NORMAL_COSINE = 1 - 1e-6
+"""Cosine between the normal by which a face was solved and its own from which on they are one: files round them."""
 NUMBERED = re.compile(r"\.\d{3,}$")
 """What Blender appends to a name that is taken."""
 
@@ -100,6 +102,9 @@ def apply_steps(result: Result, runs: Sequence[FaceRun], scene: bpy.types.Scene,
         for image in images_of(materials):  # unpacked images are black after undo and reload
             image.pack()
             yield "packing the textures"
+        if [_find(run, scene) for run in runs] != objects:  # Blender went on between the steps
+            raise BadInput("the objects were replaced while the result was applied", "press Apply again")
+        require_object_mode(objects)
         restore(scene)
     images = images_of(materials)
     for block in (*made, *images):  # those of an earlier result, which had the names, are gone
@@ -213,20 +218,36 @@ def _mesh_steps(
     if np.linalg.det(run.to_capture[:3, :3]) < 0:  # the winding of a mirrored object was reversed
         uv = uv[:, ::-1]
     data = None if run.instance or thing.type != "MESH" else _textured_copy(thing, uv, slots, own_uv)
-    yield MAKING_MESH
     if data is not None:
-        normals = _local_normals(result.mesh, run)
-        if normals is not None:  # a scan is shaded by the surface behind its noise, as it was solved
-            _, loops = triangles_of(data)
-            of_loop = np.zeros((len(data.loops), 3), np.float32)
-            of_loop[loops] = normals[:, None]
-            set_corner_normals(data, of_loop)
+        with discarded_on_failure([data]):
+            yield MAKING_MESH
+            _shade_as_solved(data, result.mesh, run)
             yield MAKING_MESH
         return data, False
+    yield MAKING_MESH
     local = yield from in_thread(lambda: _local_mesh(result.mesh, run), MAKING_MESH)
     data = yield from mesh_steps(local, f"{thing.name} IRIS")
     set_material_slots(data, slots)
     return data, True
+
+
+def _shade_as_solved(data: bpy.types.Mesh, mesh: Mesh, run: FaceRun) -> None:
+    """Shade faces of a scan by the surface behind its noise, as they were solved; others as the artist has them."""
+    normals = _local_normals(mesh, run)
+    if normals is None:
+        return
+    corners = mesh.vertices[mesh.faces[run.start : run.stop]]
+    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    of_mesh = mesh.normals[run.start : run.stop] if mesh.normals is not None else flat
+    along = np.einsum("nk,nk->n", flat, of_mesh)
+    scanned = np.flatnonzero((along < OWN_NORMAL_COSINE * np.linalg.norm(flat, axis=1)) & of_mesh.any(1))
+    if not len(scanned):
+        return
+    shown = np.empty(3 * len(data.loops), np.float32)
+    data.corner_normals.foreach_get("vector", shown)
+    shown = shown.reshape(-1, 3)
+    shown[triangles_of(data)[1][scanned]] = normals[scanned, None]
+    set_corner_normals(data, shown)
 
 
 def _use_mesh(run: FaceRun, thing: bpy.types.Object, data: bpy.types.Mesh, as_solved: bool) -> None:
