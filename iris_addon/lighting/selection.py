@@ -196,8 +196,8 @@ def _without_idle(
         needed = certainty(problem, tried, lamp_of_cell(problem, lamps), len(lamps))
         bright = (needed * (1 - _share_beside_brighter(problem, lamps)) > TOO_BRIGHT_REFLECTANCE).any()
         name, share = ("bright_lamp", 1.0) if bright else ("lamp", share_of_rise("lamp", stops))
-        # Photos cannot show it darker than it is. On a scan what they do not show are crumbs.
-        if not any(seen[lamp].any() or problem.scanned[lamp].any() for lamp in lamps):
+        # Photos cannot show it darker than it is. Of a scan, and beside one, what they do not show are crumbs.
+        if not problem.scanned.any() and not any(seen[lamp].any() for lamp in lamps):
             name, share = "unconstrained_lamp", share_of_rise("unconstrained_lamp")
         return not problem.decisions.accept(
             name, tried.held_out, lights.held_out, tried.paired_error(lights), share, subject
