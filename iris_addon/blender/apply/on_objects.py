@@ -25,7 +25,7 @@ from ...model.capture import Mesh
 from ...results.result import Result
 from ..render.light_mixing import has_separated_lamps, stop_mixing
 from ..scene_out.backdrop import add_backdrop, follow_world
-from ..scene_out.build import MAKING_MESH, face_material_steps, mesh_steps, set_material_slots
+from ..scene_out.build import MAKING_MESH, face_material_steps, mesh_steps, set_material_slots, used_slots
 from ..scene_out.lights import RECOVERED_TURN, add_sun
 from ..scene_out.materials import MAKING, UV_MAP, confidence_steps, discarded_on_failure, images_of
 from ..scene_out.scene_state import forget_scene, keep_scene, require_object_mode, restore_scene, show_like_the_photos
@@ -94,10 +94,11 @@ def apply_steps(result: Result, runs: Sequence[FaceRun], scene: bpy.types.Scene,
         pairs = sorted(zip(runs, objects, strict=True), key=lambda pair: pair[0].instance)
         meshes = []
         for run, thing in pairs:
-            data, as_solved = yield from _mesh_steps(result, run, thing, slot_of_face, own_uv)
+            used, slots = used_slots(slot_of_face[run.start : run.stop])
+            data, as_solved = yield from _mesh_steps(result, run, thing, slots, own_uv)
             made.append(data)
             meshes.append((data, as_solved))
-            for index in np.unique(slot_of_face[run.start : run.stop]):
+            for index in used:
                 data.materials.append(materials[index])
         for image in images_of(materials):  # unpacked images are black after undo and reload
             image.pack()
@@ -204,17 +205,12 @@ def _has_modifiers(thing: bpy.types.Object) -> bool:
 
 
 def _mesh_steps(
-    result: Result, run: FaceRun, thing: bpy.types.Object, slot_of_face: NDArray[np.int32], own_uv: str | None
+    result: Result, run: FaceRun, thing: bpy.types.Object, slots: NDArray[np.integer], own_uv: str | None
 ) -> Steps[tuple[bpy.types.Mesh, bool]]:
-    """The mesh that gives ``thing`` its share of ``result``, still without materials, and whether it has the triangles
-    that were solved in place of polygons."""
-    faces = slice(run.start, run.stop)
-    slots = np.zeros(slot_of_face.max(initial=0) + 1, np.int32)
-    used = np.flatnonzero(np.bincount(slot_of_face[faces]))
-    slots[used] = np.arange(len(used))
-    slots = slots[slot_of_face[faces]]
+    """The mesh that gives ``thing`` its share of ``result``, with ``slots`` (n,) and still without materials, and
+    whether it has the triangles that were solved in place of polygons."""
     assert result.mesh.uv is not None
-    uv = result.mesh.uv[faces]
+    uv = result.mesh.uv[run.start : run.stop]
     if np.linalg.det(run.to_capture[:3, :3]) < 0:  # the winding of a mirrored object was reversed
         uv = uv[:, ::-1]
     data = None if run.instance or thing.type != "MESH" else _textured_copy(thing, uv, slots, own_uv)
@@ -233,20 +229,18 @@ def _mesh_steps(
 
 def _shade_as_solved(data: bpy.types.Mesh, mesh: Mesh, run: FaceRun) -> None:
     """Shade faces of a scan by the surface behind its noise, as they were solved; others as the artist has them."""
-    normals = _local_normals(mesh, run)
-    if normals is None:
+    if mesh.normals is None:
         return
-    corners = mesh.vertices[mesh.faces[run.start : run.stop]]
+    corners, solved = mesh.vertices[mesh.faces[run.start : run.stop]], mesh.normals[run.start : run.stop]
     flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    of_mesh = mesh.normals[run.start : run.stop] if mesh.normals is not None else flat
-    along = np.einsum("nk,nk->n", flat, of_mesh)
-    scanned = np.flatnonzero((along < OWN_NORMAL_COSINE * np.linalg.norm(flat, axis=1)) & of_mesh.any(1))
+    along = np.einsum("nk,nk->n", flat, solved)
+    scanned = np.flatnonzero((along < OWN_NORMAL_COSINE * np.linalg.norm(flat, axis=1)) & solved.any(1))
     if not len(scanned):
         return
     shown = np.empty(3 * len(data.loops), np.float32)
     data.corner_normals.foreach_get("vector", shown)
     shown = shown.reshape(-1, 3)
-    shown[triangles_of(data)[1][scanned]] = normals[scanned, None]
+    shown[triangles_of(data)[1][scanned]] = _local_normals(solved[scanned], run)[:, None]
     set_corner_normals(data, shown)
 
 
@@ -319,16 +313,14 @@ def _local_mesh(mesh: Mesh, run: FaceRun) -> Mesh:
     uv = None if mesh.uv is None else mesh.uv[run.start : run.stop]
     if np.linalg.det(to_object[:3, :3]) < 0:
         corners, uv = corners[:, ::-1], None if uv is None else uv[:, ::-1]
-    return Mesh(points, corners, uv, normals=_local_normals(mesh, run))
+    normals = None if mesh.normals is None else _local_normals(mesh.normals[run.start : run.stop], run)
+    return Mesh(points, corners, uv, normals=normals)
 
 
-def _local_normals(mesh: Mesh, run: FaceRun) -> NDArray[np.float32] | None:
-    """(n, 3) unit normals by which the faces of ``run`` are shaded, in the space of its object; None where by their
-    own."""
-    if mesh.normals is None:
-        return None
-    normals = mesh.normals[run.start : run.stop] @ run.to_capture[:3, :3]  # the transposed matrix, as for planes
-    return (normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)).astype(np.float32)
+def _local_normals(normals: NDArray[np.floating], run: FaceRun) -> NDArray[np.float32]:
+    """Unit ``normals`` (n, 3) of the capture in the space of the object of ``run``."""
+    local = normals @ run.to_capture[:3, :3]  # the transposed matrix, as for planes
+    return (local / np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-12)).astype(np.float32)
 
 
 def _stand_in(thing: bpy.types.Object, data: bpy.types.Mesh, run: FaceRun) -> None:

@@ -23,13 +23,14 @@ import bpy
 import numpy as np
 
 from ...base.errors import BadInput, IrisError
-from ...base.files import atomic_write, require_own_folder, write_json
+from ...base.files import require_own_folder, write_json
 from ...base.untrusted import decoding, json_object, numbers, read_json
 from ...model.capture import Camera, Mesh
 from ..apply.on_objects import ORIGINAL_MESH, FaceRun, triangles_of
 from ..camera import read_camera
+from ..ply_writer import write_ply
 from ..scene_out.backdrop import is_backdrop
-from ..scene_out.build import corner_vertices, material_slots
+from ..scene_out.build import corner_vertices, material_slots, used_slots
 from ..version import compositor_tree
 from .capture_objects import background_of, photo_of
 from .rendered import as_rendered
@@ -81,8 +82,7 @@ def read_scene_mesh(depsgraph: bpy.types.Depsgraph, objects: Iterable[bpy.types.
             points = points @ matrix[:3, :3].T + matrix[:3, 3]
             if np.linalg.det(matrix[:3, :3]) < 0:  # keeps the outside of mirrored instances
                 corners, uv = corners[:, ::-1], None if uv is None else uv[:, ::-1]
-            used = np.flatnonzero(np.bincount(slot))
-            region = np.searchsorted(used, slot)
+            used, region = used_slots(slot)
             vertices.append(points)
             faces.append(corners + n_vertices)
             uvs.append(uv)
@@ -164,7 +164,8 @@ def write_scene_capture(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, 
             stem = f"{number:04d}_{bpy.path.clean_name(view[0])}"  # cleaned names may coincide
             frames.append(_frame(target / "photos" / stem, *view))
             cameras[stem] = view[0]
-        atomic_write(target / "mesh.ply", lambda path: _write_ply(path, room, scale))
+        # A binary PLY: the text of a million triangles takes a minute.
+        write_ply(target / "mesh.ply", replace(room.mesh, vertices=room.mesh.vertices * scale))
         write_json(folder / "scene_map.json", {"runs": [_run_json(run) for run in runs], "cameras": cameras})
         write_json(target / "transforms.json", {"mesh": "mesh.ply", "one_frame": True, "frames": frames})
     except OSError as error:
@@ -336,25 +337,3 @@ def _run_json(run: FaceRun) -> dict[str, Any]:
         "instance": run.instance,
         "to_capture": run.to_capture.tolist(),
     }
-
-
-def _write_ply(path: Path, room: SceneMesh, scale: float) -> None:
-    """``room`` times ``scale`` as a binary PLY: the text of a million triangles takes a minute."""
-    mesh: Mesh = room.mesh
-    assert mesh.regions is not None
-    n, fields = len(mesh.faces), [("corners", "u1"), ("vertex_indices", "<i4", 3)]
-    lists = ["property list uchar int vertex_indices"]
-    if mesh.uv is not None:
-        fields += [("coordinates", "u1"), ("texcoord", "<f4", 6)]
-        lists.append("property list uchar float texcoord")
-    rows = np.empty(n, np.dtype([*fields, ("material_index", "<i4")]))
-    rows["corners"], rows["vertex_indices"], rows["material_index"] = 3, mesh.faces, mesh.regions
-    if mesh.uv is not None:
-        rows["coordinates"], rows["texcoord"] = 6, mesh.uv.reshape(n, 6)
-    header = [
-        *("ply", "format binary_little_endian 1.0", f"element vertex {len(mesh.vertices)}"),
-        *(f"property double {axis}" for axis in "xyz"),
-        *(f"element face {n}", *lists, "property int material_index", "end_header"),
-    ]
-    text = "".join(f"{line}\n" for line in header).encode("ascii")
-    path.write_bytes(text + (mesh.vertices * scale).astype("<f8").tobytes() + rows.tobytes())

@@ -124,7 +124,7 @@ def add_room(
     made = []
     for name, faces in [("IRIS Room Mesh", rest), *lamps]:
         data = room_mesh(_submesh(result.mesh, faces) if lamps else result.mesh, name)
-        used, own_slot = np.unique(slot_of_face[faces], return_inverse=True)
+        used, own_slot = used_slots(slot_of_face[faces])
         for slot in used:
             data.materials.append(slots[slot])
         set_material_slots(data, own_slot)
@@ -205,6 +205,12 @@ def material_slots(data: bpy.types.Mesh) -> NDArray[np.int32]:
     if held is not None and (held.data_type, held.domain) == ("INT", "FACE"):  # as Blender looks it up
         held.data.foreach_get("value", slots)
     return slots
+
+
+def used_slots(slots: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The numbers that are among ``slots`` (n,), ascending, and the place (n,) of each slot among them."""
+    used = np.flatnonzero(np.bincount(slots))
+    return used, np.searchsorted(used, slots)
 
 
 def set_material_slots(data: bpy.types.Mesh, slots: NDArray[np.integer]) -> None:

@@ -23,13 +23,15 @@ import numpy as np
 
 from ...base.errors import BadInput
 from ...base.progress import Progress
+from ...model.capture import Mesh
 from ...model.render_settings import RenderSettings
 from ..camera import read_camera
+from ..ply_writer import write_ply
 from . import photos
 from .lamp_switches import LIGHT_STATE, LampSwitches
 from .references import write_references
 from .renders import Studio, add_outputs, render_maps
-from .scene import prepare, read_geometry, write_ply
+from .scene import prepare, read_geometry
 from .writer import CaptureWriter, Shot
 
 LEVELS = (0.25, 0.5, 1.0, 2.0, 4.0)
@@ -100,7 +102,8 @@ def synth(scene_blend: Path, out: Path, config: SynthConfig | None = None, progr
                 radiance.append(studio.radiance(shot.camera))
             progress.update((k + 1) / len(train + val))
 
-    write_ply(partial / "scene.ply", geometry.mesh)
+    mesh = geometry.mesh
+    write_ply(partial / "scene.ply", Mesh(mesh.vertices.astype(np.float32), mesh.faces))  # what a scan gives
     writer.split("train", train, radiance[: len(train)], maps[: len(train)])
     writer.split("val", val, radiance[len(train) :], maps[len(train) :])
     scale = writer.photos(radiance, maps, len(train), LEVELS)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
 from ...base.errors import BadInput
-from ...base.files import atomic_write
 from ...model.capture import Mesh
 from ...model.response import linear_of_srgb
 from ..scene_out.materials import below_profile
@@ -264,16 +262,3 @@ def _mean_of(image: bpy.types.Image, triangles: NDArray[np.floating], uv: NDArra
     edges = triangles[:, 1:] - triangles[:, :1]
     areas = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
     return np.average(means, axis=0, weights=np.maximum(areas, 1e-12))
-
-
-def write_ply(path: Path, mesh: Mesh) -> None:
-    """Write (V, 3) positions and triangles as binary PLY, nothing else: what a scan gives."""
-    header = (
-        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(mesh.vertices)}\n"
-        "property float x\nproperty float y\nproperty float z\n"
-        f"element face {len(mesh.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    records = np.empty(len(mesh.faces), [("n", "u1"), ("corners", "<i4", 3)])
-    records["n"], records["corners"] = 3, mesh.faces
-    body = mesh.vertices.astype("<f4").tobytes() + records.tobytes()
-    atomic_write(path, lambda temporary: temporary.write_bytes(header.encode() + body))
