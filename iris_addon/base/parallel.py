@@ -102,11 +102,18 @@ def over_blocks(
             stopped.set()
             raise
 
-    helpers = [_helpers().submit(take) for _ in range(min(at_once or cores(), cores(), len(parts)) - 1)]
+    shared = [take]  # emptied at the end: a thread that is busy elsewhere would keep all that the work knows
+
+    def join() -> None:
+        for own in shared[:]:
+            own()
+
+    helpers = [_helpers().submit(join) for _ in range(min(at_once or cores(), cores(), len(parts)) - 1)]
     try:
         take(done)
     finally:
         begun = [helper for helper in helpers if not helper.cancel()]
+        shared.clear()
     for helper in begun:
         helper.result()
     if begun:

@@ -5,13 +5,23 @@ from __future__ import annotations
 import sys
 import threading
 import time
+import weakref
 from pathlib import Path
 from subprocess import run
 
 import numpy as np
 import pytest
 
-from iris_addon.base.parallel import aside, blocks, over_blocks, over_each, over_random_blocks, over_shares, waited_for
+from iris_addon.base.parallel import (
+    _helpers,
+    aside,
+    blocks,
+    over_blocks,
+    over_each,
+    over_random_blocks,
+    over_shares,
+    waited_for,
+)
 from iris_addon.base.progress import Cancelled
 from iris_addon.capture.photos import photos_at_once
 from iris_addon.model.capture import Camera, View
@@ -53,6 +63,27 @@ def test_shares_cover_everything_once_in_no_more_blocks_than_cores(monkeypatch: 
 
         over_shares(n, work)
         assert (covered == 1).all() and len(begun) <= 3
+
+
+def test_threads_that_are_busy_elsewhere_keep_nothing_of_work_that_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Calls nest, so that a helper may be busy for minutes while thousands of calls wait for it in vain."""
+    monkeypatch.setattr("iris_addon.base.parallel.cores", lambda: 3)
+    gate = threading.Event()
+    busy = [_helpers().submit(gate.wait) for _ in range(64)]
+    try:
+        values = np.zeros(8)
+        kept = weakref.ref(values)
+
+        def work(rows: slice, values: np.ndarray = values) -> None:
+            values[rows] += 1
+
+        over_blocks(8, 1, work)
+        assert (values == 1).all()
+        del work, values
+        assert kept() is None
+    finally:
+        gate.set()
+    assert all(helper.result() for helper in busy)
 
 
 MEMORY = """
