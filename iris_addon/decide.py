@@ -288,6 +288,10 @@ MAX_FLATTENED = 0.17
 """Share of patches without any shading in a photo above which a report warns of compression: JPEG of quality 15, which
 loses 20 dB, leaves 0.24 to 0.34, of quality 40, which loses 2 dB, 0.12 (experiment 0168)."""
 
+MAX_UNSEEN_LIGHT = 0.2
+"""Share of the light paths from what photos show that end on surfaces that no photo shows, above which a report warns
+of it: captures of whole rooms have 0.04 to 0.15, six photos of half a room 0.25 (experiment 0143)."""
+
 PANE_LEAST_LOSS = 0.3
 """Loss of a flat part that shows the same in all photos below which it is not asked whether it is a pane."""
 

@@ -50,19 +50,29 @@ def read_exr_parts(path: Path) -> list[ExrPart]:
         BadInput: missing, no EXR file, damaged within the headers, or of more parts than any program writes.
     """
     with open_file(path, MAX_IMAGE_BYTES, mend=MEND) as file, decoding(path, "is damaged or not an image", MEND):
-        magic, version = struct.unpack("<4sI", file.read(8))
-        if magic != MAGIC:
-            raise ValueError("no OpenEXR file")
-        parts = []
-        while (part := _part(file)) is not None:
-            parts.append(part)
-            if len(parts) > MAX_PARTS:
-                raise BadInput(f"has more than {MAX_PARTS} parts", MEND, path)
-            if not version & MULTIPART:
-                break
-        if not parts:
-            raise ValueError("no header")
-        return parts
+        return exr_headers(file, path)[0]
+
+
+def exr_headers(file: BinaryIO, path: Path) -> tuple[list[ExrPart], bool]:
+    """The parts that ``file`` announces, and whether it is of several parts; it then stands behind the headers.
+
+    Raises:
+        BadInput: it has too many parts.
+        ValueError, struct.error, KeyError: it is damaged within the headers.
+    """
+    magic, version = struct.unpack("<4sI", file.read(8))
+    if magic != MAGIC:
+        raise ValueError("no OpenEXR file")
+    multipart, parts = bool(version & MULTIPART), []
+    while (part := _part(file)) is not None:
+        parts.append(part)
+        if len(parts) > MAX_PARTS:
+            raise BadInput(f"has more than {MAX_PARTS} parts", MEND, path)
+        if not multipart:
+            break
+    if not parts:
+        raise ValueError("no header")
+    return parts, multipart
 
 
 def check_exr_samples(path: Path, parts: Sequence[ExrPart]) -> None:

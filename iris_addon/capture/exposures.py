@@ -103,6 +103,20 @@ def exif_settings(photo: Path) -> dict[str, float]:
     return {name: value for name, value in found.items() if value is not None}
 
 
+METER_CONSTANT = 12.5
+"""K of reflected-light meters, cd/m² · s (ISO 2720): that of most makers."""
+
+
+def metered_luminance(photo: Path) -> float | None:
+    """Luminance, cd/m², for which the EXIF block of ``photo`` says it was exposed: K N² / (t · ISO), None without."""
+    if photo.suffix.lower() in HDR_SUFFIXES:
+        return None
+    found = exif_settings(photo)
+    if found.keys() != {"seconds", "f_number", "iso"}:
+        return None
+    return METER_CONSTANT * found["f_number"] ** 2 / (found["seconds"] * found["iso"])
+
+
 def with_device(view: View) -> View:
     """The view with the maker and model of its camera by EXIF, unless the capture gives them."""
     return view if view.device or view.photo is None else replace(view, device=read_device(view.photo))

@@ -3,8 +3,8 @@
 ::
 
     capture.json     name, root, up, metres_per_unit, warnings, the most that textures take; per photo: file, camera,
-                     exposure, share of saturated and black channels, histogram, share of the mesh in view, alignment
-                     with it, and what is wrong with it
+                     exposure, luminance by EXIF, share of saturated and black channels, histogram, share of the mesh
+                     in view, alignment with it, and what is wrong with it
     mesh.npz         vertices, faces, and uv and regions where the mesh has them
     photos/          photos with the lens distortion taken out, where there was any
 
@@ -31,6 +31,7 @@ from ..model.texture_size import blender_bytes, in_blender
 from ..rays.tracer import Tracer
 from .alignment import EdgePair, alignment
 from .exchanged_photos import exchanged
+from .exposures import metered_luminance
 from .photos import load_photo
 from .reader import MIN_SEEN_SHARE
 
@@ -116,6 +117,7 @@ def _inspect_view(view: View, tracer: Tracer, folder: Path) -> tuple[dict[str, A
         "photo": None if shown is None else shown.resolve(),
         "camera": asdict(camera),
         "exposure": view.exposure,
+        "metered": None if view.photo is None else metered_luminance(view.photo),
         "light_state": view.light_state,
         "saturated": 0.0 if photo.hdr else float((values >= SATURATED).any(axis=1).mean()),
         "black": 0.0 if photo.hdr else float((values <= BLACK_VALUE).all(axis=1).mean()),

@@ -52,6 +52,8 @@ CERTAIN_REFLECTANCE = 3.0
 """Reflectance needed above which only emission explains a face, however wrong the irradiance still is."""
 CERTAIN_MIN_SHARE = 0.25
 """Share of the pixels of a bright surface of a scan that must be certain: a few always are by chance."""
+COPY_MAX_DIFFERENCE = 0.01
+"""Difference of area, and of edges, between two copies of one model, relative."""
 LAMP_MIN_PIXELS = 12
 """Pixels over all photos below which there is no evidence for a lamp."""
 
@@ -343,11 +345,17 @@ def _gaps(
 
 
 def tie_fixtures(
-    emitters: Sequence[NDArray[np.int64]], areas: NDArray[np.floating], apart: NDArray[np.bool_] | None = None
+    emitters: Sequence[NDArray[np.int64]],
+    areas: NDArray[np.floating],
+    apart: NDArray[np.bool_] | None = None,
+    corners: NDArray[np.floating] | None = None,
 ) -> NDArray[np.int64]:
     """(E,) label per emitter, the same for lamps of equal face count and total area, which are copies of one model.
 
+    Any two squares of two triangles have as many faces, so these have to have equal edges as well.
+
     Args:
+        corners: (F, 3, 3) of each face, metres; without them lamps of one or two faces are no copies.
         apart: (E,) bool, lamps that are like no other although they are copies; by default none.
     """
     if not emitters:
@@ -355,13 +363,25 @@ def tie_fixtures(
     keys = [(len(faces), float(areas[faces].sum())) for faces in emitters]
     alone = np.zeros(len(keys), bool) if apart is None else apart
     label = np.full(len(keys), -1, np.int64)
-    for index, (n, area) in enumerate(keys):
-        copied = n > 2 and not alone[index]
-        twins = [
-            j for j in range(index) if copied and not alone[j] and keys[j][0] == n and abs(keys[j][1] / area - 1) < 0.01
-        ]
+
+    def alike(one: int, other: int) -> bool:
+        (n, area), (n_other, area_of_other) = keys[one], keys[other]
+        if alone[one] or alone[other] or n != n_other or abs(area_of_other / area - 1) >= COPY_MAX_DIFFERENCE:
+            return False
+        if n > 2 or corners is None:
+            return n > 2
+        edges = (_edges(corners[emitters[k]]) for k in (one, other))
+        return np.allclose(*edges, rtol=COPY_MAX_DIFFERENCE, atol=0)
+
+    for index in range(len(keys)):
+        twins = [j for j in range(index) if alike(index, j)]
         label[index] = label[twins[0]] if twins else label.max() + 1
     return label
+
+
+def _edges(corners: NDArray[np.floating]) -> NDArray[np.floating]:
+    """(3 n,) lengths of the edges of faces with ``corners`` (n, 3, 3), ascending."""
+    return np.sort(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2), axis=None)
 
 
 # ---- Lamps given in a file, in the form of a result's emitters.json -------------------------------------------------

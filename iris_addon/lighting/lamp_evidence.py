@@ -90,7 +90,7 @@ def _tied(
     problem: LightProblem, emitters: list[NDArray[np.int64]], apart: NDArray[np.bool_] | None = None
 ) -> NDArray[np.int64]:
     """(E,) label of lamps that share one radiance; one with a pattern or ``apart`` (E,) has its own."""
-    tie = tie_fixtures(emitters, problem.tracer.areas, apart)
+    tie = tie_fixtures(emitters, problem.tracer.areas, apart, problem.tracer.corners)
     own = [k for k, faces in enumerate(emitters) if problem.pattern_of(faces) is not None]
     tie[own] = len(emitters) + np.arange(len(own))
     return np.unique(tie, return_inverse=True)[1]

@@ -110,7 +110,7 @@ def _brightest(problem: LightProblem, lights: Lights) -> list[NDArray[np.int64]]
     seen = problem.transport.n_seen
     direct = under_lobe(lights.form_factors[:seen], problem.transport.kappa[:seen]).mean(0)
     share = direct * (lights.radiance @ LUMINANCE) / max(float((lights.irradiance[:seen] @ LUMINANCE).mean()), 1e-9)
-    label = tie_fixtures(lights.emitters, problem.tracer.areas, lights.apart)
+    label = tie_fixtures(lights.emitters, problem.tracer.areas, lights.apart, problem.tracer.corners)
     share = np.bincount(label, share)
     chosen = np.argsort(-share, kind="stable")[:MAX_ASKED]
     profiled = [label[k] for k, faces in enumerate(lights.emitters) if lights.profile_of(faces) is not None]

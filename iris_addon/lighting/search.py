@@ -22,6 +22,7 @@ from .balance import EFFECTIVE_PATCHES, ROBUST_LOG
 from .brightness import Brightness, reflectance_needed
 from .candidates import (
     CERTAIN_REFLECTANCE,
+    LAMP_MIN_PIXELS,
     continued,
     emitting_faces,
     fewer_lamps,
@@ -186,8 +187,8 @@ def reconsider_lamps(
     # Only earlier lamps are tested: what seems to emit only after its specular part was subtracted is no lamp.
     emitters = problem.given_emitters
     if emitters is None:
-        seen = problem.samples.seen_faces(len(problem.regions))
-        unseen = [lamp for lamp in lights.emitters if not seen[lamp].any()]
+        pixels = np.bincount(problem.samples.face, minlength=len(problem.regions))
+        unseen = [lamp for lamp in lights.emitters if pixels[lamp].sum() < LAMP_MIN_PIXELS]
         emitters = [*_candidates(problem, lights, CERTAIN_REFLECTANCE, LAMP_THRESHOLDS[-1], lights.mask), *unseen]
     factors = form_factors_of(problem, emitters, progress, known=lights)
     fit = PatchFit(weight, diffuse)

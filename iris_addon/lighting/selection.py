@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.group_by import group_medians
+from ..base.group_by import counts, group_medians
 from ..base.progress import Progress
 from ..base.random_streams import stream
 from ..brdf.diffuse import under_lobe
@@ -22,8 +22,17 @@ from ..transport.form_factors import emitter_form_factors, emitter_of_face
 from ..transport.gather import GatherRays
 from .balance import Evidence, ShadedPatches, noticeable_radiance, solve_balance
 from .brightness import reflectance_needed
-from .candidates import CERTAIN_REFLECTANCE, emitting_faces, group_emitters, joined_pieces, voted, whole_regions
-from .lamp_evidence import lamp_of_cell
+from .candidates import (
+    CERTAIN_REFLECTANCE,
+    emitting_faces,
+    group_emitters,
+    joined_pieces,
+    tie_fixtures,
+    voted,
+    whole_regions,
+)
+from .hidden import SURFACE_MAX_COUNT, SURFACE_MIN_SHARE
+from .lamp_evidence import columns_of, lamp_of_cell
 from .lamp_radiance import (
     SEARCH_SHADOW_RAYS,
     PatchFit,
@@ -65,11 +74,13 @@ def with_unconstrained(problem: LightProblem, observed: GroupRadiance, lights: L
     replaces lamps which are parts of it must not raise the held-out loss; one in addition to all lamps must lower it.
     """
     hidden = promising_surfaces(problem, observed, lights, patch_weight(problem, observed))
-    proposed = [*hidden, *_clipped_regions(problem, lights)]
+    parts = np.concatenate([faces for lamps in hidden for faces in lamps]) if hidden else np.zeros(0, np.int64)
+    regions = [faces for faces in _clipped_regions(problem, lights) if not np.isin(parts, faces).any()]
+    proposed = [*hidden, *([faces] for faces in regions)]
     if not proposed:
         return lights
     mask = lights.mask.copy()
-    mask[np.concatenate(proposed)] = True
+    mask[np.concatenate([faces for lamps in proposed for faces in lamps])] = True
     n = problem.transport.n_seen
     weight = np.where(patches_on(problem, mask)[:n], 0.0, patch_weight(problem, observed))
     fit_mask = np.arange(n) % UNCONSTRAINED_EVERY == 0
@@ -79,20 +90,27 @@ def with_unconstrained(problem: LightProblem, observed: GroupRadiance, lights: L
     def with_lamps(emitters: list[NDArray[np.int64]], before: Lights, warm_start: bool = False) -> Lights:
         return solved(problem, observed, emitters, before, progress, weight, warm_start, fit_mask)
 
-    apart = [lamp for lamp in lights.emitters if not any(np.isin(lamp, faces).any() for faces in proposed)]
-    together = with_lamps([*apart, *proposed], lights, warm_start=True)
-    bright = [faces for faces in proposed if _glows(problem, together, faces)]
+    def apart_from(lamps: list[NDArray[np.int64]], emitters: list[NDArray[np.int64]]) -> list[NDArray[np.int64]]:
+        own = np.concatenate(lamps)
+        return [lamp for lamp in emitters if not np.isin(lamp, own).any()]
+
+    each = list({faces.tobytes(): faces for lamps in proposed for faces in lamps}.values())
+    together = with_lamps([*apart_from(each, lights.emitters), *each], lights, warm_start=True)
+    bright = [lamps for lamps in proposed if any(_glows(problem, together, faces) for faces in lamps)]
     if not bright:
         return lights
     base = with_lamps(lights.emitters, lights)
-    for faces in bright:
-        apart = [lamp for lamp in base.emitters if not np.isin(lamp, faces).any()]
+    for proposal in bright:
+        lamps = [faces for faces in proposal if not (columns_of([faces], base.emitters) >= 0).any()]
+        if not lamps:
+            continue
+        apart = apart_from(lamps, base.emitters)
         name = "unconstrained_lamp" if len(apart) == len(base.emitters) else "unconstrained_lamp_in_place"
-        tried = with_lamps([*apart, faces], base, warm_start=True)
-        if _glows(problem, tried, faces) and problem.decisions.accept(
-            name, base.held_out, tried.held_out, base.paired_error(tried), subject=_named(faces)
+        tried = with_lamps([*apart, *lamps], base, warm_start=True)
+        if any(_glows(problem, tried, faces) for faces in lamps) and problem.decisions.accept(
+            name, base.held_out, tried.held_out, base.paired_error(tried), subject=_subject(lamps)
         ):
-            base = tried
+            base = with_lamps(tried.emitters, tried)  # what unseen surfaces pass on is not another lamp's
     return base
 
 
@@ -119,6 +137,25 @@ def _clipped_regions(problem: LightProblem, lights: Lights) -> list[NDArray[np.i
     return [groups[k] for k in np.argsort(-needed, kind="stable")[:UNCONSTRAINED_MAX_CLIPPED]]
 
 
+def _clipped_parts(problem: LightProblem) -> list[NDArray[np.int64]]:
+    """Faces of each part of a region between sharp edges that clips all over in all views, in descending order of the
+    gather rays that meet it; none on scans.
+
+    A lamp in a well of the ceiling, welded to it, is such a part, and so are the walls of the well. Which of them
+    lights the room no photo tells.
+    """
+    tracer, adjacency, regions = problem.tracer, problem.adjacency, problem.regions
+    in_all, rays = problem.brightness.clips.all(1), problem.transport.rays
+    least = SURFACE_MIN_SHARE * rays.face.size
+    clips, count = emitting_faces(in_all, problem.cells.of_pixel, problem.samples.face, len(regions))
+    label = smooth_components(tracer.normals, adjacency, regions)
+    alone = np.bincount(regions)[regions] == np.bincount(label)[label]
+    clips = whole_regions(clips, count, label)[label] & ~alone & ~problem.scanned & (tracer.areas > 0)
+    met = np.bincount(label, clips * counts(rays.face, len(regions)))
+    chosen = np.argsort(-met, kind="stable")[:SURFACE_MAX_COUNT]
+    return [np.flatnonzero(clips & (label == k)) for k in chosen if met[k] > least]
+
+
 def needed_lamps(
     problem: LightProblem, observed: GroupRadiance, lights: Lights, progress: Progress
 ) -> list[NDArray[np.int64]]:
@@ -143,11 +180,13 @@ def needed_lamps(
     sure = [lights.emitters[k] for k in np.flatnonzero(strong & certain)]
     lamps = [lights.emitters[k] for k in np.flatnonzero(strong & ~certain)]
     if lamps:
-        lights = _without_idle(problem, observed, sure, lamps, lights, weight, progress)
+        lights = _without_idle(problem, observed, sure, lamps, lights, weight, lamps, progress)
         lamps = lights.emitters[len(sure) :]
-        sides = [side for lamp in lamps for side in _sides(problem, lamp)]
+        sides_of = [_sides(problem, lamp) for lamp in lamps]
+        sides = [side for own in sides_of for side in own]
         if len(sides) > len(lamps):
-            lights = _without_idle(problem, observed, sure, sides, lights, weight, progress)
+            whole = [own[0] for own in sides_of if len(own) == 1]
+            lights = _without_idle(problem, observed, sure, sides, lights, weight, whole, progress)
             lamps = [lamp[lights.mask[lamp]] for lamp in lamps]
     return [*sure, *(lamp for lamp in lamps if len(lamp))]
 
@@ -177,12 +216,17 @@ def _without_idle(
     undecided: list[NDArray[np.int64]],
     lights: Lights,
     weight: NDArray[np.float64],
+    whole: list[NDArray[np.int64]],
     progress: Progress,
 ) -> Lights:
     """Lights of the lamps ``sure`` and of those of ``undecided`` without which the held-out loss rises.
 
     Lamps are left out one by one, the smallest first and hidden emitters last. A hidden emitter was added because the
     room lacked its light; it must not be compared while a bright surface still stands in for some of that light.
+
+    Args:
+        whole: those of ``undecided`` that are whole lamps, not sides of one: where photos say nothing of them, copies
+            stand or fall together.
     """
     lights, left = solved(problem, observed, [*sure, *undecided], lights, progress, weight), list(undecided)
     seen = problem.samples.seen_faces(len(problem.regions))
@@ -191,13 +235,15 @@ def _without_idle(
         kept = [lamp for lamp in left if all(lamp is not other for other in lamps)]
         return solved(problem, observed, [*sure, *kept], lights, progress, weight, warm_start=True)
 
-    def idle(tried: Lights, lamps: list[NDArray[np.int64]], subject: str, stops: float = 1.0) -> bool:
+    def idle(
+        tried: Lights, lamps: list[NDArray[np.int64]], subject: str, stops: float = 1.0, copies: bool = False
+    ) -> bool:
         # What is left out would have to reflect the light of the others.
         needed = certainty(problem, tried, lamp_of_cell(problem, lamps), len(lamps))
         bright = (needed * (1 - _share_beside_brighter(problem, lamps)) > TOO_BRIGHT_REFLECTANCE).any()
         name, share = ("bright_lamp", 1.0) if bright else ("lamp", share_of_rise("lamp", stops))
         # Photos cannot show it darker than it is. Of a scan, and beside one, what they do not show are crumbs.
-        if not problem.scanned.any() and not any(seen[lamp].any() for lamp in lamps):
+        if copies or (not problem.scanned.any() and not any(seen[lamp].any() for lamp in lamps)):
             name, share = "unconstrained_lamp", share_of_rise("unconstrained_lamp")
         return not problem.decisions.accept(
             name, tried.held_out, lights.held_out, tried.paired_error(lights), share, subject
@@ -205,7 +251,19 @@ def _without_idle(
 
     if sure and left and idle(tried := without(left), left, f"{len(left)} together"):
         return tried
-    for lamp in sorted(left, key=lambda lamp: (not seen[lamp].any(), problem.tracer.areas[lamp].sum())):
+    # What photos say nothing of stands or falls with its copies. Of sets that may stand in for each other, as lamps and
+    # the walls of their wells, the least missed goes first.
+    silent = [lamp for lamp in whole if _unconstrained(problem, lamp)]
+    sets = [[silent[k] for k in numbers] for numbers in _copies(problem, silent) if len(numbers) > 1]
+    while sets:
+        tried, lamps = min(((without(lamps), lamps) for lamps in sets), key=lambda pair: pair[0].held_out)
+        if len(sure) + len(left) == len(lamps) or not idle(tried, lamps, _subject(lamps), copies=True):
+            break
+        lights, left = tried, [lamp for lamp in left if all(lamp is not other for other in lamps)]
+        sets = [kept for kept in sets if kept is not lamps]
+    together = [lamp for lamps in sets for lamp in lamps]
+    alone = [lamp for lamp in left if all(lamp is not other for other in together)]
+    for lamp in sorted(alone, key=lambda lamp: (not seen[lamp].any(), problem.tracer.areas[lamp].sum())):
         if len(sure) + len(left) == 1 and not len(problem.hidden.directions):
             break  # the last light of a closed room
         tried = without([lamp])
@@ -219,6 +277,17 @@ def _without_idle(
 def _named(faces: NDArray[np.int64]) -> str:
     """The name of a lamp in the record of decisions."""
     return f"lamp of {len(faces)} faces from {int(faces.min())}"
+
+
+def _unconstrained(problem: LightProblem, lamp: NDArray[np.int64]) -> bool:
+    """Whether no photo shows the lamp of these faces, or all clip it."""
+    own = np.isin(problem.samples.face, lamp)
+    return bool(problem.brightness.clips.all(1)[problem.cells.of_pixel[own]].all())
+
+
+def _subject(lamps: list[NDArray[np.int64]]) -> str:
+    """The name of a lamp and its copies in the record of decisions."""
+    return _named(lamps[0]) + (f" and {len(lamps) - 1} copies" if len(lamps) > 1 else "")
 
 
 def _stops_beyond_photos(problem: LightProblem, lamp: NDArray[np.int64], radiance: NDArray[np.float64]) -> float:
@@ -295,22 +364,25 @@ def same_emitters(a: list[NDArray[np.int64]], b: list[NDArray[np.int64]]) -> boo
 
 def promising_surfaces(
     problem: LightProblem, observed: GroupRadiance, lights: Lights, weight: NDArray[np.float64]
-) -> list[NDArray[np.int64]]:
-    """Unseen surfaces that may be lamps: those without whose light a rough balance would be worse, by falling loss.
+) -> list[list[NDArray[np.int64]]]:
+    """Sets of surfaces, unseen or clipped in all photos, that may be lamps of one radiance: those without whose light a
+    rough balance would be worse, by falling loss.
 
     A bulb under its shade fills a ten-thousandth of the hemisphere of the room, and dozens of surfaces are like it:
     hinges, undersides, backs of drawers. Enough rays to solve for each would cost more than the rest of the search. But
     a missing lamp leaves an error where it shines that is many times the noise. So all surfaces are solved for together
     on HIDDEN_PATCHES patches, and each is judged by the loss without its light. The light it brings is no criterion: a
-    hinge may take any radiance.
+    hinge may take any radiance. Copies of one model are one unknown: six spots in a row, each with four walls of its
+    well, explain any light together. Surfaces are tried one by one where no set of copies is missed.
 
     Args:
         weight: (P,) statistical weight of each seen patch.
 
     Returns:
-        Faces of each surface, at most HIDDEN_MAX_TRIED.
+        Faces of each surface of each set, at most HIDDEN_MAX_TRIED sets.
     """
-    surfaces = [faces for faces in problem.hidden.surfaces if not lights.mask[faces].any()]
+    unconstrained = [*problem.hidden.surfaces, *_clipped_parts(problem)]
+    surfaces = [faces for faces in unconstrained if not lights.mask[faces].any()]
     usable = np.flatnonzero((weight > 0) & observed.known.all(1))
     if not surfaces or not len(usable):
         return []
@@ -323,34 +395,47 @@ def promising_surfaces(
     theirs = under_lobe(factors, t.kappa[rows])
     own = under_lobe(lights.form_factors[rows], t.kappa[rows])
     rest = lights.irradiance[rows] - own @ lights.radiance
+    shown, region, lamps = observed.radiance[rows], t.region[rows], len(lights.emitters)
 
-    reach = np.concatenate([own, theirs], 1)
-    start = np.concatenate([lights.radiance, noticeable_radiance(lights.irradiance[rows], theirs)])
-    none = np.full(start.shape, np.nan)
-    evidence = Evidence(bound=np.zeros(start.shape), measured=none, tie=np.arange(len(start)), expected=none)
-    shown, region = observed.radiance[rows], t.region[rows]
-    patches = ShadedPatches(radiance=shown, indirect=rest, form_factors=reach, region=region, weight=weight[rows])
-    balance = solve_balance(patches, evidence, start, problem.robust_log)
+    def promising(proposals: list[NDArray[np.int64]]) -> list[NDArray[np.int64]]:
+        """Those of the ``proposals``, numbers of surfaces of one radiance, whose light would be missed."""
+        columns = np.stack([theirs[:, numbers].sum(1) for numbers in proposals], 1)
+        reach = np.concatenate([own, columns], 1)
+        start = np.concatenate([lights.radiance, noticeable_radiance(lights.irradiance[rows], columns)])
+        none = np.full(start.shape, np.nan)
+        evidence = Evidence(bound=np.zeros(start.shape), measured=none, tie=np.arange(len(start)), expected=none)
+        patches = ShadedPatches(radiance=shown, indirect=rest, form_factors=reach, region=region, weight=weight[rows])
+        balance = solve_balance(patches, evidence, start, problem.robust_log)
+        known = np.flatnonzero(np.isin(region, balance.region_ids))
+        albedo = balance.region_albedo[np.searchsorted(balance.region_ids, region[known])]
+        light = (rest + reach @ balance.radiance)[known]
 
-    known = np.flatnonzero(np.isin(region, balance.region_ids))
-    albedo = balance.region_albedo[np.searchsorted(balance.region_ids, region[known])]
-    light = (rest + reach @ balance.radiance)[known]
+        def loss(light: NDArray[np.floating]) -> float:
+            """Loss of the balance under other light (n, 3), with the albedo kept."""
+            predicted = np.maximum(light, HIDDEN_MIN_RADIANCE) * albedo
+            r = np.log(np.maximum(shown[known], HIDDEN_MIN_RADIANCE) / predicted) / problem.robust_log
+            return float(np.log1p(r**2).sum(1) @ weight[rows[known]])
 
-    def loss(light: NDArray[np.floating]) -> float:
-        """Loss of the balance under other light (n, 3), with the albedo kept."""
-        predicted = np.maximum(light, HIDDEN_MIN_RADIANCE) * albedo
-        r = np.log(np.maximum(shown[known], HIDDEN_MIN_RADIANCE) / predicted) / problem.robust_log
-        return float(np.log1p(r**2).sum(1) @ weight[rows[known]])
+        all_light = loss(light)
+        without = [loss(light - np.outer(columns[known, k], e)) for k, e in enumerate(balance.radiance[lamps:])]
 
-    lamps, all_light = len(lights.emitters), loss(light)
-    without = [loss(light - np.outer(theirs[known, k], e)) for k, e in enumerate(balance.radiance[lamps:])]
-    most_missed = np.argsort(-np.array(without), kind="stable")[:HIDDEN_MAX_TRIED]
+        def missed(k: int) -> bool:
+            share, subject = share_of_rise("hidden_emitter"), _subject([surfaces[n] for n in proposals[k]])
+            return problem.decisions.accept("hidden_emitter", without[k], all_light, share=share, subject=subject)
 
-    def missed(k: int) -> bool:
-        share, subject = share_of_rise("hidden_emitter"), _named(surfaces[k])
-        return problem.decisions.accept("hidden_emitter", without[k], all_light, share=share, subject=subject)
+        most_missed = np.argsort(-np.array(without), kind="stable")[:HIDDEN_MAX_TRIED]
+        return [proposals[k] for k in most_missed if missed(k)]
 
-    return [surfaces[k] for k in most_missed if missed(k)]
+    found = promising(_copies(problem, surfaces))
+    if not any(len(numbers) > 1 for numbers in found):
+        found = promising([np.array([k]) for k in range(len(surfaces))])
+    return [[surfaces[k] for k in numbers] for numbers in found]
+
+
+def _copies(problem: LightProblem, surfaces: list[NDArray[np.int64]]) -> list[NDArray[np.int64]]:
+    """Numbers of the ``surfaces`` of each model."""
+    label = tie_fixtures(surfaces, problem.tracer.areas, corners=problem.tracer.corners)
+    return [np.flatnonzero(label == k) for k in np.unique(label)]
 
 
 def _origins(origins: Origins, rows: NDArray[np.integer]) -> Origins:

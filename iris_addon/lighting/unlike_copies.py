@@ -42,7 +42,7 @@ def with_unlike_copies(
 def _sets(problem: LightProblem, lights: Lights) -> list[NDArray[np.int64]]:
     """Numbers of the lamps of each set of copies that share a radiance, those of the most light first."""
     areas = problem.tracer.areas
-    label = tie_fixtures(lights.emitters, areas, lights.apart)
+    label = tie_fixtures(lights.emitters, areas, lights.apart, problem.tracer.corners)
     power = np.array([areas[faces].sum() for faces in lights.emitters]) * lights.radiance.mean(1)
     shared = np.array([problem.pattern_of(faces) is None for faces in lights.emitters], bool)
     sets = [np.flatnonzero((label == k) & shared) for k in np.unique(label)]

@@ -15,6 +15,7 @@ from ..base.random_streams import stream
 from ..brdf.ggx import DIELECTRIC_F0
 from ..cameras.fit import CameraFit
 from ..config import SolveConfig
+from ..decide import MAX_UNSEEN_LIGHT
 from ..lighting.balance import MAX_ALBEDO
 from ..lighting.problem import Lights
 from ..lighting.shell_surface import as_surface
@@ -399,6 +400,7 @@ def with_figures(
         "glossy_regions": int(((gloss.roughness < 1) & (gloss.metallic < 0.5)).sum()),
         "metallic_regions": int((gloss.metallic > 0.5).sum()),
         "diffuse": {"lobe": problem.diffuse.lobe, "gain_of_burley": round(problem.diffuse.gain, 4)},
+        "light_paths_unseen": round(transport.unseen(), 3),
         "pixels_per_patch": round(room.patches.pixels_per_patch, 2),
         **result.report["model"],
     }
@@ -421,6 +423,7 @@ def with_figures(
             *photometry.warnings,
             *lights.warnings,
             *filter(None, [room.tracer.engine.warning]),
+            *_unseen_warnings(transport.unseen()),
             *_state_warnings(result, photometry),
             *result.report["warnings"],
         ],
@@ -434,6 +437,17 @@ def _states_figures(result: Result) -> dict[str, dict[str, int]]:
         state.name: {"photos": len(state.photos), "lamps_on": int((state.radiance > 0).any(1).sum())}
         for state in result.light_states
     }
+
+
+def _unseen_warnings(share: float) -> list[str]:
+    """What a user should know where photos leave out much of the room; ``share`` as of :meth:`Transport.unseen`."""
+    if share <= MAX_UNSEEN_LIGHT:
+        return []
+    return [
+        f"no photo shows where {share:.0%} of the light on the shown surfaces may come from: lamps there are guessed "
+        "or missing, and brightness of what is shown may be off by as much as they give: add photos of the other "
+        "parts of the room"
+    ]
 
 
 def _state_warnings(result: Result, photometry: Photometry) -> list[str]:

@@ -74,6 +74,10 @@ class Transport:
         """(N,) share of each patch's rays that leave the mesh."""
         return np.concatenate([(self.target == ESCAPED).mean(1), (self.unseen_target == ESCAPED).mean(1)])
 
+    def unseen(self) -> float:
+        """Share of the rays of seen patches that end on surfaces that no photo shows."""
+        return float(((self.target >= self.n_seen) | (self.target == UNKNOWN)).mean()) if self.target.size else 0.0
+
     def gather_radiance(
         self, radiance: NDArray[np.floating], unknown: NDArray[np.floating], emitter_faces: NDArray[np.bool_]
     ) -> NDArray[np.float32]:

@@ -10,7 +10,7 @@ from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
 from iris_addon.base.errors import BadInput
-from iris_addon.capture.exposures import exif_settings, from_exif, from_frame
+from iris_addon.capture.exposures import exif_settings, from_exif, from_frame, metered_luminance
 
 TIME, F_NUMBER, ISO, KIND, STANDARD, RECOMMENDED = 0x829A, 0x829D, 0x8827, 0x8830, 0x8831, 0x8832
 SHUTTER_APEX, APERTURE_APEX = 0x9201, 0x9202
@@ -70,3 +70,11 @@ def test_an_f_number_whose_square_vanishes_is_refused(tmp_path: Path) -> None:
     frame = {"exposure_time": 0.1, "f_number": 1e-200}
     with pytest.raises(BadInput, match=r"t\.json: a: exposure"):
         from_frame(frame, "a", tmp_path / "t.json")
+
+
+def test_a_photo_with_all_three_settings_was_exposed_for_a_luminance(tmp_path: Path) -> None:
+    """Sunny 16: f/16 and 1/100 s at ISO 100 are for the 3200 cd/m² of a gray card in the sun."""
+    sunny = {TIME: 0.01, F_NUMBER: 16.0, ISO: 100}
+    assert metered_luminance(photo(tmp_path / "a.jpg", sunny)) == pytest.approx(3200)
+    assert metered_luminance(photo(tmp_path / "b.jpg", {**sunny, ISO: 400})) == pytest.approx(800)
+    assert metered_luminance(photo(tmp_path / "c.jpg", {TIME: 0.01, ISO: 100})) is None

@@ -15,6 +15,7 @@ from iris_addon.capture.reader import read_capture
 from iris_addon.model.capture import Camera, Mesh
 from iris_addon.rays.tracer import Tracer
 from tests.box_room import RoomCapture, box_mesh, look_at
+from tests.capture.test_reader import with_exif
 from tests.demo_capture import demo_capture
 
 SEEN_FROM = look_at(np.array([3.2, 2.4, 1.6]), np.array([0.5, 0.3, 0.8]))
@@ -135,6 +136,15 @@ def test_an_inspection_can_be_read_without_the_engine(nerfstudio_room: RoomCaptu
     arrays = np.load(tmp_path / "look" / "mesh.npz")
     np.testing.assert_array_equal(arrays["faces"], capture.mesh.faces)
     np.testing.assert_array_equal(arrays["vertices"], capture.mesh.vertices)
+
+
+def test_an_inspection_has_the_luminance_that_exif_says_a_photo_was_exposed_for(nerfstudio_room: RoomCapture, tmp_path):
+    """1/50 s, f/4 and ISO 100, 200 … 3200 but for one photo without: 12.5 · 16 · 50 / ISO."""
+    with_exif(nerfstudio_room, skip=3)
+    inspect(read_capture(nerfstudio_room.save()), tmp_path / "look", Progress())
+    rows = json.loads((tmp_path / "look" / "capture.json").read_text())["views"]
+    expected = [100.0, 50.0, 25.0, None, 6.25, 3.125]
+    assert [row["metered"] for row in rows] == [value and pytest.approx(value) for value in expected]
 
 
 def test_a_cancelled_inspection_leaves_no_capture_json(nerfstudio_room: RoomCapture, tmp_path):

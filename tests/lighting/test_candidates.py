@@ -128,6 +128,14 @@ def test_only_copies_of_one_lamp_are_tied() -> None:
     assert len(tie_fixtures([], areas)) == 0
 
 
+def test_squares_are_copies_if_their_edges_are_as_long() -> None:
+    sizes = ((1, 1), (1, 1), (4, 0.25))
+    mesh = assemble([quad([0, k, 0], [wide, 0, 0], [0, 0, deep]) for k, (wide, deep) in enumerate(sizes)], [0, 1, 2])
+    corners, emitters = mesh.vertices[mesh.faces], [np.array([2 * k, 2 * k + 1]) for k in range(3)]
+    label = tie_fixtures(emitters, np.full(6, 0.5), corners=corners)
+    assert label[0] == label[1] != label[2]
+
+
 def test_a_pane_continues_in_its_plane_and_not_around_its_edge() -> None:
     """A row of four faces and one apart; the first is certain."""
     adjacency = np.array([0, 1, 2]), np.array([1, 2, 3])

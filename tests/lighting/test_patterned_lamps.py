@@ -165,7 +165,8 @@ def test_three_photos_of_sixty_that_show_a_lamp_are_never_in_one_half() -> None:
 
 def test_a_lamp_with_a_pattern_has_a_radiance_of_its_own_beside_its_twins() -> None:
     lamps = [np.arange(4) + 4 * k for k in range(3)]
-    twins = SimpleNamespace(tracer=SimpleNamespace(areas=np.ones(12)), pattern_of=lambda faces: None)
+    tracer = SimpleNamespace(areas=np.ones(12), corners=np.zeros((12, 3, 3)))
+    twins = SimpleNamespace(tracer=tracer, pattern_of=lambda faces: None)
     assert _tied(twins, lamps).tolist() == [0, 0, 0]  # type: ignore[arg-type]
     twins.pattern_of = lambda faces: "pattern" if faces[0] == 4 else None
     label = _tied(twins, lamps)  # type: ignore[arg-type]

@@ -139,6 +139,31 @@ def test_bars_mistaken_for_lamps_do_not_hide_the_window_behind_them(taken_for: f
     assert room.lamps(reconsider(room, assumed)) == {window, 7}
 
 
+def test_a_row_of_lamps_is_told_from_what_glares_in_one_region_with_it() -> None:
+    """Four lamps and twelve strips, as the walls of the wells that lamps sit in, that photos clip at what a wall might
+    reflect. They are one region of the mesh; only the light on the room tells which of them shine."""
+    places = [(x, y) for x in (0.8, 2.8) for y in (0.6, 1.9)]
+    lamps = [([x, y, 2.4], [0.4, 0, 0], [0, 0.4, 0]) for x, y in places]
+    sides = (([0, -0.1, -0.2], [0.4, 0, 0]), ([0, 0.5, -0.2], [0.4, 0, 0]), ([-0.1, 0, -0.2], [0, 0.4, 0]))
+    strips = [([x + dx, y + dy, 2.4 + dz], along, [0, 0, 0.15]) for x, y in places for (dx, dy, dz), along in sides]
+    shining, glaring = range(6, 10), range(10, 22)
+    room = light_room(
+        *panels(*lamps, *strips, albedo=0.6),
+        dict.fromkeys(shining, 8.0),
+        clip=0.5,
+        shown=dict.fromkeys(glaring, 0.5),
+        join=dict.fromkeys([*shining, *glaring], 6),
+    )
+    lights = search(room)
+    for found in (lights, reconsider(room, lights)):
+        light_of = dict.fromkeys([*shining, *glaring], 0.0)
+        for faces, radiance in zip(found.emitters, found.radiance.mean(1), strict=True):
+            for face in faces:
+                light_of[int(room.room.regions[face])] += float(radiance * room.problem.tracer.areas[face])
+        assert [light_of[k] for k in shining] == pytest.approx([8.0 * 0.4**2] * 4, rel=0.15)
+        assert sum(light_of[k] for k in glaring) < 0.02 * sum(light_of.values())
+
+
 # ---- evidence of the room ----------------------------------------------------------------------------------------
 
 

@@ -17,7 +17,7 @@ from iris_addon.base.images import read_image, write_exr, write_png
 from iris_addon.base.progress import Progress, ProgressEvent
 from iris_addon.capture.mesh_files import without_doubles
 from iris_addon.config import SolveConfig, preset
-from iris_addon.decide import accept
+from iris_addon.decide import MAX_UNSEEN_LIGHT, accept
 from iris_addon.lighting.balance import MAX_ALBEDO
 from iris_addon.model.capture import Camera, Capture, Mesh
 from iris_addon.model.response import gamma, srgb
@@ -142,6 +142,16 @@ def test_previews_show_albedo_light_and_error_of_one_photo(shoot: Shoot) -> None
     on_lamp = np.isin(regions[shown], LAMP_REGIONS)
     assert np.all(light[on_lamp] == 1.0) and np.median(light[~on_lamp]) < 0.95
     assert np.median(error.max(-1)) < 0.2
+
+
+def test_photos_that_leave_out_half_of_the_room_are_said_to_do_so(shoot: Shoot, found: Result) -> None:
+    assert found.report["model"]["light_paths_unseen"] < MAX_UNSEEN_LIGHT
+    assert not any("no photo shows where" in warning for warning in found.report["warnings"])
+    capture = shoot.capture()
+    half = solve(replace(capture, views=capture.views[:2]), FAST, shoot.folder / "half")
+    share = half.report["model"]["light_paths_unseen"]
+    (warning,) = [warning for warning in half.report["warnings"] if "no photo shows where" in warning]
+    assert share > 2 * found.report["model"]["light_paths_unseen"] and f"{share:.0%}" in warning
 
 
 def test_a_matte_room_has_no_metal(found: Result) -> None:

@@ -256,6 +256,19 @@ def test_white_furnace() -> None:
     assert gathered == pytest.approx(everywhere, rel=1e-5)
 
 
+def test_what_photos_leave_out_is_the_light_that_it_would_send() -> None:
+    """Where only what no photo shows glows, what photos show receives just the share of it; fewer photos leave more."""
+    room, shares = furnished_room(np.inf), []
+    for count in (8, 2, 1):
+        seen = patched(room, cameras(8)[:count], 3000, 96, seed=9)
+        transport, none = seen.transport, np.zeros(len(seen.tracer.areas), bool)
+        unseen = np.arange(transport.n_patches) >= transport.n_seen
+        received = transport.gather_radiance(np.tile(unseen[:, None], 3) * 1.0, np.ones(3), none)[: transport.n_seen]
+        assert transport.unseen() == pytest.approx(received.mean(), rel=1e-5)
+        shares.append(transport.unseen())
+    assert shares[0] < 0.2 < 0.4 < shares[2] and shares == sorted(shares)
+
+
 def test_lamps_and_walls_share_the_furnace() -> None:
     room = furnished_room(np.inf)
     tracer, transport = transport_of(room)
