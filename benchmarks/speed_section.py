@@ -25,6 +25,7 @@ README_ROWS = (
     ("rays_traced", "rays traced, 10⁶", "lower", 0),
     ("peak_memory_bytes", "peak memory, GB", "lower", 1),
     ("kd_psnr", "`kd_psnr`, dB", "higher", 1),
+    ("kd_psnr_8x8", "`kd_psnr_8x8`, dB", "higher", 1),
     ("kd_psnr_all", "`kd_psnr_all`, dB", "higher", 1),
     ("a_psnr", "`a_psnr`, dB", "higher", 1),
     ("a_lobe_psnr", "`a_lobe_psnr`, dB", "higher", 1),
