@@ -212,7 +212,6 @@ def _add_solving(add: Add) -> None:
         metavar="auto|none|FILE",
         help="those of the capture, unknown, or of a file",
     )
-
     inspect.add_argument(
         "--strict", action="store_true", help="refuse a capture that lacks some of its photos or poses"
     )
@@ -315,8 +314,6 @@ def _add_rendering(add: Add) -> None:
         command.add_argument("--frames", type=_frames, metavar="1-120", help="an animation; finished frames are kept")
         command.add_argument("--length", type=_positive, help="frames of the whole, where --frames is a part of it")
         command.add_argument("--fps", type=_positive, default=24, help="of film.mp4, made where there is ffmpeg")
-        _add_sampling(command)
-        command.add_argument("--gpu", action="store_true", help="render on a GPU where Cycles finds one")
 
     plate = add("onto-plate", "objects onto every frame of a plate with a moving camera, each exposed as the frame is")
     plate.add_argument("result", type=Path, help="folder of a result")
@@ -329,8 +326,6 @@ def _add_rendering(add: Add) -> None:
     plate.add_argument("--layers", action="store_true", help="an EXR of layers for each frame beside, for Nuke")
     _add_acescg(plate)
     plate.add_argument("--fps", type=_positive, default=24, help="of film.mp4, made where there is ffmpeg")
-    _add_sampling(plate)
-    plate.add_argument("--gpu", action="store_true", help="render on a GPU where Cycles finds one")
 
     composite = add("composite", "what was added to the solved room of a .blend, onto the photo of its camera")
     composite.add_argument("blend", type=Path, metavar="SCENE.blend", help="a solved room with additions")
@@ -342,8 +337,8 @@ def _add_rendering(add: Add) -> None:
     )
     composite.add_argument("--resume", action="store_true", help="frames of the plate that are there are kept")
     composite.add_argument("--out", type=Path, required=True, metavar="FILE.png|DIR", help="the picture, or the frames")
-    _add_sampling(composite)
-    composite.add_argument("--gpu", action="store_true", help="render on a GPU where Cycles finds one")
+    composite.add_argument("--layers", action="store_true", help="an EXR of layers beside each picture, for Nuke")
+    composite.add_argument("--acescg", action="store_true", help="layers in ACEScg, not Rec.709")
 
     probe = add("probe", "all light at one point of a solved room, as an equirectangular EXR (HDRI)")
     probe.add_argument("source", type=Path, metavar="RESULT|SCENE.blend", help="folder of a result, or a solved room")
@@ -352,11 +347,17 @@ def _add_rendering(add: Add) -> None:
     probe.add_argument("--width", type=_panorama_width, default=1024, help="pixels; half as many high (default: 1024)")
     probe.add_argument("--lights", type=Path, metavar="FILE", help="JSON of changed lights, as for relight")
     probe.add_argument("--acescg", action="store_true", help="in ACEScg, not Rec.709; Blender reads the latter")
-    _add_sampling(probe)
-    probe.add_argument("--gpu", action="store_true", help="render on a GPU where Cycles finds one")
+
+    looks = add("looks", "the light of every source in the view of a .blend's camera, for pictures of looks")
+    looks.add_argument("blend", type=Path, metavar="SCENE.blend", help="a solved room by its recovered light")
+    looks.add_argument("--out", type=Path, required=True, metavar="FILE.npz", help="the archive to write")
+    looks.add_argument("--width", type=_positive, default=320, help="pixels, at most (default: 320)")
 
     for lit in (render, relight, insert, plate, composite, probe):
         lit.add_argument("--light-state", metavar="NAME", help="of the room; else that of the views, or the first")
+    for rendered in (render, relight, insert, plate, composite, probe, looks):
+        _add_sampling(rendered)
+        rendered.add_argument("--gpu", action="store_true", help="render on a GPU where Cycles finds one")
 
     camera = add("camera", "response, exposures and white balance as .cube tables and an OpenColorIO configuration")
     camera.add_argument("result", type=Path, help="folder of a result")

@@ -18,7 +18,7 @@ from iris_addon.results.folder import load_result
 
 from .outcome import Outcome, summarise
 from .plates import onto_plate
-from .probing import probe
+from .probing import looks, probe
 from .relighting import camera, composite, insert, relight, render
 
 __all__ = [
@@ -32,6 +32,7 @@ __all__ = [
     "fuse",
     "insert",
     "inspect",
+    "looks",
     "onto_plate",
     "probe",
     "relight",

@@ -36,6 +36,7 @@ NEEDS = {
     "onto-plate": (*_READING, "bpy"),
     "composite": ("numpy", "bpy"),
     "probe": ("numpy", "bpy"),
+    "looks": ("numpy", "bpy"),
     "camera": (*_IMAGES, "trimesh"),
     "synth": (*_IMAGES, "bpy"),
     "evaluate": (*_READING, "torch", "embreex"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +10,6 @@ import numpy as np
 
 from iris_addon.base.color_spaces import ACESCG
 from iris_addon.base.errors import BadInput
-from iris_addon.base.images import write_exr_layers
 from iris_addon.capture.photos import load_photo
 from iris_addon.edits.scene_edit import SceneEdit
 from iris_addon.model.capture import Photo, View
@@ -51,17 +50,16 @@ class ChangedPhoto:
             exposure: under which the render looks like it, broadcastable to it.
             response: that it was taken with; None where it holds radiance.
         """
-        from iris_addon.blender.insert.differential import change_light, change_photo
+        from iris_addon.blender.insert.differential import change_light, change_photo, no_change
 
         shows_added = bool(changed.covered.any())
         if response is None:
             light = change_light(values, changed, exposure)
             return ChangedPhoto(None, light, shows_added, plate=values, covered=changed.covered)
-        unchanged = replace(changed, change=0 * changed.change, covered=0 * changed.covered)
         return ChangedPhoto(
             *change_photo(values, changed, response, exposure),
             shows_added,
-            plate=change_photo(values, unchanged, response, exposure)[1],
+            plate=change_photo(values, no_change(changed), response, exposure)[1],
             covered=changed.covered,
         )
 
@@ -73,21 +71,12 @@ class ChangedPhoto:
         return write_picture(folder / f"{name}.png", self.display)
 
     def write_layers(self, path: Path, *, acescg: bool) -> Path:
-        """Write the picture and what it is made of as one EXR, a layer each, for compositing:
+        """Write the picture and what it is made of as one EXR (:func:`~.differential.write_layers`)."""
+        from iris_addon.blender.insert.differential import write_layers
 
-        ``plate · (1 − object.A) + catcher + object`` is the picture. The catcher is light that the objects take
-        (negative) or add beside them, the object is premultiplied.
-        """
         plate = self.radiance if self.plate is None else self.plate
         covered = np.zeros(plate.shape[:2]) if self.covered is None else self.covered
-        alpha = covered[..., None]
-        layers = {
-            "": self.radiance,
-            "plate": plate,
-            "catcher": (1 - alpha) * (self.radiance - plate),
-            "object": alpha * self.radiance,
-        }
-        write_exr_layers(path, layers, {"object": covered}, space=ACESCG if acescg else None)
+        write_layers(path, self.radiance, plate, covered, ACESCG if acescg else None)
         return path
 
 

@@ -206,9 +206,10 @@ class PlateRoom:
 def composite_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
     """What was added to the room of a .blend, onto the plate behind its camera, or the whole scene where that shows
     none; needs no package but Blender's."""
+    from iris_addon.base.color_spaces import ACESCG
     from iris_addon.blender.insert.photo_composite import open_scene
     from iris_addon.blender.insert.plate import RADIANCE_SUFFIX, plate_picture, shows_plate
-    from iris_addon.blender.insert.plate_composite import composite_frame
+    from iris_addon.blender.insert.plate_composite import FrameLayers, composite_frame
     from iris_addon.model.render_settings import RenderSettings
     from iris_addon.results.records import read_response
 
@@ -220,6 +221,9 @@ def composite_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
         if args.light_state is not None:
             what = "shows no plate behind its camera, so it is rendered in the light that it has"
             raise BadInput(what, "leave out --light-state, and set its lights", args.blend)
+        if args.layers:
+            what = "shows no plate behind its camera, so there are no layers over it"
+            raise BadInput(what, "leave out --layers", args.blend)
         return _whole_scene(args, progress, scene, device)
     light_state = state_of_plate(args)
     hdr = plate_picture(scene, args.frames.first).suffix.lower() == RADIANCE_SUFFIX
@@ -228,9 +232,12 @@ def composite_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
         raise BadInput(what, fix, args.result)
     frames = _frames_of(args, scene, ".exr" if hdr else ".png", light_state)
     settings = RenderSettings(samples=args.samples, seed=args.seed, gpu=args.gpu)
+    if args.layers:
+        _forget_layers_of_another(frames, "acescg" if args.acescg else "rec709")
 
     def work(number: int) -> bool:
-        frame = composite_frame(scene, number, frames.path(number), device, settings, light_state)
+        layers = FrameLayers(_layers_of(frames, number), ACESCG if args.acescg else None) if args.layers else None
+        frame = composite_frame(scene, number, frames.path(number), device, settings, light_state, layers)
         _write_exposure(frames, number, frame.exposure, frame.picture)
         return frame.shows_added
 
@@ -272,6 +279,14 @@ def _frames_of(args: argparse.Namespace, scene: bpy.types.Scene, suffix: str, li
     return replace(open_frames(args.out, 1, suffix, made_of), **whole)
 
 
+def _forget_layers_of_another(frames: Frames, space: str) -> None:
+    """Remove the layers of an earlier run in another color space than ``space``: one sequence has one."""
+    if frames.facts.get("layers", space) != space:
+        for number in range(frames.first, frames.first + frames.length):
+            _layers_of(frames, number).unlink(missing_ok=True)
+    frames.remember(layers=space)
+
+
 def _make_scene_frames(
     args: argparse.Namespace,
     progress: Progress,
@@ -279,11 +294,15 @@ def _make_scene_frames(
     frames: Frames,
     work: Callable[[int], bool],
 ) -> Outcome:
+    from iris_addon.base.image_headers import announced_size
     from iris_addon.blender.images import read_image
 
     def finished(number: int) -> bool:
         with suppress(BadInput):
-            return args.resume and frames.finished(number) and read_image(frames.path(number)).size > 0
+            layers = _layers_of(frames, number)
+            if not args.resume or (args.layers and not (layers.is_file() and announced_size(layers))):
+                return False
+            return frames.finished(number) and read_image(frames.path(number)).size > 0
         return False
 
     fps = max(round(scene.render.fps / scene.render.fps_base), 1)

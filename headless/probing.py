@@ -1,4 +1,4 @@
-"""The command that renders the light at one point of a room as a panorama: probe."""
+"""Commands that render the light of a room: probe, at one point as a panorama; looks, by its source in one view."""
 
 from __future__ import annotations
 
@@ -41,3 +41,13 @@ def probe(args: argparse.Namespace, progress: Progress) -> Outcome:
         if args.acescg:
             write_picture(args.out, read_image(args.out), acescg=True)
     return Outcome.of("Wrote the light at that point", {"files": [args.out]})
+
+
+def looks(args: argparse.Namespace, progress: Progress) -> Outcome:
+    """Light shares of the view of a .blend's camera, for the panel."""
+    from iris_addon.blender.insert.look_shares import look_shares_file
+
+    settings = RenderSettings(samples=args.samples, seed=args.seed, gpu=args.gpu)
+    with progress.stage("looks"):
+        look_shares_file(args.blend, args.out, width=args.width, settings=settings)
+    return Outcome.of("Wrote the light of every source", {"files": [args.out]})

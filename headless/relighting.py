@@ -46,6 +46,8 @@ def camera(args: argparse.Namespace, progress: Progress) -> Outcome:
 
 def composite(args: argparse.Namespace, progress: Progress) -> Outcome:
     """The artist's additions to the room of a .blend, composited onto a photo or the frames of a plate."""
+    if args.acescg and not args.layers:
+        raise BadInput("--acescg is of layers: pictures have the photo's values", "give --layers with it", args.blend)
     if args.frames is not None:
         if args.photo is not None or args.view is not None or args.out.suffix:
             what = "has --frames, which are those behind its camera, and go into a folder"
@@ -55,7 +57,8 @@ def composite(args: argparse.Namespace, progress: Progress) -> Outcome:
         return composite_plate(args, progress)
     if args.photo is None or args.view is None:
         raise BadInput("is composited onto what?", "give --photo and --view, or --frames of a plate", args.blend)
-    from iris_addon.blender.insert.photo_composite import RENDERS, composite_file
+    from iris_addon.base.color_spaces import ACESCG
+    from iris_addon.blender.insert.photo_composite import RENDERS, CompositeFiles, composite_file
     from iris_addon.results.records import exposure_of, read_response
 
     camera = read_response(args.result)
@@ -63,18 +66,20 @@ def composite(args: argparse.Namespace, progress: Progress) -> Outcome:
     if device.response.family == "identity":
         what, fix = "was solved from radiance, so the response of photos is not known", "solve the photos"
         raise BadInput(what, fix, args.result)
+    layers = args.out.with_name(f"{args.out.stem}-layers.exr") if args.layers else None
+    files = CompositeFiles(
+        blend=args.blend, photo=args.photo, out=args.out, layers=layers, space=ACESCG if args.acescg else None
+    )
     with progress.stage("composite"):
         composite_file(
-            args.blend,
-            args.photo,
-            args.out,
+            files,
             device,
             exposure_of(args.view, camera.exposures),
             _render_settings(args),
             state_of_photo(args),
             on_step=lambda done: progress.update(done / RENDERS),
         )
-    return Outcome.of("Composited", {"files": [args.out]})
+    return Outcome.of("Composited", {"files": [args.out, *([] if layers is None else [layers])]})
 
 
 def render(args: argparse.Namespace, progress: Progress) -> Outcome:

@@ -19,10 +19,11 @@ from ..iris_addon.blender.stepwise import Steps, in_thread_asking
 from ..iris_addon.edits.light_units import flux
 from ..iris_addon.results.folder import ReadImage, load_result
 from ..iris_addon.results.result import Result
-from .editors import view_shadings
+from .editors import fade_photos, view_shadings
 from .folders import folder, result_key
 from .modal_steps import InSteps
 from .polls import NeedsResult
+from .relight import renew_wipe, set_scale
 
 
 class IRIS_OT_apply(NeedsResult, InSteps, bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -67,6 +68,7 @@ class IRIS_OT_restore(bpy.types.Operator):  # noqa: N801 - Blender's naming
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         context.scene.iris.lamps.clear()
+        renew_wipe(context.scene)
         self.report({"INFO"}, f"Restored {count} objects")
         return {"FINISHED"}
 
@@ -104,7 +106,7 @@ def show_room(context: bpy.types.Context) -> None:
     for view in settings.views:
         if view.camera is not None:
             show_instead(view.camera, None)
-    settings.overlay = 0.0
+    fade_photos(context.scene, 0.0)
     for shading in view_shadings(context):
         if (shading.type, shading.color_type) == ("SOLID", "MATERIAL"):
             shading.color_type = "TEXTURE"
@@ -123,6 +125,7 @@ def list_lamps(scene: bpy.types.Scene, result: Result) -> None:
         if emitter is not None:
             item.area, item.confidence = emitter.area, emitter.confidence
     scene.iris.lamp_index = 0
-    scene.iris.lumens_per_unit = 0.0
+    set_scale(scene, 0.0, "")
     forget_states(scene)
     keep_states(scene, result)
+    renew_wipe(scene)

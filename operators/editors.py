@@ -93,6 +93,12 @@ def look_at_photo(context: bpy.types.Context, index: int) -> None:
             area.tag_redraw()
 
 
+def fade_photos(scene: bpy.types.Scene, alpha: float) -> None:
+    """Set the opacity of the photos of an imported capture; those of the artist's own scene stay as they are."""
+    if scene.iris.source == "CAPTURE":
+        scene.iris.overlay = alpha
+
+
 def show_cameras(context: bpy.types.Context) -> None:
     """Show the camera of the current photo in 3D views and hide those of the others, unless all are to be seen.
 

@@ -14,7 +14,9 @@ from ..iris_addon.blender.apply.ies_files import IesLamp, write_ies_files
 from ..iris_addon.blender.apply.lighten import Limits
 from ..iris_addon.blender.apply.scene_files import apply, export_textures
 from ..iris_addon.blender.images import read_image
+from ..iris_addon.results.camera_luts import write_luts
 from ..iris_addon.results.folder import load_result
+from ..iris_addon.results.records import read_response
 from .folders import folder
 from .polls import NeedsApplied, NeedsResult
 from .relight import lamp_flux
@@ -101,21 +103,26 @@ class IRIS_OT_export(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's
         return {"FINISHED"}
 
 
-class IRIS_OT_export_ies(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
-    """Write each lamp that is on as a photometric file (.ies, LM-63), which renderers and lighting programs read: what
-    it sends in every direction, in lumens once those of one lamp are set"""
-
-    bl_idname = "iris.export_ies"
-    bl_label = "Export Lamps"
+class _IntoFolder:
+    """Mixin of operators that write several files."""
 
     directory: bpy.props.StringProperty(subtype="DIR_PATH")
     filter_folder: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
+    into = ""  # in the result's folder, what is offered
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         """Ask for a folder."""
-        self.directory = str(folder(context.scene))
+        self.directory = str(folder(context.scene) / self.into)
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
+
+
+class IRIS_OT_export_ies(_IntoFolder, NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Write each lamp that is on as a photometric file (.ies, LM-63), which renderers and lighting programs read: what
+    it sends in every direction, in lumens once the scale is set"""
+
+    bl_idname = "iris.export_ies"
+    bl_label = "Export Lamps"
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Write the files."""
@@ -139,6 +146,31 @@ class IRIS_OT_export_ies(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
         if not written:
             self.report({"ERROR"}, "no lamp shines — switch one on")
             return {"CANCELLED"}
-        relative = "" if scene.iris.lumens_per_unit else ", lumens relative: Set Lumens of one lamp first"
+        relative = "" if scene.iris.lumens_per_unit else ", lumens relative: set the scale under Relight first"
         self.report({"INFO"}, f"Wrote {len(written)} lamp{'s' if written[1:] else ''}{relative}")
+        return {"FINISHED"}
+
+
+class IRIS_OT_export_camera(_IntoFolder, NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's naming
+    """Write the camera of the photos for other programs: its response as .cube tables, and an OpenColorIO configuration
+    with the look of each photo as a view, by which linear renders and EXR layers look as the photos do"""
+
+    bl_idname = "iris.export_camera"
+    bl_label = "Camera (.cube, OpenColorIO)"
+
+    into = "camera"
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Write the files."""
+        if not self.directory:
+            self.report({"ERROR"}, "no folder is named — give a folder")
+            return {"CANCELLED"}
+        out = Path(bpy.path.abspath(self.directory))
+        try:
+            camera = read_response(folder(context.scene))
+            written = write_luts(out, camera.response, camera.exposures, camera.devices)
+        except IrisError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"Wrote {len(written)} files to {out}")
         return {"FINISHED"}

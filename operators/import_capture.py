@@ -315,7 +315,7 @@ def _fill(settings: bpy.types.PropertyGroup, inspected: Inspected, cameras: list
     for view, camera in zip(inspected.views, cameras, strict=True):
         item = settings.views.add()
         item.name, item.camera, item.aspect = view.name, camera, view.camera.fx / view.camera.fy
-        item.exposure = view.exposure or 0.0
+        item.exposure, item.metered = view.exposure or 0.0, view.metered or 0.0
         item.saturated, item.seen, item.histogram = view.saturated, view.seen, sparkline(view.histogram)
         item.score, item.shift, item.verdict = view.score, view.shift, view.verdict
         item.problem, item.use = view.problem, not (same and view.name in left_out)

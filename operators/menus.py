@@ -30,9 +30,14 @@ ENTRIES: tuple[tuple[Entry, ...], ...] = (
         ("iris.preview", {}, "Preview Relit Room"),
         *(("iris.look", {"look": key}, f"Look: {look.label}") for key, look in LOOKS.items()),
         ("iris.save_look", {}, ""),
+        ("iris.look_pictures", {}, ""),
         ("iris.solo", {}, "Solo Lamp"),
         ("iris.anchor", {}, "Set Lumens of Lamp"),
-        ("iris.area_lamp", {}, ""),
+        ("iris.meter", {}, ""),
+        ("iris.exif_scale", {}, "Set Scale by EXIF"),
+        ("iris.area_lamp", {"kind": "AREA"}, "Replace Lamp by Area Light"),
+        ("iris.area_lamp", {"kind": "POINT"}, "Replace Lamp by Bulb"),
+        ("iris.area_lamp", {"kind": "IES"}, "Replace Lamp by IES Light"),
         ("iris.hide_lights", {}, ""),
         ("iris.match_photo", {"on": True}, "Match Photo"),
         ("iris.mix_lights", {"on": True}, "Mix Lights"),
@@ -81,6 +86,7 @@ def draw_export(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
         if kind != "USD" or bpy.app.build_options.usd:
             self.layout.operator("iris.export", text=text).format = kind
     self.layout.operator("iris.export_ies", text="IRIS Lamps (.ies)")
+    self.layout.operator("iris.export_camera", text="IRIS Camera (.cube, OpenColorIO)")
     self.layout.operator("iris.export_farm", text="IRIS Farm Job")
 
 

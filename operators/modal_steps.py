@@ -17,6 +17,7 @@ PASSED_ON = ("MOUSEMOVE", "INBETWEEN_MOUSEMOVE", "WINDOW_DEACTIVATE")
 class InSteps:
     """Mixin of operators whose work is :meth:`steps`. Esc gives it up, and the scene is as it was before.
 
+    Where the steps return {"RUNNING_MODAL"}, the operator goes on with a :meth:`modal` of its own.
     One step of undo is added at the end, as Blender does for an operator that takes its time.
     """
 
@@ -79,7 +80,7 @@ class InSteps:
 
     def cancel(self, context: bpy.types.Context) -> None:
         """End; Blender calls this where another file is opened, or the window closes."""
-        _active.clear()
+        _active[:] = [other for other in _active if other is not self]
         if self._steps is not None:
             self._steps.close()
         if self._timer is not None:

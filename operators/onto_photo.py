@@ -15,8 +15,8 @@ from ..iris_addon.blender.apply.scene_files import write_whole
 from ..iris_addon.blender.insert.photo_composite import write_copy
 from ..iris_addon.blender.scene_in.capture_objects import photo_of, show_instead
 from ..iris_addon.blender.worker import jobs
-from ..iris_addon.blender.worker.jobs import composite_command
-from .editors import look_at_photo, show_in_editor
+from ..iris_addon.blender.worker.jobs import CompositeOptions, composite_command
+from .editors import fade_photos, look_at_photo, show_in_editor
 from .folders import folder
 from .polls import NeedsApplied
 from .run_job import run
@@ -71,7 +71,10 @@ class IRIS_OT_onto_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
                 _show(shown, view_name, picture)
 
         state = light_state_of(camera, scene)
-        command = composite_command(bpy.app.binary_path, copy, out, photo, view_name, picture, self.samples, state)
+        options = CompositeOptions(
+            samples=self.samples, light_state=state, layers=scene.iris.layers, acescg=scene.iris.acescg
+        )
+        command = composite_command(bpy.app.binary_path, copy, out, photo, view_name, picture, options)
         return run(self, "composite", out, command, ended)
 
 
@@ -96,5 +99,5 @@ def _show(scene: bpy.types.Scene, view: str, picture: Path) -> None:
     index = scene.iris.views.find(view)
     if index >= 0 and scene.iris.views[index].camera is not None:
         show_instead(scene.iris.views[index].camera, image)
-        scene.iris.overlay = 1.0
+        fade_photos(scene, 1.0)
     show_in_editor(bpy.context, "IMAGE_EDITOR", "image", image, only_open=True)

@@ -14,7 +14,7 @@ from ..iris_addon.blender.apply.applied_states import has_light_states
 from ..iris_addon.blender.insert.photo_composite import write_copy
 from ..iris_addon.blender.insert.plate import shows_plate
 from ..iris_addon.blender.worker import jobs
-from ..iris_addon.blender.worker.jobs import plate_command
+from ..iris_addon.blender.worker.jobs import CompositeOptions, plate_command
 from .folders import folder
 from .polls import NeedsApplied
 from .run_job import run
@@ -73,7 +73,8 @@ class IRIS_OT_onto_plate(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
             return {"CANCELLED"}
         wanted = f"{scene.frame_start}-{scene.frame_end}"
         state = self.light_state.strip() if has_light_states(scene) else ""
-        command = plate_command(
-            bpy.app.binary_path, copy, result, frames, wanted, self.samples, state, resume=self.resume
+        options = CompositeOptions(
+            samples=self.samples, light_state=state, layers=scene.iris.layers, acescg=scene.iris.acescg
         )
+        command = plate_command(bpy.app.binary_path, copy, result, frames, wanted, options, resume=self.resume)
         return run(self, "plate", result, command, lambda _record: copy.unlink(missing_ok=True))

@@ -9,8 +9,9 @@ from bpy_extras.view3d_utils import region_2d_to_origin_3d, region_2d_to_vector_
 
 from ..iris_addon.base.errors import BadInput
 from ..iris_addon.blender.insert.dragging import SHAPES, DraggedObject
+from ..iris_addon.blender.stepwise import Steps, finish
+from .modal_steps import InSteps
 from .polls import NeedsApplied
-from .wait_cursor import wait_cursor
 
 SELECTED = "SELECTED"
 PLACEABLE = (
@@ -25,7 +26,7 @@ BLOCKED_KEYS = ("Z", "X", "DEL")
 HELP = "Click: leave it there    Wheel: size (× {size:.2f})    Shift Wheel: turn ({turn:.0f}°)    Esc: cancel"
 
 
-class IRIS_OT_place(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
+class IRIS_OT_place(NeedsApplied, InSteps, bpy.types.Operator):  # noqa: N801 - Blender's naming
     """Place an object on the surface under the mouse. Wheel: size; Shift and wheel: turn; click: leave it there"""
 
     bl_idname = "iris.place"
@@ -56,7 +57,7 @@ class IRIS_OT_place(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Place the object where the line of sight meets the room."""
         try:
-            dragged = self._pick_up(context)
+            dragged = finish(self._pick_up(context))
         except BadInput as error:
             return self._refuse(error)
         try:
@@ -67,24 +68,27 @@ class IRIS_OT_place(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's
         dragged.drop(context)
         return {"FINISHED"}
 
-    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Pick the object up; from here on it follows the mouse."""
         if context.area is None or context.area.type != "VIEW_3D":
             return self._refuse(BadInput("there is no 3D view here", "press the button in the sidebar of one"))
         self._region = next(region for region in context.area.regions if region.type == "WINDOW")
         self._view = context.area.spaces.active.region_3d
-        try:
-            with wait_cursor(context):  # reading the room takes seconds for a million triangles
-                self._dragged = self._pick_up(context)
-        except BadInput as error:
-            return self._refuse(error)
         self._on_surface = False
-        self._show_help(context)
-        context.window_manager.modal_handler_add(self)
+        return super().invoke(context, event)
+
+    def steps(self, context: bpy.types.Context) -> Steps[set[str]]:
+        """Pick the object up, for which the room is read; it is dragged afterwards."""
+        self._dragged = yield from self._pick_up(context)
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Handle one event of mouse or keyboard."""
+        """Go on picking up; after that, handle one event of mouse or keyboard."""
+        if self._steps is not None:
+            result = super().modal(context, event)
+            if result == {"RUNNING_MODAL"} and self._steps is None:
+                self._show_help(context)
+            return result
         try:
             return self._handle(context, event)
         except ReferenceError:  # a menu has undone or deleted the dragged object
@@ -107,11 +111,7 @@ class IRIS_OT_place(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's
             self._follow(x, y)
         return {"RUNNING_MODAL"}
 
-    def cancel(self, context: bpy.types.Context) -> None:
-        """Blender ends the operator: another file is opened, or the window closes."""
-        context.workspace.status_text_set(None)
-
-    def _pick_up(self, context: bpy.types.Context) -> DraggedObject:
+    def _pick_up(self, context: bpy.types.Context) -> Steps[DraggedObject]:
         if self.thing != SELECTED:
             return DraggedObject.from_shape(self.thing, context)
         thing = context.active_object
@@ -119,7 +119,7 @@ class IRIS_OT_place(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's
             raise BadInput("no object is selected", "select the object that is to be placed")
         if thing == context.scene.iris.room:
             raise BadInput(f"'{thing.name}' is the room", "select the object that is to be placed in it")
-        return DraggedObject(thing, context)
+        return DraggedObject.pick_up(thing, context)
 
     def _refuse(self, error: BadInput) -> set[str]:
         self.report({"ERROR"}, str(error))

@@ -1,4 +1,4 @@
-"""Relight the room that is applied: looks, one lamp alone, a known bulb, and a preview in the 3D view."""
+"""Relight the room that is applied: looks, one lamp alone, and a preview in the 3D view."""
 # Blender declares properties as annotations.
 # pyright: reportInvalidTypeForm=false
 
@@ -60,6 +60,7 @@ class IRIS_OT_save_look(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blend
             self.report({"ERROR"}, "the look has no name — give it one")
             return {"CANCELLED"}
         look = save_look(context.scene, self.name.strip())
+        renew_wipe(context.scene)
         try:
             write_preset(look_presets(), self.name.strip(), look)
         except IrisError as error:
@@ -114,14 +115,16 @@ class IRIS_OT_forget_look(_OfOwnLook, bpy.types.Operator):  # noqa: N801 - Blend
         remove_preset(look_presets(), name)
 
 
-class _OfLamp(NeedsApplied):
+class OfLamp(NeedsApplied):
+    """Mixin of operators on the chosen lamp."""
+
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """A result was applied, and a lamp is chosen."""
         return super().poll(context) and chosen_lamp(context.scene) is not None
 
 
-class IRIS_OT_solo(_OfLamp, bpy.types.Operator):  # noqa: N801 - Blender's naming
+class IRIS_OT_solo(OfLamp, bpy.types.Operator):  # noqa: N801 - Blender's naming
     """Switch all other lamps off; pressed again, all on"""
 
     bl_idname = "iris.solo"
@@ -133,31 +136,6 @@ class IRIS_OT_solo(_OfLamp, bpy.types.Operator):  # noqa: N801 - Blender's namin
         lamp = chosen_lamp(context.scene)
         assert lamp is not None  # by poll
         solo(context.scene, lamp.material)
-        return {"FINISHED"}
-
-
-class IRIS_OT_anchor(_OfLamp, bpy.types.Operator):  # noqa: N801 - Blender's naming
-    """Give the lumens of this lamp as they stand on its box: those of all others follow, because photos show ratios"""
-
-    bl_idname = "iris.anchor"
-    bl_label = "Set Lumens"
-    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender's form
-
-    lumens: bpy.props.FloatProperty(name="Lumens", description="Of the whole lamp", default=800.0, min=1.0)
-
-    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
-        """Ask for the lumens."""
-        return context.window_manager.invoke_props_dialog(self)
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Set the scale of the scene's radiance."""
-        lamp = chosen_lamp(context.scene)
-        assert lamp is not None  # by poll
-        emitted = lamp_flux(lamp)
-        if emitted <= 0:
-            self.report({"ERROR"}, f"{lamp.material.name} emits nothing — choose a lamp that shines")
-            return {"CANCELLED"}
-        context.scene.iris.lumens_per_unit = self.lumens / emitted
         return {"FINISHED"}
 
 
@@ -215,9 +193,20 @@ def all_looks(scene: bpy.types.Scene) -> list[str]:
     return list(dict.fromkeys([*own_looks(scene), *preset_names(look_presets())]))
 
 
+def renew_wipe(scene: bpy.types.Scene) -> None:
+    """Make the picture of the look that a wipe goes to once more: what it is made of has changed."""
+    if scene.iris.wipe_to:  # empty: a look that is gone
+        scene.iris.wipe_to = str(scene.iris.wipe_to)
+
+
 def lamp_flux(lamp: bpy.types.PropertyGroup) -> float:
     """Flux of a lamp of the list as it is set now, in the unit of the scene's radiance times square metre."""
     return flux([lamp.strength * channel for channel in lamp.color], lamp.area)
+
+
+def set_scale(scene: bpy.types.Scene, lumens_per_unit: float, anchor: str) -> None:
+    """Set the scale of all that is shown in units of light, and what it was taken from; 0 and "" forget it."""
+    scene.iris.lumens_per_unit, scene.iris.scale_anchor = lumens_per_unit, anchor
 
 
 def other_lights(scene: bpy.types.Scene) -> list[bpy.types.Object]:

@@ -26,7 +26,7 @@ from ..iris_addon.model.capture import Mesh
 from ..iris_addon.results.folder import ReadImage, read_coverage
 from ..iris_addon.results.records import read_response
 from .apply import face_runs
-from .editors import is_in_editor, show_in_editor, view_shadings
+from .editors import fade_photos, is_in_editor, show_in_editor, view_shadings
 from .folders import folder
 from .modal_steps import InSteps
 from .polls import NeedsApplied, NeedsResult
@@ -61,7 +61,7 @@ class IRIS_OT_review(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's
             elif self.kind == "photo" and (current := _current_photo(settings)) is not None:
                 camera, image = current
                 show_instead(camera, None)
-                settings.overlay = 1.0
+                fade_photos(context.scene, 1.0)
                 settings.view_index = settings.view_index  # looks through its camera, as the other pictures do
             else:
                 shown = reviewed_views(out)
@@ -83,7 +83,7 @@ class IRIS_OT_review(NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's
         if index < 0 or settings.views[index].camera is None:
             return
         show_instead(settings.views[index].camera, None if self.kind == "photo" else image)
-        settings.overlay = 1.0
+        fade_photos(settings.id_data, 1.0)
         settings.view_index = index
 
 

@@ -15,6 +15,8 @@ DOING = {
     "composite": "Putting onto the Photo",
     "plate": "Putting onto the Plate",
     "probe": "Rendering the HDRI Probe",
+    "meter": "Reading the Light at the Cursor",
+    "looks": "Picturing the Looks",
     "farm": "Exporting the Farm Job",
     "environment": "Creating the Environment",
     "test": "Testing the Environment",

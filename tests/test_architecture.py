@@ -278,7 +278,6 @@ MAY_OPEN = {
     "iris_addon/blender/apply/photo_cameras.py": "its own note in the scene",
     "iris_addon/blender/apply/review.py": "Blender shows a picture of the report",
     "iris_addon/blender/images.py": "after the header was read",
-    "iris_addon/blender/render/light_groups.py": "what Cycles has just rendered",
     "iris_addon/blender/render/light_mixing.py": "its own note in the scene",
     "iris_addon/blender/scene_in/capture_objects.py": "Blender reads a background when it is first drawn",
     "iris_addon/blender/scene_out/scene_state.py": "its own note in the scene",

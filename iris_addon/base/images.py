@@ -65,28 +65,6 @@ def write_exr(
     _save_exr(path, {"Y" if pixels.ndim == 2 else "RGB": pixels}, space, lossy=lossy)
 
 
-def write_exr_layers(
-    path: Path,
-    layers: Mapping[str, NDArray[np.floating]],
-    alphas: Mapping[str, NDArray[np.floating]],
-    *,
-    space: ColorSpace | None = None,
-) -> None:
-    """Write linear Rec.709 (H, W, 3) by layer as one EXR of float32, converted to ``space`` where given.
-
-    The layer "" is what programs show that know no layers. ``alphas`` (H, W) are the A of layers.
-    """
-    matrix = np.eye(3) if space is None else REC709.matrix_to(space)
-    channels = {}
-    for layer, values in layers.items():
-        prefix = f"{layer}." if layer else ""
-        pixels = (values @ matrix.T).astype(np.float32)
-        channels |= {f"{prefix}{name}": np.ascontiguousarray(pixels[..., k]) for k, name in enumerate("RGB")}
-        if layer in alphas:
-            channels[f"{prefix}A"] = np.ascontiguousarray(alphas[layer], np.float32)
-    _save_exr(path, channels, space)
-
-
 def _save_exr(path: Path, channels: Mapping[str, NDArray], space: ColorSpace | None, *, lossy: bool = False) -> None:
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     if space is not None:

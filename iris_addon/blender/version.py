@@ -63,9 +63,10 @@ def _exr(settings: bpy.types.ImageFormatSettings, media_type: str, file_format: 
 
 
 def set_panoramic(camera: bpy.types.Camera) -> None:
-    """Let ``camera`` render equirectangular pictures of all directions; their lens was Cycles' own up to 4.5."""
+    """Let ``camera`` render equirectangular pictures of all directions; their lens was Cycles' own in some versions."""
     camera.type = "PANO"
-    owner = camera.cycles if bpy.app.version < (5, 0, 0) else camera
+    own = getattr(camera, "cycles", None)  # 4.5 has it, Debian's 4.3 and 5.0 do not
+    owner = camera if own is None or not hasattr(own, "panorama_type") else own
     owner.panorama_type = "EQUIRECTANGULAR"
     owner.latitude_min, owner.latitude_max = -math.pi / 2, math.pi / 2
     owner.longitude_min, owner.longitude_max = -math.pi, math.pi

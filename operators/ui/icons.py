@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import bpy.utils.previews
 import numpy as np
+from numpy.typing import NDArray
 
 SWATCH_SIDE = 16
 
@@ -37,6 +38,26 @@ def picture(path: Path) -> int:
         return 0
     if key not in _icons:
         _icons.load(key, str(path), "IMAGE")
+    return _icons[key].icon_id
+
+
+def drawn(key: str, draw: Callable[[], NDArray[np.floating] | None]) -> int:
+    """The icon of the (H, W, 3) display values of ``draw``, which is called once for each ``key``; 0 for None."""
+    if _icons is None:
+        return 0
+    if key not in _icons:
+        values = draw()
+        if values is None:
+            return 0
+        height, width = values.shape[:2]
+        side = max(height, width)
+        top, left = (side - height) // 2, (side - width) // 2
+        square = np.zeros((side, side, 4), np.float32)  # row 0 at the bottom
+        square[top : top + height, left : left + width, :3] = values[::-1]
+        square[top : top + height, left : left + width, 3] = 1.0
+        icon = _icons.new(key)
+        icon.icon_size = icon.image_size = (side, side)
+        icon.icon_pixels_float = icon.image_pixels_float = square.ravel().tolist()
     return _icons[key].icon_id
 
 

@@ -8,7 +8,7 @@ import bpy
 
 from ...iris_addon.base.errors import IrisError
 from ...iris_addon.blender.apply.camera_look import MATCHED
-from ...iris_addon.blender.apply.looks import has_outside, is_solo, offered_looks
+from ...iris_addon.blender.apply.looks import has_outside, is_solo
 from ...iris_addon.blender.apply.on_objects import APPLIED
 from ...iris_addon.blender.apply.review import model_sentences, shows_confidence
 from ...iris_addon.blender.apply.suggested_photos import suggested_groups
@@ -22,14 +22,14 @@ from ...iris_addon.edits.light_units import kelvin
 from ...iris_addon.model.seen_classes import SEEN_CLASSES
 from ...iris_addon.results.files import REPORT_PAGE, lamp_picture
 from ..folders import ROOT_PACKAGE, folder, result_key, solver_python
-from ..relight import BEFORE_PREVIEW, all_looks, chosen_lamp, lamp_flux, other_lights
+from ..relight import BEFORE_PREVIEW, chosen_lamp, lamp_flux, other_lights
 from ..review import shown_kinds
 from . import steps
 from .icons import picture, swatch
 from .photo_list import draw_list
+from .relight_rows import look_rows, scale_rows, wipe_row
 from .steps import ICONS, Step
 from .widgets import job_box, paragraph, preview_box, sentence
-from .wipe import wiped_photo
 
 UNSURE = 0.2
 """Lamps of lower confidence are folded away."""
@@ -223,19 +223,13 @@ class IRIS_PT_review(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
             seen = shown_kinds(context)
             for kind, text in (("photo", "Photo"), ("render", "Re-render"), ("error", "Error"), ("curve", "Response")):
                 grid.operator("iris.review", text=text, depress=kind in seen).kind = kind
-            _wipe(layout, scene)
+            wipe_row(layout, scene)
             layout.operator("iris.apply", icon="MATERIAL")
         if APPLIED in scene:
             _seen_map(layout, scene)
             layout.operator("iris.restore", icon="LOOP_BACK")
         if result_key(scene):
             _figures(layout, context)
-
-
-def _wipe(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
-    """Draw the slider of the wipe, where the active camera has a photo."""
-    if wiped_photo(scene) is not None:
-        layout.prop(scene.iris, "wipe", text="Wipe to Photo", slider=True)
 
 
 def _seen_map(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
@@ -287,18 +281,12 @@ class IRIS_PT_relight(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
             return
         shown = context.space_data.shading.type == "RENDERED" and BEFORE_PREVIEW in context.screen
         layout.operator("iris.preview", icon="SHADING_RENDERED", depress=shown)
-        _wipe(layout, scene)
-        grid = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
-        for key, look in offered_looks(scene).items():
-            grid.operator("iris.look", text=look.label).look = key
-        for name in all_looks(scene):
-            row = grid.row(align=True)
-            row.operator("iris.own_look", text=name).name = name
-            row.operator("iris.forget_look", text="", icon="X").name = name
-        grid.operator("iris.save_look", icon="ADD")
+        wipe_row(layout, scene)
+        look_rows(layout, context)
         if settings.lamps:
             layout.template_list("IRIS_UL_lamps", "", settings, "lamps", settings, "lamp_index", rows=4)
             _chosen_lamp(layout, scene)
+            scale_rows(layout, context)
         else:
             paragraph(layout, "No lamp was recovered", context, "INFO")
         outside = sky_strength(scene.world)
@@ -340,9 +328,15 @@ def _chosen_lamp(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     row = layout.row(align=True)
     row.prop(lamp.material, "name", text="")
     row.operator("iris.solo", depress=is_solo(scene, lamp.material))
-    replaced = bool(lamps.camera_only_mode(lamp.material))
-    text = "Area Light Shines for It" if replaced else "Replace by Area Light"
-    layout.operator("iris.area_lamp", text=text, icon="LIGHT_AREA", depress=replaced).on = not replaced
+    if lamps.camera_only_mode(lamp.material):
+        text = "A Light Shines for It"
+        layout.operator("iris.area_lamp", text=text, icon="LIGHT_AREA", depress=True).on = False
+    else:
+        split = layout.split(factor=0.36, align=True)
+        split.label(text="Replace by")
+        row = split.row(align=True)
+        for kind, text in (("AREA", "Area"), ("POINT", "Bulb"), ("IES", "IES")):
+            row.operator("iris.area_lamp", text=text).kind = kind
     own, scale = lamp_flux(lamp), settings.lumens_per_unit
     total = max(sum(lamp_flux(other) for other in settings.lamps), 1e-12)
     share = f"{scale * own:.0f} lm" if scale else f"{own / total:.0%} of the light"
@@ -351,9 +345,7 @@ def _chosen_lamp(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     split = layout.split(factor=0.6, align=True)
     split.label(text=f"{share}{tint}")
     split.prop(lamp, "watts", text="")
-    split = layout.split(factor=0.6, align=True)
-    split.label(text=f"{lamp.area:.2g} m², {lamp.confidence:.0%} sure")
-    split.operator("iris.anchor")
+    layout.label(text=f"{lamp.area:.2g} m², {lamp.confidence:.0%} sure")
     profile = profile_of(lamp.material)
     if profile is not None:
         layout.label(text=f"Beam of {profile.beam_angle:.0f}°", icon="LIGHT_SPOT")
@@ -428,10 +420,16 @@ class IRIS_PT_insert(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
             name = settings.views[min(settings.view_index, len(settings.views) - 1)].name
             layout.operator("iris.onto_photo", text=f"Put Onto Photo {name}", icon="IMAGE_RGB_ALPHA")
             job_box(layout, "composite", context)
-            _wipe(layout, context.scene)
+            wipe_row(layout, context.scene)
         if shows_plate(context.scene):
             layout.operator("iris.onto_plate", text="Put Onto Plate", icon="SEQUENCE")
             job_box(layout, "plate", context)
+        if settings.views or shows_plate(context.scene):
+            row = layout.row(align=True)
+            row.prop(settings, "layers")
+            spaces = row.row(align=True)
+            spaces.active = settings.layers
+            spaces.prop(settings, "acescg")
         layout.operator("iris.probe", icon="WORLD")
         job_box(layout, "probe", context)
 
@@ -457,5 +455,6 @@ class IRIS_PT_export(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         row = layout.row(align=True)
         row.operator("iris.export", text="Light .glb", icon="MOD_DECIM").format = "LIGHT"
         row.operator("iris.export_ies", text="Lamps (.ies)", icon="LIGHT")
+        layout.operator("iris.export_camera", icon="CAMERA_DATA")
         layout.operator("iris.export_farm", icon="NETWORK_DRIVE")
         job_box(layout, "farm", context)

@@ -9,14 +9,16 @@ from typing import Any
 
 import bpy
 
+from ...iris_addon.blender.scene_in.capture_objects import fade_photo
 from ...iris_addon.blender.scene_out import lights as lamps
-from ...iris_addon.edits.light_units import area_light_energy
+from ...iris_addon.edits.light_units import LUMENS_PER_WATT, area_light_energy
 from ...iris_addon.model.texture_size import HIGHEST_DENSITY, blender_bytes, in_blender
 from ..editors import look_at_photo, show_cameras
 from ..place import PLACEABLE
 from . import steps
 from .lamp_highlight import highlight
-from .wipe import redraw
+from .look_icons import look_choices, show_before
+from .wipe import PHOTO, redraw
 
 ATLAS_SIZES = (
     ("auto", "Auto", "As many as the photos resolve, up to the limit of the preset"),
@@ -35,11 +37,15 @@ def _set(write: Callable[[bpy.types.Material | None, Any], None]) -> Callable[[b
 
 
 def _watts(lamp: bpy.types.PropertyGroup) -> float:
-    return lamps.strength(lamp.material) * area_light_energy(lamp.area)
+    scale = lamp.id_data.iris.lumens_per_unit
+    unit = scale / LUMENS_PER_WATT if scale else 1.0
+    return unit * lamps.strength(lamp.material) * area_light_energy(lamp.area)
 
 
 def _look(settings: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
     look_at_photo(context, settings.view_index)
+    if settings.wipe_to not in ("", PHOTO):
+        show_before(settings.id_data)
 
 
 def _show_cameras(_settings: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
@@ -55,11 +61,15 @@ def _redraw(_settings: bpy.types.PropertyGroup, _context: bpy.types.Context) -> 
     redraw()
 
 
+def _wipe_to(settings: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
+    show_before(settings.id_data)
+    redraw()
+
+
 def _set_overlay(settings: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
     for view in settings.views:
         if view.camera is not None:
-            for behind in view.camera.data.background_images:
-                behind.alpha = settings.overlay
+            fade_photo(view.camera, settings.overlay)
 
 
 def _open(section: str) -> bpy.props.BoolProperty:
@@ -104,6 +114,11 @@ class IrisView(bpy.types.PropertyGroup):
     )
     aspect: bpy.props.FloatProperty(name="Pixel aspect", description="Focal length along x over along y", default=1)
     exposure: bpy.props.FloatProperty(name="Exposure", description="Relative exposure; 0 where it is unknown", min=0.0)
+    metered: bpy.props.FloatProperty(
+        name="Metered Luminance",
+        description="Luminance that the photo was exposed for by its EXIF, candela per square meter; 0: unknown",
+        min=0.0,
+    )
     saturated: bpy.props.FloatProperty(
         name="Clipped", description="Share of clipped pixels, at the upper end of the display range", min=0, max=1
     )
@@ -140,9 +155,9 @@ class IrisLamp(bpy.types.PropertyGroup):
     )
     watts: bpy.props.FloatProperty(
         name="Watts",
-        description="Power that an area light of Blender has with this lamp's area and radiance, in the scale of this "
-        "scene. Not what the lamp takes from the socket, nor its lumens, which depend on a spectrum that photos do not "
-        "show",
+        description="Power that an area light of Blender has with this lamp's area and radiance: in the scale of this "
+        "scene or, once the scale is set, in absolute units, with 178 lumens of white light to the watt as Cycles "
+        "reads IES files. Not what the lamp takes from the socket",
         unit="POWER",
         precision=1,
         get=_watts,
@@ -310,18 +325,36 @@ class IrisSettings(bpy.types.PropertyGroup):
     )
     lumens_per_unit: bpy.props.FloatProperty(
         name="Lumens per Unit",
-        description="Lumens per unit of radiance times square meter; 0 while no lamp's lumens are known",
+        description="Lumens per unit of radiance times square meter, which are candela per square meter per unit of "
+        "radiance; 0 while the scale is not known",
         min=0.0,
     )
+    scale_anchor: bpy.props.StringProperty(name="Scale From", description="What the lumens per unit were taken from")
     wipe: bpy.props.FloatProperty(
         name="Wipe",
-        description="In the camera's view, show the photo up to this share of the frame's width, and to its right what "
-        "the view shows otherwise: a re-render, a preview in other light, or what was put onto the photo. 0 is off",
+        description="In the camera's view, show the photo or a look up to this share of the frame's width, and to its "
+        "right what the view shows otherwise: a re-render, a preview in other light, or what was put onto the photo. "
+        "0 is off",
         min=0.0,
         max=1.0,
         subtype="FACTOR",
         update=_redraw,
     )
+    wipe_to: bpy.props.EnumProperty(
+        name="Wipe To",
+        description="What the wipe shows left of its line: the photo, or a look as this camera sees it",
+        items=look_choices,
+        update=_wipe_to,
+    )
+    wipe_before: bpy.props.PointerProperty(
+        type=bpy.types.Image, name="Before", description="The picture of the look that the wipe shows"
+    )
+    layers: bpy.props.BoolProperty(
+        name="EXR Layers",
+        description="Beside each picture that is put onto a photo or plate, an EXR with the layers picture, plate, "
+        "shadow catcher and object, for Nuke and other compositors",
+    )
+    acescg: bpy.props.BoolProperty(name="ACEScg", description="Write the layers in ACEScg, not in linear Rec.709")
     placed: bpy.props.EnumProperty(name="Object", description="The object that Place adds", items=PLACEABLE)
     overlay: bpy.props.FloatProperty(
         name="Photo",

@@ -1,16 +1,22 @@
-"""A wipe in the camera's view: the photo to the left of a line, and to its right what the view shows otherwise, be it a
-re-render, a preview in other light, or the photo with something put onto it."""
+"""A wipe in the camera's view: the photo or a look to the left of a line, and to its right what the view shows
+otherwise, be it a re-render, a preview in other light, or the photo with something put onto it."""
 
 from __future__ import annotations
 
+import struct
+import zlib
 from collections.abc import Sequence
 from typing import Any
 
 import bpy
 from bpy_extras.view3d_utils import location_3d_to_region_2d
 
-from ...iris_addon.blender.scene_in.capture_objects import background_of
+from ...iris_addon.blender.scene_in.capture_objects import VIEW, background_of
 
+PHOTO = "PHOTO"
+"""What a wipe goes to unless it goes to a look."""
+BEFORE_VIEW = "iris_view"
+"""Custom property of the picture of a look: whose view it is (:func:`view_name`)."""
 LINE_PIXELS = 2.0
 LINE_COLOR = (1.0, 1.0, 1.0, 0.9)
 
@@ -53,6 +59,25 @@ def wiped_photo(scene: bpy.types.Scene) -> bpy.types.Image | None:
     return behind.image if plain and not (behind.use_flip_x or behind.use_flip_y) else None
 
 
+def wiped_picture(scene: bpy.types.Scene) -> bpy.types.Image | None:
+    """What lies left of the line: the photo, or the chosen look if there is a picture of it from the active camera."""
+    if scene.iris.wipe_to in ("", PHOTO):  # empty: a look that is gone
+        return wiped_photo(scene)
+    before = scene.iris.wipe_before
+    here = before is not None and scene.camera is not None and before.get(BEFORE_VIEW) == view_name(scene.camera)
+    return before if here else None
+
+
+def view_name(camera: bpy.types.Object) -> str:
+    """What the view of ``camera`` is called in file names: as its photo, else as the camera where it stands now."""
+    data = camera.data if camera.type == "CAMERA" else None  # the active camera may be any object
+    if data is not None and data.get(VIEW):
+        return bpy.path.clean_name(str(data[VIEW]))
+    lens = () if data is None else (data.lens, data.sensor_width, data.sensor_height, data.shift_x, data.shift_y)
+    stands = struct.pack(f"<{16 + len(lens)}f", *(value for row in camera.matrix_world for value in row), *lens)
+    return f"{bpy.path.clean_name(camera.name)}-{zlib.crc32(stands):08x}"
+
+
 def redraw() -> None:
     """Draw the 3D views again."""
     for window in bpy.context.window_manager.windows:
@@ -62,11 +87,11 @@ def redraw() -> None:
 
 
 def shown_wipe(context: bpy.types.Context) -> tuple[bpy.types.Image, list[Point]] | None:
-    """The photo and the corners of the frame (:func:`camera_frame`) where this view shows a wipe; else None."""
+    """Picture of a wipe and corners of the frame (:func:`camera_frame`) where this view shows one; else None."""
     scene, view = context.scene, context.region_data
     if scene.iris.wipe <= 0 or view is None or view.view_perspective != "CAMERA":
         return None
-    photo = wiped_photo(scene) if context.space_data.camera == scene.camera else None
+    photo = wiped_picture(scene) if context.space_data.camera == scene.camera else None
     frame = None if photo is None else camera_frame(context)
     return None if photo is None or frame is None else (photo, frame)
 

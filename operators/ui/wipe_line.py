@@ -76,7 +76,7 @@ class IRIS_GGT_wipe(bpy.types.GizmoGroup):  # noqa: N801 - Blender's naming
     """The line of the wipe, while it is shown."""
 
     bl_idname = "IRIS_GGT_wipe"
-    bl_label = "Wipe to Photo"
+    bl_label = "Wipe"
     bl_space_type = "VIEW_3D"
     bl_region_type = "WINDOW"
     bl_options = {"PERSISTENT", "SHOW_MODAL_ALL"}  # noqa: RUF012 - Blender's form

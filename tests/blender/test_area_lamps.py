@@ -15,6 +15,7 @@ from iris_addon.blender.insert.photo_composite import as_photographed
 from iris_addon.blender.render.cycles import render_linear, set_cycles
 from iris_addon.blender.render.light_mixing import start_mixing
 from iris_addon.blender.scene_out.lights import color, lamp_materials, set_color, set_strength, strength, switch
+from iris_addon.blender.version import node_tree, set_panoramic
 from iris_addon.model.render_settings import RenderSettings
 from tests.solved_scene import cube, solve
 
@@ -95,6 +96,99 @@ def test_walls_receive_the_light_that_they_received_of_the_mesh(shape):
     after = [picture(scene, eye) for eye in walls]
     for old, new in zip(before, after, strict=True):
         np.testing.assert_allclose(new.mean((0, 1)), old.mean((0, 1)), rtol=0.05)
+
+
+def sent(lights: list[bpy.types.Object]) -> np.ndarray:
+    """(3,) watts that ``lights`` send in all, by the even radiance in a white matte sphere of 50 m around them: each
+    watt that arrives leaves in all directions, and from the middle one sees all of it alike."""
+    import bmesh
+
+    scene = bpy.data.scenes.new("sphere")
+    mesh = bmesh.new()
+    bmesh.ops.create_icosphere(mesh, subdivisions=5, radius=50.0)
+    data = bpy.data.meshes.new("sphere")
+    mesh.to_mesh(data)
+    mesh.free()
+    matte = bpy.data.materials.new("matte")
+    nodes = node_tree(matte).nodes
+    diffuse, output = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeOutputMaterial")
+    diffuse.inputs["Color"].default_value = (1, 1, 1, 1)
+    matte.node_tree.links.new(diffuse.outputs["BSDF"], output.inputs["Surface"])
+    data.materials.append(matte)
+    around = bpy.data.objects.new("sphere", data)
+    scene.collection.objects.link(around)
+    middle = sum((thing.matrix_world.translation for thing in lights), Vector()) / len(lights)
+    for thing in lights:
+        copy = thing.copy()
+        copy.matrix_world = Matrix.Translation(-middle) @ thing.matrix_world
+        scene.collection.objects.link(copy)
+    eye = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
+    set_panoramic(eye.data)
+    scene.collection.objects.link(eye)
+    scene.camera = eye
+    scene.render.resolution_x, scene.render.resolution_y = 128, 64
+    set_cycles(scene, RenderSettings(samples=64, denoise=False, max_bounces=0))
+    seen = render_linear(scene)
+    edges = np.cos(np.linspace(0, np.pi, 65))
+    weight = (edges[:-1] - edges[1:]) / 2
+    mean = (seen.mean(1) * weight[:, None]).sum(0)
+    bpy.data.batch_remove([*scene.objects, scene])
+    return mean * np.pi * 4 * np.pi * 50.0**2
+
+
+@pytest.mark.parametrize("shape", ["sheet", "slab", "ball"])
+@pytest.mark.parametrize("kind", ["AREA", "POINT", "IES"])
+def test_what_stands_for_a_lamp_sends_its_flux(shape, kind):
+    """Pi times radiance times area of the sides that shine, within a percent, by a render."""
+    scene = lit_by(lamp(shape))
+    (material,) = lamp_materials(scene.objects)
+    area = {"sheet": 2 * 0.8 * 0.5, "slab": 2 * 0.8 * 0.5 + 2 * 0.02 * 1.3, "ball": 4 * np.pi * 0.2**2}[shape]
+    lights, faithful = replace_lamp(scene, material, [EYE, Vector((1.2, 1.2, 1.9))], kind)
+    assert len(lights) == (2 if kind == "AREA" and shape != "ball" else 1)
+    assert faithful == (kind != "POINT" or shape == "ball")
+    expected = np.pi * area * np.array([3.0, 6.0, 1.5])
+    np.testing.assert_allclose(sent(lights), expected, rtol=0.01)
+    put_lamp_back(scene, material)
+    assert not bpy.data.lights and not bpy.data.texts
+
+
+def test_an_ies_light_shines_in_every_direction_as_the_lamp_does():
+    """A sheet that hangs obliquely, one side covered: each wall has the share of the light that it had of the sheet."""
+    scene = lit_by(lamp("sheet", at=(0.1, 0.2, 0.1), turn=(0.9, 0.3, 0.4)))
+    (material,) = lamp_materials(scene.objects)
+    (sheet,) = [thing for thing in scene.objects if thing.name == "sheet"]
+    sheet.scale = (0.3, 0.3, 0.3)  # a point from where the walls are
+    cover = cube("cover", scale=(0.2, 0.2, 0.001))
+    bpy.context.view_layer.update()
+    normal = sheet.matrix_world.to_3x3() @ Vector((0, 0, 1))
+    behind = Matrix.Translation(-0.065 * normal.normalized())  # a centimeter from the sheet
+    cover.matrix_world = behind @ sheet.matrix_world @ Matrix.Diagonal((2, 2, 1e-3, 1))
+    bpy.context.view_layer.update()
+    walls = [camera(Vector(d), Vector(d) * 0.3) for d in ((2, 0, 0), (-2, 0, 0), (0, 2, 0), (0, -2, 0))]
+    before = [picture(scene, eye, size=24).mean() for eye in walls]
+    replace_lamp(scene, material, [], "IES")
+    after = [picture(scene, eye, size=24).mean() for eye in walls]
+    assert max(before) > 2 * min(before)
+    np.testing.assert_allclose(np.array(after) / sum(after), np.array(before) / sum(before), atol=0.03)
+
+
+def test_a_bulb_hangs_before_a_lamp_in_the_ceiling_and_an_ies_light_survives_in_the_file(tmp_path):
+    scene = lit_by(lamp("sheet", at=(0.4, -0.3, HALF + 0.248), turn=(0, 0, 0.4)))
+    (material,) = lamp_materials(scene.objects)
+    (bulb,), faithful = replace_lamp(scene, material, [EYE], "POINT")
+    assert not faithful and bulb.data.type == "POINT" and bulb.data.shadow_soft_size == pytest.approx(0.03)
+    assert (bulb.matrix_world.translation - Vector((0.4, -0.3, HALF - 0.033))).length < 0.002
+    assert bulb.data.energy * bulb.data.color[0] == pytest.approx(np.pi * 0.4 * 3.0, rel=1e-4)
+    put_lamp_back(scene, material)
+    (light,), _ = replace_lamp(scene, material, [EYE], "IES")
+    set_strength(material, 12.0)
+    assert light.data.energy == pytest.approx(np.pi * 0.4 * 12.0, rel=1e-4), "the row leads it"
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "room.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "room.blend"))
+    (text,) = bpy.data.texts
+    assert text.as_string().startswith("IESNA") and len(bpy.data.lights) == 1
+    restore(bpy.context.scene)
+    assert not bpy.data.lights and not bpy.data.texts
 
 
 def test_a_lamp_in_the_ceiling_becomes_one_light_that_faces_the_room():

@@ -170,6 +170,7 @@ def test_every_operator_of_an_artist_stands_in_a_menu():
         "review",
         "own_look",
         "forget_look",
+        "forget_scale",
     }
     of_preferences = {"test_python", "make_environment"}
     assert every - menus == {f"iris.{name}" for name in of_panels | of_preferences}
@@ -423,8 +424,12 @@ def test_a_scene_is_solved_on_its_own_objects(package, tmp_path, worker, nerfstu
     assert (Path(scene.iris.result) / "capture" / "transforms.json").is_file()
     assert Path(scene.iris.result).is_relative_to(home)  # never into the extension's folder, nor beside the capture
     assert all(view.camera is not None for view in scene.iris.views)
+    shown = [view.camera.data.background_images[0] for view in scene.iris.views]
+    for behind in shown:
+        behind.alpha = 0.375
     bpy.ops.iris.solve()
     bpy.ops.iris.apply()
+    assert {{behind.alpha for behind in shown}} == {{0.375}}  # they are the artist's
     assert len(scene.iris.lamps) == 1 and room.data.name.endswith("IRIS")
     # Solved again as it was, not in its new dress.
     written = (Path(scene.iris.result) / "capture" / "mesh.ply").read_bytes()
@@ -547,7 +552,15 @@ def test_what_was_added_goes_onto_the_photo_and_lights_are_mixed(package, tmp_pa
     view = scene.iris.views[scene.iris.view_index]
     eye = view.camera.matrix_world
     bpy.ops.iris.place(thing="GREY", origin=eye.translation, direction=eye.to_3x3() @ Vector((0, 0, -1)))
+    scene.iris.layers = scene.iris.acescg = True
     assert bpy.ops.iris.onto_photo(samples=4) == {{"FINISHED"}}
+    scene.iris.layers = False
+    written = Path({str(nerfstudio_room.root)!r} + "-iris") / "onto-photos" / f"{{view.name}}-layers.exr"
+    headers = sys.modules[KEY + ".iris_addon.base.image_headers"]
+    (part,) = headers.read_exr_parts(written)
+    assert {{"R", "plate.G", "catcher.B", "object.A"}} <= set(part.channels) and part.width > 0, part
+    assert bpy.ops.iris.export_camera(directory=str(home / "camera")) == {{"FINISHED"}}
+    assert {{"camera.cube", "config.ocio"}} <= {{path.name for path in (home / "camera").iterdir()}}
     shown = view.camera.data.background_images
     assert len(shown) == 2 and shown[1].image.name == f"IRIS Onto {{view.name}}" and shown[1].image.has_data is not None
     photo = np.empty(4 * shown[0].image.size[0] * shown[0].image.size[1], np.float32)
@@ -578,7 +591,10 @@ def test_what_was_added_goes_onto_the_photo_and_lights_are_mixed(package, tmp_pa
     behind = shown.new()
     behind.source, behind.clip = "MOVIE_CLIP", clip
     made = plate.with_name("made")
+    scene.iris.layers = True
     assert bpy.ops.iris.onto_plate(directory=str(made), samples=4) == {{"FINISHED"}}
+    assert sorted(path.name for path in (made / "layers").iterdir()) == ["frame_0005.exr", "frame_0006.exr"]
+    scene.iris.layers = False
     assert sorted(path.name for path in made.glob("*.png")) == ["frame_0005.png", "frame_0006.png"]
     assert not list(out.glob("onto-plate*"))
     again = bpy.data.images.load(str(made / "frame_0006.png"))
@@ -739,12 +755,16 @@ def test_looks_solo_and_known_lumens(package, tmp_path, worker, nerfstudio_room)
     fails(bpy.ops.iris.own_look, "no look 'Dim'", name="Dim")
     bpy.ops.iris.look(look="PHOTOGRAPHED")
     bpy.ops.iris.anchor(lumens=800)
+    flux = math.pi * 4 * (0.2126 * 12 + 0.7152 * 10 + 0.0722 * 8)
+    assert abs(scene.iris.lumens_per_unit * flux / 800 - 1) < 1e-5
+    assert abs(lamp.watts / (math.pi * 4 * 12 * 800 / flux / 177.83) - 1) < 1e-5
+    assert scene.iris.scale_anchor == f"800 lm of {{lamp.material.name}}"
+    bpy.ops.iris.forget_scale()
+    assert (scene.iris.lumens_per_unit, scene.iris.scale_anchor) == (0, "")
     assert abs(lamp.watts / (math.pi * 4 * 12) - 1) < 1e-5
     lamp.strength = 6
     assert abs(lamp.watts / (math.pi * 4 * 6) - 1) < 1e-5
     lamp.strength = 12
-    flux = math.pi * 4 * (0.2126 * 12 + 0.7152 * 10 + 0.0722 * 8)
-    assert abs(scene.iris.lumens_per_unit * flux / 800 - 1) < 1e-5
     sun = bpy.data.objects.new("my sun", bpy.data.lights.new("my sun", "SUN"))
     scene.collection.objects.link(sun)
     bpy.ops.iris.hide_lights()
@@ -783,6 +803,11 @@ def test_looks_solo_and_known_lumens(package, tmp_path, worker, nerfstudio_room)
         "probe-01.exr", "probe-02.exr"]
     bpy.ops.iris.area_lamp(on=False)
     assert not [thing for thing in bpy.data.lights if thing.type == "AREA"]
+    bpy.ops.iris.area_lamp(kind="IES")
+    light = bpy.data.objects[lamp.material.name + " Light"]
+    assert light.data.type == "POINT" and len(bpy.data.texts) == 1 and abs(light.data.energy - math.pi * 10 * 12) < 0.01
+    bpy.ops.iris.area_lamp(on=False)
+    assert not bpy.data.texts
     assert abs(lamp.strength - 12) < 1e-5
     """
     in_blender(package, tmp_path, body)

@@ -10,6 +10,7 @@ from mathutils import Vector
 from iris_addon.base.errors import BadInput
 from iris_addon.base.images import write_exr
 from iris_addon.blender.render.cycles import render_views
+from iris_addon.blender.scene_out import placing
 from iris_addon.blender.scene_out.build import build_scene
 from iris_addon.blender.scene_out.lights import as_recovered
 from iris_addon.blender.scene_out.placing import Room
@@ -195,6 +196,30 @@ def test_the_surface_of_a_noisy_scan_is_levelled():
     for at in ((0.0, 0.0, 0.05), (0.111, -0.07, 0.05)):
         _, normal = Room(scan, (0.0, 0.0, 1.0)).nearest(Vector(at))
         assert normal.z > np.cos(np.radians(3))
+
+
+def test_a_large_room_is_searched_in_parts_as_if_it_were_one(monkeypatch):
+    """Hits, nearest points and mean normals of a wavy floor do not depend on how many trees hold its faces."""
+    n = 30
+    x, y = np.meshgrid(np.linspace(-1, 1, n), np.linspace(-1, 1, n))
+    corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+    faces = np.concatenate([np.c_[corner, corner + 1, corner + n], np.c_[corner + 1, corner + n + 1, corner + n]])
+    faces = np.random.default_rng(0).permutation(faces)  # neighbours lie in different parts
+    floor = Mesh(np.stack([x, y, 0.1 * np.sin(5 * x + 3 * y)], -1).reshape(-1, 3), faces)
+    places = [Vector(at) for at in ((0.03, 0.02, 1.0), (-0.71, 0.4, 0.5), (0.9, -0.9, 0.2))]
+    down = Vector((0.05, -0.02, -1.0)).normalized()
+
+    def found(room: Room) -> list[tuple[Vector, Vector]]:
+        hits = [room.along(at, down) for at in places]
+        return [hit for hit in hits if hit is not None] + [room.nearest(at) for at in places]
+
+    whole = found(Room(floor, (0.0, 0.0, 1.0)))
+    monkeypatch.setattr(placing, "TREE_FACES", 100)
+    parted = Room(floor, (0.0, 0.0, 1.0))
+    assert len(list(parted.search_trees())) == -(-len(faces) // 100)
+    assert len(whole) == 2 * len(places)
+    np.testing.assert_allclose(found(parted), whole, atol=1e-6)
+    assert parted.along(Vector((0.0, 0.0, 1.0)), Vector((0.0, 0.0, 1.0))) is None
 
 
 def test_an_object_stands_where_the_pixel_points():

@@ -15,6 +15,7 @@ from iris_addon.blender.scene_in.capture_objects import (
     Inspected,
     InspectedView,
     add_capture,
+    fade_photo,
     photo_of,
     refresh_capture,
     show_instead,
@@ -113,6 +114,24 @@ def test_backgrounds_of_the_artist_stay_whatever_is_shown_in_place_of_the_photo(
             (own.image, True),
         ]
     assert own.alpha == 0.25
+    show_instead(camera, render)
+    fade_photo(camera, 0.75)
+    assert [behind.alpha for behind in backgrounds] == [0.75, 0.25, 0.75]
+
+
+@pytest.mark.parametrize("name", ["report/a-render.png", "report/a-error.png", "onto-photos/a.png"])
+def test_a_picture_of_a_file_that_an_earlier_version_saved_goes_too(imported, name) -> None:
+    """Those did not remember what they had put over the photo."""
+    camera = imported[3]["a"]
+    photo, backgrounds = photo_of(camera), camera.data.background_images
+    old, own = backgrounds.new(), backgrounds.new()
+    old.image, own.image = (bpy.data.images.new(each, 4, 4) for each in ("shown", "a sketch"))
+    old.image.source, old.image.filepath = "FILE", f"/result/{name}"
+    own.image.source, own.image.filepath = "FILE", "/result/sketch.png"
+    backgrounds[0].show_background_image = False
+    show_instead(camera, None)
+    assert [behind.image for behind in backgrounds] == [photo, own.image]
+    assert backgrounds[0].show_background_image
 
 
 def test_cameras_read_again_forget_their_given_poses(imported):

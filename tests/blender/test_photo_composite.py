@@ -5,9 +5,11 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+import OpenEXR
 import pytest
 from mathutils import Matrix
 
+from iris_addon.base.color_spaces import ACESCG, REC709
 from iris_addon.base.errors import BadInput
 from iris_addon.blender.apply.applied_states import has_light_states
 from iris_addon.blender.apply.looks import keep_states, set_own_look
@@ -226,4 +228,22 @@ def test_the_command_opens_the_copy_and_leaves_a_picture(tmp_path: Path):
     seen = read_image(out)
     green = (seen - photo)[..., 1] - (seen - photo)[..., 0]
     assert seen.shape == photo.shape and green.max() > 0.1
+    assert main([*command, "--samples", "16", "--acescg"]) == 3
+    assert main([*command, "--samples", "16", "--layers", "--acescg"]) == 0
+    (part,) = OpenEXR.File(str(tmp_path / "out" / "photo-layers.exr"), separate_channels=True).parts
+    channels = {name: channel.pixels for name, channel in part.channels.items()}
+    layer = {
+        name: np.stack([channels[f"{name}{letter}"] for letter in "RGB"], -1)
+        for name in ("", "plate.", "catcher.", "object.")
+    }
+    alpha = channels["object.A"][..., None]
+    assert 0.02 < (alpha > 0.5).mean() < 0.5 and layer["catcher."].min() < -1e-3, "the ball, and its shadow"
+    whole = layer["plate."] * (1 - alpha) + layer["catcher."] + layer["object."]
+    np.testing.assert_allclose(whole, layer[""], atol=1e-4)
+    assert part.header["chromaticities"] == pytest.approx(ACESCG.chromaticities, abs=1e-5)
+    shown = gamma().apply(layer[""] @ ACESCG.matrix_to(REC709).T * EXPOSURE)
+    np.testing.assert_allclose(shown, read_image(out), atol=0.02)
+    unclipped = (photo < 0.9).all(-1)
+    plate = gamma().apply(layer["plate."] @ ACESCG.matrix_to(REC709).T * EXPOSURE)
+    np.testing.assert_allclose(plate[unclipped], photo[unclipped], atol=5e-3)
     assert main(["composite", str(tmp_path / "photo.png"), *where, "--view", "photo", "--out", str(out)]) == 3

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from iris_addon.base.errors import BadInput, Cancelled
+from iris_addon.blender.apply import on_objects
 from iris_addon.blender.apply.on_objects import apply_steps, apply_to_objects
 from iris_addon.blender.stepwise import advance, finish, in_thread, in_thread_asking
 from tests.scene_snapshot import snapshot
@@ -123,3 +124,23 @@ def test_a_result_that_is_given_up_at_any_step_changes_nothing(room_with_backdro
     apply_to_objects(result, runs, scene, "again")
     lamp = next(slot.material for slot in scene.objects["plain"].material_slots if "Lamp" in slot.material.name)
     assert lamp.name == "IRIS Lamp 07"
+
+
+@pytest.mark.bpy
+@pytest.mark.parametrize("part", ["_keep_object", "make_world", "add_sun", "show_like_the_photos", "keep_light_states"])
+def test_a_result_that_fails_halfway_through_the_last_step_is_taken_off_again(
+    room_with_backdrop, part: str, monkeypatch: pytest.MonkeyPatch
+):
+    result, runs = room_with_backdrop
+    scene = bpy.context.scene
+    before = snapshot(scene)
+
+    def fail(*_arguments: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(on_objects, part, fail)
+    with pytest.raises(MemoryError):
+        apply_to_objects(result, runs, scene, "key")
+    assert snapshot(scene) == before
+    monkeypatch.undo()
+    assert apply_to_objects(result, runs, scene, "key")

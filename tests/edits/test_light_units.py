@@ -6,7 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from iris_addon.edits.light_units import XYZ, flux, kelvin, planckian
+from iris_addon.edits.light_units import (
+    METERED_STOPS,
+    METERED_VALUE,
+    XYZ,
+    flux,
+    illuminance,
+    kelvin,
+    metered_scale,
+    planckian,
+)
+from iris_addon.model.response import LUMINANCE, gamma
+from iris_addon.model.sphere import equirect_directions
 from iris_addon.results.folder import load_result
 
 ASSETS = Path(__file__).resolve().parents[2] / "assets"
@@ -46,3 +57,31 @@ def test_lamps_of_the_solved_demo_have_the_kelvin_and_once_one_is_anchored_the_l
         assert kelvin(lamp.radiance) == pytest.approx(kelvin(true[area]), rel=0.03)
         brighter.append(flux(lamp.radiance, lamp.area) / flux(true[area], area))
     assert max(brighter) / min(brighter) == pytest.approx(1, abs=0.03)
+
+
+@pytest.mark.parametrize("normal", [(0, 0, 1), (1, 0, 0), (0.6, 0, -0.8)])
+def test_a_meter_reads_pi_times_the_radiance_of_even_surroundings(normal):
+    even = np.broadcast_to([1.0, 2.0, 3.0], (128, 256, 3))
+    assert illuminance(even, normal) == pytest.approx(np.pi * LUMINANCE @ (1, 2, 3), rel=1e-3)
+
+
+def test_a_meter_reads_a_round_lamp_by_the_square_of_its_sine_and_not_what_is_behind_it():
+    """A disc of half angle θ straight before the meter gives π L sin²θ (Lambert)."""
+    directions = equirect_directions(1024, 512)
+    lamp = (directions[..., 0] > np.cos(0.3)) * 5.0
+    panorama = np.repeat(lamp[..., None], 3, axis=2)
+    assert illuminance(panorama, (1, 0, 0)) == pytest.approx(np.pi * 5 * np.sin(0.3) ** 2, rel=0.01)
+    assert illuminance(panorama, (-1, 0, 0)) == 0
+
+
+def test_photos_of_several_exposures_say_one_scale_and_how_far_they_disagree():
+    """A gray of 40 cd/m² is 0.2 in the unit of the solve; a camera set for it shows it at code 118."""
+    response = gamma()
+    x = response.invert(np.full(3, METERED_VALUE))
+    balance = np.array([1.0, 1.0, 1.0])
+    photos = [(response, x / 0.2 * balance * 2.0**stop, 40.0 / 2.0**stop) for stop in (-2, 0, 1)]
+    scale, stops = metered_scale(photos)
+    assert scale == pytest.approx(200) and stops == pytest.approx(METERED_STOPS)
+    photos[1] = (response, photos[1][1], 80.0)  # twice as bright by its EXIF
+    scale, stops = metered_scale(photos)
+    assert scale == pytest.approx(200 * 2 ** (1 / 3)) and stops > METERED_STOPS + 0.1

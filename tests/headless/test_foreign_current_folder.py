@@ -13,9 +13,11 @@ import pytest
 from headless import frame_folder, make_environment
 from headless.environment import RUN
 from iris_addon.blender.worker.jobs import (
+    CompositeOptions,
     composite_command,
     environment_command,
     inspect_command,
+    looks_command,
     probe_command,
     solve_command,
 )
@@ -112,8 +114,11 @@ def test_paths_of_a_worker_are_absolute(foreign: Path) -> None:
     commands = [
         inspect_command("python", a, b),
         solve_command("python", a, b, "draft"),
-        composite_command("blender", a, b, Path("photo.png"), "view", Path("picture.png"), 4, "evening"),
+        composite_command(
+            "blender", a, b, Path("photo.png"), "view", Path("picture.png"), CompositeOptions(4, "evening")
+        ),
         probe_command("blender", a, (0.0, -1.0, 2.0), b, 64, 4),
+        looks_command("blender", a, b, 64, 4),
         environment_command(a),
     ]
     for command in commands:

@@ -125,6 +125,11 @@ def job(name: str) -> dict:
     return found
 
 
+def takes_steps() -> bool:
+    """Whether an operator of the extension is at work between redraws."""
+    return sys.modules[f"{ADDON}.operators.modal_steps"].busy()
+
+
 def close_newest_window() -> None:
     """What the cross of its frame would do, which a server without a window manager does not have."""
     with bpy.context.temp_override(window=bpy.context.window_manager.windows[-1]):

@@ -165,6 +165,7 @@ def place_object(stage: Stage) -> str:
 
     def carry() -> None:
         session.press("iris.place", columns=(0.7, 0.8, 0.9))
+        until(lambda: not session.ask("takes_steps()"), "the room is read", 20)
         session.display.move(*middle)
         session.display.scroll(*middle, -3)
 

@@ -2,7 +2,8 @@
 
 The mesh of the lamp keeps its look to cameras and lights nothing any more. A flat lamp becomes an area light, or two
 back to back where it shines to both sides; a closed body becomes a point light of its size; anything else an area light
-that faces its mean direction, which is an approximation.
+that faces its mean direction, which is an approximation. By choice it becomes a bulb that shines alike in all
+directions, or a point with the lamp's photometric file, of the flux that these lights have together.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ from ..scene_out.lights import (
     stand_ins,
     strength,
 )
+from .ies_files import cycles_ies
+from .lamp_faces import lamp_triangles
 from .on_objects import MADE
 
 FLAT_THICKNESS = 0.25
@@ -52,6 +55,10 @@ SAMPLES, EYES, SEEN_SAMPLES = 256, 32, 32
 """Points on a lamp; cameras, and points of these, for which is tested what they see."""
 GAP = 1e-3
 """Metres from the outermost face to the light."""
+BULB_RADIUS = 0.03
+"""Metres: of a bulb in place of a lamp that is no closed body; E27 bulbs have 6 cm."""
+KINDS = ("AREA", "POINT", "IES")
+"""What a lamp is replaced by: a light of its shape, a bulb, or its photometric file."""
 
 
 @dataclass(frozen=True)
@@ -86,15 +93,16 @@ class _Frame:
 
 
 def replace_lamp(
-    scene: bpy.types.Scene, material: bpy.types.Material, eyes: Sequence[Vector]
+    scene: bpy.types.Scene, material: bpy.types.Material, eyes: Sequence[Vector], kind: str = "AREA"
 ) -> tuple[list[bpy.types.Object], bool]:
     """Let lights of Blender shine in place of the lamp of ``material``.
 
     Args:
         eyes: where the photos were taken, for which side of the lamp they show; may be empty.
+        kind: of KINDS.
 
     Returns:
-        The lights, and whether they have the lamp's shape and not an approximation of it.
+        The lights, and whether they have the lamp's shape (with its file, its directions) and not an approximation.
 
     Raises:
         BadInput: no face has the material, lights are being mixed, or the lamp is off or replaced already.
@@ -120,6 +128,14 @@ def replace_lamp(
         frame = _frame(samples, mean / np.linalg.norm(mean))
         toward = _shown_sides(scene, samples, frame, eyes)
         lights = [_area_light(material.name, frame, 1 if toward[0] >= toward[1] else -1, samples)]
+    faithful = flat or closed
+    if kind == "IES" or (kind == "POINT" and not closed):
+        faithful = kind == "IES"
+        place = _middle(lights, GAP if faithful else BULB_RADIUS / scene.unit_settings.scale_length)
+        energy = sum(energy for *_, energy in lights)
+        bpy.data.batch_remove([data for data, *_ in lights])
+        bulb = _photometric(scene, material) if faithful else _bulb(material.name, scene.unit_settings.scale_length)
+        lights = [(bulb, place, energy)]
     for key, (data, matrix, energy) in zip(STAND_INS, lights, strict=False):
         thing = bpy.data.objects.new(data.name, data)
         thing.matrix_world = matrix
@@ -129,8 +145,9 @@ def replace_lamp(
         thing.visible_camera = False
         scene.collection.objects.link(thing)
         material[key] = thing
-    show_to_cameras_only(material, see_through=closed)
-    return stand_ins(material), flat or closed
+    # What stands for the light of more than one side may stand within the lamp.
+    show_to_cameras_only(material, see_through=closed or kind != "AREA")
+    return stand_ins(material), faithful
 
 
 def put_lamp_back(scene: bpy.types.Scene, material: bpy.types.Material) -> None:
@@ -141,8 +158,10 @@ def put_lamp_back(scene: bpy.types.Scene, material: bpy.types.Material) -> None:
     for key in STAND_INS:
         material.pop(key, None)
     data = [thing.data for thing in gone]
+    texts = [node.ies for block in data for node in _ies_nodes(block) if node.ies is not None and MADE in node.ies]
     bpy.data.batch_remove(gone)
     bpy.data.batch_remove([block for block in data if not block.users])
+    bpy.data.batch_remove([text for text in texts if not text.users])
     show_to_all(material)
     set_color(material, tint)
     set_strength(material, level)
@@ -154,25 +173,6 @@ def _require_unmixed(scene: bpy.types.Scene) -> None:
 
 
 # ---- the shape of a lamp -------------------------------------------------------------------------------------------
-
-
-def lamp_triangles(scene: bpy.types.Scene, material: bpy.types.Material) -> NDArray[np.float64]:
-    """(T, 3, 3) corners of the faces with ``material``, in the axes of the scene."""
-    found = [np.zeros((0, 3, 3))]
-    for thing in scene.objects:
-        slots = [k for k, slot in enumerate(thing.material_slots) if slot.material == material]
-        if thing.type != "MESH" or not slots:
-            continue
-        data, n = thing.data, len(thing.data.loop_triangles)
-        slot, corners = np.zeros(n, np.int32), np.zeros(3 * n, np.int32)
-        data.loop_triangles.foreach_get("material_index", slot)
-        data.loop_triangles.foreach_get("vertices", corners)
-        points = np.zeros(3 * len(data.vertices), np.float32)
-        data.vertices.foreach_get("co", points)
-        matrix = np.array(thing.matrix_world)
-        used = corners.reshape(-1, 3)[np.isin(slot, slots)]
-        found.append(points.reshape(-1, 3)[used] @ matrix[:3, :3].T + matrix[:3, 3])
-    return np.concatenate(found).astype(np.float64)
 
 
 def _sample(corners: NDArray[np.float64]) -> _Samples | None:
@@ -236,7 +236,9 @@ def _flat_lights(
     seen = _shown_sides(scene, samples, frame, eyes)
     front, back = (_free(scene, samples, side * frame.axes[2], CLEARANCE + frame.size[2]) for side in (1, -1))
     visible = [amount > SIDE_SHARE * max(seen) for amount in seen]
-    share = [float((front & (~back | visible[0])).mean()), float((back & (~front | visible[1])).mean())]
+    shining = np.stack([front & (~back | visible[0]), back & (~front | visible[1])])
+    rim = np.abs(samples.normals @ frame.axes[2]) < FLAT_COSINE  # has room to both sides and shines outward, once
+    share = (shining * np.where(rim & shining.all(0), 0.5, 1.0)).mean(1).tolist()
     single = np.linalg.norm(samples.normals.mean(0)) > SINGLE_LAYER
     if single or not max(share):  # bars and curtains close before a window take no light from it that they do not block
         share = [float(side) for side in visible]
@@ -267,6 +269,51 @@ def _ball_light(name: str, samples: _Samples) -> _Light:
     points = samples.corners.reshape(-1, 3)
     matrix = Matrix.Translation(((points.min(0) + points.max(0)) / 2).tolist())
     return data, matrix, area_light_energy(samples.area)
+
+
+def _bulb(name: str, metres_per_unit: float) -> bpy.types.Light:
+    """A point light of the size of a bulb."""
+    data = bpy.data.lights.new(f"{name} Light", "POINT")
+    data.shadow_soft_size = BULB_RADIUS / metres_per_unit
+    return data
+
+
+def _photometric(scene: bpy.types.Scene, material: bpy.types.Material) -> bpy.types.Light:
+    """A point light that shines as the photometric file of the lamp says.
+
+    Raises:
+        BadInput: nothing of the lamp is seen from anywhere.
+    """
+    content = cycles_ies(scene, material)
+    if content is None:
+        raise BadInput(f"{material.name} sends light nowhere", "replace it by an area light")
+    data = bpy.data.lights.new(f"{material.name} Light", "POINT")
+    data.shadow_soft_size = 0.0
+    data.use_nodes = True
+    text = bpy.data.texts.new(f"{material.name}.ies")
+    text.use_fake_user = False
+    text.from_string(content)
+    text[MADE] = True
+    tree = data.node_tree
+    node = tree.nodes.new("ShaderNodeTexIES")
+    node.mode, node.ies = "INTERNAL", text
+    node.location = (-200.0, 300.0)
+    emission = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeEmission")
+    tree.links.new(node.outputs["Fac"], emission.inputs["Strength"])
+    return data
+
+
+def _middle(lights: Sequence[_Light], before: float) -> Matrix:
+    """The middle of ``lights``, upright; of a single area light so many metres ``before`` it."""
+    place = sum((matrix.translation for _, matrix, _ in lights), Vector()) / len(lights)
+    if len(lights) == 1 and lights[0][0].type == "AREA":
+        place += before * (lights[0][1].to_3x3() @ Vector((0.0, 0.0, -1.0)))
+    return Matrix.Translation(place)
+
+
+def _ies_nodes(data: bpy.types.Light) -> list[bpy.types.Node]:
+    nodes = data.node_tree.nodes if data.node_tree is not None else ()
+    return [node for node in nodes if node.bl_idname == "ShaderNodeTexIES"]
 
 
 # ---- which side of a lamp is seen ----------------------------------------------------------------------------------
@@ -301,9 +348,15 @@ def _free(
     scene: bpy.types.Scene, samples: _Samples, direction: NDArray[np.float64], distance: float
 ) -> NDArray[np.bool_]:
     """(K,) whether nothing stands before a point on this side of the lamp."""
-    graph = _graph(scene)
+    graph, way = _graph(scene), Vector(direction)
     starts = samples.at + 1e-4 * direction
-    return np.array([not scene.ray_cast(graph, Vector(at), Vector(direction), distance=distance)[0] for at in starts])
+    # A ray along a face on the rim starts off it: from within the lamp it ends at once, from without it does not.
+    aside = GAP * (samples.normals - (samples.normals @ direction)[:, None] * direction)
+    free = [
+        any(not scene.ray_cast(graph, Vector(start), way, distance=distance)[0] for start in (at + off, at - off))
+        for at, off in zip(starts, aside, strict=True)
+    ]
+    return np.array(free)
 
 
 def _graph(scene: bpy.types.Scene) -> bpy.types.Depsgraph:

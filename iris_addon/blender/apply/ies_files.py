@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from ...base.errors import IrisError
 from ...base.files import atomic_write
-from ...edits.ies import ies_file, seen_areas
+from ...edits.ies import HORIZONTAL, ies_file, seen_areas
+from ...edits.light_units import LUMENS_PER_WATT
 from ...model.capture import HitDistance
 from ..scene_out.lamp_profile_nodes import profile_of
-from .area_lamps import lamp_triangles
+from .lamp_faces import lamp_triangles
 from .suggested_photos import tree_distance
 
 RELATIVE_LUMENS = 1000.0
@@ -55,12 +56,10 @@ def write_ies_files(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for lamp in shining:
-            corners = lamp_triangles(scene, lamp.material)
-            shape = corners, room, _lamp_distance(corners), profile_of(lamp.material)
-            areas = seen_areas(*shape) if len(corners) else np.zeros(0)
-            if not areas.any():
+            seen = _seen(scene, lamp.material, room)
+            if seen is None:
                 continue
-            size = np.ptp(corners.reshape(-1, 3), axis=0)
+            areas, size = seen
             text = ies_file(areas, scale * lamp.flux, size, lamp.material.name, note)
             path = folder / f"{bpy.path.clean_name(lamp.material.name)}.ies"
             if path in written:  # "a/b" and "a_b" are two lamps
@@ -71,6 +70,32 @@ def write_ies_files(
         what = f"the lamps cannot be written ({error.strerror or error})"
         raise IrisError(what, "free disk space or choose another place", folder) from error
     return written
+
+
+def cycles_ies(scene: bpy.types.Scene, material: bpy.types.Material) -> str | None:
+    """The photometric file of a lamp for Cycles' IES texture on a light of its flux; None where it sends light nowhere.
+
+    Cycles turns candela into watts at LUMENS_PER_WATT, and counts horizontal angles clockwise, seen from above, from -y
+    on. With so many lumens in the file, a light of some watts sends these watts.
+    """
+    seen = _seen(scene, material, _scene_distance(scene))
+    if seen is None:
+        return None
+    areas, size = seen
+    steps = len(HORIZONTAL) - 1  # the last is the first again
+    column = (3 * steps // 4 - np.arange(steps + 1)) % steps
+    return ies_file(areas[:, column], LUMENS_PER_WATT, size, material.name).replace("\r\n", "\n")
+
+
+def _seen(
+    scene: bpy.types.Scene, material: bpy.types.Material, room: HitDistance
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """The seen areas (V, H) of a lamp and its size (3,); None where it is seen from nowhere."""
+    corners = lamp_triangles(scene, material)
+    if not len(corners):
+        return None
+    areas = seen_areas(corners, room, _lamp_distance(corners), profile_of(material))
+    return (areas, np.ptp(corners.reshape(-1, 3), axis=0)) if areas.any() else None
 
 
 def _lamp_distance(corners: NDArray[np.floating]) -> HitDistance:

@@ -116,6 +116,13 @@ def own_looks(scene: bpy.types.Scene) -> list[str]:
     return list(dict.fromkeys(name for kind in (STATE_LOOKS, OWN_LOOKS) for name in (scene.get(kind) or {}).keys()))  # noqa: SIM118 - Blender's
 
 
+def kept_look_of(scene: bpy.types.Scene, name: str) -> tuple[SavedLook | None, Any]:
+    """The look of :func:`own_looks` under ``name``: the artist's own, and that of a light state; None for what is
+    not there."""
+    saved = (scene.get(OWN_LOOKS) or {}).get(name)
+    return None if saved is None else json.loads(saved), (scene.get(STATE_LOOKS) or {}).get(name)
+
+
 def save_look(scene: bpy.types.Scene, name: str) -> SavedLook:
     """Keep how the lights of ``scene`` are set as a look of the artist's own, in place of one of that name."""
     look = look_of(scene)
@@ -128,10 +135,10 @@ def save_look(scene: bpy.types.Scene, name: str) -> SavedLook:
 
 def set_own_look(scene: bpy.types.Scene, name: str) -> None:
     """Set the lights of ``scene`` as in a look of :func:`own_looks`; what the artist has rebuilt stays as it is."""
-    if name in (scene.get(OWN_LOOKS) or {}):
-        show_look(scene, json.loads(scene[OWN_LOOKS][name]))
+    saved, look = kept_look_of(scene, name)
+    if saved is not None:
+        show_look(scene, saved)
         return
-    look = scene[STATE_LOOKS][name]
     for material in lamp_materials(scene.objects):
         state = look["lamps"].get(str(material[LAMP_ID]))
         if state is None:

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -110,13 +111,28 @@ def apply_steps(result: Result, runs: Sequence[FaceRun], scene: bpy.types.Scene,
     images = images_of(materials)
     for block in (*made, *images):  # those of an earlier result, which had the names, are gone
         block.name = NUMBERED.sub("", block.name)
-    for (run, thing), (data, as_solved) in zip(pairs, meshes, strict=True):
-        _use_mesh(run, thing, data, as_solved)
-    _light_up(result, runs, scene, key, materials)
-    for block in (*materials, *images):
         block[MADE] = key
+    keep_scene(scene)
     scene[APPLIED] = key
+    with _restored_on_failure(scene, key):
+        for (run, thing), (data, as_solved) in zip(pairs, meshes, strict=True):
+            _use_mesh(run, thing, data, as_solved)
+        _light_up(result, runs, scene, key, materials)
     return True
+
+
+@contextmanager
+def _restored_on_failure(scene: bpy.types.Scene, key: str) -> Iterator[None]:
+    """Take a result that could be applied only in part off ``scene`` again, with what was made for it inside."""
+    kinds = "objects", "collections", "meshes", "lights", "worlds", "materials", "images"
+    before = {block for kind in kinds for block in getattr(bpy.data, kind)}
+    try:
+        yield
+    except BaseException:
+        for block in {block for kind in kinds for block in getattr(bpy.data, kind)} - before:
+            block[MADE] = key
+        restore(scene)
+        raise
 
 
 def _light_up(
@@ -124,7 +140,6 @@ def _light_up(
 ) -> None:
     """World, backdrop, sun and view settings of ``scene``."""
     before = {*bpy.data.materials, *bpy.data.images}
-    keep_scene(scene)
     to_blender = np.array(scene.objects[runs[0].object].matrix_world) @ np.linalg.inv(runs[0].to_capture)
     scene.world = make_world(result.outside, 1.0, to_blender[:3, :3] / np.cbrt(np.linalg.det(to_blender[:3, :3])))
     if result.backdrop is not None:
@@ -246,7 +261,6 @@ def _shade_as_solved(data: bpy.types.Mesh, mesh: Mesh, run: FaceRun) -> None:
 
 def _use_mesh(run: FaceRun, thing: bpy.types.Object, data: bpy.types.Mesh, as_solved: bool) -> None:
     """Give ``thing`` the mesh ``data`` of :func:`_mesh_steps`."""
-    data[MADE] = True
     if run.instance or thing.type != "MESH":
         _stand_in(thing, data, run)
         return
@@ -378,7 +392,7 @@ def _remove_made(scene: bpy.types.Scene) -> None:
     """Remove the stand-ins of ``scene``, and data that :func:`apply_to_objects` made and nothing uses any more."""
     bpy.data.batch_remove([thing for thing in scene.objects if MADE in thing])
     bpy.data.batch_remove([group for group in scene.collection.children if MADE in group and not group.all_objects])
-    for kind in ("meshes", "lights", "cameras", "worlds", "materials", "images"):  # users before what they use
+    for kind in ("meshes", "lights", "cameras", "worlds", "materials", "images", "texts"):  # users before what they use
         made = [block for block in getattr(bpy.data, kind) if MADE in block]
         if kind == "materials":  # the list of lamps, which a scene has, does not use its material for anything
             users = bpy.data.user_map(subset=made)

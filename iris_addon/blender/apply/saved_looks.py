@@ -72,12 +72,10 @@ def look_of(scene: bpy.types.Scene) -> SavedLook:
 
 def show_look(scene: bpy.types.Scene, look: Mapping[str, Any]) -> None:
     """Set the lights of ``scene`` as ``look`` has them; what the artist has rebuilt stays as it is."""
-    by_name = {lamp["name"]: lamp for lamp in look.get("named", ())}
-    by_id = {lamp["id"]: lamp for lamp in look.get("named", ()) if "id" in lamp}
     for material in filter(is_plain, lamp_materials(scene.objects)):
-        lamp = by_name.get(material.name) or by_id.get(int(material[LAMP_ID])) or look.get("lamps")
+        lamp = setting_of(look, material)
         if lamp is not None:
-            set_lamp(material, _setting(lamp, material[RECOVERED]))
+            set_lamp(material, light_setting(lamp, material[RECOVERED]))
     outside = sky_strength(scene.world)
     if outside is not None and "outside" in look:
         outside.default_value = look["outside"]
@@ -88,13 +86,20 @@ def show_look(scene: bpy.types.Scene, look: Mapping[str, Any]) -> None:
     show_state(scene, state if state in state_names(scene) else None)
 
 
+def setting_of(look: Mapping[str, Any], material: bpy.types.Material) -> Mapping[str, Any] | None:
+    """What ``look`` says of the lamp of ``material``: by its name, else its id, else what most have; None without."""
+    named = look.get("named", ())
+    by_name = next((lamp for lamp in named if lamp["name"] == material.name), None)
+    return by_name or next((lamp for lamp in named if lamp.get("id") == material[LAMP_ID]), look.get("lamps"))
+
+
 def _show_sun(sun: bpy.types.Object, look: Mapping[str, Any]) -> None:
     """Set the sun; where the room of the look had none, it shines as the rest of the light from outside."""
     shown = look.get("sun")
     if shown is None:
         set_sun(sun, 0.0 if look.get("overcast") else look.get("outside", 1.0))
         return
-    on, sun.data.energy, sun.data.color = _setting(shown, sun[RECOVERED])
+    on, sun.data.energy, sun.data.color = light_setting(shown, sun[RECOVERED])
     sun.hide_render = sun.hide_viewport = not on
     sun.matrix_basis = Quaternion(shown.get("turn", sun[RECOVERED_TURN])).to_matrix().to_4x4()
 
@@ -110,7 +115,7 @@ def _described(setting: LampSetting, recovered: NDArray[np.float64]) -> dict[str
     return described
 
 
-def _setting(described: Mapping[str, Any], recovered: NDArray[np.float64]) -> LampSetting:
+def light_setting(described: Mapping[str, Any], recovered: NDArray[np.float64]) -> LampSetting:
     """What :func:`_described` described, of a light of which (3,) ``recovered`` was recovered."""
     top, tint = _level_and_color(recovered)
     level = described["radiance"] if "radiance" in described else described["strength"] * top

@@ -11,11 +11,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...base.color_spaces import ColorSpace
+from ...base.exr_planes import layer_channels, write_exr_planes
 from ...edits.scene_edit import SceneEdit
 from ...model.capture import Camera
 from ...model.render_settings import RenderSettings
@@ -230,6 +233,37 @@ def change_light(
     covered = changed.covered[..., None]
     shown = np.maximum(changed.with_edit * exposure + (1 - covered) * (light - without), 0.0)
     return np.where(covered > 0, shown, beside)
+
+
+def no_change(changed: Differential) -> Differential:
+    """The same view without the edit."""
+    return replace(changed, change=0 * changed.change, covered=0 * changed.covered)
+
+
+def write_layers(
+    path: Path,
+    radiance: NDArray[np.floating],
+    plate: NDArray[np.floating],
+    covered: NDArray[np.floating],
+    space: ColorSpace | None,
+) -> None:
+    """Write a picture with an edit in it and what it is made of as one EXR, a layer each, for compositing.
+
+    ``plate · (1 − object.A) + catcher + object`` is the picture. The catcher is light that the objects take (negative)
+    or add beside them, the object is premultiplied.
+
+    Args:
+        radiance: (H, W, 3) of the picture, linear Rec.709.
+        plate: (H, W, 3) the same without the edit.
+        covered: (H, W) share of each pixel that inserted objects cover.
+        space: to convert to; None for Rec.709.
+
+    Raises:
+        IrisError: the file cannot be written.
+    """
+    alpha = covered[..., None]
+    layers = {"": radiance, "plate": plate, "catcher": (1 - alpha) * (radiance - plate), "object": alpha * radiance}
+    write_exr_planes(path, layer_channels(layers, {"object": covered}, space), space)
 
 
 def coverage(scene: bpy.types.Scene, room: Iterable[bpy.types.Object]) -> NDArray[np.float32]:

@@ -12,6 +12,7 @@ from ...edits.scene_edit import Material, Placement, Primitive, Shape
 from ...model.capture import Mesh
 from ..scene_in.scene_capture import read_scene_mesh
 from ..scene_out.placing import Room, add_object, corners_of, placement_matrix
+from ..stepwise import Steps
 
 SIZE = 0.3
 """Initial width of a new shape, metres."""
@@ -27,28 +28,40 @@ SHAPES: dict[str, tuple[str, Shape, Material]] = {
 class DraggedObject:
     """An object on its way, with its children; whatever else renders is the room it is placed in."""
 
-    def __init__(
-        self, thing: bpy.types.Object, context: bpy.types.Context, made: Sequence[bpy.types.Object] = ()
-    ) -> None:
+    def __init__(self, thing: bpy.types.Object, room: Room, unit: float, made: Sequence[bpy.types.Object] = ()) -> None:
+        """``thing`` on its way through ``room``.
+
+        Args:
+            room: in metres.
+            unit: metres per unit of the scene.
+            made: objects that :meth:`cancel` removes.
+        """
+        self._thing, self._before, self._made = thing, thing.matrix_world.copy(), list(made)
+        self._room, self._unit = room, unit
+        to_own = np.array(Matrix.Scale(unit, 4) @ self._before.inverted_safe())
+        own = {thing, *thing.children_recursive}
+        self._corners = corners_of(own) @ to_own[:3, :3].T + to_own[:3, 3]
+
+    @classmethod
+    def pick_up(
+        cls, thing: bpy.types.Object, context: bpy.types.Context, made: Sequence[bpy.types.Object] = ()
+    ) -> Steps[DraggedObject]:
         """Pick up ``thing``; ``made`` are objects that :meth:`cancel` removes.
 
         Raises:
             BadInput: the scene has no surface on which it could stand.
         """
-        self._thing, self._before, self._made = thing, thing.matrix_world.copy(), list(made)
         own = {thing, *thing.children_recursive}
-        room = read_scene_mesh(
-            context.evaluated_depsgraph_get(), [other for other in context.scene.objects if other not in own]
-        )
-        self._unit = float(context.scene.unit_settings.scale_length)
-        self._room = Room(Mesh(room.mesh.vertices * self._unit, room.mesh.faces), (0.0, 0.0, 1.0))
-        self._room.prepare()
-        to_own = np.array(Matrix.Scale(self._unit, 4) @ self._before.inverted_safe())
-        self._corners = corners_of(own) @ to_own[:3, :3].T + to_own[:3, 3]
+        others = [other for other in context.scene.objects if other not in own]
+        seen = read_scene_mesh(context.evaluated_depsgraph_get(), others)
+        unit = float(context.scene.unit_settings.scale_length)
+        room = Room(Mesh(seen.mesh.vertices * unit, seen.mesh.faces), (0.0, 0.0, 1.0))
+        yield from room.search_trees()
+        return cls(thing, room, unit, made)
 
     @classmethod
-    def from_shape(cls, key: str, context: bpy.types.Context) -> DraggedObject:
-        """A new object of :data:`SHAPES`; raises BadInput as the constructor does."""
+    def from_shape(cls, key: str, context: bpy.types.Context) -> Steps[DraggedObject]:
+        """Pick up a new object of :data:`SHAPES`; raises BadInput as :meth:`pick_up` does."""
         name, shape, material = SHAPES[key]
         size = SIZE / float(context.scene.unit_settings.scale_length)
         empty = Room(Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64)), (0.0, 0.0, 1.0))
@@ -56,7 +69,7 @@ class DraggedObject:
         made = add_object(primitive, name, empty, context.collection)
         context.view_layer.update()
         try:
-            return cls(made[0], context, made)
+            return (yield from cls.pick_up(made[0], context, made))
         except BaseException:
             _remove(made)
             raise

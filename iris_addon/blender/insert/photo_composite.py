@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...base.color_spaces import ColorSpace
 from ...base.errors import BadInput
 from ...model.device import Device
 from ...model.render_settings import RenderSettings
@@ -26,7 +28,7 @@ from ..render.light_mixing import APART
 from ..scene_out.lights import as_recovered, lamp_materials
 from ..scene_out.world import is_gray, set_gray, sky_strength
 from ..version import single_layer_exr
-from .differential import Differential, change_photo, render_differential, render_halves
+from .differential import Differential, change_photo, no_change, render_differential, render_halves, write_layers
 
 RENDERED = ("MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME", "LIGHT")
 """Types of objects that one sees in a render."""
@@ -140,17 +142,40 @@ def write_copy(scene: bpy.types.Scene, path: Path) -> None:
     write_whole(path, lambda part: bpy.data.libraries.write(str(part), {scene}, path_remap="ABSOLUTE", compress=True))
 
 
+def write_room_copy(scene: bpy.types.Scene, path: Path) -> None:
+    """Write the room of ``scene`` by its recovered light, without what was added to it; raises IrisError."""
+    with as_photographed(scene):
+        write_copy(scene, path)
+
+
+@dataclass(frozen=True)
+class CompositeFiles:
+    """What a composite is read from and written to.
+
+    Attributes:
+        blend: the artist's scene.
+        photo: undistorted, as the camera saw it.
+        out: the PNG.
+        layers: the EXR of layers (:func:`~.differential.write_layers`); None for none.
+        space: of these; None for Rec.709.
+    """
+
+    blend: Path
+    photo: Path
+    out: Path
+    layers: Path | None = None
+    space: ColorSpace | None = None
+
+
 def composite_file(
-    blend: Path,
-    photo: Path,
-    out: Path,
+    files: CompositeFiles,
     device: Device,
     exposure: NDArray[np.floating],
     settings: RenderSettings,
     light_state: str | None = None,
     on_step: Callable[[int], None] = lambda done: None,
 ) -> None:
-    """:func:`composite` of the scene in ``blend`` onto the file ``photo``, as the PNG ``out``. Opens ``blend``.
+    """:func:`composite` of ``files``; opens their scene.
 
     Args:
         device: the camera that took the photo.
@@ -159,12 +184,17 @@ def composite_file(
 
     Raises:
         BadInput: a file cannot be read, or for the reasons of :func:`composite`.
-        IrisError: ``out`` cannot be written.
+        IrisError: a picture cannot be written.
     """
-    scene = open_scene(blend)
-    pixels = read_image(photo)
+    scene = open_scene(files.blend)
+    pixels, response = read_image(files.photo), device.response
     local_exposure = exposure * device.gain(pixels)
-    write_png(out, composite(scene, pixels, device.response, local_exposure, settings, light_state, on_step))
+    changed = additions(scene, pixels.shape, settings, light_state, on_step)
+    display, radiance = change_photo(pixels, changed, response, local_exposure)
+    if files.layers is not None:
+        plate = change_photo(pixels, no_change(changed), response, local_exposure)[1]
+        write_layers(files.layers, radiance, plate, changed.covered, files.space)
+    write_png(files.out, display)
 
 
 def open_scene(blend: Path) -> bpy.types.Scene:

@@ -8,21 +8,30 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...base.color_spaces import ColorSpace
 from ...base.errors import BadInput
 from ...model.device import Device
 from ...model.render_settings import RenderSettings
 from ...response.matching import match_exposure
-from .differential import change_light, change_photo
+from .differential import change_light, change_photo, no_change, write_layers
 from .photo_composite import additions, write_png, write_radiance
 from .plate import plate_picture, read_plate
 
 MAX_ASPECT_ERROR = 0.005
 """Relative, between the shape of the plate and that of the scene's renders: a pixel in 200."""
+
+
+class FrameLayers(NamedTuple):
+    """An EXR of layers (:func:`~.differential.write_layers`) and its color space, None for Rec.709."""
+
+    path: Path
+    space: ColorSpace | None
 
 
 @dataclass(frozen=True)
@@ -46,6 +55,7 @@ def composite_frame(
     device: Device,
     settings: RenderSettings,
     light_state: str | None = None,
+    layers: FrameLayers | None = None,
 ) -> CompositedFrame:
     """Write the frame ``frame`` of the plate of ``scene`` with what was added to the room as ``out``.
 
@@ -55,6 +65,7 @@ def composite_frame(
         device: the camera of the plate.
         out: .exr of radiance for plates of radiance, else .png.
         light_state: in which the plate was filmed, of a room that was photographed in several.
+        layers: that are written as well; None for none.
 
     Raises:
         BadInput: the plate has no such frame, or one of another shape than the scene renders, or the scene does not
@@ -69,9 +80,17 @@ def composite_frame(
     gain = np.ones(1) if photo.hdr else device.gain(values)
     exposure = match_exposure(changed.without, photo, device.response, gain)
     if photo.hdr:
-        write_radiance(out, change_light(values, changed, exposure), scene)
+        plate, radiance = values, change_light(values, changed, exposure)
     else:
-        write_png(out, change_photo(values, changed, device.response, gain * exposure)[0])
+        (display, radiance), (_, plate) = (
+            change_photo(values, change, device.response, gain * exposure) for change in (changed, no_change(changed))
+        )
+    if layers is not None:
+        write_layers(layers.path, radiance, plate, changed.covered, layers.space)
+    if photo.hdr:
+        write_radiance(out, radiance, scene)
+    else:
+        write_png(out, display)
     return CompositedFrame(picture, exposure, bool(changed.covered.any()))
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.errors import IrisError
+from ...base.exr_planes import read_exr_planes
 from ...edits.light_shares import LightShares
 from ...edits.scene_edit import OUTSIDE, SceneEdit
 from ...model.capture import Camera
@@ -55,7 +56,7 @@ def render_light_shares(
         sun = [] if built.sun is None else [built.sun]
         names = group_lights(built.scene, [*built.lamps, *sun, *built.lights, *built.inserted])
         look_through(built.scene, camera, add_camera(camera, "IRIS View", built.scene.collection))
-        return _render_shares(built.scene, names, settings.denoise and can_denoise())
+        return grouped_shares(built.scene, names, settings.denoise and can_denoise())
     finally:
         built.free()
 
@@ -158,9 +159,8 @@ def mixed_picture(scene: bpy.types.Scene, tree: bpy.types.NodeTree, names: Seque
 # ---- pixels --------------------------------------------------------------------------------------------------------
 
 
-def _render_shares(scene: bpy.types.Scene, names: Sequence[str], denoise: bool) -> LightShares:
-    import OpenEXR  # absent from Blender's own Python
-
+def grouped_shares(scene: bpy.types.Scene, names: Sequence[str], denoise: bool) -> LightShares:
+    """The picture of ``scene`` from its active camera, with the share of each light group of ``names``."""
     scene.view_layers[0].cycles.denoising_store_passes = denoise
     with tempfile.TemporaryDirectory(prefix="iris-") as folder, multilayer_exr(scene.render.image_settings):
         path = Path(folder) / "shares.exr"
@@ -168,9 +168,7 @@ def _render_shares(scene: bpy.types.Scene, names: Sequence[str], denoise: bool) 
         bpy.data.images["Render Result"].save_render(str(path), scene=scene)
         if not path.is_file():
             raise IrisError("Cycles gave no image", "look at Blender's console for the reason, often memory")
-        # Blender 5.0 and later write one part per pass, earlier versions one part with all passes.
-        parts = OpenEXR.File(str(path), separate_channels=True).parts
-        channels = {name: channel.pixels for part in parts for name, channel in part.channels.items()}
+        channels = read_exr_planes(path)
     shares = {name: _pick(channels, f"Combined_{name}") for name in names}
     if denoise:
         guides = _pick(channels, "Denoising Albedo"), _pick(channels, "Denoising Normal", "XYZ")

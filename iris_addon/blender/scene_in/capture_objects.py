@@ -6,6 +6,7 @@ knows is imported in the same way, with only Blender's own Python and numpy.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ from ...base.untrusted import decoding, finite, json_object, numbers, read_array
 from ...model.capture import Camera, Mesh
 from ..apply.on_objects import APPLIED, ORIGINAL_MESH, restore
 from ..apply.photo_cameras import METRES_PER_UNIT, forget_given_pose
+from ..apply.review import KIND
 from ..camera import add_camera, look_through, set_lens
 from ..scene_out.build import corner_vertices, mesh_steps
 from ..scene_out.scene_state import require_object_mode
@@ -30,6 +32,9 @@ COLLECTION = "IRIS Capture"
 VIEW, INSTEAD = "iris_view", "iris_instead"
 """Custom properties of the camera data of a photo: its name, which Blender may have numbered in that of the object, and
 the image that is shown in its place."""
+
+REVIEWED = re.compile(r"[\\/](report[\\/][^\\/]+-(photo|render|error)|onto-photos[\\/][^\\/]+)\.png$")
+"""Files of pictures that are shown in place of a photo."""
 
 CAMERA_SHARE, ANCHOR_SHARE = 0.02, 0.05
 """Size of a drawn camera, and of the axes of the capture, as shares of the room's longest side: of five metres, 0.1 and
@@ -43,6 +48,7 @@ class InspectedView:
     Attributes:
         shift: offset of the photo's edges from those of the mesh, pixels, where ``verdict`` is "shifted".
         problem: why the photo should be looked at, empty where it need not be.
+        metered: luminance that it was exposed for by its EXIF, cd/m²; None where that does not say.
     """
 
     name: str
@@ -57,6 +63,7 @@ class InspectedView:
     verdict: str
     problem: str
     light_state: str = ""
+    metered: float | None = None
 
 
 @dataclass(frozen=True)
@@ -118,6 +125,7 @@ def _view(row: dict[str, Any], path: Path) -> InspectedView:
             verdict=str(alignment["verdict"]),
             problem=str(row.get("problem", "")),  # missing in checks of older versions, as is "light_state"
             light_state=str(row.get("light_state", "")),
+            metered=None if row.get("metered") is None else float(row["metered"]),
         )
 
 
@@ -271,11 +279,9 @@ def show_photo(camera: bpy.types.Object, photo: Path, alpha: float = 0.5) -> Non
 
 def show_instead(camera: bpy.types.Object, image: bpy.types.Image | None) -> None:
     """Show ``image`` in place of the photo of ``camera``; None shows the photo again; other pictures stay."""
-    photo, shown, before = background_of(camera), camera.data.background_images, camera.data.get(INSTEAD)
-    for behind in reversed(shown):
-        if before is not None and behind.image == before and behind != photo:
-            shown.remove(behind)
-            break
+    photo, shown = background_of(camera), camera.data.background_images
+    for behind in _instead(camera):
+        shown.remove(behind)
     camera.data.pop(INSTEAD, None)
     if image is not None:
         instead = shown.new()
@@ -284,6 +290,25 @@ def show_instead(camera: bpy.types.Object, image: bpy.types.Image | None) -> Non
         camera.data[INSTEAD] = image
     if photo is not None:
         photo.show_background_image = image is None
+
+
+def _instead(camera: bpy.types.Object) -> list[bpy.types.CameraBackgroundImage]:
+    """The pictures of ours that ``camera`` shows in place of its photo, also those of a file that an earlier version
+    saved without a word on them."""
+    photo, known = background_of(camera), camera.data.get(INSTEAD)
+    shown = [behind for behind in camera.data.background_images if behind.image is not None and behind != photo]
+    return [
+        behind
+        for behind in shown
+        if behind.image == known or KIND in behind.image or REVIEWED.search(behind.image.filepath)
+    ]
+
+
+def fade_photo(camera: bpy.types.Object, alpha: float) -> None:
+    """Set the opacity of the photo of ``camera`` and of what is shown in its place; other pictures stay."""
+    photo = background_of(camera)
+    for behind in (*_instead(camera), *([] if photo is None else [photo])):
+        behind.alpha = alpha
 
 
 def photo_of(camera: bpy.types.Object) -> bpy.types.Image | None:

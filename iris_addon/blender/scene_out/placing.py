@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from contextlib import redirect_stderr, redirect_stdout
-from functools import cached_property
 from io import StringIO
+from typing import Any, TypeAlias
 
 import bmesh
 import bpy
@@ -22,6 +22,7 @@ from ...base.glb_chunks import check_announced, read_chunks
 from ...base.untrusted import decoding, open_file
 from ...edits.scene_edit import ObjectFile, Placement, Primitive
 from ...model.capture import Mesh
+from ..stepwise import Steps, finish
 from ..version import require_build_option, require_gltf
 from .materials import sphere_material
 
@@ -32,6 +33,11 @@ NORMAL_RADIUS, NORMAL_MIN_COSINE = 0.06, 0.7
 this cosine with that of the face hit."""
 DROP_LIFT = 1e-2
 """Distance by which an object is lifted before it drops, metres: it may have been placed just below a surface."""
+TREE_FACES = 100_000
+"""Faces of one search tree, which is built in a fifth of a second; a scan has a million."""
+
+Found: TypeAlias = tuple[Any, Any, Any, Any]
+"""What a search tree finds: point, normal, face and distance, or four times None."""
 
 
 class Room:
@@ -43,38 +49,51 @@ class Room:
 
     def __init__(self, mesh: Mesh, up: tuple[float, float, float]) -> None:
         self.mesh, self.up = mesh, Vector(up)
+        self._trees: list[BVHTree] = []  # each of TREE_FACES faces, in their order
 
-    @cached_property
-    def _tree(self) -> BVHTree:
-        return BVHTree.FromPolygons(self.mesh.vertices.tolist(), self.mesh.faces.tolist(), all_triangles=True)
-
-    def prepare(self) -> None:
-        """Build the search tree now, which takes seconds for a million triangles, and not with the first ray."""
-        _ = self._tree
+    def search_trees(self) -> Steps[None]:
+        """Build now what is searched, which takes seconds for a million triangles, and not with the first ray."""
+        for start in range(len(self._trees) * TREE_FACES, len(self.mesh.faces), TREE_FACES):
+            yield "reading the room"
+            used, corners = np.unique(self.mesh.faces[start : start + TREE_FACES], return_inverse=True)
+            faces = corners.reshape(-1, 3).tolist()
+            self._trees.append(BVHTree.FromPolygons(self.mesh.vertices[used].tolist(), faces, all_triangles=True))
 
     def along(self, origin: Vector, direction: Vector) -> tuple[Vector, Vector] | None:
         """Point and normal (towards ``origin``) of the first surface along a ray, or None."""
-        point, normal, _face, _distance = self._tree.ray_cast(origin, direction)
-        return (
-            None
-            if point is None
-            else (point, self._mean_normal(point, -normal if normal.dot(direction) > 0 else normal))
-        )
+        hit = _first(tree.ray_cast(origin, direction) for tree in self._searched())
+        if hit is None:
+            return None
+        point, normal = hit
+        return point, self._mean_normal(point, -normal if normal.dot(direction) > 0 else normal)
 
     def nearest(self, at: Vector) -> tuple[Vector, Vector]:
-        """Nearest point of the room and the normal there, towards ``at``."""
-        point, normal, _face, _distance = self._tree.find_nearest(at)
+        """Nearest point of the room and the normal there, towards ``at``; the room must have a face."""
+        found = _first(tree.find_nearest(at) for tree in self._searched())
+        assert found is not None
+        point, normal = found
         return point, self._mean_normal(point, -normal if normal.dot(at - point) < 0 else normal)
 
     def _mean_normal(self, at: Vector, normal: Vector) -> Vector:
         """The mean normal of the surface around ``at``: single faces of a scan are noisy."""
         mean = normal * 1e-9  # an isolated face keeps its own normal
-        for _point, other, face, _distance in self._tree.find_nearest_range(at, NORMAL_RADIUS):
-            a, b, c = (Vector(self.mesh.vertices[k]) for k in self.mesh.faces[face])
-            other = -other if other.dot(normal) < 0 else other
-            if other.dot(normal) > NORMAL_MIN_COSINE:
-                mean += other * (b - a).cross(c - a).length
+        for k, tree in enumerate(self._searched()):
+            for _point, other, face, _distance in tree.find_nearest_range(at, NORMAL_RADIUS):
+                a, b, c = (Vector(self.mesh.vertices[v]) for v in self.mesh.faces[k * TREE_FACES + face])
+                other = -other if other.dot(normal) < 0 else other
+                if other.dot(normal) > NORMAL_MIN_COSINE:
+                    mean += other * (b - a).cross(c - a).length
         return mean.normalized()
+
+    def _searched(self) -> list[BVHTree]:
+        finish(self.search_trees())
+        return self._trees
+
+
+def _first(found: Iterable[Found]) -> tuple[Vector, Vector] | None:
+    """Point and normal of the nearest of what search trees have found; None where none found anything."""
+    nearest = min((one for one in found if one[3] is not None), key=lambda one: one[3], default=None)
+    return None if nearest is None else (nearest[0], nearest[1])
 
 
 def add_object(

@@ -23,7 +23,7 @@ from ...base.files import write_json
 from ...base.untrusted import read_json
 from .process import ADDON, Worker
 
-JobName = Literal["inspect", "solve", "composite", "plate", "probe", "farm", "environment", "test"]
+JobName = Literal["inspect", "solve", "composite", "plate", "probe", "meter", "looks", "farm", "environment", "test"]
 MAX_RECORD_BYTES = 1 << 20
 State = Literal["missing", "running", "done", "failed", "cancelled", "interrupted"]
 
@@ -249,17 +249,42 @@ def _unit(metres_per_unit: float) -> list[str]:
     return ["--metres-per-unit", f"{metres_per_unit:.9g}"] if metres_per_unit > 0 else []
 
 
+@dataclass(frozen=True)
+class CompositeOptions:
+    """How additions are composited.
+
+    Attributes:
+        samples: paths per pixel.
+        light_state: of the photo or plate; "" where the room has one, or the result knows it.
+        layers: whether an EXR of layers is written beside each picture.
+        acescg: whether these are in ACEScg.
+    """
+
+    samples: int
+    light_state: str = ""
+    layers: bool = False
+    acescg: bool = False
+
+    def words(self) -> list[str]:
+        """On the command line."""
+        found = ["--samples", str(self.samples)]
+        if self.light_state:
+            found += ["--light-state", self.light_state]
+        if self.layers:
+            found += ["--layers", *(["--acescg"] if self.acescg else [])]
+        return found
+
+
 def composite_command(
-    blender: str, blend: Path, result: Path, photo: Path, view: str, out: Path, samples: int, light_state: str = ""
+    blender: str, blend: Path, result: Path, photo: Path, view: str, out: Path, options: CompositeOptions
 ) -> list[str]:
     """Composite the additions to the room of ``blend`` onto ``photo``, as the picture ``out``.
 
     Args:
         blender: path of the program; empty where Blender is a module of this Python.
-        light_state: of the photo; "" where the room has one, or the result knows it.
     """
     files = _absolute(blend, "--result", result, "--photo", photo, "--view", view, "--out", out)
-    return [*_in_blender(blender), "composite", *files, "--samples", str(samples), *_lit(light_state), *JSON_LINES]
+    return [*_in_blender(blender), "composite", *files, *options.words(), *JSON_LINES]
 
 
 def plate_command(
@@ -268,25 +293,20 @@ def plate_command(
     result: Path,
     out: Path,
     frames: str,
-    samples: int,
-    light_state: str = "",
+    options: CompositeOptions,
     *,
     resume: bool,
 ) -> list[str]:
     """Composite the additions to the room of ``blend`` onto ``frames`` of the plate behind its camera, into the folder
     ``out``; ``blender`` as above."""
-    options = ["--frames", frames, "--samples", str(samples), *(["--resume"] if resume else []), *_lit(light_state)]
     return [
         *_in_blender(blender),
         "composite",
         *_absolute(blend, "--result", result, "--out", out),
-        *options,
+        *["--frames", frames, *(["--resume"] if resume else [])],
+        *options.words(),
         *JSON_LINES,
     ]
-
-
-def _lit(light_state: str) -> list[str]:
-    return ["--light-state", light_state] if light_state else []
 
 
 def probe_command(
@@ -295,6 +315,13 @@ def probe_command(
     """Render the light at the point ``at`` of the room of ``blend`` as the panorama ``out``; ``blender`` as above."""
     sampling = ["--at", *(f"{value:.6f}" for value in at), "--width", str(width), "--samples", str(samples)]
     return [*_in_blender(blender), "probe", *_absolute(blend, "--out", out), *sampling, *JSON_LINES]
+
+
+def looks_command(blender: str, blend: Path, out: Path, width: int, samples: int) -> list[str]:
+    """Render the share of every light in the view of the room of ``blend`` into the archive ``out``; ``blender`` as
+    above."""
+    sampling = ["--width", str(width), "--samples", str(samples)]
+    return [*_in_blender(blender), "looks", *_absolute(blend, "--out", out), *sampling, *JSON_LINES]
 
 
 def farm_command(job_file: Path, bundle: Path) -> list[str]:
