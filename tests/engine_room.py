@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -273,3 +274,20 @@ def observe_off_edges(
     pixel = (np.zeros(len(z)) if pixel is None else pixel).astype(np.int32)
     shown = patch.astype(np.int32), view.astype(np.int16), pixel, widths, z.astype(np.float32)
     return observe(*shown, mixed, False, rng)
+
+
+def repainted(
+    capture: Capture, tracer: Tracer, shade: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray], folder: Path
+) -> Capture:
+    """``capture`` with photos in ``folder`` of the display value (n,) that ``shade`` gives to points (n, 3), seen along
+    unit directions (n, 3), of surfaces of normals (n, 3)."""
+    views = []
+    for view in capture.views:
+        origin, direction = view.camera.rays()
+        hits = tracer.closest(origin, direction)
+        value = shade(origin + direction * hits.distance[:, None], direction, tracer.normals[hits.face])
+        path = folder / f"{view.name}.png"
+        picture = (255 * np.repeat(value.reshape(view.camera.height, view.camera.width, 1), 3, -1)).astype(np.uint8)
+        write_png(path, picture)
+        views.append(replace(view, photo=path))
+    return replace(capture, views=tuple(views))

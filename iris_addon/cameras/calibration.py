@@ -2,7 +2,9 @@
 
 Each photo is projected onto the mesh; where cameras are wrong, photos of the same place disagree. The disagreement is
 measured on small cells of the surface, after a gain per photo, and minimised over five numbers that all photos share.
-On correct cameras the minimum lies near no correction, and the acceptance gain keeps them as they are.
+On correct cameras the minimum lies near no correction, and the acceptance gain keeps them as they are. In a room of
+plain and polished surfaces it may lie anywhere; there the local contrast of the photos, by which single poses are
+registered, says that the given cameras are better.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from ..model.capture import Camera, Capture, View
 from ..model.corrections import CameraCorrection
 from ..model.light_states import LightStates
 from ..rays.tracer import Tracer
+from .registration import disagreement_of_cameras
 
 TRIAL_RAYS = 120_000
 """Rays over all photos that one trial traces."""
@@ -75,11 +78,19 @@ class Calibration:
 
 
 def calibrate(
-    capture: Capture, tracer: Tracer, progress: Progress, decisions: Decisions | None = None
+    capture: Capture,
+    tracer: Tracer,
+    rng: np.random.Generator,
+    progress: Progress,
+    decisions: Decisions | None = None,
 ) -> tuple[Capture, Calibration]:
-    """The capture with its training cameras corrected, if held-out pixels bear the correction out.
+    """The capture with its training cameras corrected, if held-out pixels and the contrast of points bear that out.
 
     Only captures of one undistorted camera are corrected: other cameras were calibrated with their poses.
+
+    Args:
+        rng: picks the points whose contrast is compared.
+        decisions: where the correction is decided.
 
     Raises:
         BadInput: a photo cannot be read.
@@ -116,9 +127,13 @@ def calibrate(
     if not np.isfinite([before, after]).all():
         return capture, Calibration(None, 0.0)
     gain = 1 - after / max(before, 1e-9)
-    if not (decisions or Decisions()).accept("cameras", before, after):
-        return capture, Calibration(None, gain)
-    return replace(capture, views=tuple(found.view(view) for view in capture.views)), Calibration(found, gain)
+    decisions = decisions or Decisions()
+    corrected = replace(capture, views=tuple(found.view(view) for view in capture.views))
+    accepted = decisions.accept("cameras", before, after)
+    if accepted and not decisions.forces("cameras"):
+        contrast = disagreement_of_cameras(capture, corrected, tracer, rng, progress)
+        accepted = decisions.accept("cameras_by_contrast", *contrast)
+    return (corrected, Calibration(found, gain)) if accepted else (capture, Calibration(None, gain))
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ def fit_cameras(
     Raises:
         BadInput: a photo cannot be read.
     """
-    capture, calibration = calibrate(capture, tracer, progress, decisions)
+    capture, calibration = calibrate(capture, tracer, rng, progress, decisions)
     if decisions.forbids("poses"):
         return capture, CameraFit(calibration, Registration(None, 0.0))
     capture, registration = register(capture, tracer, rng, progress, decisions)

@@ -4,8 +4,9 @@ Poses of a scan drift by pixels, and the content of a photo is then projected be
 (Color Map Optimization for 3D Reconstruction with Consumer Depth Cameras): each point of the surface takes the mean of
 the photos, each photo is moved towards these means (Gauss-Newton over six numbers), in turns and from coarse to fine.
 The photos are compared by local contrast, which does not depend on exposure or smooth shading, within each light state:
-shadows depend on which lamps are on. On correct poses there is nothing to gain on held-out points, and the acceptance
-gain keeps them as they are.
+shadows depend on which lamps are on. On correct poses there is little to gain on held-out points, and the acceptance
+gain keeps them as they are. Where it is more, because photos show reflections or a clipped sky whose contrast moves with
+the camera, the points that agree better are few: an error of the poses shows at most points.
 """
 
 from __future__ import annotations
@@ -55,6 +56,8 @@ POSE_STD = np.array([0.01, 0.01, 0.01, 0.02, 0.02, 0.02])
 """Radians and metres, standard deviation of the error of given poses."""
 POSE_PRIOR = 5.0
 """Weight of a pose that is off by POSE_STD, in sightings that are off by OUTLIER_LOG."""
+TELLING_LOSS = 0.02
+"""Mean loss of a point, under either poses, from which it tells which are better: plain walls agree under all."""
 MIN_COSINE = 0.25
 """Smallest cosine to the normal at which a surface is compared."""
 DEPTH_TOLERANCE = 0.01
@@ -115,22 +118,25 @@ def register(
     photos = _brightness(small, progress)
     fitted, held_out = SurfacePoints.of(given, tracer, N_POINTS, rng).halves()
     seen, test = (_Sightings.of(points, given, states, tracer, rng) for points in (fitted, held_out))
-    found, before = given, 0.0
+    found, before, of_given = given, 0.0, np.zeros(0)
     for level, (width, rounds) in enumerate(zip(WIDTHS, ROUNDS, strict=True)):
         pictures = _pictures(photos, width)
         if level:
             seen = _Sightings.of(fitted, found, states, tracer, rng)
         if level in (0, len(WIDTHS) - 1):  # the levels that end in a comparison
-            before = test.disagreement(pictures, given)
+            of_given = test.losses(pictures, given)
+            before = _mean(of_given)
         for turn in range(rounds):
             progress.update((level + turn / rounds) / len(WIDTHS))
             found = seen.turn(pictures, given, found)
             tried = level == 0 and turn + 1 == TRIAL_ROUNDS and not forced
             if tried and not test.disagreement(pictures, found) < TRIAL_RATIO * before:
                 return capture, Registration(None, 0.0)
-    after = test.disagreement(pictures, found)
+    of_found = test.losses(pictures, found)
+    after = _mean(of_found)
     gain = 1 - after / before if before > 0 else 0.0
-    if not decisions.accept("poses", before, after):
+    accepted = decisions.accept("poses", before, after)
+    if not (accepted and (forced or decisions.accept("poses_of_most", 0.5, test.share_worse(of_given, of_found)))):
         return capture, Registration(None, gain)
     turned = (replace(view.camera, c2w=camera.c2w) for view, camera in zip(capture.views, found, strict=True))
     views = tuple(replace(view, camera=camera) for view, camera in zip(capture.views, turned, strict=True))
@@ -161,6 +167,27 @@ def photo_disagreement(
         seen = _Sightings.of(points, cameras, states, tracer, same)
         losses.append(seen.disagreement(pictures, cameras))
     return losses
+
+
+def disagreement_of_cameras(
+    given: Capture, found: Capture, tracer: Tracer, rng: np.random.Generator, progress: Progress
+) -> tuple[float, float]:
+    """Mean Cauchy loss of the local contrast that photos show at points of a surface around their mean, with the
+    cameras of ``given`` and of ``found``, at the points that the latter see; NaN where no three of them see one.
+
+    Raises:
+        BadInput: a photo cannot be read.
+    """
+    views = [view.reduced_to(WIDTHS[-1]) for view in found.views]
+    before = [view.reduced_to(WIDTHS[-1]).camera for view in given.views]
+    after = [view.camera for view in views]
+    points = SurfacePoints.of(after, tracer, N_POINTS, rng)
+    seen = _Sightings.of(points, after, LightStates.of(views), tracer, rng)
+    pictures = _pictures(_brightness(views, progress), WIDTHS[-1])
+    losses = np.stack([seen.losses(pictures, cameras) for cameras in (before, after)])
+    known = np.isfinite(losses).all(0)
+    smaller, larger = losses[:, known].mean(1) if known.any() else (np.nan, np.nan)
+    return float(smaller), float(larger)
 
 
 def _brightness(views: Sequence[View], progress: Progress) -> list[NDArray[np.floating]]:
@@ -237,9 +264,22 @@ class _Sightings:
 
     def disagreement(self, pictures: Sequence[NDArray[np.float32]], cameras: Sequence[Camera]) -> float:
         """Mean Cauchy loss of the contrast that photos show at a point around their mean; 0 without sightings."""
+        return _mean(self.losses(pictures, cameras))
+
+    def losses(self, pictures: Sequence[NDArray[np.float32]], cameras: Sequence[Camera]) -> Floats:
+        """(m,) Cauchy loss of the contrast of each sighting, NaN where it is not usable."""
         _, off = self._against_means(self._look(pictures, cameras)[0])
-        off = off[np.isfinite(off)]
-        return float(np.mean(np.log1p(off**2))) if len(off) else 0.0
+        return np.log1p(off**2)
+
+    def share_worse(self, smaller: Floats, larger: Floats) -> float:
+        """Share of the points that tell poses apart whose sightings have the greater mean of the losses ``larger``
+        (m,) than of ``smaller``; 1 without such points."""
+        both = np.isfinite(smaller) & np.isfinite(larger)
+        point, n = self.point[both], len(self.position)
+        seen = np.maximum(np.bincount(point, minlength=n), 1)
+        before, after = (np.bincount(point, losses[both], n) / seen for losses in (smaller, larger))
+        telling = np.maximum(before, after) > TELLING_LOSS
+        return float((after >= before)[telling].mean()) if telling.any() else 1.0
 
     def turn(
         self, pictures: Sequence[NDArray[np.float32]], given: Sequence[Camera], cameras: Sequence[Camera]
@@ -300,6 +340,12 @@ class _Sightings:
         both = np.full((2, len(value)), np.nan)
         both[:, known] = weight, off
         return both[0], both[1]
+
+
+def _mean(losses: Floats) -> float:
+    """Mean of the losses (m,) that are known; 0 without any."""
+    known = losses[np.isfinite(losses)]
+    return float(known.mean()) if len(known) else 0.0
 
 
 def _interpolated(picture: NDArray[np.float32], at: Floats) -> NDArray[np.float32]:

@@ -25,7 +25,7 @@ from ..config import SolveConfig
 from ..model.capture import Capture
 from .files import PREVIEWS, preview_path
 
-FORMAT = 15
+FORMAT = 16
 """Version of the format of checkpoints, and of what stages decide: no result is to mix two rules."""
 LOCK = ".lock"
 """Name of the lock file in a result folder."""

@@ -11,11 +11,12 @@ import pytest
 from iris_addon.base.images import write_png
 from iris_addon.base.progress import Cancelled, Progress
 from iris_addon.cameras.calibration import calibrate
+from iris_addon.decide import REFINEMENTS
 from iris_addon.model.capture import Capture, Mesh, View
 from iris_addon.model.corrections import CameraCorrection
 from iris_addon.model.response import gamma
 from iris_addon.rays.tracer import Tracer
-from tests.engine_room import cameras, furnished_room, photograph, render
+from tests.engine_room import cameras, furnished_room, photograph, render, repainted
 
 
 def checkered(point: np.ndarray) -> np.ndarray:
@@ -42,7 +43,7 @@ def painted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Capture, Tracer]:
 
 
 def test_correct_cameras_are_kept(painted: tuple[Capture, Tracer]) -> None:
-    capture, calibration = calibrate(*painted, Progress())
+    capture, calibration = calibrate(*painted, np.random.default_rng(0), Progress())
     assert calibration.correction is None and capture is painted[0]
     assert calibration.warnings == () and calibration.report()["correction"] is None
 
@@ -54,7 +55,7 @@ def test_few_small_photos_of_a_plain_room_keep_their_focal_length(n_views: int, 
     radiance = render(fine, Tracer(fine.mesh), views, 48)
     exposures = 0.25 / np.median(radiance.mean(-1).reshape(n_views, -1), 1) * 2.0 ** np.linspace(-3, 1, n_views)
     capture = photograph(furnished_room(np.inf), views, radiance, exposures, gamma(), tmp_path)
-    _, calibration = calibrate(capture, Tracer(capture.mesh), Progress())
+    _, calibration = calibrate(capture, Tracer(capture.mesh), np.random.default_rng(0), Progress())
     assert calibration.correction is None
 
 
@@ -67,7 +68,7 @@ def test_photos_without_overlap_keep_their_cameras(painted: tuple[Capture, Trace
         pose[3, 3] = 1
     views = [replace(v, camera=replace(v.camera, c2w=pose)) for v, pose in zip(room.views, poses, strict=True)]
     capture = replace(room, mesh=mesh, views=tuple(views))
-    same, calibration = calibrate(capture, Tracer(mesh), Progress())
+    same, calibration = calibrate(capture, Tracer(mesh), np.random.default_rng(0), Progress())
     assert same is capture and calibration.correction is None and calibration.gain == 0
 
 
@@ -80,7 +81,7 @@ def test_a_wrong_focal_length_and_offset_are_found(painted: tuple[Capture, Trace
     true = capture.views[0].camera
     damage = CameraCorrection(true.fx / true.width, 1.12, (0.0, 0.0), (-0.04, 0.0))
     wrong = replace(capture, views=tuple(damage.view(view) for view in capture.views))
-    mended, calibration = calibrate(wrong, tracer, Progress())
+    mended, calibration = calibrate(wrong, tracer, np.random.default_rng(0), Progress())
     assert calibration.gain > 0.2
     for got, want in zip(mended.views, capture.views, strict=True):
         assert got.camera.fx == pytest.approx(want.camera.fx, rel=0.015)
@@ -88,11 +89,26 @@ def test_a_wrong_focal_length_and_offset_are_found(painted: tuple[Capture, Trace
     assert "focal length" in calibration.warnings[0]
 
 
+def test_polished_walls_do_not_change_the_focal_length(painted: tuple[Capture, Tracer], tmp_path: Path) -> None:
+    """Walls show a pattern one metre behind them, as where they mirror, and floors one of their own: brightness agrees
+    better with a wrong focal length, local contrast does not."""
+    capture, tracer = painted
+
+    def shade(point: np.ndarray, direction: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        mirrored = 0.1 + 0.8 * (np.floor((point + direction) / 1.4).sum(1) % 2)
+        return np.where(np.abs(normal[:, 2]) < 0.9, mirrored, 0.3 + 0.4 * checkered(point))
+
+    mirrored = repainted(capture, tracer, shade, tmp_path)
+    same, calibration = calibrate(mirrored, tracer, np.random.default_rng(0), Progress())
+    assert calibration.gain > 2 * REFINEMENTS["cameras"].gain  # which alone would correct them
+    assert same is mirrored and calibration.correction is None
+
+
 def test_calibration_can_be_cancelled(painted: tuple[Capture, Tracer]) -> None:
     progress = Progress()
     progress.cancel()
     with pytest.raises(Cancelled):
-        calibrate(*painted, progress)
+        calibrate(*painted, np.random.default_rng(0), progress)
 
 
 def test_a_correction_applies_to_its_own_cameras_only() -> None:
@@ -116,5 +132,5 @@ def test_a_damaged_correction_is_refused(damage: dict) -> None:
 
 def test_the_mesh_is_not_touched(painted: tuple[Capture, Tracer], tmp_path: Path) -> None:
     mesh: Mesh = painted[0].mesh
-    calibrated, _ = calibrate(*painted, Progress())
+    calibrated, _ = calibrate(*painted, np.random.default_rng(0), Progress())
     assert calibrated.mesh is mesh and calibrated.val_views == ()
