@@ -358,7 +358,7 @@ class IrisSettings(bpy.types.PropertyGroup):
     placed: bpy.props.EnumProperty(name="Object", description="The object that Place adds", items=PLACEABLE)
     overlay: bpy.props.FloatProperty(
         name="Photo",
-        description="Opacity of the photo over the mesh",
+        description="Opacity over the mesh of the imported photo, or of the picture that is shown in its place",
         min=0.0,
         max=1.0,
         default=0.5,
