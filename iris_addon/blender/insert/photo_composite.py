@@ -22,7 +22,7 @@ from ...model.render_settings import RenderSettings
 from ...model.response import Response
 from ..apply.applied_states import in_light_state
 from ..apply.on_objects import APPLIED, MADE, ORIGINAL
-from ..apply.scene_files import write_whole
+from ..apply.scene_files import open_blend, write_whole
 from ..images import LINEAR, image_from_array, read_image
 from ..render.light_mixing import APART
 from ..scene_out.lights import as_recovered, lamp_materials
@@ -197,10 +197,7 @@ def composite_file(
 
 def open_scene(blend: Path) -> bpy.types.Scene:
     """Open ``blend``; its scene with a solved room. Raises BadInput if there is none."""
-    try:
-        bpy.ops.wm.open_mainfile(filepath=str(blend.absolute()), load_ui=False, use_scripts=False)
-    except RuntimeError as error:
-        raise BadInput("cannot be opened", "give a .blend with a solved room", blend) from error
+    open_blend(blend, "give a .blend with a solved room")
     scenes = [scene for scene in bpy.data.scenes if APPLIED in scene]
     if not scenes:
         raise BadInput("has no scene with a result on its objects", "apply a result and save", blend)
