@@ -18,7 +18,7 @@ from iris_addon.results.result import Result
 
 from .asked_state import state_of_frames
 from .frame_folder import Frames, open_frames, result_digests, write_film
-from .onto_photos import PhotoInsertion
+from .onto_photos import PhotoInsertion, write_changed
 from .outcome import Outcome
 from .pictures import Developer, FloatArray, write_picture
 
@@ -81,7 +81,7 @@ def insert_frames(
     with progress.stage("frames"):
         for frame in todo:
             picture = insertion.picture(edit_at(frames.time(frame)))
-            picture.write(frames.folder, frames.path(frame).stem, linear=args.linear, acescg=args.acescg)
+            write_changed(picture, frames.folder, frames.path(frame).stem, linear=args.linear, acescg=args.acescg)
             _tell(progress, args, frames)
     return _finish(args, frames, len(todo))
 

@@ -45,9 +45,8 @@ def state_of_photo(args: argparse.Namespace) -> str | None:
     Raises:
         BadInput: it is not known, none of those solved, or another than the one that is asked for.
     """
-    states = read_light_states(args.result)
+    states = _states(args)
     if not states:
-        _require_none(args)
         return None
     known = ", ".join(states)
     taken_in = next((name for name, photos in states.items() if args.view in photos), args.light_state)
@@ -70,9 +69,8 @@ def state_of_plate(args: argparse.Namespace) -> str | None:
     Raises:
         BadInput: there is no such state.
     """
-    states = read_light_states(args.result)
+    states = _states(args)
     if not states:
-        _require_none(args)
         return None
     if args.light_state not in (None, *states):
         fix = f"name one of its states: {', '.join(states)}"
@@ -80,7 +78,10 @@ def state_of_plate(args: argparse.Namespace) -> str | None:
     return args.light_state or next(iter(states))
 
 
-def _require_none(args: argparse.Namespace) -> None:
-    if args.light_state is not None:
+def _states(args: argparse.Namespace) -> dict[str, tuple[str, ...]]:
+    """Photos by light state of the room; empty in a room of one, where BadInput is raised if a state is asked for."""
+    states = read_light_states(args.result)
+    if not states and args.light_state is not None:
         fix = "leave out --light-state"
         raise BadInput(f"was photographed in one light state only, not in {args.light_state!r}", fix, args.result)
+    return states

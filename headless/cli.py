@@ -187,13 +187,7 @@ def _add_solving(add: Add) -> None:
         metavar="auto|gamma|FILE",
         help="estimate it, take z = x^(1/2.2), or read a curve",
     )
-    solve.add_argument(
-        "--exposures",
-        type=_word_or_path("auto", "none"),
-        default="auto",
-        metavar="auto|none|FILE",
-        help="those of the capture, unknown, or of a file",
-    )
+    _add_exposures(solve)
     solve.add_argument("--hdr", type=Path, metavar="DIR", help="one EXR of radiance per photo, in place of the photos")
     solve.add_argument("--strict", action="store_true", help="refuse a capture that lacks photos or poses")
     solve.add_argument("--exclude", **SEVERAL, default=[], metavar="PHOTO", help="photos to leave out")
@@ -205,13 +199,7 @@ def _add_solving(add: Add) -> None:
     inspect = add("inspect", "measure a capture: clipping, exposure, alignment of photos and mesh")
     inspect.add_argument("capture", type=Path, help="folder of the capture, or its transforms.json")
     inspect.add_argument("--out", type=Path, required=True, help="folder for what was measured")
-    inspect.add_argument(
-        "--exposures",
-        type=_word_or_path("auto", "none"),
-        default="auto",
-        metavar="auto|none|FILE",
-        help="those of the capture, unknown, or of a file",
-    )
+    _add_exposures(inspect)
     inspect.add_argument(
         "--strict", action="store_true", help="refuse a capture that lacks some of its photos or poses"
     )
@@ -248,6 +236,16 @@ def _add_solving(add: Add) -> None:
     farm = add("farm", "a job file as a bundle for farms that run Open Job Description")
     farm.add_argument("jobs", type=Path, metavar="JOBS.toml", help="as for batch")
     farm.add_argument("--out", type=Path, required=True, metavar="BUNDLE", help="folder of the bundle")
+
+
+def _add_exposures(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--exposures",
+        type=_word_or_path("auto", "none"),
+        default="auto",
+        metavar="auto|none|FILE",
+        help="those of the capture, unknown, or of a file",
+    )
 
 
 def _add_unit(command: argparse.ArgumentParser) -> None:

@@ -26,14 +26,12 @@ from .outcome import Outcome
 if TYPE_CHECKING:
     import bpy
 
-    from iris_addon.blender.insert.differential import Differential
+    from iris_addon.blender.insert.differential import ChangedPhoto, Differential
     from iris_addon.edits.scene_edit import SceneEdit
     from iris_addon.model.capture import View
     from iris_addon.model.device import Device
     from iris_addon.model.render_settings import RenderSettings
     from iris_addon.results.result import Result
-
-    from .onto_photos import ChangedPhoto
 
 EXPOSURES = "exposures"
 """Folder beside the frames with the exposure that was found for each."""
@@ -45,8 +43,10 @@ MAX_NAMED = 20
 
 def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
     """A plate with the objects of a job in it."""
+    from iris_addon.base.color_spaces import ACESCG
     from iris_addon.base.images import HDR_SUFFIXES, check_image, read_exr
     from iris_addon.base.untrusted import read_json
+    from iris_addon.blender.insert.differential import write_layers
     from iris_addon.capture.exposures import with_device
     from iris_addon.capture.plate_files import plate_files
     from iris_addon.capture.reader import read_views
@@ -56,6 +56,7 @@ def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
 
     from .animation import moves
     from .asked_state import in_asked_state, state_of_frames
+    from .onto_photos import write_changed
 
     pictures = plate_files(args.plate)
     result = load_result(args.result)
@@ -109,8 +110,8 @@ def onto_plate(args: argparse.Namespace, progress: Progress) -> Outcome:
         if exposure is not None:
             _write_exposure(frames, number, exposure, pictures[number])
         if args.layers:
-            picture.write_layers(_layers_of(frames, number), acescg=args.acescg)
-        picture.write(frames.folder, view.name, linear=hdr, acescg=args.acescg)
+            write_layers(_layers_of(frames, number), picture, ACESCG if args.acescg else None)
+        write_changed(picture, frames.folder, view.name, linear=hdr, acescg=args.acescg)
         return picture.shows_added
 
     def whole_file(number: int) -> bool:
@@ -168,24 +169,22 @@ class PlateRoom:
         Raises:
             BadInput: the frame cannot be read, is of another size than its camera, or shows too little.
         """
+        from iris_addon.blender.insert.differential import change_photo, unchanged_photo
         from iris_addon.capture.photos import load_photo
         from iris_addon.response.matching import match_exposure
 
-        from .onto_photos import ChangedPhoto, require_response
+        from .onto_photos import require_response
 
         photo, device = load_photo(view), self.result.device_of(view)
-        response = device.response
+        response = None if photo.hdr else device.response
         require_response(self.result, photo, view)
         values, edit = photo.values.astype(np.float64), self.edit_at(time)
         if edit.changes_nothing:
-            linear = values if photo.hdr else response.invert(values)
-            return ChangedPhoto(None if photo.hdr else values, linear, shows_added=False), None
+            return unchanged_photo(values, response, 1.0), None
         changed = self._change(view, edit)
         gain = np.ones(1) if photo.hdr else device.gain(photo.values)
-        exposure = match_exposure(changed.without, photo, response, gain)
-        if photo.hdr:
-            return ChangedPhoto.of(values, changed, exposure, None), exposure
-        return ChangedPhoto.of(values, changed, gain * exposure, response), exposure
+        exposure = match_exposure(changed.without, photo, device.response, gain)
+        return change_photo(values, changed, response, gain * exposure), exposure
 
     def _change(self, view: View, edit: SceneEdit) -> Differential:
         from iris_addon.blender.insert.differential import change_of, pair_of, render_change, room_built

@@ -195,7 +195,10 @@ def _insert_onto_photos(
     job: dict[str, Any],
     edits_at: Callable[[float], list[tuple[int, SceneEdit]]],
 ) -> Outcome:
-    from .onto_photos import PhotoInsertion
+    from iris_addon.base.color_spaces import ACESCG
+    from iris_addon.blender.insert.differential import write_layers
+
+    from .onto_photos import PhotoInsertion, write_changed
 
     edits = edits_at(0.0)
     for index, _ in edits:
@@ -211,11 +214,12 @@ def _insert_onto_photos(
     with progress.stage("insert"):
         for number, (index, edit) in enumerate(edits):
             picture = PhotoInsertion(result, views[index], _render_settings(args)).picture(edit)
-            written.append(picture.write(args.out, views[index].name, linear=args.linear, acescg=args.acescg))
+            written.append(write_changed(picture, args.out, views[index].name, linear=args.linear, acescg=args.acescg))
             picture_name = written[-1].name
             if args.layers:
                 path = args.out / f"{views[index].name}-layers.exr"
-                written.append(picture.write_layers(path, acescg=args.acescg))
+                write_layers(path, picture, ACESCG if args.acescg else None)
+                written.append(path)
             if (edit.objects or edit.spheres) and not picture.shows_added:
                 warnings.append(f"{picture_name} shows none of its objects: check where they are placed")
             progress.update((number + 1) / len(edits))

@@ -8,8 +8,7 @@ import bpy
 
 from ..iris_addon.base.errors import IrisError
 from ..iris_addon.blender.apply.area_lamps import put_lamp_back, replace_lamp
-from .polls import NeedsApplied
-from .relight import chosen_lamp
+from .relight import OfLamp, chosen_lamp
 from .wait_cursor import wait_cursor
 
 REPLACEMENTS = (
@@ -23,7 +22,7 @@ REPLACEMENTS = (
 )
 
 
-class IRIS_OT_area_lamp(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
+class IRIS_OT_area_lamp(OfLamp, bpy.types.Operator):  # noqa: N801 - Blender's naming
     """Let a light of Blender of the same place, color and flux shine in place of the chosen lamp: less noise, settings
     of its own, and light linking. Cameras see the lamp as before; its row in the list leads the light. Pressed again,
     the lamp shines itself"""
@@ -40,11 +39,6 @@ class IRIS_OT_area_lamp(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blend
         """The tooltip, with what the button replaces the lamp by."""
         words = next(text for key, _, text in REPLACEMENTS if key == properties.kind)
         return f"{cls.__doc__}.\n{words}" if properties.on else cls.__doc__ or ""
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """A result was applied, and a lamp is chosen."""
-        return super().poll(context) and chosen_lamp(context.scene) is not None
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Replace the lamp, or put it back."""

@@ -112,6 +112,14 @@ def show_cameras(context: bpy.types.Context) -> None:
             view.camera.hide_set(not settings.all_cameras and view.camera != context.scene.camera)
 
 
+def redraw_views() -> None:
+    """Draw the 3D views again."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+
+
 def view_shadings(context: bpy.types.Context) -> list[bpy.types.View3DShading]:
     """Shading of each open 3D view; empty in background."""
     areas = context.screen.areas if context.screen is not None else ()

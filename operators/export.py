@@ -116,6 +116,23 @@ class _IntoFolder:
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Write the files."""
+        if not self.directory:
+            self.report({"ERROR"}, "no folder is named — give a folder")  # type: ignore[attr-defined]
+            return {"CANCELLED"}
+        try:
+            said = self.write(context, Path(bpy.path.abspath(self.directory)))
+        except IrisError as error:
+            self.report({"ERROR"}, str(error))  # type: ignore[attr-defined]
+            return {"CANCELLED"}
+        self.report({"INFO"}, said)  # type: ignore[attr-defined]
+        return {"FINISHED"}
+
+    def write(self, context: bpy.types.Context, out: Path) -> str:
+        """Write the files into ``out``; what is to be said of it."""
+        raise NotImplementedError
+
 
 class IRIS_OT_export_ies(_IntoFolder, NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
     """Write each lamp that is on as a photometric file (.ies, LM-63), which renderers and lighting programs read: what
@@ -124,31 +141,20 @@ class IRIS_OT_export_ies(_IntoFolder, NeedsApplied, bpy.types.Operator):  # noqa
     bl_idname = "iris.export_ies"
     bl_label = "Export Lamps"
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Write the files."""
-        if not self.directory:
-            self.report({"ERROR"}, "no folder is named — give a folder")
-            return {"CANCELLED"}
+    def write(self, context: bpy.types.Context, out: Path) -> str:
+        """Write a file for each lamp."""
         scene = context.scene
         lamps = [
             IesLamp(lamp.material, lamp_flux(lamp))
             for lamp in scene.iris.lamps
             if lamp.material is not None and lamp.on
         ]
-        try:
-            with wait_cursor(context):  # the first ray builds the search tree of the room
-                written = write_ies_files(
-                    scene, lamps, Path(bpy.path.abspath(self.directory)), scene.iris.lumens_per_unit
-                )
-        except IrisError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        with wait_cursor(context):  # the first ray builds the search tree of the room
+            written = write_ies_files(scene, lamps, out, scene.iris.lumens_per_unit)
         if not written:
-            self.report({"ERROR"}, "no lamp shines — switch one on")
-            return {"CANCELLED"}
+            raise IrisError("no lamp shines", "switch one on")
         relative = "" if scene.iris.lumens_per_unit else ", lumens relative: set the scale under Relight first"
-        self.report({"INFO"}, f"Wrote {len(written)} lamp{'s' if written[1:] else ''}{relative}")
-        return {"FINISHED"}
+        return f"Wrote {len(written)} lamp{'s' if written[1:] else ''}{relative}"
 
 
 class IRIS_OT_export_camera(_IntoFolder, NeedsResult, bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -160,17 +166,8 @@ class IRIS_OT_export_camera(_IntoFolder, NeedsResult, bpy.types.Operator):  # no
 
     into = "camera"
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Write the files."""
-        if not self.directory:
-            self.report({"ERROR"}, "no folder is named — give a folder")
-            return {"CANCELLED"}
-        out = Path(bpy.path.abspath(self.directory))
-        try:
-            camera = read_response(folder(context.scene))
-            written = write_luts(out, camera.response, camera.exposures, camera.devices)
-        except IrisError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        self.report({"INFO"}, f"Wrote {len(written)} files to {out}")
-        return {"FINISHED"}
+    def write(self, context: bpy.types.Context, out: Path) -> str:
+        """Write the tables and the configuration."""
+        camera = read_response(folder(context.scene))
+        written = write_luts(out, camera.response, camera.exposures, camera.devices)
+        return f"Wrote {len(written)} files to {out}"

@@ -24,6 +24,7 @@ from ..iris_addon.blender.worker import jobs
 from ..iris_addon.blender.worker.jobs import farm_command
 from .folders import capture_path, folder, metres_per_unit, unit_option
 from .import_capture import write_scene
+from .polls import NeedsCapture
 from .run_job import run
 from .ui import steps
 
@@ -33,7 +34,7 @@ KEY_LENGTH = 8
 """Characters of the key in the name of a folder of frames."""
 
 
-class IRIS_OT_export_farm(bpy.types.Operator):  # noqa: N801 - Blender's naming
+class IRIS_OT_export_farm(NeedsCapture, bpy.types.Operator):  # noqa: N801 - Blender's naming
     """Write the solve of this capture, and the frames of the scene's camera with what was placed in the room, as a job
     that render farms run: Open Job Description (Deadline Cloud and others) and Flamenco. Behind the camera a plate is
     the background"""
@@ -52,11 +53,7 @@ class IRIS_OT_export_farm(bpy.types.Operator):  # noqa: N801 - Blender's naming
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """There is a capture, and no export runs."""
-        capture = capture_path(context.scene)
-        if capture is None or (context.scene.iris.source == "SCENE" and not context.scene.iris.views):
-            cls.poll_message_set("Import a capture first")
-            return False
-        return jobs.running("farm", folder(context.scene)) is None
+        return super().poll(context) and jobs.running("farm", folder(context.scene)) is None
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         """Ask for a folder."""

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import bpy
@@ -258,16 +259,14 @@ def _start_inspection(
             return
         prepared = prepared or finish(_read_steps(scene, target))
         settings = scene.iris
-        before = {name: getattr(settings, name) for name in ("source", "capture", "result", "importing")}
-        commit(settings)
-        _prepared[inspection_folder(scene)] = prepared
         try:
-            with bpy.context.temp_override(**_window_of(scene)):
-                bpy.ops.iris.add_capture("EXEC_DEFAULT", True)
-        except RuntimeError as error:  # Blender raises what an operator reports
-            for key, value in before.items():
-                setattr(settings, key, value)
-            raise IrisError(str(error).strip().removeprefix("Error: "), "check the capture again") from error
+            with source_kept_on_failure(settings):
+                commit(settings)
+                _prepared[inspection_folder(scene)] = prepared
+                with bpy.context.temp_override(**_window_of(scene)):
+                    bpy.ops.iris.add_capture("EXEC_DEFAULT", True)
+        except RuntimeError as error:
+            raise IrisError(reported(error), "check the capture again") from error
         finally:
             _prepared.clear()
 
@@ -279,6 +278,23 @@ def _start_inspection(
     settings = context.scene.iris
     unit = settings.metres_per_unit if settings.importing or settings.source == "CAPTURE" else 0.0
     return run(operator, "inspect", job, inspect_command(solver_python(context), capture, target, unit), ended)
+
+
+@contextmanager
+def source_kept_on_failure(settings: bpy.types.PropertyGroup) -> Iterator[None]:
+    """Inside, a capture is added to a scene; if that fails, the scene has its source and its folders as before."""
+    before = {name: getattr(settings, name) for name in ("source", "capture", "result", "importing")}
+    try:
+        yield
+    except (IrisError, RuntimeError):
+        for key, value in before.items():
+            setattr(settings, key, value)
+        raise
+
+
+def reported(error: Exception) -> str:
+    """What an operator reported as an error, which Blender raises where the operator was called from Python."""
+    return str(error).strip().removeprefix("Error: ")
 
 
 def write_scene(operator: bpy.types.Operator, context: bpy.types.Context) -> bool:

@@ -19,7 +19,7 @@ from ..iris_addon.blender.worker.jobs import CompositeOptions, composite_command
 from .editors import fade_photos, look_at_photo, show_in_editor
 from .folders import folder
 from .polls import NeedsApplied
-from .run_job import run
+from .run_job import run_on_copy, scene_of
 
 
 class IRIS_OT_onto_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -52,40 +52,30 @@ class IRIS_OT_onto_photo(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
             return {"CANCELLED"}
         look_at_photo(context, scene.iris.view_index)
         copy, picture = out / "onto-photo.blend", out / "onto-photos" / f"{view.name}.png"
-        try:
+        name, view_name = scene.name, view.name
+        file = Path(bpy.path.abspath(image.filepath, library=image.library))
+        packed = image.packed_file is not None
+        photo = copy.with_suffix(file.suffix) if packed else file
+        options = CompositeOptions(
+            samples=self.samples,
+            light_state=light_state_of(camera, scene),
+            layers=scene.iris.layers,
+            acescg=scene.iris.acescg,
+        )
+
+        def prepare() -> list[str]:
             require_own_folder(picture.parent)
             write_copy(scene, copy)
-            photo, packed = _photo_file(image, copy)
-        except IrisError as error:
-            copy.unlink(missing_ok=True)
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        name, view_name = scene.name, view.name
+            if packed:
+                write_whole(photo, lambda part: part.write_bytes(image.packed_file.data))
+            return composite_command(bpy.app.binary_path, copy, out, photo, view_name, picture, options)
 
-        def ended(record: jobs.Record) -> None:
-            for path in (copy, *packed):
-                path.unlink(missing_ok=True)
-            # Another file may be open by now.
-            shown = bpy.data.scenes.get(name) if record.state == "done" else None
-            if shown is not None and folder(shown) == out:
+        def show() -> None:
+            shown = scene_of(name, out)
+            if shown is not None:
                 _show(shown, view_name, picture)
 
-        state = light_state_of(camera, scene)
-        options = CompositeOptions(
-            samples=self.samples, light_state=state, layers=scene.iris.layers, acescg=scene.iris.acescg
-        )
-        command = composite_command(bpy.app.binary_path, copy, out, photo, view_name, picture, options)
-        return run(self, "composite", out, command, ended)
-
-
-def _photo_file(image: bpy.types.Image, beside: Path) -> tuple[Path, list[Path]]:
-    """The file of a photo, and files to remove later: a packed photo is written next to ``beside``."""
-    path = Path(bpy.path.abspath(image.filepath, library=image.library))
-    if image.packed_file is None:
-        return path, []
-    written = beside.with_suffix(path.suffix)
-    write_whole(written, lambda part: part.write_bytes(image.packed_file.data))
-    return written, [written]
+        return run_on_copy(self, "composite", copy, prepare, show, also=(photo,) if packed else ())
 
 
 def _show(scene: bpy.types.Scene, view: str, picture: Path) -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import bpy
 
-from ..iris_addon.base.errors import IrisError
 from ..iris_addon.base.files import require_own_folder
 from ..iris_addon.blender.apply.applied_states import has_light_states
 from ..iris_addon.blender.insert.photo_composite import write_copy
@@ -17,7 +16,7 @@ from ..iris_addon.blender.worker import jobs
 from ..iris_addon.blender.worker.jobs import CompositeOptions, plate_command
 from .folders import folder
 from .polls import NeedsApplied
-from .run_job import run
+from .run_job import run_on_copy
 
 
 class IRIS_OT_onto_plate(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -64,17 +63,15 @@ class IRIS_OT_onto_plate(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blen
             return {"CANCELLED"}
         scene, result = context.scene, folder(context.scene)
         copy, frames = result / "onto-plate.blend", Path(bpy.path.abspath(self.directory)).absolute()
-        try:
-            require_own_folder(frames)
-            write_copy(scene, copy)
-        except IrisError as error:
-            copy.unlink(missing_ok=True)
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
         wanted = f"{scene.frame_start}-{scene.frame_end}"
         state = self.light_state.strip() if has_light_states(scene) else ""
         options = CompositeOptions(
             samples=self.samples, light_state=state, layers=scene.iris.layers, acescg=scene.iris.acescg
         )
-        command = plate_command(bpy.app.binary_path, copy, result, frames, wanted, options, resume=self.resume)
-        return run(self, "plate", result, command, lambda _record: copy.unlink(missing_ok=True))
+
+        def prepare() -> list[str]:
+            require_own_folder(frames)
+            write_copy(scene, copy)
+            return plate_command(bpy.app.binary_path, copy, result, frames, wanted, options, resume=self.resume)
+
+        return run_on_copy(self, "plate", copy, prepare)

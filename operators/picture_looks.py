@@ -6,14 +6,13 @@ from __future__ import annotations
 
 import bpy
 
-from ..iris_addon.base.errors import IrisError
 from ..iris_addon.base.files import require_own_folder
 from ..iris_addon.blender.insert.photo_composite import write_room_copy
 from ..iris_addon.blender.worker import jobs
 from ..iris_addon.blender.worker.jobs import looks_command
 from .folders import folder
 from .polls import NeedsApplied
-from .run_job import run
+from .run_job import run_on_copy, scene_of
 from .ui.look_icons import shares_path, show_before
 
 
@@ -43,21 +42,16 @@ class IRIS_OT_look_pictures(NeedsApplied, bpy.types.Operator):  # noqa: N801 - B
         """Write a copy of the room and start the render."""
         scene, out = context.scene, folder(context.scene)
         copy, shares = out / "looks.blend", shares_path(scene)
-        try:
-            require_own_folder(shares.parent)
-            write_room_copy(scene, copy)
-        except IrisError as error:
-            copy.unlink(missing_ok=True)
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
         name = scene.name
 
-        def ended(record: jobs.Record) -> None:
-            copy.unlink(missing_ok=True)
-            # Another file may be open by now.
-            shown = bpy.data.scenes.get(name) if record.state == "done" else None
-            if shown is not None and folder(shown) == out:
+        def prepare() -> list[str]:
+            require_own_folder(shares.parent)
+            write_room_copy(scene, copy)
+            return looks_command(bpy.app.binary_path, copy, shares, self.width, self.samples)
+
+        def show() -> None:
+            shown = scene_of(name, out)
+            if shown is not None:
                 show_before(shown)
 
-        command = looks_command(bpy.app.binary_path, copy, shares, self.width, self.samples)
-        return run(self, "looks", out, command, ended)
+        return run_on_copy(self, "looks", copy, prepare, show)

@@ -6,7 +6,20 @@ import bpy
 
 from ..iris_addon.blender.apply.on_objects import APPLIED
 from ..iris_addon.blender.worker import jobs
-from .folders import check_folder, result_key, solver_python
+from .folders import capture_path, check_folder, result_key, solver_python
+
+
+class NeedsCapture:
+    """Mixin of operators that let a capture be solved."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """A capture is chosen, or photos were found in the scene."""
+        scene = context.scene
+        if capture_path(scene) is None or (scene.iris.source == "SCENE" and not scene.iris.views):
+            cls.poll_message_set("Import a capture first")  # type: ignore[attr-defined]
+            return False
+        return True
 
 
 class NeedsReader:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import bpy
 
-from ..iris_addon.base.errors import IrisError
 from ..iris_addon.base.files import require_own_folder
 from ..iris_addon.blender.insert.photo_composite import write_copy
 from ..iris_addon.blender.insert.probe import load_probe
@@ -17,7 +16,7 @@ from ..iris_addon.blender.worker.jobs import probe_command
 from .editors import show_in_editor, view_shadings
 from .folders import folder
 from .polls import NeedsApplied
-from .run_job import run
+from .run_job import run_on_copy
 
 
 class IRIS_OT_probe(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's naming
@@ -42,23 +41,15 @@ class IRIS_OT_probe(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's
         """Write a copy of the scene and start the job."""
         scene, out = context.scene, folder(context.scene)
         copy, probes = out / "probe.blend", out / "probes"
-        try:
-            require_own_folder(probes)
-            write_copy(scene, copy)
-        except IrisError as error:
-            copy.unlink(missing_ok=True)
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
         panorama = _free_name(probes)
 
-        def ended(record: jobs.Record) -> None:
-            copy.unlink(missing_ok=True)
-            if record.state == "done":
-                _show(panorama)
+        def prepare() -> list[str]:
+            require_own_folder(probes)
+            write_copy(scene, copy)
+            at = tuple(scene.cursor.location)
+            return probe_command(bpy.app.binary_path, copy, at, panorama, self.width // 2 * 2, self.samples)
 
-        at = tuple(scene.cursor.location)
-        command = probe_command(bpy.app.binary_path, copy, at, panorama, self.width // 2 * 2, self.samples)
-        return run(self, "probe", out, command, ended)
+        return run_on_copy(self, "probe", copy, prepare, lambda: _show(panorama))
 
 
 def _free_name(folder: Path) -> Path:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import atexit
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import get_args
 
@@ -17,7 +17,7 @@ from ..iris_addon.base.untrusted import open_file
 from ..iris_addon.blender.worker import jobs
 from . import status_bar
 from .editors import show_in_editor
-from .folders import job_folder
+from .folders import folder, job_folder
 from .modal_steps import busy
 
 TICK_SECONDS, STEP_TICK_SECONDS = 0.1, 0.01
@@ -28,13 +28,14 @@ MAX_LOG_BYTES, SHOWN_LOG_BYTES = 1 << 40, 1_000_000
 def run(
     operator: bpy.types.Operator,
     name: jobs.JobName,
-    folder: Path,
+    out: Path,
     command: list[str],
     on_end: jobs.OnEnd = lambda record: None,
 ) -> set[str]:
     """Start a job for ``operator``; with a window return at once, in background wait for its end.
 
     Args:
+        out: the folder of the job.
         on_end: called once in any case, also for a job that cannot start; see :class:`jobs.Job`.
 
     Returns:
@@ -50,7 +51,7 @@ def run(
         status_bar.ended(job, record)
 
     try:
-        job = jobs.start(name, folder, command, ended)
+        job = jobs.start(name, out, command, ended)
     except IrisError as error:
         deque(on_end(jobs.Record("failed", error.what, error.fix)) or (), maxlen=0)
         operator.report({"ERROR"}, str(error))
@@ -61,12 +62,58 @@ def run(
         redraw_sidebars()
         return {"FINISHED"}
     jobs.wait(job)
-    record = jobs.record(name, folder)
+    record = jobs.record(name, out)
     if record.state == "done":
         operator.report({"INFO"}, status_bar.ended(job, record))
         return {"FINISHED"}
     operator.report({"ERROR"}, f"{record.what} — {record.fix}" if record.what else record.state)
     return {"CANCELLED"}
+
+
+def run_on_copy(
+    operator: bpy.types.Operator,
+    name: jobs.JobName,
+    copy: Path,
+    prepare: Callable[[], list[str]],
+    on_done: Callable[[], object] = lambda: None,
+    *,
+    also: tuple[Path, ...] = (),
+) -> set[str]:
+    """:func:`run` a job of the folder of ``copy``, a .blend that only that job reads.
+
+    Args:
+        prepare: writes ``copy`` and returns the command; may raise IrisError.
+        on_done: called where the job succeeded; may raise IrisError.
+        also: further files that are removed with ``copy`` when the job has ended, or cannot start.
+
+    Returns:
+        The result of the operator.
+    """
+
+    def remove() -> None:
+        for path in (copy, *also):
+            path.unlink(missing_ok=True)
+
+    def ended(record: jobs.Record) -> None:
+        try:
+            if record.state == "done":
+                on_done()
+        finally:
+            remove()
+
+    try:
+        command = prepare()
+    except IrisError as error:
+        remove()
+        operator.report({"ERROR"}, str(error))
+        return {"CANCELLED"}
+    return run(operator, name, copy.parent, command, ended)
+
+
+def scene_of(name: str, out: Path) -> bpy.types.Scene | None:
+    """The scene ``name``, if its results still go to ``out``: when a job ends, another file may be open."""
+    scene = bpy.data.scenes.get(name)
+    return scene if scene is not None and folder(scene) == out else None
 
 
 def _tick() -> float | None:
@@ -137,9 +184,9 @@ class IRIS_OT_copy_error(bpy.types.Operator):  # noqa: N801 - Blender's naming
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Write to the clipboard."""
-        folder = job_folder(self.job, context)
-        record = jobs.record(self.job, folder)
-        log = _log(folder / f"{self.job}.log").splitlines()[-40:]
+        out = job_folder(self.job, context)
+        record = jobs.record(self.job, out)
+        log = _log(out / f"{self.job}.log").splitlines()[-40:]
         context.window_manager.clipboard = "\n".join([f"error: {record.what} — {record.fix}", *log])
         self.report({"INFO"}, "Copied")
         return {"FINISHED"}

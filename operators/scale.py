@@ -22,7 +22,7 @@ from ..iris_addon.model.response import Response
 from .folders import folder
 from .polls import NeedsApplied
 from .relight import OfLamp, chosen_lamp, lamp_flux, set_scale
-from .run_job import run
+from .run_job import run_on_copy
 
 FAINT = 0.01
 """Of the light of all lamps per area of the room: a reading with less fixes no scale, because it hangs on noise."""
@@ -84,25 +84,22 @@ class IRIS_OT_meter(NeedsApplied, bpy.types.Operator):  # noqa: N801 - Blender's
         try:
             at, normal = meter_at(scene, scene.cursor.location, eyes)
             sunlight = sunlight_at(scene, at, normal)
-            write_room_copy(scene, copy)
         except IrisError as error:
-            copy.unlink(missing_ok=True)
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         name, key, lux = scene.name, scene[APPLIED], self.lux
 
-        def ended(record: jobs.Record) -> None:
-            copy.unlink(missing_ok=True)
-            # Another file, or another result, may be there by now.
-            shown = bpy.data.scenes.get(name) if record.state == "done" else None
-            try:
-                if shown is not None and shown.get(APPLIED) == key:
-                    _anchor_to_meter(shown, illuminance(read_image(panorama), tuple(normal)) + sunlight, lux)
-            finally:
-                panorama.unlink(missing_ok=True)
+        def prepare() -> list[str]:
+            write_room_copy(scene, copy)
+            return probe_command(bpy.app.binary_path, copy, tuple(at), panorama, METER_WIDTH, self.samples)
 
-        command = probe_command(bpy.app.binary_path, copy, tuple(at), panorama, METER_WIDTH, self.samples)
-        return run(self, "meter", out, command, ended)
+        def anchor() -> None:
+            # Another file, or another result, may be there by now. A file that was saved since may have another folder.
+            shown = bpy.data.scenes.get(name)
+            if shown is not None and shown.get(APPLIED) == key:
+                _anchor_to_meter(shown, illuminance(read_image(panorama), tuple(normal)) + sunlight, lux)
+
+        return run_on_copy(self, "meter", copy, prepare, anchor, also=(panorama,))
 
 
 def _anchor_to_meter(scene: bpy.types.Scene, arriving: float, lux: float) -> None:

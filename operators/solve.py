@@ -8,11 +8,12 @@ from ..iris_addon.blender.worker import jobs
 from ..iris_addon.blender.worker.jobs import solve_command
 from .folders import capture_path, folder, solver_python, unit_option
 from .import_capture import write_scene
+from .polls import NeedsCapture
 from .run_job import run
 from .ui import steps
 
 
-class IRIS_OT_solve(bpy.types.Operator):  # noqa: N801 - Blender's naming
+class IRIS_OT_solve(NeedsCapture, bpy.types.Operator):  # noqa: N801 - Blender's naming
     """Recover materials, lights and camera response from the photos, outside Blender; resumes an earlier solve"""
 
     bl_idname = "iris.solve"
@@ -21,14 +22,12 @@ class IRIS_OT_solve(bpy.types.Operator):  # noqa: N801 - Blender's naming
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """A capture is chosen, the solver's Python is set, and no solve runs."""
-        capture = capture_path(context.scene)
-        if capture is None or (context.scene.iris.source == "SCENE" and not context.scene.iris.views):
-            cls.poll_message_set("Import a capture first")
-        elif not solver_python(context):
+        if not super().poll(context):
+            return False
+        if not solver_python(context):
             cls.poll_message_set("Set the solver's Python in the preferences of IRIS first")
-        else:
-            return jobs.running("solve", folder(context.scene)) is None
-        return False
+            return False
+        return jobs.running("solve", folder(context.scene)) is None
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Start the worker."""

@@ -10,6 +10,7 @@ from ..iris_addon.base.errors import IrisError
 from ..iris_addon.blender.scene_in.solved_demo import CAPTURE, unpack_solved_demo
 from ..iris_addon.blender.worker import jobs
 from .folders import ROOT_PACKAGE
+from .import_capture import reported, source_kept_on_failure
 from .wait_cursor import wait_cursor
 
 
@@ -28,18 +29,15 @@ class IRIS_OT_open_demo(bpy.types.Operator):  # noqa: N801 - Blender's naming
         if jobs.running("solve", out) is not None:
             self.report({"ERROR"}, "the demo is being solved again — wait for it, or cancel it")
             return {"CANCELLED"}
-        before = {name: getattr(settings, name) for name in ("source", "capture", "result", "importing")}
         try:
-            with wait_cursor(context):
+            with wait_cursor(context), source_kept_on_failure(settings):
                 unpack_solved_demo(out)
                 settings.source, settings.importing = "CAPTURE", ""
                 settings.capture, settings.result = str(CAPTURE), str(out)
                 bpy.ops.iris.add_capture()
                 bpy.ops.iris.apply()
-        except (IrisError, RuntimeError) as error:  # Blender raises what an operator reports
-            for key, value in before.items():
-                setattr(settings, key, value)
-            self.report({"ERROR"}, str(error).strip().removeprefix("Error: "))
+        except (IrisError, RuntimeError) as error:
+            self.report({"ERROR"}, reported(error))
             return {"CANCELLED"}
         self.report({"INFO"}, f"{len(settings.views)} photos, {len(settings.lamps)} lamps: change them under Relight")
         return {"FINISHED"}

@@ -29,9 +29,7 @@ HALF_MAX = 65504.0
 DWA_LEVEL = 120.0
 """Compression level of lossy EXR; OpenEXR's default is 45."""
 
-LDR_SUFFIXES = (".png", ".jpg", ".jpeg")
 HDR_SUFFIXES = (".exr",)
-IMAGE_SUFFIXES = LDR_SUFFIXES + HDR_SUFFIXES
 
 MAX_LAYERS = 256
 """Samples of all parts and channels of an EXR file for each pixel of its picture."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...iris_addon.blender.scene_in.scene_capture import read_triangles
+from ..editors import redraw_views
 
 SECONDS = 2.0
 COLOR = (1.0, 0.6, 0.1, 0.6)
@@ -27,7 +28,7 @@ def highlight(scene: bpy.types.Scene, lamp: bpy.types.Material) -> None:
     if bpy.app.background:
         return
     _Shown.triangles, _Shown.until = lamp_triangles(scene, lamp), time.monotonic() + SECONDS
-    _redraw()
+    redraw_views()
     if not bpy.app.timers.is_registered(_end):
         bpy.app.timers.register(_end, first_interval=SECONDS)
 
@@ -64,15 +65,8 @@ def _end() -> float | None:
     if left > 0:  # another lamp was chosen meanwhile
         return left
     _Shown.triangles = None
-    _redraw()
+    redraw_views()
     return None
-
-
-def _redraw() -> None:
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
 
 
 def register() -> None:

@@ -14,6 +14,7 @@ from ...iris_addon.blender.apply.review import model_sentences, shows_confidence
 from ...iris_addon.blender.apply.suggested_photos import suggested_groups
 from ...iris_addon.blender.insert.plate import shows_plate
 from ...iris_addon.blender.render import light_mixing
+from ...iris_addon.blender.scene_in.capture_objects import has_photo_to_fade
 from ...iris_addon.blender.scene_out import lights as lamps
 from ...iris_addon.blender.scene_out.lamp_profile_nodes import profile_of
 from ...iris_addon.blender.scene_out.world import sky_strength
@@ -151,7 +152,9 @@ class IRIS_PT_check(_Step, bpy.types.Panel):  # noqa: N801 - Blender's naming
         row.operator("iris.step_photo", text=f"{settings.views[index].name}  {index + 1}/{len(settings.views)}").by = 0
         row.operator("iris.step_photo", text="", icon="TRIA_RIGHT").by = 1
         row = layout.row(align=True)
-        row.prop(settings, "overlay", slider=True)
+        photo, camera = row.row(align=True), settings.views[index].camera
+        photo.enabled = camera is not None and has_photo_to_fade(camera)
+        photo.prop(settings, "overlay", slider=True)
         row.prop(settings, "all_cameras", text="", icon="OUTLINER_OB_CAMERA")
         draw_list(layout, settings)
         view = settings.views[index]

@@ -13,12 +13,12 @@ from ...iris_addon.blender.scene_in.capture_objects import fade_photo
 from ...iris_addon.blender.scene_out import lights as lamps
 from ...iris_addon.edits.light_units import LUMENS_PER_WATT, area_light_energy
 from ...iris_addon.model.texture_size import HIGHEST_DENSITY, blender_bytes, in_blender
-from ..editors import look_at_photo, show_cameras
+from ..editors import look_at_photo, redraw_views, show_cameras
 from ..place import PLACEABLE
 from . import steps
 from .lamp_highlight import highlight
 from .look_icons import look_choices, show_before
-from .wipe import PHOTO, redraw
+from .wipe import PHOTO
 
 ATLAS_SIZES = (
     ("auto", "Auto", "As many as the photos resolve, up to the limit of the preset"),
@@ -58,12 +58,12 @@ def _show_lamp(settings: bpy.types.PropertyGroup, context: bpy.types.Context) ->
 
 
 def _redraw(_settings: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
-    redraw()
+    redraw_views()
 
 
 def _wipe_to(settings: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
     show_before(settings.id_data)
-    redraw()
+    redraw_views()
 
 
 def _set_overlay(settings: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
@@ -358,7 +358,7 @@ class IrisSettings(bpy.types.PropertyGroup):
     placed: bpy.props.EnumProperty(name="Object", description="The object that Place adds", items=PLACEABLE)
     overlay: bpy.props.FloatProperty(
         name="Photo",
-        description="Opacity of the photo over the mesh",
+        description="Opacity over the mesh of the imported photo, or of the picture that is shown in its place",
         min=0.0,
         max=1.0,
         default=0.5,

@@ -78,14 +78,6 @@ def view_name(camera: bpy.types.Object) -> str:
     return f"{bpy.path.clean_name(camera.name)}-{zlib.crc32(stands):08x}"
 
 
-def redraw() -> None:
-    """Draw the 3D views again."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
-
-
 def shown_wipe(context: bpy.types.Context) -> tuple[bpy.types.Image, list[Point]] | None:
     """Picture of a wipe and corners of the frame (:func:`camera_frame`) where this view shows one; else None."""
     scene, view = context.scene, context.region_data

@@ -14,6 +14,7 @@ from iris_addon.blender.insert.differential import (
     render_differential,
     render_pair,
     shrunk_difference,
+    unchanged_photo,
 )
 from iris_addon.blender.render import cycles as blender_render
 from iris_addon.blender.render.cycles import aim, render_views
@@ -54,7 +55,7 @@ def changed(change, with_edit=None, covered=0.0, without=1.0):
 
 def test_a_photo_without_change_of_light_keeps_its_pixels():
     photo = np.random.default_rng(1).integers(0, 256, (20, 30, 3)) / 255
-    same, _ = change_photo(photo, changed(0.0), gamma(), EXPOSURE)
+    same = change_photo(photo, changed(0.0), gamma(), EXPOSURE).display
     np.testing.assert_array_equal(same, photo)
 
 
@@ -62,34 +63,49 @@ def test_gained_light_gets_the_local_exposure_of_the_photo():
     """Of a photo whose corners a lens darkened to half, what a lamp adds is darkened there too."""
     photo = gamma().apply(blank(value=0.1))
     at_places = EXPOSURE * np.linspace(1.0, 0.5, 30)[:, None]
-    display, radiance = change_photo(photo, changed(1.0), gamma(), at_places)
-    np.testing.assert_allclose(gamma().invert(display)[0, [0, -1], 0], [0.1 + 0.2, 0.1 + 0.1], rtol=1e-3)
-    np.testing.assert_allclose(radiance[0, [0, -1], 0], [0.1 / 0.2 + 1, 0.1 / 0.1 + 1], rtol=1e-3)
+    lit = change_photo(photo, changed(1.0), gamma(), at_places)
+    np.testing.assert_allclose(gamma().invert(lit.display)[0, [0, -1], 0], [0.1 + 0.2, 0.1 + 0.1], rtol=1e-3)
+    np.testing.assert_allclose(lit.radiance[0, [0, -1], 0], [0.1 / 0.2 + 1, 0.1 / 0.1 + 1], rtol=1e-3)
 
 
 def test_a_shadow_scales_what_the_photo_shows_and_never_goes_below_black():
     photo = gamma().apply(np.random.default_rng(1).uniform(0, 0.5, (20, 30, 3)))
-    _, radiance = change_photo(photo, changed(-0.25), gamma(), EXPOSURE)
+    radiance = change_photo(photo, changed(-0.25), gamma(), EXPOSURE).radiance
     np.testing.assert_allclose(radiance * EXPOSURE, 0.75 * gamma().invert(photo), rtol=1e-9, atol=1e-12)
-    black, _ = change_photo(photo, changed(-3.0), gamma(), EXPOSURE)
+    black = change_photo(photo, changed(-3.0), gamma(), EXPOSURE).display
     np.testing.assert_allclose(black, 0.0, atol=1e-9)
 
 
 def test_clipped_pixels_keep_the_light_of_the_render():
     """A wall four times as bright as white stays white in half a shadow; at saturation itself the shadow shows."""
     white = blank()
-    kept, _ = change_photo(white, changed(-10.0, without=20.0), gamma(), EXPOSURE)
+    kept = change_photo(white, changed(-10.0, without=20.0), gamma(), EXPOSURE).display
     np.testing.assert_array_equal(kept, 1.0)
-    shaded, _ = change_photo(white, changed(-2.5, without=5.0), gamma(), EXPOSURE)
+    shaded = change_photo(white, changed(-2.5, without=5.0), gamma(), EXPOSURE).display
     np.testing.assert_allclose(shaded, gamma().apply(blank(value=0.5)), rtol=1e-9)
 
 
 def test_the_edge_of_an_object_blends_render_and_photo():
     photo = gamma().apply(blank(value=0.3))
-    half, _ = change_photo(photo, changed(0.0, with_edit=0.8, covered=0.5), gamma(), EXPOSURE)
+    half = change_photo(photo, changed(0.0, with_edit=0.8, covered=0.5), gamma(), EXPOSURE).display
     # Half of the pixel is the object (the render less half the wall), half is the wall of the photo.
     expected = (0.8 - 0.5 * 1.0) * 0.2 + 0.5 * 0.3
     np.testing.assert_allclose(half, gamma().apply(blank(value=expected)), rtol=1e-6)
+
+
+def test_the_plate_is_the_photo_without_the_change():
+    photo = gamma().apply(blank(value=0.3))
+    lit, same = (change_photo(photo, changed(change), gamma(), EXPOSURE) for change in (1.0, 0.0))
+    np.testing.assert_array_equal(lit.plate, same.radiance)
+    np.testing.assert_array_equal(lit.plate, unchanged_photo(photo, gamma(), EXPOSURE).plate)
+    assert (lit.radiance > lit.plate).all() and not lit.shows_added
+
+
+def test_a_photo_of_radiance_keeps_its_unit():
+    photo = blank(value=0.3)
+    lit = change_photo(photo, changed(1.0), None, EXPOSURE)
+    assert lit.display is None and lit.plate is photo
+    np.testing.assert_allclose(lit.radiance, photo + EXPOSURE)
 
 
 # ---- in Cycles -----------------------------------------------------------------------------------------------------
@@ -125,7 +141,7 @@ def test_a_card_of_the_walls_albedo_flat_on_the_wall_is_invisible():
     without = render_pair(result, view, None, SETTINGS)
     change = render_change(result, view, edit, without, SETTINGS)
     assert 0.05 < change.covered.mean() < 0.5  # it is there
-    seen, _ = change_photo(photo, change, result.response, EXPOSURE)
+    seen = change_photo(photo, change, result.response, EXPOSURE).display
     assert np.abs(seen - photo).mean() * 255 < 2.0
     inside = change.covered >= 1.0
     assert abs((seen - photo)[inside].mean()) * 255 < 2.0

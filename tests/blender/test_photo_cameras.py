@@ -12,10 +12,12 @@ from iris_addon.blender.apply.on_objects import FaceRun, apply_to_objects, resto
 from iris_addon.blender.apply.photo_cameras import move_to_solved_poses
 from iris_addon.blender.camera import read_camera
 from iris_addon.blender.scene_in.capture_objects import (
+    PHOTO,
     Inspected,
     InspectedView,
     add_capture,
     fade_photo,
+    has_photo_to_fade,
     photo_of,
     refresh_capture,
     show_instead,
@@ -119,10 +121,51 @@ def test_backgrounds_of_the_artist_stay_whatever_is_shown_in_place_of_the_photo(
     assert [behind.alpha for behind in backgrounds] == [0.75, 0.25, 0.75]
 
 
+def test_what_is_shown_in_place_of_a_photo_is_known_again_after_the_file_was_saved(imported, tmp_path):
+    """Also where the artist has a picture of the same name behind the camera."""
+    camera = imported[3]["a"]
+    sketch, render = (bpy.data.images.new(name, 4, 4) for name in ("sketch", "render"))
+    for image, folder in ((sketch, "sketches"), (render, "result")):
+        image.source, image.filepath = "FILE", f"/{folder}/report/a-render.png"
+    own = camera.data.background_images.new()
+    own.image, own.alpha = sketch, 0.25
+    show_instead(camera, render)
+    name, photo = camera.name, photo_of(camera).name
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "scene.blend"))
+    camera = bpy.data.objects[name]
+    fade_photo(camera, 0.75)
+    assert [behind.alpha for behind in camera.data.background_images] == [0.75, 0.25, 0.75]
+    for _ in range(2):
+        show_instead(camera, None)
+        assert [behind.image.name for behind in camera.data.background_images] == [photo, "sketch"]
+
+
+def test_backgrounds_of_a_camera_of_the_artist_do_not_fade():
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    own = bpy.data.objects.new("own", bpy.data.cameras.new("own"))
+    photo = own.data.background_images.new()
+    photo.image, photo.alpha = bpy.data.images.new("photo", 4, 4), 0.25
+    assert not has_photo_to_fade(own)
+    show_instead(own, bpy.data.images.new("render", 4, 4))
+    fade_photo(own, 0.75)
+    assert has_photo_to_fade(own)
+    assert [behind.alpha for behind in own.data.background_images] == [0.25, 0.75]
+
+
+def test_what_the_artist_chose_for_the_imported_photo_does_not_fade(imported):
+    camera = imported[3]["a"]
+    behind = camera.data.background_images[0]
+    behind.image, behind.alpha = bpy.data.images.new("a sketch", 4, 4), 0.25
+    fade_photo(camera, 0.75)
+    assert behind.alpha == 0.25 and photo_of(camera) == behind.image
+
+
 @pytest.mark.parametrize("name", ["report/a-render.png", "report/a-error.png", "onto-photos/a.png"])
 def test_a_picture_of_a_file_that_an_earlier_version_saved_goes_too(imported, name) -> None:
-    """Those did not remember what they had put over the photo."""
+    """Those did not remember what they had put over the photo, nor which photo they had imported."""
     camera = imported[3]["a"]
+    del camera.data[PHOTO]
     photo, backgrounds = photo_of(camera), camera.data.background_images
     old, own = backgrounds.new(), backgrounds.new()
     old.image, own.image = (bpy.data.images.new(each, 4, 4) for each in ("shown", "a sketch"))
@@ -132,6 +175,8 @@ def test_a_picture_of_a_file_that_an_earlier_version_saved_goes_too(imported, na
     show_instead(camera, None)
     assert [behind.image for behind in backgrounds] == [photo, own.image]
     assert backgrounds[0].show_background_image
+    fade_photo(camera, 0.75)
+    assert [behind.alpha for behind in backgrounds] == [0.75, 0.5]  # a new one has 0.5
 
 
 def test_cameras_read_again_forget_their_given_poses(imported):

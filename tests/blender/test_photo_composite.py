@@ -72,7 +72,7 @@ def test_an_added_ball_is_that_of_an_insertion_job():
     scene = applied(result)
     ball = add_sphere(BALL, "ball", scene.collection)
     ball.matrix_world = Matrix.Translation(tuple(BALL.center))
-    seen = composite(scene, photo, gamma(), EXPOSURE, RenderSettings(samples=128))
+    seen = composite(scene, photo, gamma(), EXPOSURE, RenderSettings(samples=128)).display
     changed = np.abs(expected - photo).max(-1) > 0.05
     assert 0.02 < changed.mean() < 0.6
     assert np.abs(seen - expected)[changed].mean() < 0.012
@@ -83,7 +83,7 @@ def test_an_added_ball_is_that_of_an_insertion_job():
 def test_without_additions_the_composite_is_the_photo():
     scene = applied(lit_room())
     photo = np.random.default_rng(0).integers(0, 256, (30, 40, 3)) / 255
-    np.testing.assert_array_equal(composite(scene, photo, gamma(), EXPOSURE, RenderSettings(samples=4)), photo)
+    np.testing.assert_array_equal(composite(scene, photo, gamma(), EXPOSURE, RenderSettings(samples=4)).display, photo)
 
 
 def test_dimming_the_lamp_darkens_the_photo_by_the_same_factor():
@@ -91,7 +91,7 @@ def test_dimming_the_lamp_darkens_the_photo_by_the_same_factor():
     photo, scene = photo_of(result), applied(result)
     (lamp,) = lamp_materials(scene.objects)
     set_strength(lamp, 3.0)  # of 12: the only light there is
-    seen = composite(scene, photo, gamma(), EXPOSURE, RenderSettings(samples=128))
+    seen = composite(scene, photo, gamma(), EXPOSURE, RenderSettings(samples=128)).display
     dark = (photo.max(-1) < 0.9) & (photo.min(-1) > 0.1)
     ratio = gamma().invert(seen[dark]) / gamma().invert(photo[dark])
     np.testing.assert_allclose(np.median(ratio), 0.25, rtol=0.03)
@@ -129,7 +129,7 @@ def test_things_are_put_into_a_photo_under_its_own_lamps_whatever_the_scene_show
     set_own_look(scene, shown)
     before = [lamp_setting(lamp) for lamp in lamp_materials(scene.objects)]
     add_sphere(BALL, "ball", scene.collection).matrix_world = Matrix.Translation(tuple(BALL.center))
-    seen = composite(scene, photo, gamma(), EXPOSURE, quick, "red")
+    seen = composite(scene, photo, gamma(), EXPOSURE, quick, "red").display
     changed = np.abs(expected - photo).max(-1) > 0.05
     assert 0.02 < changed.mean() < 0.6
     assert np.abs(seen - expected)[changed].mean() < 0.012
@@ -141,9 +141,9 @@ def test_only_what_the_artist_changed_at_the_lamps_changes_a_photo_of_another_st
     result = room_in_states()
     photo, scene = photo_of(result.in_state("red")), applied(result)
     quick = RenderSettings(samples=128)
-    np.testing.assert_array_equal(composite(scene, photo, gamma(), EXPOSURE, quick, "red"), photo)
+    np.testing.assert_array_equal(composite(scene, photo, gamma(), EXPOSURE, quick, "red").display, photo)
     set_strength(lamp_of(scene, 2), 1.5)  # of 6
-    seen = composite(scene, photo, gamma(), EXPOSURE, quick, "red")
+    seen = composite(scene, photo, gamma(), EXPOSURE, quick, "red").display
     dimmed = replace(result.in_state("red"), emitters=room(emission={3: 0 * RED, 2: RED, 0: BOTH / 4}).emitters)
     (expected,) = render_views(dimmed, [VIEW], settings=replace(quick, seed=4))
     dark = (photo.max(-1) < 0.9) & (photo.min(-1) > 0.1)

@@ -19,7 +19,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from ...base.errors import IrisError
+from ...base.errors import BadInput, IrisError
 from ...base.files import replace_when_free
 from ...edits.scene_edit import SceneEdit
 from ...model.capture import View
@@ -253,7 +253,15 @@ def _hook(library: ModuleType) -> type:
     return LampsAsLights
 
 
-# ---- atomic files --------------------------------------------------------------------------------------------------
+# ---- files in and out ----------------------------------------------------------------------------------------------
+
+
+def open_blend(blend: Path, fix: str) -> None:
+    """Open ``blend`` without its scripts; raises BadInput with ``fix`` if it cannot be opened."""
+    try:
+        bpy.ops.wm.open_mainfile(filepath=str(blend.absolute()), load_ui=False, use_scripts=False)
+    except RuntimeError as error:
+        raise BadInput("cannot be opened", fix, blend) from error
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:

@@ -57,6 +57,28 @@ class Differential:
     covered: NDArray[np.floating]
 
 
+@dataclass(frozen=True)
+class ChangedPhoto:
+    """A photo with an edit in it, and what it is made of.
+
+    Attributes:
+        display: (H, W, 3) display values, or None where the photo holds radiance.
+        radiance: (H, W, 3) linear Rec.709; in the unit of the photo where that holds radiance.
+        plate: (H, W, 3) ``radiance`` without the edit.
+        covered: (H, W) share of each pixel that inserted objects cover.
+    """
+
+    display: NDArray[np.floating] | None
+    radiance: NDArray[np.floating]
+    plate: NDArray[np.floating]
+    covered: NDArray[np.floating]
+
+    @property
+    def shows_added(self) -> bool:
+        """Whether anything of the inserted objects is visible."""
+        return bool(self.covered.any())
+
+
 def insert_onto_photo(
     result: Result,
     camera: Camera,
@@ -77,7 +99,7 @@ def insert_onto_photo(
         return np.array(photo, dtype=np.float64)
     without = render_pair(result, camera, None, settings)
     changed = render_change(result, camera, edit, without, settings)
-    return change_photo(photo, changed, response or result.response, exposure)[0]
+    return _change_display(photo, changed, response or result.response, exposure)[0]
 
 
 def render_pair(
@@ -199,9 +221,32 @@ def shrunk_difference(differences: Pair) -> NDArray[np.float64]:
 
 
 def change_photo(
+    photo: NDArray[np.floating], changed: Differential, response: Response | None, exposure: NDArray[np.floating]
+) -> ChangedPhoto:
+    """The photo with the change that was rendered for it.
+
+    Args:
+        photo: (H, W, 3) display values in [0, 1], or radiance.
+        response: that the photo was taken with; None where it holds radiance.
+        exposure: under which the render looks like the photo, broadcastable to it.
+    """
+    if response is None:
+        return ChangedPhoto(None, change_light(photo, changed, exposure), photo, changed.covered)
+    return ChangedPhoto(*_change_display(photo, changed, response, exposure), changed.covered)
+
+
+def unchanged_photo(
+    photo: NDArray[np.floating], response: Response | None, exposure: NDArray[np.floating] | float
+) -> ChangedPhoto:
+    """The photo as it is, for an edit that changes nothing; arguments as of :func:`change_photo`."""
+    radiance = photo if response is None else response.invert(photo) / exposure
+    return ChangedPhoto(None if response is None else photo, radiance, radiance, np.zeros(photo.shape[:2]))
+
+
+def _change_display(
     photo: NDArray[np.floating], changed: Differential, response: Response, exposure: NDArray[np.floating]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The photo with the change in it: display values and linear radiance, (H, W, 3) each.
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Display values with the change in them, linear radiance with it and without it, (H, W, 3) each.
 
     The difference passes through the response, so that pixels whose light does not change keep their values exactly.
     Where the photo is clipped, the render replaces it if that is brighter: a shadow on a clipped wall need not show.
@@ -210,7 +255,7 @@ def change_photo(
     light = np.where(photo >= SATURATED, np.maximum(seen, changed.without * exposure), seen)
     after = change_light(light, changed, exposure)
     display = np.clip(photo + (response.apply(after) - response.apply(light)), 0.0, 1.0)
-    return display, after / exposure
+    return display, after / exposure, light / exposure
 
 
 def change_light(
@@ -235,35 +280,26 @@ def change_light(
     return np.where(covered > 0, shown, beside)
 
 
-def no_change(changed: Differential) -> Differential:
-    """The same view without the edit."""
-    return replace(changed, change=0 * changed.change, covered=0 * changed.covered)
+def write_layers(path: Path, photo: ChangedPhoto, space: ColorSpace | None) -> None:
+    """Write a photo with an edit in it and what it is made of as one EXR, a layer each, for compositing.
 
-
-def write_layers(
-    path: Path,
-    radiance: NDArray[np.floating],
-    plate: NDArray[np.floating],
-    covered: NDArray[np.floating],
-    space: ColorSpace | None,
-) -> None:
-    """Write a picture with an edit in it and what it is made of as one EXR, a layer each, for compositing.
-
-    ``plate · (1 − object.A) + catcher + object`` is the picture. The catcher is light that the objects take (negative)
+    ``plate · (1 − object.A) + catcher + object`` is its radiance. The catcher is light that the objects take (negative)
     or add beside them, the object is premultiplied.
 
     Args:
-        radiance: (H, W, 3) of the picture, linear Rec.709.
-        plate: (H, W, 3) the same without the edit.
-        covered: (H, W) share of each pixel that inserted objects cover.
         space: to convert to; None for Rec.709.
 
     Raises:
         IrisError: the file cannot be written.
     """
-    alpha = covered[..., None]
-    layers = {"": radiance, "plate": plate, "catcher": (1 - alpha) * (radiance - plate), "object": alpha * radiance}
-    write_exr_planes(path, layer_channels(layers, {"object": covered}, space), space)
+    alpha = photo.covered[..., None]
+    layers = {
+        "": photo.radiance,
+        "plate": photo.plate,
+        "catcher": (1 - alpha) * (photo.radiance - photo.plate),
+        "object": alpha * photo.radiance,
+    }
+    write_exr_planes(path, layer_channels(layers, {"object": photo.covered}, space), space)
 
 
 def coverage(scene: bpy.types.Scene, room: Iterable[bpy.types.Object]) -> NDArray[np.float32]:

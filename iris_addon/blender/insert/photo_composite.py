@@ -22,13 +22,13 @@ from ...model.render_settings import RenderSettings
 from ...model.response import Response
 from ..apply.applied_states import in_light_state
 from ..apply.on_objects import APPLIED, MADE, ORIGINAL
-from ..apply.scene_files import write_whole
+from ..apply.scene_files import open_blend, write_whole
 from ..images import LINEAR, image_from_array, read_image
 from ..render.light_mixing import APART
 from ..scene_out.lights import as_recovered, lamp_materials
 from ..scene_out.world import is_gray, set_gray, sky_strength
 from ..version import single_layer_exr
-from .differential import Differential, change_photo, no_change, render_differential, render_halves, write_layers
+from .differential import ChangedPhoto, Differential, change_photo, render_differential, render_halves, write_layers
 
 RENDERED = ("MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME", "LIGHT")
 """Types of objects that one sees in a render."""
@@ -44,8 +44,8 @@ def composite(
     settings: RenderSettings,
     light_state: str | None = None,
     on_step: Callable[[int], None] = lambda done: None,
-) -> NDArray[np.float64]:
-    """(H, W, 3) display values of ``photo`` with the objects added to the room and the changes of its lamps.
+) -> ChangedPhoto:
+    """``photo`` with the objects added to the room and the changes of its lamps.
 
     Changes the render settings of ``scene``: pass a copy. Its active camera must be that of the photo.
 
@@ -59,7 +59,7 @@ def composite(
         BadInput: as :func:`additions`.
     """
     changed = additions(scene, photo.shape, settings, light_state, on_step)
-    return change_photo(photo, changed, response, exposure)[0]
+    return change_photo(photo, changed, response, exposure)
 
 
 def additions(
@@ -187,26 +187,29 @@ def composite_file(
         IrisError: a picture cannot be written.
     """
     scene = open_scene(files.blend)
-    pixels, response = read_image(files.photo), device.response
-    local_exposure = exposure * device.gain(pixels)
-    changed = additions(scene, pixels.shape, settings, light_state, on_step)
-    display, radiance = change_photo(pixels, changed, response, local_exposure)
+    pixels = read_image(files.photo)
+    exposure = exposure * device.gain(pixels)
+    photo = composite(scene, pixels, device.response, exposure, settings, light_state, on_step)
     if files.layers is not None:
-        plate = change_photo(pixels, no_change(changed), response, local_exposure)[1]
-        write_layers(files.layers, radiance, plate, changed.covered, files.space)
-    write_png(files.out, display)
+        write_layers(files.layers, photo, files.space)
+    write_photo(files.out, photo, scene)
 
 
 def open_scene(blend: Path) -> bpy.types.Scene:
     """Open ``blend``; its scene with a solved room. Raises BadInput if there is none."""
-    try:
-        bpy.ops.wm.open_mainfile(filepath=str(blend.absolute()), load_ui=False, use_scripts=False)
-    except RuntimeError as error:
-        raise BadInput("cannot be opened", "give a .blend with a solved room", blend) from error
+    open_blend(blend, "give a .blend with a solved room")
     scenes = [scene for scene in bpy.data.scenes if APPLIED in scene]
     if not scenes:
         raise BadInput("has no scene with a result on its objects", "apply a result and save", blend)
     return scenes[0]
+
+
+def write_photo(path: Path, photo: ChangedPhoto, scene: bpy.types.Scene) -> None:
+    """Write ``photo`` as a PNG, or as an EXR where it holds radiance; that changes the output settings of ``scene``."""
+    if photo.display is None:
+        write_radiance(path, photo.radiance, scene)
+    else:
+        write_png(path, photo.display)
 
 
 def write_radiance(path: Path, radiance: NDArray[np.floating], scene: bpy.types.Scene) -> None:

@@ -19,8 +19,8 @@ from ...base.errors import BadInput
 from ...model.device import Device
 from ...model.render_settings import RenderSettings
 from ...response.matching import match_exposure
-from .differential import change_light, change_photo, no_change, write_layers
-from .photo_composite import additions, write_png, write_radiance
+from .differential import change_photo, write_layers
+from .photo_composite import additions, write_photo
 from .plate import plate_picture, read_plate
 
 MAX_ASPECT_ERROR = 0.005
@@ -79,19 +79,11 @@ def composite_frame(
     changed = additions(scene, values.shape, settings, light_state)
     gain = np.ones(1) if photo.hdr else device.gain(values)
     exposure = match_exposure(changed.without, photo, device.response, gain)
-    if photo.hdr:
-        plate, radiance = values, change_light(values, changed, exposure)
-    else:
-        (display, radiance), (_, plate) = (
-            change_photo(values, change, device.response, gain * exposure) for change in (changed, no_change(changed))
-        )
+    made = change_photo(values, changed, None if photo.hdr else device.response, gain * exposure)
     if layers is not None:
-        write_layers(layers.path, radiance, plate, changed.covered, layers.space)
-    if photo.hdr:
-        write_radiance(out, radiance, scene)
-    else:
-        write_png(out, display)
-    return CompositedFrame(picture, exposure, bool(changed.covered.any()))
+        write_layers(layers.path, made, layers.space)
+    write_photo(out, made, scene)
+    return CompositedFrame(picture, exposure, made.shows_added)
 
 
 def _check_shape(scene: bpy.types.Scene, values: NDArray[np.floating], picture: Path) -> None:

@@ -12,12 +12,11 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from ...base.errors import BadInput
 from ...edits.scene_edit import SceneEdit
 from ...model.render_settings import RenderSettings
 from ...results.result import Result
 from ..apply.on_objects import APPLIED
-from ..apply.scene_files import write_whole
+from ..apply.scene_files import open_blend, write_whole
 from ..camera import set_frame
 from ..images import LINEAR, load_image
 from ..render.cycles import render_exr, set_cycles
@@ -61,12 +60,7 @@ def probe_file(blend: Path, at: Sequence[float], out: Path, *, width: int, setti
         BadInput: ``blend`` cannot be read.
         IrisError: ``out`` cannot be written.
     """
-    try:
-        bpy.ops.wm.open_mainfile(filepath=str(blend.absolute()), load_ui=False, use_scripts=False)
-    except RuntimeError as error:
-        raise BadInput(
-            "cannot be opened", "give a .blend with a solved room, or the folder of a result", blend
-        ) from error
+    open_blend(blend, "give a .blend with a solved room, or the folder of a result")
     scenes = [scene for scene in bpy.data.scenes if APPLIED in scene] or list(bpy.data.scenes)
     _look_around(scenes[0], Matrix.Translation(Vector(at)), width, settings)
     _save(scenes[0], out)

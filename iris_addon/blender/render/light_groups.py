@@ -15,7 +15,6 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...base.errors import IrisError
 from ...base.exr_planes import read_exr_planes
 from ...edits.light_shares import LightShares
 from ...edits.scene_edit import OUTSIDE, SceneEdit
@@ -27,7 +26,7 @@ from ..scene_out.backdrop import is_backdrop
 from ..scene_out.build import build_scene
 from ..scene_out.lights import STANDS_FOR
 from ..version import can_denoise, compositor_denoise, compositor_mix, multilayer_exr
-from .cycles import denoise_pictures, set_cycles
+from .cycles import denoise_pictures, render_exr, set_cycles
 
 MIX_GROUP = "IRIS Lights"
 
@@ -164,10 +163,7 @@ def grouped_shares(scene: bpy.types.Scene, names: Sequence[str], denoise: bool) 
     scene.view_layers[0].cycles.denoising_store_passes = denoise
     with tempfile.TemporaryDirectory(prefix="iris-") as folder, multilayer_exr(scene.render.image_settings):
         path = Path(folder) / "shares.exr"
-        bpy.ops.render.render(scene=scene.name)
-        bpy.data.images["Render Result"].save_render(str(path), scene=scene)
-        if not path.is_file():
-            raise IrisError("Cycles gave no image", "look at Blender's console for the reason, often memory")
+        render_exr(scene, path)
         channels = read_exr_planes(path)
     shares = {name: _pick(channels, f"Combined_{name}") for name in names}
     if denoise:

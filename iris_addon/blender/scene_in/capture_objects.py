@@ -21,7 +21,6 @@ from ...base.untrusted import decoding, finite, json_object, numbers, read_array
 from ...model.capture import Camera, Mesh
 from ..apply.on_objects import APPLIED, ORIGINAL_MESH, restore
 from ..apply.photo_cameras import METRES_PER_UNIT, forget_given_pose
-from ..apply.review import KIND
 from ..camera import add_camera, look_through, set_lens
 from ..scene_out.build import corner_vertices, mesh_steps
 from ..scene_out.scene_state import require_object_mode
@@ -29,12 +28,12 @@ from ..stepwise import Steps, in_thread
 
 FIX = "check the capture again"
 COLLECTION = "IRIS Capture"
-VIEW, INSTEAD = "iris_view", "iris_instead"
-"""Custom properties of the camera data of a photo: its name, which Blender may have numbered in that of the object, and
-the image that is shown in its place."""
+VIEW, PHOTO, INSTEAD = "iris_view", "iris_photo", "iris_instead"
+"""Custom properties of the camera data of a photo: its name, which Blender may have numbered in that of the object, its
+image where IRIS put it there, and the image that is shown in its place."""
 
-REVIEWED = re.compile(r"[\\/](report[\\/][^\\/]+-(photo|render|error)|onto-photos[\\/][^\\/]+)\.png$")
-"""Files of pictures that are shown in place of a photo."""
+UNMARKED = re.compile(r"[\\/](report[\\/][^\\/]+-(photo|render|error)|onto-photos[\\/][^\\/]+)\.png$")
+"""Files of pictures that earlier versions showed in place of a photo without INSTEAD."""
 
 CAMERA_SHARE, ANCHOR_SHARE = 0.02, 0.05
 """Size of a drawn camera, and of the axes of the capture, as shares of the room's longest side: of five metres, 0.1 and
@@ -275,6 +274,7 @@ def show_photo(camera: bpy.types.Object, photo: Path, alpha: float = 0.5) -> Non
     behind.image, behind.alpha = image, alpha
     behind.display_depth, behind.frame_method = "FRONT", "STRETCH"
     camera.data.show_background_images = True
+    camera.data[PHOTO] = image
 
 
 def show_instead(camera: bpy.types.Object, image: bpy.types.Image | None) -> None:
@@ -293,22 +293,35 @@ def show_instead(camera: bpy.types.Object, image: bpy.types.Image | None) -> Non
 
 
 def _instead(camera: bpy.types.Object) -> list[bpy.types.CameraBackgroundImage]:
-    """The pictures of ours that ``camera`` shows in place of its photo, also those of a file that an earlier version
-    saved without a word on them."""
+    """The pictures of ours that ``camera`` shows in place of its photo."""
     photo, known = background_of(camera), camera.data.get(INSTEAD)
     shown = [behind for behind in camera.data.background_images if behind.image is not None and behind != photo]
-    return [
-        behind
-        for behind in shown
-        if behind.image == known or KIND in behind.image or REVIEWED.search(behind.image.filepath)
-    ]
+    if known is not None:
+        return [behind for behind in shown if behind.image == known]
+    # A file of an earlier version: that hid the photo, and had no mark but the names of its files.
+    hidden = photo is None or not photo.show_background_image
+    earlier = hidden and PHOTO not in camera.data
+    return [behind for behind in shown if earlier and UNMARKED.search(behind.image.filepath)]
 
 
 def fade_photo(camera: bpy.types.Object, alpha: float) -> None:
-    """Set the opacity of the photo of ``camera`` and of what is shown in its place; other pictures stay."""
-    photo = background_of(camera)
-    for behind in (*_instead(camera), *([] if photo is None else [photo])):
+    """Set the opacity of what IRIS put over the view of ``camera``; pictures of the artist stay as they are."""
+    for behind in _put_there(camera):
         behind.alpha = alpha
+
+
+def has_photo_to_fade(camera: bpy.types.Object) -> bool:
+    """Whether :func:`fade_photo` would change anything."""
+    return bool(_put_there(camera))
+
+
+def _put_there(camera: bpy.types.Object) -> list[bpy.types.CameraBackgroundImage]:
+    """The photo of an imported capture, and what is shown in place of any photo."""
+    if camera.type != "CAMERA":
+        return []
+    photo, imported = background_of(camera), VIEW in camera.data
+    ours = imported and photo is not None and photo.image == camera.data.get(PHOTO, photo.image)
+    return [*_instead(camera), *([photo] if ours else [])]
 
 
 def photo_of(camera: bpy.types.Object) -> bpy.types.Image | None:
@@ -318,8 +331,10 @@ def photo_of(camera: bpy.types.Object) -> bpy.types.Image | None:
 
 
 def background_of(camera: bpy.types.Object) -> bpy.types.CameraBackgroundImage | None:
-    """The background image of ``camera`` that is its photo."""
+    """The background image of ``camera`` that is its photo: the one that was imported, else the first."""
     if camera.type != "CAMERA":
         return None
-    shown: Sequence[Any] = camera.data.background_images
-    return next((behind for behind in shown if behind.source == "IMAGE" and behind.image is not None), None)
+    backgrounds: Sequence[Any] = camera.data.background_images
+    shown = [behind for behind in backgrounds if behind.source == "IMAGE" and behind.image is not None]
+    imported = camera.data.get(PHOTO)
+    return next((behind for behind in shown if behind.image == imported), shown[0] if shown else None)
