@@ -5,8 +5,8 @@ Poses of a scan drift by pixels, and the content of a photo is then projected be
 the photos, each photo is moved towards these means (Gauss-Newton over six numbers), in turns and from coarse to fine.
 The photos are compared by local contrast, which does not depend on exposure or smooth shading, within each light state:
 shadows depend on which lamps are on. On correct poses there is little to gain on held-out points, and the acceptance
-gain keeps them as they are. Where it is more, because photos show reflections or a clipped sky whose contrast moves with
-the camera, the points that agree better are few: an error of the poses shows at most points.
+gain keeps them as they are. Where it is more, because photos show reflections or a clipped sky, whose contrast moves
+with the camera, the points that agree better are few: an error of the poses shows at most points.
 """
 
 from __future__ import annotations
