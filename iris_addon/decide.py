@@ -54,7 +54,7 @@ REFINEMENTS: Mapping[str, Refinement] = {
     ),
     # Wrong cameras gain 13 % and more; what plain and polished rooms take for better ones loses 50 %.
     "cameras_by_contrast": Refinement(
-        "focal length, principal point and offset common to all photos",
+        'focal length, principal point and offset common to all photos, where "cameras" is accepted too',
         "disagreement of local contrast at points that the corrected cameras see",
         gain=0.05,
         experiment="0145-may-a-plain-room-change-the-focal-length",
@@ -65,9 +65,9 @@ REFINEMENTS: Mapping[str, Refinement] = {
         gain=0.2,
         experiment="0038-does-each-photo-need-its-own-pose",
     ),
-    # Given poses that are right leave 0.40 to 0.49 of the points worse, such as are 4 mrad off 0.15 to 0.35.
+    # Given poses that are right leave 0.40 to 0.48 of the points worse, such as are 4 mrad off 0.15 to 0.35.
     "poses_of_most": Refinement(
-        "a pose of its own for each photo",
+        'a pose of its own for each photo, where "poses" is accepted too',
         "share of the held-out surface points at which photos agree worse, against one in two of chance",
         gain=0.3,
         experiment="0144-do-reflections-move-right-poses",

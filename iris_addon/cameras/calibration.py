@@ -55,15 +55,28 @@ PHOTO_WIDTH = 500
 
 @dataclass(frozen=True)
 class Calibration:
-    """The accepted correction, None where the given cameras stay, and its gain on held-out pixels."""
+    """The accepted correction and what it rests on.
+
+    Attributes:
+        correction: None where the given cameras stay.
+        gain: relative fall of the disagreement on held-out pixels.
+        unconfirmed: factor on the focal length by which photos agree better in brightness, where they show no point
+            whose contrast could confirm it; None elsewhere.
+    """
 
     correction: CameraCorrection | None
     gain: float
+    unconfirmed: float | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a user should know."""
         c = self.correction
+        if self.unconfirmed is not None:
+            return (
+                f"photos agree better with a focal length of {self.unconfirmed:.3f} of the given one, but no three of "
+                "them show an edge in common that could confirm it, and it stays; check the focal length",
+            )
         if c is None:
             return ()
         return (
@@ -129,11 +142,13 @@ def calibrate(
     gain = 1 - after / max(before, 1e-9)
     decisions = decisions or Decisions()
     corrected = replace(capture, views=tuple(found.view(view) for view in capture.views))
-    accepted = decisions.accept("cameras", before, after)
-    if accepted and not decisions.forces("cameras"):
+    if not decisions.accept("cameras", before, after):
+        return capture, Calibration(None, gain)
+    if not decisions.forces("cameras"):
         contrast = disagreement_of_cameras(capture, corrected, tracer, rng, progress)
-        accepted = decisions.accept("cameras_by_contrast", *contrast)
-    return (corrected, Calibration(found, gain)) if accepted else (capture, Calibration(None, gain))
+        if not decisions.accept("cameras_by_contrast", *contrast):
+            return capture, Calibration(None, gain, None if np.isfinite(contrast).all() else found.focal)
+    return corrected, Calibration(found, gain)
 
 
 @dataclass(frozen=True)

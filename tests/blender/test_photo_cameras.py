@@ -153,6 +153,32 @@ def test_backgrounds_of_a_camera_of_the_artist_do_not_fade():
     assert [behind.alpha for behind in own.data.background_images] == [0.25, 0.75]
 
 
+def test_a_hidden_photo_and_a_background_of_the_artist_stay_as_they_are():
+    """Even where the file of the background is named as one of ours."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    own = bpy.data.objects.new("own", bpy.data.cameras.new("own"))
+    photo, sketch = (bpy.data.images.new(name, 4, 4) for name in ("photo", "sketch"))
+    sketch.source, sketch.filepath = "FILE", "/mine/report/own-render.png"
+    for image in (photo, sketch):
+        own.data.background_images.new().image = image
+    own.data.background_images[0].show_background_image = False
+    show_instead(own, None)
+    shown = [(behind.image, behind.show_background_image) for behind in own.data.background_images]
+    assert shown == [(photo, False), (sketch, True)]
+
+
+def test_what_is_shown_in_place_of_a_photo_is_none_once_that_is_gone(imported):
+    camera = imported[3]["a"]
+    render, backgrounds = bpy.data.images.new("render", 4, 4), camera.data.background_images
+    show_instead(camera, render)
+    backgrounds.remove(backgrounds[0])
+    assert photo_of(camera) is None
+    show_instead(camera, render)
+    assert [behind.image for behind in backgrounds] == [render]
+    show_instead(camera, None)
+    assert not backgrounds
+
+
 def test_what_the_artist_chose_for_the_imported_photo_does_not_fade(imported):
     camera = imported[3]["a"]
     behind = camera.data.background_images[0]

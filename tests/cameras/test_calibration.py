@@ -104,6 +104,19 @@ def test_polished_walls_do_not_change_the_focal_length(painted: tuple[Capture, T
     assert same is mirrored and calibration.correction is None
 
 
+def test_a_focal_length_that_no_common_point_confirms_is_named(painted: tuple[Capture, Tracer]) -> None:
+    """Where only two photos of a light state overlap, brightness compares them and contrast, which needs three, not."""
+    capture, tracer = painted
+    true = capture.views[0].camera
+    damage = CameraCorrection(true.fx / true.width, 1.12, (0.0, 0.0), (0.0, 0.0))
+    pairs = [replace(damage.view(view), light_state=f"{k // 2}") for k, view in enumerate(capture.views)]
+    wrong = replace(capture, views=tuple(pairs))
+    same, calibration = calibrate(wrong, tracer, np.random.default_rng(0), Progress())
+    assert same is wrong and calibration.correction is None
+    assert calibration.unconfirmed == pytest.approx(1 / 1.12, rel=0.1)
+    assert "check the focal length" in calibration.warnings[0]
+
+
 def test_calibration_can_be_cancelled(painted: tuple[Capture, Tracer]) -> None:
     progress = Progress()
     progress.cancel()

@@ -280,7 +280,9 @@ def show_photo(camera: bpy.types.Object, photo: Path, alpha: float = 0.5) -> Non
 def show_instead(camera: bpy.types.Object, image: bpy.types.Image | None) -> None:
     """Show ``image`` in place of the photo of ``camera``; None shows the photo again; other pictures stay."""
     photo, shown = background_of(camera), camera.data.background_images
-    for behind in _instead(camera):
+    before = _instead(camera)
+    changes = image is not None or bool(before) or INSTEAD in camera.data
+    for behind in before:
         shown.remove(behind)
     camera.data.pop(INSTEAD, None)
     if image is not None:
@@ -288,7 +290,7 @@ def show_instead(camera: bpy.types.Object, image: bpy.types.Image | None) -> Non
         instead.image, instead.alpha = image, 1.0
         instead.display_depth, instead.frame_method = "FRONT", "STRETCH"
         camera.data[INSTEAD] = image
-    if photo is not None:
+    if photo is not None and changes:
         photo.show_background_image = image is None
 
 
@@ -298,9 +300,9 @@ def _instead(camera: bpy.types.Object) -> list[bpy.types.CameraBackgroundImage]:
     shown = [behind for behind in camera.data.background_images if behind.image is not None and behind != photo]
     if known is not None:
         return [behind for behind in shown if behind.image == known]
-    # A file of an earlier version: that hid the photo, and had no mark but the names of its files.
+    # A file of an earlier version: that hid the imported photo, and had no mark but the names of its files.
     hidden = photo is None or not photo.show_background_image
-    earlier = hidden and PHOTO not in camera.data
+    earlier = hidden and VIEW in camera.data and PHOTO not in camera.data
     return [behind for behind in shown if earlier and UNMARKED.search(behind.image.filepath)]
 
 
@@ -331,10 +333,11 @@ def photo_of(camera: bpy.types.Object) -> bpy.types.Image | None:
 
 
 def background_of(camera: bpy.types.Object) -> bpy.types.CameraBackgroundImage | None:
-    """The background image of ``camera`` that is its photo: the one that was imported, else the first."""
+    """The background image of ``camera`` that is its photo: the one that was imported, else the first that is not shown
+    in place of one."""
     if camera.type != "CAMERA":
         return None
     backgrounds: Sequence[Any] = camera.data.background_images
-    shown = [behind for behind in backgrounds if behind.source == "IMAGE" and behind.image is not None]
-    imported = camera.data.get(PHOTO)
+    imported, instead = camera.data.get(PHOTO), camera.data.get(INSTEAD)
+    shown = [behind for behind in backgrounds if behind.source == "IMAGE" and behind.image not in (None, instead)]
     return next((behind for behind in shown if behind.image == imported), shown[0] if shown else None)
