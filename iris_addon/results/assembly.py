@@ -16,6 +16,7 @@ from ..brdf.ggx import DIELECTRIC_F0
 from ..cameras.fit import CameraFit
 from ..config import SolveConfig
 from ..decide import MAX_UNSEEN_LIGHT
+from ..lighting.backdrop import SeenBackdrop
 from ..lighting.balance import MAX_ALBEDO
 from ..lighting.problem import Lights
 from ..lighting.shell_surface import as_surface
@@ -24,13 +25,14 @@ from ..materials.rounds import MaterialProblem
 from ..materials.shading import sunlight_at
 from ..materials.solution import Solution
 from ..materials.specular import subtract_specular
-from ..model.capture import Capture, View
+from ..model.capture import Camera, Capture, View
 from ..model.device import Device
 from ..model.light_states import LightStates
 from ..model.local_exposure import UNIFORM
 from ..model.recovered import Backdrop
+from ..rays.tracer import Tracer
 from ..response.photometry import Photometry, shown_pixels
-from ..surface.primary_rays import PixelSamples, as_picture
+from ..surface.primary_rays import PixelSamples, all_pixels, as_picture
 from ..surface.traced_room import TracedRoom
 from ..textures.atlas import Atlas, interpolate_uv
 from ..textures.bake import DIM_ALBEDO, PixelAlbedo, UsualPixel, pixel_albedo, pixel_weight
@@ -208,7 +210,8 @@ def make_result(
         devices=_further_devices(capture, photometry),
         backdrop=_recovered_backdrop(states[0], progress),
     )
-    return result, _rerenders(capture, samples, rerender)
+    beyond = partial(_through_holes, states[0].problem.backdrop, room.tracer, photometry)
+    return result, _rerenders(capture, samples, rerender, beyond)
 
 
 def _further_devices(capture: Capture, photometry: Photometry) -> tuple[Device, ...]:
@@ -267,16 +270,42 @@ def _pixel_albedo(
 
 
 def _rerenders(
-    capture: Capture, samples: PixelSamples, explained: Callable[[slice], NDArray[np.float64]]
+    capture: Capture,
+    samples: PixelSamples,
+    explained: Callable[[slice], NDArray[np.float64]],
+    beyond: Callable[[int, Camera, NDArray[np.integer]], tuple[NDArray[np.integer], NDArray[np.float64]]],
 ) -> dict[str, NDArray[np.float32]]:
-    """A few photos by name as the model explains them, (H, W, 3); large ones without some rows and columns."""
+    """A few photos by name as the model explains them, (H, W, 3); large ones without some rows and columns.
+
+    Args:
+        explained: display values of a slice of the ``samples``.
+        beyond: as :func:`_through_holes` gives them, those of pixels without a sample.
+    """
     pictures = {}
     for index in np.unique(np.linspace(0, len(capture.views) - 1, RERENDERED_PHOTOS).astype(int)):
-        view = capture.views[index]
+        camera = capture.views[index].camera
         rows = slice(*np.searchsorted(samples.view, [index, index + 1]))
-        step = max(1, view.camera.width // MAX_WIDTH)
-        pictures[view.name] = as_picture(explained(rows), samples.pixel[rows], view.camera, step)
+        step = max(1, camera.width // MAX_WIDTH)
+        pixel, values = beyond(index, camera, np.setdiff1d(all_pixels(camera), samples.pixel[rows]))
+        pixel, values = np.concatenate([samples.pixel[rows], pixel]), np.concatenate([explained(rows), values])
+        pictures[capture.views[index].name] = as_picture(values, pixel, camera, step)
     return pictures
+
+
+def _through_holes(
+    backdrop: SeenBackdrop,
+    tracer: Tracer,
+    photometry: Photometry,
+    index: int,
+    camera: Camera,
+    pixel: NDArray[np.integer],
+) -> tuple[NDArray[np.integer], NDArray[np.float64]]:
+    """Those (k,) of the pixels (n,) of photo ``index`` that show the backdrop, and their display values (k, 3)."""
+    origins, directions = camera.rays(pixel)
+    texel = backdrop.texels(origins, directions)
+    shown = np.flatnonzero((texel >= 0) & (tracer.closest(origins, directions).face < 0))
+    radiance = backdrop.radiance[texel[shown]].astype(np.float64)
+    return pixel[shown], photometry.develop(radiance, np.full(len(shown), index), pixel[shown])
 
 
 def _predict(

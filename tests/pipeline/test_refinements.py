@@ -11,6 +11,7 @@ import pytest
 
 from iris_addon.base.errors import BadInput
 from iris_addon.base.files import to_ranges
+from iris_addon.base.images import read_image
 from iris_addon.base.progress import Progress
 from iris_addon.config import AUTO, FULL, MINIMAL, Refinements, preset
 from iris_addon.decide import Decisions
@@ -165,6 +166,18 @@ def test_a_wall_that_the_mesh_lacks_is_recovered_from_what_photos_show_through_t
     towards = equirect_directions(*backdrop.picture.shape[1::-1]) @ np.eye(3)[{CEILING: 2, WALL: 1}[missing]]
     np.testing.assert_allclose(np.median(backdrop.albedo[towards > 0.9], axis=0), room.albedo[missing], rtol=0.12)
     assert not backdrop.picture[towards > 0.9].any()
+
+
+def test_the_report_shows_through_a_hole_what_photos_show_there(solved, tmp_path_factory):
+    """Where a wall is missing, its re-renders have what lies beyond, not what lies beside the hole."""
+    room, _ = solved("shown", without=WALL)
+    (report,) = tmp_path_factory.getbasetemp().glob("switches[0-9]*/out-shown/report")
+    beyond, off = missed(room, WALL, cameras(N_VIEWS, 48, 36)), []
+    for name, hole in zip([f"{k:03d}" for k in range(N_VIEWS)], beyond, strict=True):
+        if hole.sum() > 50 and (report / f"{name}-render.png").is_file():
+            photo, shown = (read_image(report / f"{name}-{kind}.png") / 255 for kind in ("photo", "render"))
+            off.append(np.median(np.abs(photo - shown)[hole]))
+    assert off and max(off) < 0.03
 
 
 def test_light_that_photos_do_not_show_is_fitted_instead(solved):
